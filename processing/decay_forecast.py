@@ -4,9 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from processing.arrays import Floats
 
 _FEWEST = 6
 """Four parameters and two degrees of freedom."""

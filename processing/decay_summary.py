@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.swing import TurningPoints
@@ -81,9 +81,7 @@ def summarise_decay(points: TurningPoints) -> DecaySummary:
     )
 
 
-def _mean(
-    index: NDArray[np.int64], values: NDArray[np.float64], u_values: NDArray[np.float64], factor: float
-) -> DecayMean:
+def _mean(index: Ints, values: Floats, u_values: Floats, factor: float) -> DecayMean:
     """The slope of values against the half-cycle, times `factor`."""
     found = _slope(index, values, u_values, factor)
     count = len(index) // _PART
@@ -103,9 +101,7 @@ def _mean(
     )
 
 
-def _slope(
-    index: NDArray[np.int64], values: NDArray[np.float64], u_values: NDArray[np.float64], factor: float
-) -> DecayMean:
+def _slope(index: Ints, values: Floats, u_values: Floats, factor: float) -> DecayMean:
     """Slope of a weighted straight line."""
     x = index.astype(np.float64)
     weight = 1.0 / u_values**2

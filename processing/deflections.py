@@ -3,15 +3,15 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
+from processing.arrays import Flags, Floats, Ints
 from processing.ticks import seconds
 
-Floats = NDArray[np.float64]
+_COLUMNS = ("times_ns", "x", "y", "u_x", "u_y")
 
 
 class DeflectionUnit(StrEnum):
@@ -39,7 +39,7 @@ class Deflections:
     standard uncertainties. All four are in `unit`. NaN where the spot was lost.
     """
 
-    times_ns: NDArray[np.int64]
+    times_ns: Ints
     x: Floats
     y: Floats
     u_x: Floats
@@ -49,16 +49,9 @@ class Deflections:
     def __len__(self) -> int:
         return len(self.times_ns)
 
-    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Self:
+    def __getitem__(self, rows: slice | Flags) -> Self:
         """Some of the frames."""
-        return replace(
-            self,
-            times_ns=self.times_ns[rows],
-            x=self.x[rows],
-            y=self.y[rows],
-            u_x=self.u_x[rows],
-            u_y=self.u_y[rows],
-        )
+        return replace(self, **{name: getattr(self, name)[rows] for name in _COLUMNS})
 
     @property
     def times_s(self) -> Floats:
@@ -76,7 +69,7 @@ class Deflections:
         return self.y / self.unit.shown_size
 
     @property
-    def found(self) -> NDArray[np.bool_]:
+    def found(self) -> Flags:
         """Whether a frame has a spot."""
         return np.isfinite(self.x) & np.isfinite(self.y)
 
@@ -91,15 +84,13 @@ def no_deflections(unit: DeflectionUnit) -> Deflections:
     return Deflections(np.empty(0, np.int64), nothing, nothing, nothing, nothing, unit)
 
 
-def slow_deflections(
-    times_ns: NDArray[np.int64],
-    y: Floats,
-    u_y: Floats | float,
-    unit: DeflectionUnit = DeflectionUnit.RAD,
-) -> Deflections:
-    """Deflections `y` (n,) along the slow axis with standard uncertainties `u_y`, (n,) or one; `x` is NaN."""
+def slow_deflections(times_ns: Ints, y: Floats, u_y: Floats | float) -> Deflections:
+    """Deflections `y` (n,) in rad along the slow axis with standard uncertainties `u_y`, (n,) or one; `x` is
+    NaN.
+    """
     unknown = np.full(len(times_ns), np.nan)
-    return Deflections(times_ns, unknown, y, unknown, np.broadcast_to(u_y, y.shape).astype(np.float64), unit)
+    u_y = np.broadcast_to(u_y, y.shape).astype(np.float64)
+    return Deflections(times_ns, unknown, y, unknown, u_y, DeflectionUnit.RAD)
 
 
 def joined(parts: Iterable[Deflections], unit: DeflectionUnit) -> Deflections:
@@ -114,11 +105,5 @@ def joined(parts: Iterable[Deflections], unit: DeflectionUnit) -> Deflections:
         raise ValueError(
             f"deflections in {' and '.join(sorted({part.unit for part in every}))} cannot be joined"
         )
-    return Deflections(
-        times_ns=np.concatenate([part.times_ns for part in every]),
-        x=np.concatenate([part.x for part in every]),
-        y=np.concatenate([part.y for part in every]),
-        u_x=np.concatenate([part.u_x for part in every]),
-        u_y=np.concatenate([part.u_y for part in every]),
-        unit=every[0].unit,
-    )
+    columns: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in every]) for n in _COLUMNS}
+    return replace(every[0], **columns)

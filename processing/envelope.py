@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from math import exp, log, nan, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.errors import DataError
 from processing.swing import estimate_noise
 from processing.ticks import nanoseconds
 
-Floats = NDArray[np.float64]
 _FEWEST = 12
 """Nine degrees of freedom beside three parameters; each half of the fall has to have as many."""
 _DB = 10.0 / log(10.0)

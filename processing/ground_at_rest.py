@@ -3,14 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import dst
 
+from processing.arrays import Floats
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit import GROUND_SEEN, density_of_step
-
-Array = NDArray[np.float64]
 
 _FEWEST_PERIODS = 8
 _FEWEST_SAMPLES = 8
@@ -35,7 +33,7 @@ class GroundAtRest(NamedTuple):
     period_s: float
 
 
-def ground_at_rest(time_s: Array, deflection: Array) -> GroundAtRest:
+def ground_at_rest(time_s: Floats, deflection: Floats) -> GroundAtRest:
     """The drive from the deflections of a free pendulum at rest along its slow mode.
 
     The oscillation that the ground keeps up wanders in both quadratures. It is fitted again in every period;
@@ -91,7 +89,7 @@ def ground_at_rest(time_s: Array, deflection: Array) -> GroundAtRest:
     return GroundAtRest(Estimate(value, u), density(upper), period_s)
 
 
-def _binned(time_s: Array, deflection: Array) -> tuple[Array, Array]:
+def _binned(time_s: Floats, deflection: Floats) -> tuple[Floats, Floats]:
     """Means over tenths of a second: nothing here is faster."""
     if not len(time_s):
         return time_s, deflection
@@ -99,7 +97,7 @@ def _binned(time_s: Array, deflection: Array) -> tuple[Array, Array]:
     return np.add.reduceat(time_s, start) / count, np.add.reduceat(deflection, start) / count
 
 
-def _period(time_s: Array, deflection: Array, span_s: float) -> float:
+def _period(time_s: Floats, deflection: Floats, span_s: float) -> float:
     """Where the deflections hold most power, to a twentieth of the resolution."""
     frequency_hz = np.arange(1 / _PERIODS_S[1], 1 / _PERIODS_S[0], 0.05 / span_s)
     left = deflection - np.mean(deflection)
@@ -107,7 +105,7 @@ def _period(time_s: Array, deflection: Array, span_s: float) -> float:
     return float(1 / frequency_hz[np.argmax(found)])
 
 
-def _quadratures(time_s: Array, deflection: Array, period_s: float, periods: int) -> tuple[Array, float]:
+def _quadratures(time_s: Floats, deflection: Floats, period_s: float, periods: int) -> tuple[Floats, float]:
     """(periods, 2) amplitudes of cosine and sine in each period, beside an offset and a slope.
 
     And their variance, by what these leave of neighbouring samples.
@@ -128,7 +126,7 @@ def _quadratures(time_s: Array, deflection: Array, period_s: float, periods: int
     return out, float(np.median(variance))
 
 
-def _without_decay(quadratures: Array) -> Array:
+def _without_decay(quadratures: Floats) -> Floats:
     """(periods - 1, 2) steps less what goes with the oscillation: its decay, a period a little off."""
     turning = quadratures[:, 0] + 1j * quadratures[:, 1]
     step, middle = np.diff(turning), 0.5 * (turning[1:] + turning[:-1])
@@ -137,7 +135,7 @@ def _without_decay(quadratures: Array) -> Array:
     return np.column_stack([left.real, left.imag])
 
 
-def _crossing(rise: Array, best: int, side: int, target: float) -> float:
+def _crossing(rise: Floats, best: int, side: int, target: float) -> float:
     """Value of the grid at which the rise reaches the target; the grid's end where it never does."""
     k = best
     while 0 <= k + side < len(_GRID) and rise[k] < target:

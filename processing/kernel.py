@@ -12,6 +12,7 @@ import pickle
 import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, TypeVar, overload
@@ -34,15 +35,11 @@ def kernel(function: Function | None = None, /, *, fastmath: bool = False) -> An
     """Compile a function on numbers and arrays with numba, when it is first called, for the types then given.
 
     It runs without Python's lock, and a division by zero gives an infinity or NaN as in numpy. `fastmath`
-    lets the compiler reorder sums, which it needs to turn them into vector instructions.
+    lets the compiler reorder sums, which it needs to turn them into vector instructions. Where numba is
+    turned off (NUMBA_DISABLE_JIT), the function stays what it is.
     """
     if function is None:
-        return lambda undecorated: kernel_of(undecorated, fastmath=fastmath)
-    return kernel_of(function, fastmath=False)
-
-
-def kernel_of(function: Function, *, fastmath: bool) -> Any:
-    """The compiled function, or the plain one where numba is turned off (NUMBA_DISABLE_JIT)."""
+        return partial(kernel, fastmath=fastmath)
     if config.DISABLE_JIT:
         return function
     options = {"nopython": True, "nogil": True, "error_model": "numpy", "fastmath": fastmath}

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.errors import DataError
 
 Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
-Model = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+Model = Callable[[Floats], tuple[Floats, Floats]]
 """Function from values to (residuals, Jacobian); residuals that are not finite make the solver shorten its
 step."""
 
@@ -24,6 +24,8 @@ _ROUND = 60
 _FLAT = 0.01
 """The search ends if a round reduces the cost by less than this, in units of chi2/2 per residual; the
 remaining distance to the minimum is a small fraction of a standard uncertainty."""
+_LOSS_SCALE = 1.5
+"""Standard uncertainties above about which a robust loss reduces the influence of a residual."""
 _SINGULAR = 1e-13
 """Singular values below this fraction of the largest (columns scaled to unit length) are treated as zero."""
 
@@ -37,10 +39,10 @@ class Solution:
     `residuals` are normalised, without the loss.
     """
 
-    values: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    residuals: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
+    values: Floats
+    covariance: Floats
+    residuals: Floats
+    jacobian: Floats
     cost: float
     converged: bool
     message: str
@@ -56,12 +58,11 @@ class Solution:
 
 def solve(
     model: Model,
-    start: NDArray[np.float64],
+    start: Floats,
     *,
-    lower: NDArray[np.float64] | None = None,
-    upper: NDArray[np.float64] | None = None,
+    lower: Floats | None = None,
+    upper: Floats | None = None,
     loss: Loss = "linear",
-    loss_scale: float = 1.5,
     max_evaluations: int = 300,
     cost_tolerance: float = 1e-12,
 ) -> Solution:
@@ -69,8 +70,6 @@ def solve(
 
     Parameters
     ----------
-    loss, loss_scale
-        A robust loss reduces the influence of residuals above about `loss_scale` standard uncertainties.
     cost_tolerance
         Relative reduction of the cost below which the search ends.
 
@@ -88,21 +87,21 @@ def solve(
     # imported here because the settings import modules of processing, and scipy would slow down every command
     from scipy.optimize import least_squares
 
-    seen: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+    # The solver requests the Jacobian at the point of the step just accepted, mostly the last one evaluated:
+    # caching one evaluation saves half of them.
+    seen: dict[bytes, tuple[Floats, Floats]] = {}
 
-    def evaluate(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def evaluate(values: Floats) -> tuple[Floats, Floats]:
         key = values.tobytes()
         if key not in seen:
             seen.clear()
             seen[key] = model(values)
         return seen[key]
 
-    # The solver requests the Jacobian at the point of the step just accepted, mostly the last one evaluated:
-    # caching one evaluation saves half of them.
-    def residuals_at(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residuals_at(values: Floats) -> Floats:
         return evaluate(values)[0]
 
-    def jacobian_at(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def jacobian_at(values: Floats) -> Floats:
         return evaluate(values)[1]
 
     values = np.asarray(start, dtype=np.float64)
@@ -113,13 +112,10 @@ def solve(
                 residuals_at,
                 values,
                 jac=jacobian_at,
-                bounds=(
-                    np.full(len(start), -np.inf) if lower is None else lower,
-                    np.full(len(start), np.inf) if upper is None else upper,
-                ),
+                bounds=(-np.inf if lower is None else lower, np.inf if upper is None else upper),
                 x_scale="jac",
                 loss=loss,
-                f_scale=loss_scale,
+                f_scale=_LOSS_SCALE,
                 xtol=1e-12,
                 ftol=cost_tolerance,
                 gtol=1e-14,
@@ -140,7 +136,7 @@ def solve(
     residuals, jacobian = model(values)
     return Solution(
         values=values,
-        covariance=covariance_of(jacobian, residuals, loss, loss_scale),
+        covariance=covariance_of(jacobian, residuals, loss),
         residuals=residuals,
         jacobian=jacobian,
         cost=cost,
@@ -149,12 +145,7 @@ def solve(
     )
 
 
-def covariance_of(
-    jacobian: NDArray[np.float64],
-    residuals: NDArray[np.float64] | None = None,
-    loss: Loss = "linear",
-    loss_scale: float = 1.5,
-) -> NDArray[np.float64]:
+def covariance_of(jacobian: Floats, residuals: Floats | None = None, loss: Loss = "linear") -> Floats:
     """Covariance (k, k) of the parameters: inverse of J^T J for the Jacobian J (n, k) of the scaled
     residuals.
 
@@ -175,14 +166,14 @@ def covariance_of(
     covariance[:, blind] = 0.0
     covariance[blind, blind] = np.inf
     if loss != "linear" and residuals is not None:
-        psi, slope = _influence(residuals / loss_scale, loss)
-        psi = psi * loss_scale
+        psi, slope = _influence(residuals / _LOSS_SCALE, loss)
+        psi = psi * _LOSS_SCALE
         dof = len(residuals) - jacobian.shape[1]
         covariance = covariance * (np.sum(psi**2) / dof) / np.mean(slope) ** 2
     return np.asarray(covariance, dtype=np.float64)
 
 
-def _influence(z: NDArray[np.float64], loss: Loss) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _influence(z: Floats, loss: Loss) -> tuple[Floats, Floats]:
     """psi (derivative of the loss) and psi' of scipy's losses, as functions of the scaled residual."""
     if loss == "huber":
         return np.clip(z, -1, 1), (np.abs(z) <= 1).astype(np.float64)
@@ -191,7 +182,7 @@ def _influence(z: NDArray[np.float64], loss: Loss) -> tuple[NDArray[np.float64],
     return z / (1 + z**2), (1 - z**2) / (1 + z**2) ** 2
 
 
-def propagate(jacobian: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def propagate(jacobian: Floats, covariance: Floats) -> Floats:
     """Covariance ``J C J^T`` (m, m) of quantities with the Jacobian J (m, k), for C (k, k).
 
     Variances may be infinite; quantities that depend on such parameters get infinite variances.

@@ -5,7 +5,8 @@ In both, the power spectral density is ``A + B log10(period)`` between stated pe
 """
 
 import numpy as np
-from numpy.typing import NDArray
+
+from processing.arrays import Floats
 
 _NLNM = np.array(
     [
@@ -51,22 +52,22 @@ _NHNM = np.array(
 _LONGEST_S = 1e5
 
 
-def nlnm_db(frequencies_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+def nlnm_db(frequencies_hz: Floats) -> Floats:
     """New low noise model; beyond its ends, 10 Hz and 1e-5 Hz, it keeps its last value."""
     return _model_db(_NLNM, frequencies_hz)
 
 
-def nhnm_db(frequencies_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+def nhnm_db(frequencies_hz: Floats) -> Floats:
     """New high noise model; beyond its ends, 10 Hz and 1e-5 Hz, it keeps its last value."""
     return _model_db(_NHNM, frequencies_hz)
 
 
-def density_of_db(level_db: NDArray[np.float64]) -> NDArray[np.float64]:
+def density_of_db(level_db: Floats) -> Floats:
     """Amplitude spectral density in m/s^2/sqrt(Hz)."""
     return np.asarray(10 ** (level_db / 20), dtype=np.float64)
 
 
-def _model_db(table: NDArray[np.float64], frequencies_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+def _model_db(table: Floats, frequencies_hz: Floats) -> Floats:
     shortest_s = float(table[0, 0])
     period_s = np.clip(1 / np.asarray(frequencies_hz, dtype=np.float64), shortest_s, _LONGEST_S)
     row = np.searchsorted(table[:, 0], period_s, side="right") - 1

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.estimate import Estimate
 from processing.swing import TurningPoints
 
@@ -15,9 +15,9 @@ FEWEST_PERIODS = 5
 class Periods(NamedTuple):
     """Full periods centred on turning points that have both neighbours; `where` are their positions."""
 
-    where: NDArray[np.int64]
-    period_s: NDArray[np.float64]
-    u_period_s: NDArray[np.float64]
+    where: Ints
+    period_s: Floats
+    u_period_s: Floats
 
 
 def reference_amplitude(points: TurningPoints) -> float:

@@ -1,13 +1,14 @@
 """Robust estimate of the scatter of values with outliers."""
 
 import numpy as np
-from numpy.typing import NDArray
+
+from processing.arrays import Floats
 
 MAD_TO_SIGMA = 1.482602218505602
 """Ratio of standard deviation to median absolute deviation of a normal distribution, 1 / 0.67449."""
 
 
-def robust_scatter(values: NDArray[np.float64], middle: float | None = None) -> float:
+def robust_scatter(values: Floats, middle: float | None = None) -> float:
     """Standard deviation of `values`, of any shape, from the median absolute deviation about `middle`.
 
     By default `middle` is the median. Nearly half of the values may be outliers. NaN and infinite values are

@@ -5,8 +5,8 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.robust import robust_scatter
 from processing.ticks import seconds
 
@@ -109,7 +109,7 @@ class KickWatch:
         return Step(time_ns, size)
 
 
-def _jump(at: NDArray[np.float64], values: NDArray[np.float64], middle: float) -> tuple[float, float]:
+def _jump(at: Floats, values: Floats, middle: float) -> tuple[float, float]:
     """Jump at `middle` between the lines through both halves, and its standard uncertainty."""
     ends, squares, spread = [], 0.0, 0.0
     for half in (slice(None, _KICK_HALF), slice(_KICK_HALF, None)):

@@ -10,13 +10,11 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Flags, Floats
 from processing.balance.faults import BalanceLimits
 from processing.balance.room import Room
 from processing.balance.weight_response import WeightResponse
-
-Floats = NDArray[np.float64]
 
 _LEAST_SWING_ARCSEC = 10.0
 """Amplitude of the next look for which a turn must leave room."""
@@ -188,7 +186,7 @@ class WeightResponses:
         doubts = np.diag([float(u @ u) + 1e-9 for _, u in others])
         return np.asarray(np.eye(3) - effects @ np.linalg.solve(effects.T @ effects + doubts, effects.T))
 
-    def _allowed(self, state: Floats, move: Floats, u_move: Floats, room: Room | None) -> NDArray[np.bool_]:
+    def _allowed(self, state: Floats, move: Floats, u_move: Floats, room: Room | None) -> Flags:
         """Which moves leave the spot on the sensor, or if it has no room now, leave it no less."""
         if room is None:
             return np.ones(len(move), dtype=np.bool_)

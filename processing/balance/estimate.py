@@ -8,15 +8,13 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.balance.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.swing import TwoModes, separate_modes
 from processing.ticks import nanoseconds, seconds
-
-Floats = NDArray[np.float64]
 
 _WINDOW_PERIODS = 2.0
 _HISTORY = 8
@@ -82,7 +80,7 @@ class BalanceEstimator:
                 found.append(balance)
         return found
 
-    def _append(self, times: NDArray[np.int64], columns: list[Floats]) -> None:
+    def _append(self, times: Ints, columns: list[Floats]) -> None:
         n = len(times)
         if self._tail + n > len(self._times):
             kept = self._tail - self._head

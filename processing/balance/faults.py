@@ -5,14 +5,13 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
+from processing.arrays import Floats
 from processing.balance.balance import Balance
 from processing.balance.room import Room
 from processing.deflections import DeflectionUnit
 
-Floats = NDArray[np.float64]
 _MOST_HEIGHT = 0.2
 """Height of the mass centre over the ball's radius: beyond it the period was not the pendulum's."""
 

@@ -4,9 +4,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from processing.arrays import Floats
 
 _MOST_PLAY = 0.6
 _PLAYS = 25

@@ -35,6 +35,6 @@ from processing.contact.laws import DEFAULT_LAW, LAWS, PAPER
 from processing.contact.moments import SurfaceEnergy, cycle_work, surface_energy, weight_moment
 from processing.contact.one_half_swing import OneHalfSwing, tabulated_half_swing
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
-from processing.contact.period_law import cosine_moment, frequency_drop, period
-from processing.contact.start_values import PeriodStart, fit_decay, period_start
+from processing.contact.period_law import frequency_drop, period
+from processing.contact.start_values import fit_decay, period_start
 from processing.contact.steady_swing import law_harmonics, moment_loop

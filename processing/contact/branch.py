@@ -9,14 +9,13 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.contact.law import BranchMoments
 from processing.contact.moments import weight_moment
 from processing.contact.parameters import PendulumOnBall
 
-Array = NDArray[np.float64]
-Arrays = Mapping[str, Array]
+Arrays = Mapping[str, Floats]
 
 
 class Branch(NamedTuple):
@@ -31,13 +30,13 @@ class Branch(NamedTuple):
     beside all this, if there is one; it remembers nothing.
     """
 
-    resistance: Callable[[Array, Array, Arrays], Array]
-    mean_resistance: Callable[[Array, Array, Arrays], Array]
-    at_reversal: Callable[[Array, Arrays], Array]
+    resistance: Callable[[Floats, Floats, Arrays], Floats]
+    mean_resistance: Callable[[Floats, Floats, Arrays], Floats]
+    at_reversal: Callable[[Floats, Arrays], Floats]
     constant: str = ""
 
     def moments(
-        self, phi_rad: Array, direction: Array, values: Arrays, pendulum: PendulumOnBall
+        self, phi_rad: Floats, direction: Floats, values: Arrays, pendulum: PendulumOnBall
     ) -> BranchMoments:
         """Moments over a closed loop between the largest deflection and its opposite.
 
@@ -55,18 +54,27 @@ class Branch(NamedTuple):
         return BranchMoments(-weight * np.sign(direction) * friction, 0.5 * weight * (down - up))
 
 
+def without_memory(constant: str = "") -> Branch:
+    """No moment but what remembers nothing: a constant friction, a drag."""
+
+    def resistance(s: Floats, held: Floats, q: Arrays) -> Floats:
+        return np.zeros(np.broadcast(s, held).shape)
+
+    return Branch(resistance, resistance, lambda amplitude, q: np.ones_like(amplitude), constant)
+
+
 def masing(
-    backbone: Callable[[Array, Arrays], Array], work: Callable[[Array, Arrays], Array], *, constant: str
+    backbone: Callable[[Floats, Arrays], Floats], work: Callable[[Floats, Arrays], Floats], *, constant: str
 ) -> Branch:
     """Branches that are the backbone curve doubled (Masing's rule), and a constant friction beside them.
 
     ``M = 2 f(s/2) - M_reversal``. `work` is the integral of the backbone f.
     """
 
-    def resistance(s: Array, held: Array, q: Arrays) -> Array:
+    def resistance(s: Floats, held: Floats, q: Arrays) -> Floats:
         return 2 * backbone(s / 2, q) - held
 
-    def mean_resistance(s: Array, held: Array, q: Arrays) -> Array:
+    def mean_resistance(s: Floats, held: Floats, q: Arrays) -> Floats:
         return 4 * work(s / 2, q) / s - held
 
     return Branch(resistance, mean_resistance, backbone, constant)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.branch import Array
+from processing.arrays import Floats
 from processing.contact.law import AMPLITUDE, DRAG, TIME, HeldColumn, Parameter
 from processing.contact.parameters import PendulumOnBall
 from processing.contact.start_values import StartValues, start_values
@@ -41,7 +41,7 @@ class Straight(NamedTuple):
     """
 
     scaled: Callable[[ComplexOrReal], ComplexOrReal]
-    coordinates: Callable[[Array], Array]
+    coordinates: Callable[[Floats], Floats]
     held: tuple[int, ...] = ()
     limits: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
@@ -55,7 +55,7 @@ def logarithms_of(*places: int) -> Straight:
             out[list(places)] = np.exp(values[list(places)])
         return out
 
-    def coordinates(values: Array) -> Array:
+    def coordinates(values: Floats) -> Floats:
         out = values.copy()
         out[list(places)] = np.log(np.maximum(values[list(places)], 1e-12))
         return out
@@ -95,7 +95,7 @@ class BranchColumns:
         self.lower, self.upper = np.array([*bounded, *free, *rest]).T
         self.map_by_log_rho = np.zeros(count + 3)
 
-    def map_parameters(self, columns: Array) -> tuple[Array, Array]:
+    def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
         count = len(self._own)
         out, by = np.zeros(count + 5), np.zeros((count + 5, len(columns)))
         places = [*range(count), count + 3]
@@ -113,11 +113,11 @@ class BranchColumns:
             out[place], by[place, column] = columns[column], 1.0
         return out, by
 
-    def physical(self, columns: Array) -> tuple[Array, Array]:
+    def physical(self, columns: Floats) -> tuple[Floats, Floats]:
         scaled, by = self.map_parameters(columns)
         first, period0_s, time_s = scaled[-3:].tolist()
         out: dict[str, float] = {}
-        rows: dict[str, Array] = {}
+        rows: dict[str, Floats] = {}
         log_r = np.log(self.reference)
         for k, (key, scaling) in enumerate(zip(self._own, self._scalings, strict=True)):
             power, row = scaling.power, by[k].copy()
@@ -136,7 +136,7 @@ class BranchColumns:
         rows |= {PERIOD: by[-2], AMPLITUDE.key: by[-3] * self.reference, TIME.key: by[-1]}
         return np.array([out[key] for key in self._names]), np.array([rows[key] for key in self._names])
 
-    def from_physical(self, values: Mapping[str, float]) -> Array:
+    def from_physical(self, values: Mapping[str, float]) -> Floats:
         scaled = {}
         for key, scaling in zip(self._own, self._scalings, strict=True):
             power = scaling.power
@@ -148,7 +148,7 @@ class BranchColumns:
         first = values[AMPLITUDE.key] / self.reference
         return self._columns({**scaled, PERIOD: values[PERIOD]}, first, values[TIME.key])
 
-    def _columns(self, scaled: Mapping[str, float], first: float, time_s: float) -> Array:
+    def _columns(self, scaled: Mapping[str, float], first: float, time_s: float) -> Floats:
         out = np.empty(len(self.lower))
         values = np.array([scaled[key] for key in (*self._own, PERIOD)])
         out[self._searched] = self._straight.coordinates(values)
@@ -157,7 +157,7 @@ class BranchColumns:
         out[-3], out[-1] = first, time_s
         return out
 
-    def starts(self, points: TurningPoints) -> Sequence[Sequence[Array]]:
+    def starts(self, points: TurningPoints) -> Sequence[Sequence[Floats]]:
         found = start_values(points, 0.0, drag=False)
         groups = []
         for scaled in self._likely(found, self.reference):
@@ -179,6 +179,6 @@ class BranchColumns:
         place = {DRAG.key: len(self._own), AMPLITUDE.key: -3, PERIOD: -2, TIME.key: -1}[name]
         return HeldColumn(place % len(self.lower))
 
-    def at_limit(self, columns: Array) -> Sequence[str]:
+    def at_limit(self, columns: Floats) -> Sequence[str]:
         near = np.minimum(columns - self.lower, self.upper - columns) < 1e-4
         return [key for place, key in enumerate(self._own) if near[self.held(key).column]]

@@ -23,9 +23,9 @@ from math import exp, log
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from processing.contact.branch import Array, Arrays, Branch
+from processing.arrays import Floats, Ints
+from processing.contact.branch import Arrays, Branch
 from processing.contact.law import HalfSwings
 from processing.contact.tabulated_decay import SwingTable, walk
 
@@ -44,10 +44,10 @@ class _Nodes(NamedTuple):
     divided by the share; only the root is interpolated, so that the digits stay near the reversal.
     """
 
-    share: Array  # s / 2r
-    sin2: Array
-    weight: Array
-    work_per_share: Array
+    share: Floats  # s / 2r
+    sin2: Floats
+    weight: Floats
+    work_per_share: Floats
 
 
 @lru_cache(maxsize=1)
@@ -69,7 +69,7 @@ def _nodes() -> _Nodes:
     )
 
 
-def _half_swing(branch: Branch, amplitude: Array, held: Array, q: Arrays) -> tuple[Array, Array, Array]:
+def _half_swing(branch: Branch, amplitude: Floats, held: Floats, q: Arrays) -> tuple[Floats, Floats, Floats]:
     """Next amplitude, duration (T0) and moment at the next reversal; NaN where the pendulum sticks.
 
     `amplitude` and `held` have the shape ``(sets, amplitudes)``, the parameters ``(sets, 1)``.
@@ -115,7 +115,7 @@ def _half_swing(branch: Branch, amplitude: Array, held: Array, q: Arrays) -> tup
         return following, duration, branch.resistance(2 * radius, held, q)
 
 
-def _table(branch: Branch, names: Sequence[str], parameters: Array, highest: float) -> SwingTable | None:
+def _table(branch: Branch, names: Sequence[str], parameters: Floats, highest: float) -> SwingTable | None:
     """Half-swings from amplitudes below `highest`; None where the pendulum sticks."""
     from scipy.interpolate import CubicSpline  # here, because it would slow down every command
 
@@ -150,7 +150,7 @@ def _table(branch: Branch, names: Sequence[str], parameters: Array, highest: flo
     return SwingTable(lowest, CubicSpline(log_a[first:], rows[first:]))
 
 
-def _on_grid(log_a: Array, at: Array, values: Array) -> Array:
+def _on_grid(log_a: Floats, at: Floats, values: Floats) -> Floats:
     """Values given at other places, one row a parameter set, interpolated linearly; 0 where unknown."""
     out = np.zeros_like(values)
     for row in range(len(values)):
@@ -163,9 +163,7 @@ def _on_grid(log_a: Array, at: Array, values: Array) -> Array:
     return out
 
 
-def branch_half_swings(
-    branch: Branch, names: Sequence[str], parameters: Array, index: NDArray[np.int64]
-) -> HalfSwings:
+def branch_half_swings(branch: Branch, names: Sequence[str], parameters: Floats, index: Ints) -> HalfSwings:
     """Turning points of a decay, as every law's `half_swing_map` returns them.
 
     Parameters

@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from processing.contact.branch import Array, Branch
+from processing.arrays import Floats, Ints
+from processing.contact.branch import Branch
 from processing.contact.branch_columns import PERIOD, BranchColumns, Scaling, Straight
 from processing.contact.branch_half_swing import branch_half_swings
 from processing.contact.law import DRAG, BranchMoments, HalfSwings, Law, Parameter
@@ -38,11 +38,11 @@ def branch_law(
     """
     own = tuple(p.key for p in parameters if p.key not in (PERIOD, DRAG.key))
 
-    def half_swings(values: Array, index: NDArray[np.int64]) -> HalfSwings:
+    def half_swings(values: Floats, index: Ints) -> HalfSwings:
         return branch_half_swings(branch, own, values, index)
 
     def moments(
-        phi_rad: Array, direction: Array, values: Mapping[str, float], pendulum: PendulumOnBall
+        phi_rad: Floats, direction: Floats, values: Mapping[str, float], pendulum: PendulumOnBall
     ) -> BranchMoments:
         return branch.moments(phi_rad, direction, {key: np.asarray(values[key]) for key in own}, pendulum)
 

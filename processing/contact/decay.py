@@ -8,8 +8,8 @@ Without the linear term d this is Eq. 5 of the paper; the tests compare with its
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.kernel import kernel
 
 _LONGEST_STEP = 0.25
@@ -18,15 +18,8 @@ _LONGEST_STEP = 0.25
 
 @kernel
 def decay_path(
-    rate_time: NDArray[np.float64],
-    start: float,
-    b: float,
-    p: float,
-    c: float,
-    d: float,
-    nodes: NDArray[np.float64],
-    weights: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    rate_time: Floats, start: float, b: float, p: float, c: float, d: float, nodes: Floats, weights: Floats
+) -> tuple[Floats, Floats]:
     """Solve ``dx/ds = -(c + b x^p + d x)`` at rising s >= s_0, with derivatives.
 
     Eq. 5 with a linear term, for which no closed form exists. The variables are separated,
@@ -96,6 +89,6 @@ def decay_path(
 
 
 @lru_cache(maxsize=1)
-def path_nodes() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def path_nodes() -> tuple[Floats, Floats]:
     """Nodes and weights for `decay_path`."""
     return np.polynomial.legendre.leggauss(8)

@@ -1,10 +1,10 @@
-"""Losses of a decay: logarithmic decrement, quality factor, fraction of the energy lost per cycle."""
+"""Losses of a decay: logarithmic decrement, quality factor."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.contact.half_swing import turning_points_of
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.errors import DataError
@@ -15,36 +15,27 @@ from processing.swing import TurningPoints
 class CycleLosses:
     """Losses over whole cycles as a function of the amplitude in the middle of each (rad).
 
-    `log_decrement` is ln(A_i/A_(i+2)), `quality` is pi divided by it, `energy_share` is 1 - (A_(i+2)/A_i)^2.
+    `log_decrement` is ln(A_i/A_(i+2)), `quality` is pi divided by it.
     The `u_` are standard uncertainties. For a decrement comparable to its uncertainty, that of Q has no
     meaning; it is infinite if the decrement is not positive.
     """
 
-    amplitude_rad: NDArray[np.float64]
-    log_decrement: NDArray[np.float64]
-    u_log_decrement: NDArray[np.float64]
-    quality: NDArray[np.float64]
-    u_quality: NDArray[np.float64]
-    energy_share: NDArray[np.float64]
-    u_energy_share: NDArray[np.float64]
+    amplitude_rad: Floats
+    log_decrement: Floats
+    u_log_decrement: Floats
+    quality: Floats
+    u_quality: Floats
 
 
-def _losses(
-    middle: NDArray[np.float64],
-    decrement: NDArray[np.float64],
-    u_decrement: NDArray[np.float64],
-) -> CycleLosses:
+def _losses(middle: Floats, decrement: Floats, u_decrement: Floats) -> CycleLosses:
     lossy = decrement > 0
     safe = np.where(lossy, decrement, 1.0)
-    kept = np.exp(-2 * decrement)
     return CycleLosses(
         middle,
         decrement,
         u_decrement,
         np.where(lossy, np.pi / safe, np.nan),
         np.where(lossy, np.pi * u_decrement / safe**2, np.inf),
-        1 - kept,
-        2 * kept * u_decrement,
     )
 
 
@@ -71,7 +62,7 @@ def measured_losses(points: TurningPoints, *, cycles: int = 1) -> CycleLosses:
 
 
 def model_losses(
-    amplitude_rad: NDArray[np.float64], parameters: ContactParameters, pendulum: PendulumOnBall
+    amplitude_rad: Floats, parameters: ContactParameters, pendulum: PendulumOnBall
 ) -> CycleLosses:
     """Losses by the exact half-swing map for a cycle that starts at each amplitude (n,); uncertainties are 0.
 

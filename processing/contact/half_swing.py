@@ -17,8 +17,8 @@ T0.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.contact.half_swing_kernel import half_swing_map
 from processing.contact.law import HalfSwings
 from processing.contact.parameters import ContactParameters, PendulumOnBall
@@ -67,9 +67,9 @@ def scaled_contact(
     )
 
 
-def half_swings(parameters: NDArray[np.float64], index: NDArray[np.int64]) -> HalfSwings:
+def half_swings(parameters: Floats, index: Ints) -> HalfSwings:
     """`half_swing_map` for the fields of `ScaledContact` and the first amplitude, in one array."""
-    return HalfSwings(*half_swing_map(parameters, index, *quarter_nodes())[:4])
+    return HalfSwings(*half_swing_map(parameters, index, *quarter_nodes()))
 
 
 def turning_points_of(
@@ -77,7 +77,7 @@ def turning_points_of(
     pendulum: PendulumOnBall,
     initial_amplitude_rad: float,
     half_cycles: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Amplitudes (rad) and times (s) of the first turning points of a free decay.
 
     Parameters

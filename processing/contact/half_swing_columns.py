@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.contact.half_swing import relative_curvature, stiffness_ratio
 from processing.contact.half_swing_kernel import A0, DRAG, KAPPA, MAP_PARAMETERS, RHO, B, C, N, P
 from processing.contact.law import AMPLITUDE, TIME, HeldColumn
@@ -14,8 +14,6 @@ from processing.contact.period_law import cosine_moment
 from processing.contact.start_values import PeriodStart, from_straight, start_values, to_straight
 from processing.periods import reference_amplitude
 from processing.swing import TurningPoints
-
-Array = NDArray[np.float64]
 
 SMALLEST = {"p": -0.5, "n": 0.002}
 """Lower limit of n: below it adhesion cancels nearly all of the stiffness, and n cannot be told from 0."""
@@ -82,7 +80,7 @@ class HalfSwingColumns:
         self.lower[_AMPLITUDE] = 1e-3
         self.lower[_PERIOD] = 1e-6
 
-    def _natural(self, columns: Array) -> tuple[Array, Array]:
+    def _natural(self, columns: Floats) -> tuple[Floats, Floats]:
         """Natural coordinates of the columns, and their derivatives by them."""
         out = columns.copy()
         first = np.eye(len(columns))
@@ -112,7 +110,7 @@ class HalfSwingColumns:
         second[_SLOPE, _SLOPE] = n / (whole**2 * moment)
         return out, second @ first
 
-    def _columns(self, natural: Array) -> Array:
+    def _columns(self, natural: Floats) -> Floats:
         """The columns of natural coordinates: the inverse of `_natural`."""
         out = natural.copy()
         share = natural[_SLOPE] * cosine_moment(natural[_N] + 2)
@@ -127,7 +125,7 @@ class HalfSwingColumns:
             )
         return out
 
-    def map_parameters(self, columns: Array) -> tuple[Array, Array]:
+    def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
         natural, matrix = self._natural(columns)
         out = np.zeros(MAP_PARAMETERS + 2)
         by = np.zeros((len(out), len(columns)))
@@ -140,7 +138,7 @@ class HalfSwingColumns:
             out[P] = np.nan
         return out, by
 
-    def physical(self, columns: Array) -> tuple[Array, Array]:
+    def physical(self, columns: Floats) -> tuple[Floats, Floats]:
         natural, matrix = self._natural(columns)
         log_b, p, c, n, kappa = natural[:5]
         start, t0, first_time = natural[_AMPLITUDE:]
@@ -169,7 +167,7 @@ class HalfSwingColumns:
         with np.errstate(over="ignore", invalid="ignore"):
             return out, by @ matrix
 
-    def from_physical(self, values: Mapping[str, float]) -> Array:
+    def from_physical(self, values: Mapping[str, float]) -> Floats:
         r = self.reference
         b, p, c, n, t0, stiffness = (values[name] for name in self._names[:6])
         drag = [values[DRAG_PARAMETER.key] * 2 * np.pi / t0] if self._drag else []
@@ -186,7 +184,7 @@ class HalfSwingColumns:
         ]
         return self._columns(np.array(natural))
 
-    def starts(self, points: TurningPoints) -> Sequence[Sequence[Array]]:
+    def starts(self, points: TurningPoints) -> Sequence[Sequence[Floats]]:
         """Start values from Eqs. 5 and 6: for each exponent n that fits the periods, then without adhesion.
 
         Eq. 5 neglects that adhesion reduces the restoring moment and that T differs from T0; its rates are
@@ -232,7 +230,7 @@ class HalfSwingColumns:
         # the column of adhesion has the sign of gamma, which a Newton step must not change
         return HeldColumn(_SLOPE, keeps_sign=True)
 
-    def at_limit(self, columns: Array) -> Sequence[str]:
+    def at_limit(self, columns: Floats) -> Sequence[str]:
         natural, _ = self._natural(columns)
         stiffness = 1 - 2 * natural[_SLOPE] * cosine_moment(natural[_N] + 2)
         limited = {

@@ -15,8 +15,8 @@ gives inf, and the solver rejects the step.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.contact.quadrature import NODES
 from processing.kernel import kernel
 
@@ -24,20 +24,17 @@ B, P, C, N, KAPPA, DRAG, RHO, A0 = range(8)
 MAP_PARAMETERS = 8
 """Number of parameters of the map: those of `ScaledContact`, then the first amplitude."""
 
-ENDED = 1
-DIVERGED = 2
-
 
 @kernel
 def _shape(
-    q: NDArray[np.float64],
+    q: Floats,
     side: float,
     a: float,
-    constant: NDArray[np.float64],
-    travelled: NDArray[np.float64],
-    g: NDArray[np.float64],
-    root: NDArray[np.float64],
-    work: NDArray[np.float64],
+    constant: Floats,
+    travelled: Floats,
+    g: Floats,
+    root: Floats,
+    work: Floats,
 ) -> bool:
     """Compute g and sqrt(g) at the nodes of one quarter; False if the pendulum cannot pass (g <= 0).
 
@@ -92,9 +89,7 @@ def _shape(
 
 
 @kernel
-def _energy(
-    q: NDArray[np.float64], side: float, a: float, root: NDArray[np.float64], across: NDArray[np.float64]
-) -> float:
+def _energy(q: Floats, side: float, a: float, root: Floats, across: Floats) -> float:
     """g at theta = pi/2: twice the kinetic energy at the zero crossing divided by A^2."""
     total = (
         1
@@ -111,13 +106,7 @@ def _energy(
 
 
 @kernel
-def _adjoint(
-    side_drag: float,
-    source: NDArray[np.float64],
-    root: NDArray[np.float64],
-    travelled: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> None:
+def _adjoint(side_drag: float, source: Floats, root: Floats, travelled: Floats, out: Floats) -> None:
     """Solve the adjoint equation ``out = source + side drag diag(1/root) travelled^T out`` by iteration.
 
     Differentiating the integral equation g = f(q) + 2 side drag T sqrt(g) (T: `travelled`) gives
@@ -145,13 +134,7 @@ def _adjoint(
 
 @kernel
 def _gradient(
-    q: NDArray[np.float64],
-    side: float,
-    a: float,
-    weight: NDArray[np.float64],
-    constant: NDArray[np.float64],
-    drag_work: NDArray[np.float64],
-    out: NDArray[np.float64],
+    q: Floats, side: float, a: float, weight: Floats, constant: Floats, drag_work: Floats, out: Floats
 ) -> None:
     """``sum_k weight_k dg_k/dq``, explicit derivatives only; the last one is by the amplitude of the quarter.
 
@@ -188,18 +171,18 @@ def _gradient(
 
 @kernel
 def _quarter(
-    q: NDArray[np.float64],
+    q: Floats,
     side: float,
     a: float,
-    nodes_weight: NDArray[np.float64],
-    across: NDArray[np.float64],
-    constant: NDArray[np.float64],
-    at_zero: NDArray[np.float64],
-    travelled: NDArray[np.float64],
-    g: NDArray[np.float64],
-    root: NDArray[np.float64],
-    time_gradient: NDArray[np.float64],
-    energy_gradient: NDArray[np.float64],
+    nodes_weight: Floats,
+    across: Floats,
+    constant: Floats,
+    at_zero: Floats,
+    travelled: Floats,
+    g: Floats,
+    root: Floats,
+    time_gradient: Floats,
+    energy_gradient: Floats,
 ) -> float:
     """Time of one quarter in units of T0, ``integral dtheta/(2 pi sqrt(g))``.
 
@@ -245,14 +228,8 @@ def _quarter(
 
 @kernel
 def half_swing_map(
-    q: NDArray[np.float64],
-    index: NDArray[np.int64],
-    weight: NDArray[np.float64],
-    cos: NDArray[np.float64],
-    log_cos: NDArray[np.float64],
-    sin2: NDArray[np.float64],
-    travelled: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]:
+    q: Floats, index: Ints, weight: Floats, cos: Floats, log_cos: Floats, sin2: Floats, travelled: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Turning points at the given indices; the map is applied to every half-cycle between them.
 
     Parameters
@@ -267,11 +244,9 @@ def half_swing_map(
     Returns
     -------
     amplitude, time
-        In units of the reference and of T0; NaN after the pendulum has stopped.
+        In units of the reference and of T0; NaN after the pendulum has stopped, or the map cannot go on.
     amplitude_gradient, time_gradient
         Shape ``(len(index), MAP_PARAMETERS)``, derivatives by q.
-    state
-        0, `ENDED` (friction holds the pendulum before the last index) or `DIVERGED`.
     """
     count = len(index)
     amplitude = np.full(count, np.nan)
@@ -280,7 +255,7 @@ def half_swing_map(
     time_gradient = np.full((count, MAP_PARAMETERS), np.nan)
     n, p = q[N], q[P]
     if n <= -1.5 or p <= -0.9:
-        return amplitude, time, amplitude_gradient, time_gradient, DIVERGED
+        return amplitude, time, amplitude_gradient, time_gradient
     # functions of theta and the exponents only, the same for all half-cycles; expm1 keeps the digits of 1 -
     # cos^n near the turning point
     constant = np.empty((7, NODES))
@@ -306,7 +281,7 @@ def half_swing_map(
     a_gradient[A0] = 1.0
     a, t, ratio = q[A0], 0.0, 1.0
     if not a > 0:
-        return amplitude, time, amplitude_gradient, time_gradient, DIVERGED
+        return amplitude, time, amplitude_gradient, time_gradient
     wanted = 0
     step = 0
     while True:
@@ -317,12 +292,12 @@ def half_swing_map(
             time_gradient[wanted] = t_gradient
             wanted += 1
             if wanted == count:
-                return amplitude, time, amplitude_gradient, time_gradient, 0
+                return amplitude, time, amplitude_gradient, time_gradient
         if not _shape(q, -1.0, a, constant, travelled, g, root, work_leave):
-            return amplitude, time, amplitude_gradient, time_gradient, ENDED
+            return amplitude, time, amplitude_gradient, time_gradient
         energy = 0.5 * a * a * _energy(q, -1.0, a, root, across)
         if not energy > 0:
-            return amplitude, time, amplitude_gradient, time_gradient, ENDED
+            return amplitude, time, amplitude_gradient, time_gradient
         t_leave = _quarter(
             q, -1.0, a, weight, across, constant, at_zero, travelled, g, root, time_leave, energy_leave
         )
@@ -353,10 +328,10 @@ def half_swing_map(
             if abs(correction) < 4e-15 * following:
                 found = True
                 break
-        if not found or not following < 2 * a:
-            return amplitude, time, amplitude_gradient, time_gradient, DIVERGED
+        if not (found and following < 2 * a):
+            return amplitude, time, amplitude_gradient, time_gradient
         if not _shape(q, 1.0, following, constant, travelled, g, root, work_arrive):
-            return amplitude, time, amplitude_gradient, time_gradient, DIVERGED
+            return amplitude, time, amplitude_gradient, time_gradient
         t_arrive = _quarter(
             q, 1.0, following, weight, across, constant, at_zero, travelled, g, root,
             time_arrive, energy_arrive,

@@ -5,14 +5,10 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from processing.arrays import Floats, Ints
 from processing.contact.parameters import PendulumOnBall
 from processing.quantity import Quantity
 from processing.swing import TurningPoints
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,17 +79,17 @@ class HalfSwings(NamedTuple):
     NaN after the pendulum has stopped; the gradients have one column per parameter of the map.
     """
 
-    amplitude: Array
-    time: Array
-    amplitude_gradient: Array
-    time_gradient: Array
+    amplitude: Floats
+    time: Floats
+    amplitude_gradient: Floats
+    time_gradient: Floats
 
 
 class BranchMoments(NamedTuple):
     """Frictional and elastic moment between one turning point and the next, in N m (Eq. 7)."""
 
-    friction_n_m: Array
-    elastic_n_m: Array
+    friction_n_m: Floats
+    elastic_n_m: Floats
 
 
 class HeldColumn(NamedTuple):
@@ -120,28 +116,28 @@ class Columns(Protocol):
     """
 
     reference: float
-    lower: Array
-    upper: Array
-    map_by_log_rho: Array
+    lower: Floats
+    upper: Floats
+    map_by_log_rho: Floats
 
-    def map_parameters(self, columns: Array) -> tuple[Array, Array]:
+    def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
         """The map's parameters (the last: the first amplitude), T0 (s) and the time of the first turning
         point (s) in one array, and their derivatives by the columns; NaN for columns without a solution."""
 
-    def physical(self, columns: Array) -> tuple[Array, Array]:
+    def physical(self, columns: Floats) -> tuple[Floats, Floats]:
         """SI values in the order of `Law.fit_names`, and their derivatives by the columns."""
 
-    def from_physical(self, values: Mapping[str, float]) -> Array:
+    def from_physical(self, values: Mapping[str, float]) -> Floats:
         """The columns that correspond to physical values, given by key."""
 
-    def starts(self, points: TurningPoints) -> Sequence[Sequence[Array]]:
+    def starts(self, points: TurningPoints) -> Sequence[Sequence[Floats]]:
         """Start values, the most promising first. Each is a sequence of attempts; the first one for which
         the map reaches the last half-cycle is used."""
 
     def held(self, name: str) -> HeldColumn:
         """The column that is solved for when a parameter is held for its profile likelihood."""
 
-    def at_limit(self, columns: Array) -> Sequence[str]:
+    def at_limit(self, columns: Floats) -> Sequence[str]:
         """Parameters that are at a limit of the range searched."""
 
 
@@ -174,8 +170,8 @@ class Law:
     title: str
     source: str
     parameters: tuple[Parameter, ...]
-    branch_moments: Callable[[Array, Array, Mapping[str, float], PendulumOnBall], BranchMoments]
-    half_swing_map: Callable[[Array, NDArray[np.int64]], HalfSwings]
+    branch_moments: Callable[[Floats, Floats, Mapping[str, float], PendulumOnBall], BranchMoments]
+    half_swing_map: Callable[[Floats, Ints], HalfSwings]
     columns: Callable[[TurningPoints, PendulumOnBall | None, tuple[str, ...]], Columns]
     uncalibrated: dict[str, Parameter] = field(default_factory=dict)
 

@@ -24,8 +24,8 @@ from math import log
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.contact.branch_columns import PERIOD, BranchColumns, Scaling, logarithms_of
 from processing.contact.branch_law import FREE_PERIOD
 from processing.contact.law import BranchMoments, HalfSwings, Law, Parameter
@@ -36,8 +36,6 @@ from processing.contact.start_values import StartValues
 from processing.contact.tabulated_decay import SwingTable, walk
 from processing.periods import reference_amplitude
 from processing.swing import TurningPoints
-
-Array = NDArray[np.float64]
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
@@ -89,41 +87,41 @@ class MomentSplines:
         self.lost = (self.friction_work(self.grid)[:, None] - self.friction_work(x)) / size
         self.stored = (self.elastic_work(self.grid)[:, None] - self.elastic_work(x)) / size
 
-    def friction(self, x: Array) -> Array:
+    def friction(self, x: Floats) -> Floats:
         """f of unit coefficients, shape (..., friction_count)."""
         share = np.minimum(x / self._lowest, 1.0)[..., None]
         return np.concatenate([1 - share, share * self._friction_splines(x)], axis=-1)
 
-    def elastic(self, x: Array) -> Array:
+    def elastic(self, x: Floats) -> Floats:
         """x g of unit coefficients, shape (..., elastic_count)."""
         beyond = np.minimum(np.log(x / self._lowest), 0.0)[..., None]
         own = self._of_log(np.log(np.maximum(x, self._lowest)))[..., self._kept] - self._at_one
         own = np.concatenate([own, np.zeros_like(beyond)], axis=-1)
         return np.asarray(x[..., None] * (own + beyond * self._slope))
 
-    def friction_work(self, x: Array) -> Array:
+    def friction_work(self, x: Floats) -> Floats:
         """Integral of f from 0."""
         found = self._friction_work(np.log(x))
         return np.asarray(np.where(x[..., None] < self._lowest, self._friction_below(x), found))
 
-    def elastic_work(self, x: Array) -> Array:
+    def elastic_work(self, x: Floats) -> Floats:
         """Integral of x g from 0."""
         found = self._elastic_work(np.log(x))
         return np.asarray(np.where(x[..., None] < self._lowest, self._elastic_below(x), found))
 
-    def _friction_splines(self, x: Array) -> Array:
+    def _friction_splines(self, x: Floats) -> Floats:
         return np.asarray(self._of_root(np.sqrt(np.maximum(x, self._lowest))))
 
-    def _friction_below(self, x: Array) -> Array:
+    def _friction_below(self, x: Floats) -> Floats:
         rising = (0.5 * x**2 / self._lowest)[..., None]
         return np.concatenate([x[..., None] - rising, rising * self._friction_splines(x)], axis=-1)
 
-    def _elastic_below(self, x: Array) -> Array:
+    def _elastic_below(self, x: Floats) -> Floats:
         return np.asarray(0.5 * x[..., None] * (self.elastic(x) - 0.5 * x[..., None] * self._slope))
 
     @staticmethod
     def _works(
-        u: Array, moment: Callable[[Array], Array], below: Callable[[Array], Array]
+        u: Floats, moment: Callable[[Floats], Floats], below: Callable[[Floats], Floats]
     ) -> "CubicHermiteSpline":
         """The work over u = ln x, by Gauss's rule from one point to the next."""
         from scipy.interpolate import CubicHermiteSpline
@@ -140,7 +138,7 @@ _FEWEST = 8
 """Fewest amplitudes of a table."""
 
 
-def _turning(splines: MomentSplines, energy: Array, of_friction: Array, of_elastic: Array) -> Array:
+def _turning(splines: MomentSplines, energy: Floats, of_friction: Floats, of_elastic: Floats) -> Floats:
     """The amplitudes below those of the grid at which U + D reaches an energy; NaN where there is none."""
     highest = splines.grid
     x, lowest = highest.copy(), 0.1 * highest[0]
@@ -155,7 +153,7 @@ def _turning(splines: MomentSplines, energy: Array, of_friction: Array, of_elast
     return np.where(x > lowest, x, np.nan)
 
 
-def _table(splines: MomentSplines, of_friction: Array, of_elastic: Array) -> SwingTable | None:
+def _table(splines: MomentSplines, of_friction: Floats, of_elastic: Floats) -> SwingTable | None:
     """Half-swings from the amplitudes of the grid; None where the pendulum sticks."""
     from scipy.interpolate import CubicSpline  # here, because it would slow down every command
 
@@ -201,7 +199,7 @@ def _table(splines: MomentSplines, of_friction: Array, of_elastic: Array) -> Swi
     return SwingTable(float(grid[0]), CubicSpline(np.log(grid), np.column_stack(rows)))
 
 
-def _half_swings(splines: MomentSplines, parameters: Array, index: NDArray[np.int64]) -> HalfSwings:
+def _half_swings(splines: MomentSplines, parameters: Floats, index: Ints) -> HalfSwings:
     """The map, whose parameters and amplitudes are in units of a reference that need not be the splines'."""
     count, last = splines.friction_count, len(parameters) - 1
     in_units = np.ones(last + 1)
@@ -232,7 +230,7 @@ def spline_law(points: TurningPoints) -> tuple[Law, MomentSplines]:
     of_elastic = [f"g{number + 1}" for number in range(splines.elastic_count)]
 
     def moments(
-        phi_rad: Array, direction: Array, values: Mapping[str, float], pendulum: PendulumOnBall
+        phi_rad: Floats, direction: Floats, values: Mapping[str, float], pendulum: PendulumOnBall
     ) -> BranchMoments:
         x, weight = np.abs(phi_rad) / reference, weight_moment(pendulum)
         friction = splines.friction(x) @ np.array([values[key] for key in of_friction])

@@ -5,8 +5,9 @@ from math import pi
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from processing.arrays import Floats
 from processing.contact.half_swing import stiffness_ratio
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.estimate import Estimate
@@ -20,16 +21,14 @@ def weight_moment(pendulum: PendulumOnBall) -> float:
 
 def friction_moment(
     phi_rad: ArrayLike, direction: ArrayLike, parameters: ContactParameters, pendulum: PendulumOnBall
-) -> NDArray[np.float64]:
+) -> Floats:
     """M_fr of Eq. 1 in N m, without drag, for angles of any shape; `direction` is the sign of phi'."""
     phi = np.abs(np.asarray(phi_rad, dtype=np.float64))
     friction = parameters.c + parameters.b * phi**parameters.p
     return np.asarray(-weight_moment(pendulum) * friction * np.sign(direction), dtype=np.float64)
 
 
-def elastic_moment(
-    phi_rad: ArrayLike, parameters: ContactParameters, pendulum: PendulumOnBall
-) -> NDArray[np.float64]:
+def elastic_moment(phi_rad: ArrayLike, parameters: ContactParameters, pendulum: PendulumOnBall) -> Floats:
     """M_el of Eq. 3 in N m (skeletal curve), for angles of any shape.
 
     It has the sign of phi and opposes the moment of gravity.

@@ -15,11 +15,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.contact.law import HalfSwings
-
-Array = NDArray[np.float64]
 
 
 class OneHalfSwing(NamedTuple):
@@ -31,20 +29,17 @@ class OneHalfSwing(NamedTuple):
     parameter, the first amplitude, is none of a half-swing: its column is zero.
     """
 
-    amplitude: Array
-    loss: Array
-    loss_slope: Array
-    loss_gradient: Array
-    duration: Array
-    duration_slope: Array
-    duration_gradient: Array
+    amplitude: Floats
+    loss: Floats
+    loss_slope: Floats
+    loss_gradient: Floats
+    duration: Floats
+    duration_slope: Floats
+    duration_gradient: Floats
 
 
 def tabulated_half_swing(
-    half_swing_map: Callable[[Array, NDArray[np.int64]], HalfSwings],
-    parameters: Array,
-    highest: float,
-    count: int,
+    half_swing_map: Callable[[Floats, Ints], HalfSwings], parameters: Floats, highest: float, count: int
 ) -> OneHalfSwing:
     """The functions at the amplitudes of a free decay.
 

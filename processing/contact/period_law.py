@@ -3,8 +3,9 @@
 from math import exp, lgamma, pi, sqrt
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from processing.arrays import Floats
 from processing.contact.half_swing import stiffness_ratio
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 
@@ -24,7 +25,7 @@ def curvature(n: float) -> float:
 
 def frequency_drop(
     amplitude: ArrayLike, n: float, kappa: float, rho: float, *, printed_curvature: bool = False
-) -> NDArray[np.float64]:
+) -> Floats:
     """Relative decrease of the frequency with the amplitude, which Eq. 6 subtracts from 1.
 
     `amplitude` has any shape; `kappa` is 2 gamma a^2/(m g) and `rho` is R/a, both for the unit of
@@ -42,7 +43,7 @@ def period(
     pendulum: PendulumOnBall,
     *,
     printed_curvature: bool = False,
-) -> NDArray[np.float64]:
+) -> Floats:
     """T(alpha) of Eq. 6 in seconds; the period rises with the amplitude.
 
     `printed_curvature` uses 0.55 as printed instead of `curvature(n)`.

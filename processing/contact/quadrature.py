@@ -9,7 +9,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from processing.arrays import Floats
 
 NODES = 20
 """Number of nodes; the error is below 1e-12 of a half period for any exponent above zero."""
@@ -23,11 +24,11 @@ class QuarterNodes(NamedTuple):
     to the speed; dividing by sin^2 avoids 0/0 at the turning point.
     """
 
-    weight: NDArray[np.float64]
-    cos: NDArray[np.float64]
-    log_cos: NDArray[np.float64]
-    sin2: NDArray[np.float64]
-    travelled: NDArray[np.float64]
+    weight: Floats
+    cos: Floats
+    log_cos: Floats
+    sin2: Floats
+    travelled: Floats
 
 
 @lru_cache(maxsize=1)

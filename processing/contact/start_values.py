@@ -4,8 +4,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.contact.decay import decay_path, path_nodes
 from processing.contact.period_law import frequency_drop
 from processing.errors import DataError
@@ -42,16 +42,14 @@ class PeriodStart(NamedTuple):
     kappa: float
 
 
-def decay_start(
-    s: NDArray[np.float64], x: NDArray[np.float64], u: NDArray[np.float64], *, drag: bool
-) -> DecayStart:
+def decay_start(s: Floats, x: Floats, u: Floats, *, drag: bool) -> DecayStart:
     """Best fit over a grid of exponents p, by linear least squares with non-negative rates."""
     from scipy.optimize import nnls
 
     best, best_cost = DecayStart(float(x[0]), 0.0, 1.0, float((x[0] - x[-1]) / s[-1]), 0.0), np.inf
     step = np.diff(s, prepend=s[0])
 
-    def integral(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def integral(values: Floats) -> Floats:
         mean = np.concatenate(([0.0], 0.5 * (values[1:] + values[:-1])))
         return np.cumsum(mean * step)
 
@@ -71,12 +69,7 @@ def decay_start(
     return best
 
 
-def period_start(
-    x: NDArray[np.float64],
-    period_s: NDArray[np.float64],
-    u_period_s: NDArray[np.float64],
-    rho: float,
-) -> list[PeriodStart]:
+def period_start(x: Floats, period_s: Floats, u_period_s: Floats, rho: float) -> list[PeriodStart]:
     """T0 and kappa for every exponent n of a grid, in order of rising chi-square."""
     frequency = 1 / period_s
     weight = period_s**2 / u_period_s
@@ -123,7 +116,7 @@ _B, _P, _C, _D = range(4)
 
 def fit_decay(
     points: TurningPoints, reference: float, mean_period: float, drag: bool, loss: Loss
-) -> tuple[Solution, NDArray[np.float64]]:
+) -> tuple[Solution, Floats]:
     """Fit ``dx/ds = -(c + b x^p/(p+1) + d x)`` to the amplitudes.
 
     Returns the solution with columns b, p, c, (d,) first amplitude, in units of the reference and of
@@ -136,7 +129,7 @@ def fit_decay(
     first = decay_start(s, x, u, drag=drag)
     nodes = path_nodes()
 
-    def natural(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def natural(values: Floats) -> tuple[Floats, Floats]:
         """b, p, c, (d,) start, and their derivatives by the solver's columns."""
         out, matrix = values.copy(), np.eye(len(values))
         if drag:
@@ -146,7 +139,7 @@ def fit_decay(
             out[_B] = matrix[_B, _B] = np.exp(values[_B])
         return out, matrix
 
-    def curve(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def curve(values: Floats) -> tuple[Floats, Floats]:
         known, matrix = natural(values)
         b, p, c = known[:3]
         if not -0.6 < p < 6.0:
@@ -162,7 +155,7 @@ def fit_decay(
         jacobian[:, -1] = gradient[:, 0]
         return path, jacobian @ matrix
 
-    def model(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def model(values: Floats) -> tuple[Floats, Floats]:
         path, jacobian = curve(values)
         return (path - x) / u, jacobian / u[:, None]
 
@@ -210,7 +203,7 @@ def fit_decay(
 # straight and runs along ln b.
 
 
-def from_straight(log_b: float, omega: float, linear: float) -> tuple[float, float, NDArray[np.float64]]:
+def from_straight(log_b: float, omega: float, linear: float) -> tuple[float, float, Floats]:
     """p and drag (in the unit of the linear loss), and the derivatives of both by the coordinates.
 
     NaN if no p corresponds to the coordinates.

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Complexes, Floats
 from processing.contact.law import Law
 from processing.contact.laws import DEFAULT_LAW
 from processing.contact.moments import weight_moment
@@ -21,10 +21,10 @@ class MomentLoop:
     appear twice.
     """
 
-    phi_rad: NDArray[np.float64]
-    friction_n_m: NDArray[np.float64]
-    elastic_n_m: NDArray[np.float64]
-    total_n_m: NDArray[np.float64]
+    phi_rad: Floats
+    friction_n_m: Floats
+    elastic_n_m: Floats
+    total_n_m: Floats
 
 
 def moment_loop(
@@ -63,9 +63,9 @@ def law_harmonics(
     law: Law,
     values: Mapping[str, float],
     pendulum: PendulumOnBall,
-    amplitudes_rad: NDArray[np.float64],
+    amplitudes_rad: Floats,
     orders: Sequence[int],
-) -> NDArray[np.complex128]:
+) -> Complexes:
     """Complex harmonics (rad) of the given orders, all above 1, shape (amplitudes, orders).
 
     A drag is linear and makes none. They are computed at a few amplitudes and interpolated.

@@ -5,14 +5,12 @@ from math import log
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Flags, Floats, Ints
 from processing.contact.law import HalfSwings
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
-
-Array = NDArray[np.float64]
 
 
 class SwingTable(NamedTuple):
@@ -27,7 +25,7 @@ class SwingTable(NamedTuple):
 
 
 def walk(
-    table_from: Callable[[float], SwingTable | None], count: int, first: float, index: NDArray[np.int64]
+    table_from: Callable[[float], SwingTable | None], count: int, first: float, index: Ints
 ) -> HalfSwings:
     """Turning points of a decay, as every law's `half_swing_map` returns them.
 
@@ -44,7 +42,7 @@ def walk(
     """
     last = int(index[-1])
     amplitudes = [first]
-    rows: list[Array] = []
+    rows: list[Floats] = []
     while len(amplitudes) <= last and amplitudes[-1] > 0:
         table = table_from(amplitudes[-1])
         begun = len(amplitudes) - 1
@@ -79,7 +77,7 @@ def walk(
     )
 
 
-def _filled(where: NDArray[np.bool_], values: Array) -> Array:
+def _filled(where: Flags, values: Floats) -> Floats:
     out = np.full((len(where), *values.shape[1:]), np.nan)
     out[where] = values
     return out

@@ -4,11 +4,11 @@ from processing.fit.apparatus import InputQuantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import Determination, identifiability, strong_correlations
 from processing.fit.drag import Drag, DragFinding, drag_verdict
-from processing.fit.errors_of_place import PlaceErrors, place_errors, with_place_errors
+from processing.fit.errors_of_place import PlaceErrors, by_row_time, place_errors, with_place_errors
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
-from processing.fit.key_comparison import Degree, KeyComparison, compare_laboratories
-from processing.fit.law_comparison import LawComparison, LawTrial, compare_laws
+from processing.fit.key_comparison import KeyComparison, compare_laboratories
+from processing.fit.law_comparison import LawComparison, compare_laws
 from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
 from processing.fit.reported import (
@@ -21,7 +21,6 @@ from processing.fit.reported import (
     work_per_cycle_j,
 )
 from processing.fit.result import FitQuality, FitResult
-from processing.fit.row_time import by_row_time
 from processing.fit.series import (
     Combined,
     Comparison,
@@ -35,5 +34,5 @@ from processing.fit.series import (
 from processing.fit.smoothing import super_smooth
 from processing.fit.uncertainty import Budget, BudgetSource, Propagated, budgets, monte_carlo
 from processing.fit.waveform import CONTRADICTED, predicted_harmonics, waveform_chances
-from processing.fit.without_law import FreeMoments, WithoutLaw, fit_without_law
+from processing.fit.without_law import FreeMoments, fit_without_law
 from processing.fit_method import FitMethod

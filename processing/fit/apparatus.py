@@ -5,8 +5,8 @@ from math import inf, sqrt
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material, PendulumOnBall, contact_radius
 from processing.errors import ConfigurationError
 
@@ -32,7 +32,7 @@ class InputQuantity:
                 f"standard uncertainty {self.u} of the value {self.value}: it must not be negative"
             )
 
-    def draw(self, rng: np.random.Generator, draws: int) -> NDArray[np.float64]:
+    def draw(self, rng: np.random.Generator, draws: int) -> Floats:
         """Random values (draws,) of its distribution."""
         if self.distribution == "rectangular":
             deviation = rng.uniform(-sqrt(3), sqrt(3), draws)
@@ -106,7 +106,7 @@ class RigQuantities:
         found["row_time_s"] = self.row_time_s
         return found
 
-    def skewed_scale(self, skew: NDArray[np.float64]) -> NDArray[np.float64]:
+    def skewed_scale(self, skew: Floats) -> Floats:
         """Ratio of true tilts about the rest position to the measured ones, for true skews (n,).
 
         The spot moves by ``t + skew t^2`` for a tilt with the tangent t of its double; its derivative at rest
@@ -116,9 +116,7 @@ class RigQuantities:
         tangent = np.tan(2.0 * self.rest_rad)
         return np.asarray((1 + 2 * self.skew.value * tangent) / (1 + 2 * skew * tangent), dtype=np.float64)
 
-    def seen_slow_tilt(
-        self, slow_angle_rad: NDArray[np.float64], non_orthogonality_rad: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def seen_slow_tilt(self, slow_angle_rad: Floats, non_orthogonality_rad: Floats) -> Floats:
         """Ratio of the slow tilt measured with the assumed axes to the true one, for true axis directions
         (n,).
 

@@ -6,13 +6,13 @@ comparison with the paper's results.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.contact import (
     PendulumOnBall,
-    PeriodStart,
     fit_decay,
     frequency_drop,
     period_start,
@@ -87,7 +87,7 @@ def fit_asymptotic(
             f"{len(periods.where)} full periods between the gaps, and Eq. 6 needs at least {FEWEST_PERIODS}"
         )
     decay, amplitude_model = fit_decay(points, reference, mean, drag, loss)
-    period, period_model, _ = fit_period(points, periods, reference, rho, printed_curvature, loss)
+    period, period_model = fit_period(points, periods, reference, rho, printed_curvature, loss)
     for name, solution in (("Eq. 5", decay), ("Eq. 6", period)):
         if not solution.converged:
             raise DataError(
@@ -190,37 +190,30 @@ def fit_period(
     rho: float,
     printed_curvature: bool,
     loss: Loss,
-) -> tuple[Solution, NDArray[np.float64], list[PeriodStart]]:
-    """Fit with the columns T0 (s), n and kappa; the last for amplitudes in units of the reference."""
+) -> tuple[Solution, Floats]:
+    """Fit with the columns T0 (s), n and kappa, the last for amplitudes in units of the reference; curve."""
     x = points.amplitude[periods.where] / reference
-    starts = period_start(x, periods.period_s, periods.u_period_s, rho)
+    drop_of = partial(frequency_drop, x, rho=rho, printed_curvature=printed_curvature)
 
-    def curve(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        drop = frequency_drop(x, values[1], values[2], rho, printed_curvature=printed_curvature)
-        return np.asarray(values[0] / (1 - drop), dtype=np.float64)
-
-    def model(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def model(values: Floats) -> tuple[Floats, Floats]:
         t0, n, kappa = values
-        drop = frequency_drop(x, n, kappa, rho, printed_curvature=printed_curvature)
-        step = 1e-5
-        by_n = (
-            frequency_drop(x, n + step, kappa, rho, printed_curvature=printed_curvature)
-            - frequency_drop(x, n - step, kappa, rho, printed_curvature=printed_curvature)
-        ) / (2 * step)
-        by_kappa = frequency_drop(x, n, 1.0, rho, printed_curvature=printed_curvature)
+        drop, step = drop_of(n, kappa), 1e-5
+        by_n = (drop_of(n + step, kappa) - drop_of(n - step, kappa)) / (2 * step)
         fitted = t0 / (1 - drop)
         by_drop = fitted / (1 - drop)
-        jacobian = np.column_stack([fitted / t0, by_drop * by_n, by_drop * by_kappa])
+        jacobian = np.column_stack([fitted / t0, by_drop * by_n, by_drop * drop_of(n, 1.0)])
         return (fitted - periods.period_s) / periods.u_period_s, jacobian / periods.u_period_s[:, None]
 
     lower = np.array([0.2 * periods.period_s.min(), -0.9, -10.0])
     upper = np.array([2 * periods.period_s.max(), 5.0, 10.0])
-    first = np.clip(np.array(starts[0]), lower + 1e-9, upper - 1e-9)
+    first = np.array(period_start(x, periods.period_s, periods.u_period_s, rho)[0])
+    first = np.clip(first, lower + 1e-9, upper - 1e-9)
     solution = solve(model, first, lower=lower, upper=upper, loss=loss)
-    return solution, curve(solution.values), starts
+    t0, n, kappa = solution.values
+    return solution, t0 / (1 - drop_of(n, kappa))
 
 
-def by_turning_time(solution: Solution, points: TurningPoints, periods: Periods) -> NDArray[np.float64]:
+def by_turning_time(solution: Solution, points: TurningPoints, periods: Periods) -> Floats:
     """Derivatives of the fit's score by the turning times; the covariance makes them those of the values."""
     weighted = solution.jacobian / periods.u_period_s[:, None]
     by_time = np.zeros((len(points), 3))
@@ -229,7 +222,7 @@ def by_turning_time(solution: Solution, points: TurningPoints, periods: Periods)
     return by_time
 
 
-def period_covariance(solution: Solution, points: TurningPoints, periods: Periods) -> NDArray[np.float64]:
+def period_covariance(solution: Solution, points: TurningPoints, periods: Periods) -> Floats:
     """Covariance of the fitted values from the uncertainties of the turning times.
 
     Overlapping full periods share turning points and are correlated; the turning times are independent.
@@ -247,7 +240,7 @@ def period_by_log_rho(
     reference: float,
     rho: float,
     printed_curvature: bool,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Derivatives of T0, n and kappa by ln(R/a), by linearised least squares."""
     x = points.amplitude[periods.where] / reference
     t0, n, kappa = solution.values
@@ -263,16 +256,14 @@ def period_by_log_rho(
 # values follows from how they depend on each measured amplitude and time, and from how a step at one
 # turning point moves the later ones.
 
-Array = NDArray[np.float64]
-
 
 def driven_covariance(
-    by_amplitude: Array,
-    by_time: Array,
+    by_amplitude: Floats,
+    by_time: Floats,
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
     exact: FitResult,
-) -> Array:
+) -> Floats:
     """Covariance of values that depend linearly on the turning points.
 
     Parameters
@@ -292,7 +283,7 @@ def driven_covariance(
     amplitude_slope = _to_the_end(amplitude_jacobian[:, -3])
     time_slope = _to_the_end(time_jacobian[:, -3] / model.reference)
 
-    def after(values: Array) -> Array:
+    def after(values: Floats) -> Floats:
         """Sums over a turning point and all later ones."""
         return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
 
@@ -309,7 +300,7 @@ def driven_covariance(
     return np.asarray(sum(np.einsum("ij,ik->jk", part, part) for part in parts))
 
 
-def _to_the_end(values: Array) -> Array:
+def _to_the_end(values: Floats) -> Floats:
     """The last finite value goes on: a free decay may end before a driven one."""
     reached = int(np.count_nonzero(np.isfinite(values)))
     out = values.copy()

@@ -7,13 +7,14 @@ interval ends where chi2 has risen by the amount that corresponds to the coverag
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import nan
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED, Determinacy
@@ -51,7 +52,7 @@ class Determination:
 class _Held:
     """The exact model with one physical parameter held fixed, and therefore one column less."""
 
-    def __init__(self, model: ExactModel, name: str, best: NDArray[np.float64]) -> None:
+    def __init__(self, model: ExactModel, name: str, best: Floats) -> None:
         self._model = model
         self._row = model.names.index(name)
         positive = bool(model.columns.physical(best)[0][self._row] > 0)
@@ -60,7 +61,7 @@ class _Held:
         self.free = np.delete(np.arange(len(model.lower)), self.column)
         self._guess = float(best[self.column])
 
-    def full(self, held: float, free: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def full(self, held: float, free: Floats) -> tuple[Floats, Floats]:
         """All columns, with the missing one found by Newton's method, and its derivatives by the others."""
         values = np.empty(len(free) + 1)
         values[self.free] = free
@@ -89,10 +90,8 @@ class _Held:
                 return values, -slope[self.free] / slope[self.column]
         return np.full(len(values), np.nan), np.zeros(len(free))
 
-    def at(
-        self, held: float
-    ) -> Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        def model(free: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def at(self, held: float) -> Callable[[Floats], tuple[Floats, Floats]]:
+        def model(free: Floats) -> tuple[Floats, Floats]:
             values, through = self.full(held, free)
             residuals, jacobian = self._model(values)
             jacobian[:, self.free] += jacobian[:, [self.column]] * through
@@ -100,7 +99,7 @@ class _Held:
 
         return model
 
-    def follow(self, before: float, free: NDArray[np.float64], after: float) -> NDArray[np.float64]:
+    def follow(self, before: float, free: Floats, after: float) -> Floats:
         """Estimate of the free columns at another value of the held parameter (one Gauss-Newton step)."""
         here, jacobian = self.at(before)(free)
         step = 1e-3 * (after - before)
@@ -121,7 +120,7 @@ class Profile:
 
     lower: float
     upper: float
-    trace: NDArray[np.float64]
+    trace: Floats
 
 
 def profile_likelihood(
@@ -159,20 +158,13 @@ def profile_likelihood(
     scale *= factor**2
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
     held = _Held(model, name, best)
+    low_end, high_end = model.lower[held.free], model.upper[held.free]
+    refitted = partial(solve, lower=low_end, upper=high_end, loss=result.loss, cost_tolerance=1e-7)
     logarithmic = parameter.logarithmic and value > 0
     lowest_cost, free_at_lowest = result.cost, best[held.free]
     if parameter.lower == 0 and value < 0:
-        start = np.clip(
-            held.follow(value, free_at_lowest, 0.0), model.lower[held.free], model.upper[held.free]
-        )
-        at_zero = solve(
-            held.at(0.0),
-            start,
-            lower=model.lower[held.free],
-            upper=model.upper[held.free],
-            loss=result.loss,
-            cost_tolerance=1e-7,
-        )
+        start = np.clip(held.follow(value, free_at_lowest, 0.0), low_end, high_end)
+        at_zero = refitted(held.at(0.0), start)
         value, lowest_cost, free_at_lowest = 0.0, at_zero.cost, at_zero.values
     trace: list[tuple[float, float]] = [(value, 0.0)]
 
@@ -194,21 +186,13 @@ def profile_likelihood(
         z = min(target * unit, farthest)
         for _ in range(15):
             start = held.follow(at(sign * low), free, at(sign * z))
-            start = np.clip(start, model.lower[held.free] + 1e-9, model.upper[held.free] - 1e-9)
+            start = np.clip(start, low_end + 1e-9, high_end - 1e-9)
             if not np.all(np.isfinite(held.at(at(sign * z))(start)[0])):
                 z = 0.5 * (low + z)
                 if z - low < 1e-6 * z:
                     return float("nan")
                 continue
-            solution = solve(
-                held.at(at(sign * z)),
-                start,
-                lower=model.lower[held.free],
-                upper=model.upper[held.free],
-                loss=result.loss,
-                max_evaluations=40,
-                cost_tolerance=1e-7,
-            )
+            solution = refitted(held.at(at(sign * z)), start, max_evaluations=40)
             root = float(np.sqrt(max(2 * (solution.cost - lowest_cost), 0.0) / scale))
             trace.append((at(sign * z), root**2))
             if abs(root - target) < 0.01 * target:

@@ -2,21 +2,22 @@
 
 An error of place moves the amplitudes of all half-cycles that pass it. Residuals of whole cycles find it but
 for what looks like a motion (`processing.position_map`); of the rest, the fitted law sees what no decay does.
+An error of a rolling shutter's row time moves their times by their places.
 """
 
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.contact import PendulumOnBall
+from processing.fit.apparatus import RigQuantities
+from processing.fit.exact import fit_exact_with
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.least_squares import propagate
 from processing.swing import TurningPoints
-
-Floats = NDArray[np.float64]
 
 _FELT = 1e-3
 """Largest error of an amplitude, in its uncertainties, below which a direction is left as it is."""
@@ -89,3 +90,29 @@ def with_place_errors(fit: FitResult, of_parameters: Floats, names: tuple[str, .
         reading_covariance=None if reading is None else reading + added,
         place_covariance=added,
     )
+
+
+def by_row_time(
+    points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult, rig: RigQuantities
+) -> Floats | None:
+    """Derivatives (parameters,) of the contact parameters by the row time; None where it is not uncertain.
+
+    Turning points at the two ends of the swing lie on rows above and below that of rest: a row time wrong by
+    d makes the ones late by d times their distance in rows, the others as much early. Full periods keep
+    their lengths but for friction. The points are fitted again, with the noise of the `exact` fit. Which end
+    comes first is not known, and so the sign is not either.
+
+    Raises DataError if a fit does not converge.
+    """
+    u_s = rig.row_time_s.u
+    if u_s == 0:
+        return None
+    rows = np.tan(2.0 * points.amplitude) * rig.arm_m.value / rig.pitch_m.value
+    rows *= np.cos(rig.slow_angle_rad.value) * (1 - 2 * (points.index % 2))
+    found = []
+    for error_s in (-u_s, u_s):
+        moved = replace(points, time_s=points.time_s + error_s * rows)
+        fit = fit_exact_with(moved, pendulum, exact, drag=exact.has_drag)
+        found.append(fit.values[[fit.names.index(name) for name in fit.contact_names]])
+    slopes: Floats = (found[1] - found[0]) / (2.0 * u_s)
+    return slopes

@@ -5,14 +5,22 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.contact.laws import DEFAULT_LAW, Law
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit.checks import FEWEST_HALF_CYCLES, OUTLIER, check_turning_points, data_warnings
-from processing.fit.doubts import of_correlation, of_ground, of_limits, of_uncertainties
+from processing.fit.checks import (
+    FEWEST_HALF_CYCLES,
+    OUTLIER,
+    check_turning_points,
+    data_warnings,
+    of_correlation,
+    of_ground,
+    of_limits,
+    of_uncertainties,
+)
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import AT_REST, GROUND_SEEN, GroundFit, Noise, density_of_step
 from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
@@ -43,7 +51,7 @@ class _Settled(NamedTuple):
     likeliest: LikeliestNoise
 
 
-def _settle(model: ExactModel, start: NDArray[np.float64], loss: Loss, kind: Noise) -> _Settled | None:
+def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Settled | None:
     """Noise and parameters in turn from one start, until both stay; None if it does not converge."""
     columns = start
     noise: Noise | None = None
@@ -224,8 +232,8 @@ def _result(
     solution: Solution,
     ground: GroundFit,
     loss: Loss,
-    likeliest: NDArray[np.float64] | None = None,
-    averaged: NDArray[np.float64] | None = None,
+    likeliest: Floats | None = None,
+    averaged: Floats | None = None,
 ) -> FitResult:
     """Physical values, their uncertainties and what is to be said of them.
 
@@ -287,9 +295,7 @@ def _result(
     )
 
 
-def _factor(
-    to_physical: NDArray[np.float64], wider: NDArray[np.float64], covariance: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _factor(to_physical: Floats, wider: Floats, covariance: Floats) -> Floats:
     """Ratio of the standard uncertainties by two covariances of the columns."""
     above, below = (np.einsum("ij,jk,ik->i", to_physical, one, to_physical) for one in (wider, covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -297,22 +303,20 @@ def _factor(
         return np.asarray(np.sqrt(np.maximum(ratio, 0.0)))
 
 
-def _of_reading(model: ExactModel, solution: Solution) -> NDArray[np.float64]:
+def _of_reading(model: ExactModel, solution: Solution) -> Floats:
     """Covariance of the columns if only the measurement of the turning points were uncertain."""
     residuals, jacobian = model.on_ground(solution.values, AT_REST)(solution.values)
     reached = np.isfinite(residuals)
     return np.asarray(covariance_of(jacobian[reached]) * max(1.0, solution.chi2 / solution.dof))
 
 
-def _mean_of_finite(values: NDArray[np.float64]) -> float:
+def _mean_of_finite(values: Floats) -> float:
     """The free decay may end before a driven one does."""
     finite = values[np.isfinite(values)]
     return float(np.mean(finite)) if len(finite) else float("nan")
 
 
-def _by_correlation(
-    to_physical: NDArray[np.float64], solution: Solution, white: Whiteness
-) -> NDArray[np.float64]:
+def _by_correlation(to_physical: Floats, solution: Solution, white: Whiteness) -> Floats:
     """By how many times correlated residuals enlarge every standard uncertainty."""
     residuals = solution.residuals / np.sqrt(solution.chi2 / solution.dof)
     wider = correlated_covariance(residuals, solution.jacobian, solution.covariance, white.lags)

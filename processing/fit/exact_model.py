@@ -7,8 +7,8 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.contact import HalfSwings, OneHalfSwing, PendulumOnBall, tabulated_half_swing
 from processing.contact.laws import DEFAULT_LAW, DRAG, Law
 from processing.fit.ground import AT_REST, Noise
@@ -17,17 +17,15 @@ from processing.fit.result import FitResult
 from processing.periods import mean_period
 from processing.swing import TurningPoints
 
-Array = NDArray[np.float64]
-
 
 class Filtered(NamedTuple):
     """Whitened innovations, their derivatives by the columns at fixed gains, and what `drive_filter` adds."""
 
-    residuals: Array
-    jacobian: Array
-    state: Array
+    residuals: Floats
+    jacobian: Floats
+    state: Floats
     log_det: float
-    gains: Array
+    gains: Floats
 
 
 class ExactModel:
@@ -67,12 +65,12 @@ class ExactModel:
         self._measured = np.array([self._x, points.time_s])
         self._variance = np.array([self._u, points.u_time_s]) ** 2
         self._noise = AT_REST
-        self._gains: Array | None = None
+        self._gains: Floats | None = None
         # kept for the last parameters: searches begin and end where others have been; copies share them
         self._tabulated: dict[bytes, OneHalfSwing] = {}
         self._swung: dict[bytes, HalfSwings] = {}
 
-    def curve(self, columns: Array) -> tuple[Array, Array, Array, Array]:
+    def curve(self, columns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Amplitude (in units of the reference), time (s), and the derivatives of both by the columns.
 
         With the columns v, the map's parameters q(v) and its time tau in units of T0:
@@ -89,7 +87,7 @@ class ExactModel:
         time_jacobian += found.time[:, None] * matrix[-2] + matrix[-1]
         return found.amplitude, first_time_s + period0_s * found.time, amplitude_jacobian, time_jacobian
 
-    def _half_swings(self, parameters: Array) -> HalfSwings:
+    def _half_swings(self, parameters: Floats) -> HalfSwings:
         """The law's map at the indices of the points."""
         key = parameters.tobytes()
         if key not in self._swung:
@@ -97,7 +95,7 @@ class ExactModel:
             self._swung[key] = self.law.half_swing_map(parameters, self._index)
         return self._swung[key]
 
-    def __call__(self, columns: Array) -> tuple[Array, Array]:
+    def __call__(self, columns: Floats) -> tuple[Floats, Floats]:
         """Residuals divided by their standard uncertainties, and their derivatives by the columns."""
         if self._gains is not None:
             found = self.filtered(columns, self._noise, self._gains)
@@ -111,7 +109,7 @@ class ExactModel:
         )
         return residuals, jacobian
 
-    def on_ground(self, columns: Array, noise: Noise) -> "ExactModel":
+    def on_ground(self, columns: Floats, noise: Noise) -> "ExactModel":
         """The same model with residuals that allow for the drive, weighted as the filter does at `columns`.
 
         The weights stay: the residuals then depend on the columns by the predictions alone, so that a minimum
@@ -123,7 +121,7 @@ class ExactModel:
         return out
 
     def filtered(
-        self, columns: Array, noise: Noise, gains: Array | None = None, *, with_rho: bool = False
+        self, columns: Floats, noise: Noise, gains: Floats | None = None, *, with_rho: bool = False
     ) -> Filtered:
         """The Kalman filter over the half-cycles; with `gains` of an earlier call it uses these.
 
@@ -164,7 +162,7 @@ class ExactModel:
         )  # fmt: skip
         return Filtered(innovations.ravel(), jacobian.reshape(2 * count, -1), state, log_det, gains)
 
-    def _table(self, parameters: Array) -> OneHalfSwing | None:
+    def _table(self, parameters: Floats) -> OneHalfSwing | None:
         """One half-swing at all amplitudes of the data; None if it cannot be had for these parameters."""
         if not np.all(np.isfinite(parameters)):
             return None
@@ -183,7 +181,7 @@ class ExactModel:
         table = self._tabulated[key]
         return table if len(table.amplitude) > 1 else None
 
-    def by_amplitudes(self, columns: Array, errors: Array) -> Array:
+    def by_amplitudes(self, columns: Floats, errors: Floats) -> Floats:
         """Changes (2 points, m) of the residuals where measured amplitudes grow by `errors` (points, m)."""
         relative = errors / self.reference
         if self._gains is None:
@@ -197,7 +195,7 @@ class ExactModel:
             changes.append(out(columns)[0] - before)
         return np.asarray(changes, dtype=np.float64).T
 
-    def starts(self) -> Iterator[Array]:
+    def starts(self) -> Iterator[Floats]:
         """Start values for which the map reaches the last half-cycle, the most promising first.
 
         Where none does, the first of each kind: a driven pendulum may swing for longer than any free one.
@@ -213,7 +211,7 @@ class ExactModel:
         if not usable:
             yield from others
 
-    def start_near(self, fit: "FitResult | None") -> Iterator[Array]:
+    def start_near(self, fit: "FitResult | None") -> Iterator[Floats]:
         """The parameters of an earlier fit as a start, where the map then reaches the last half-cycle."""
         if fit is None:
             return
@@ -222,10 +220,10 @@ class ExactModel:
         if np.all(np.isfinite(self(columns)[0])):
             yield columns
 
-    def _inside(self, columns: Array) -> Array:
+    def _inside(self, columns: Floats) -> Floats:
         return np.clip(columns, self.lower + 1e-9, self.upper - 1e-9)
 
-    def by_log_rho(self, columns: Array) -> Array:
+    def by_log_rho(self, columns: Floats) -> Floats:
         """Derivative of the fitted columns by ln(R/a), by linearised least squares."""
         both = self.filtered(columns, self._noise, self._gains, with_rho=True).jacobian
         return np.asarray(-np.linalg.lstsq(both[:, :-1], both[:, -1], rcond=1e-12)[0], dtype=np.float64)
@@ -233,7 +231,7 @@ class ExactModel:
     @classmethod
     def of(
         cls, points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult
-    ) -> tuple["ExactModel", Array]:
+    ) -> tuple["ExactModel", Floats]:
         """The model of a finished exact fit of these points with its noise, and the fitted columns."""
         model = cls(points.first(result.half_cycles), pendulum, law=result.law, drag=result.has_drag)
         columns = model.columns.from_physical({name: result.estimate(name).value for name in model.names})

@@ -16,8 +16,8 @@ effect on the amplitude is small (next neighbours correlate by less than 0.1) an
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.kernel import kernel
 
 GAINS = 7
@@ -28,21 +28,21 @@ SMEARED_VARIANCE, SMEARED_COVARIANCE = 0.0670, 0.1757
 
 @kernel
 def drive_filter(
-    nodes: NDArray[np.float64],
-    loss_by: NDArray[np.float64],
-    duration_by: NDArray[np.float64],
-    start: NDArray[np.float64],
-    start_by: NDArray[np.float64],
-    index: NDArray[np.int64],
-    measured: NDArray[np.float64],
-    variance: NDArray[np.float64],
+    nodes: Floats,
+    loss_by: Floats,
+    duration_by: Floats,
+    start: Floats,
+    start_by: Floats,
+    index: Ints,
+    measured: Floats,
+    variance: Floats,
     step: float,
     rate: float,
     averaged: bool,
     limit: float,
-    gains: NDArray[np.float64],
+    gains: Floats,
     held: bool,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
+) -> tuple[Floats, Floats, Floats, float]:
     """Whitened innovations, their derivatives, the filtered states and ln det of the innovations' covariance.
 
     Parameters

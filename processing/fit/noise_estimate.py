@@ -11,14 +11,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.fit.checks import OUTLIER
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise
 from processing.least_squares import Loss
-
-Array = NDArray[np.float64]
 
 _TRIED = np.arange(-3.0, 3.01, 0.5)
 """Decimal logarithms of the first steps tried, in units of the median uncertainty of the amplitudes."""
@@ -48,7 +46,7 @@ class LikeliestNoise(NamedTuple):
     noise: Noise
     deviance: float
     against_rest: float = 0.0
-    covariance: Array | None = None
+    covariance: Floats | None = None
     unrestricted: float = np.inf
 
 
@@ -67,7 +65,7 @@ class NoiseSearch:
     with a robust loss, which copes with outliers by itself, it is 1.
     """
 
-    def __init__(self, model: ExactModel, columns: Array, loss: Loss, kind: Noise) -> None:
+    def __init__(self, model: ExactModel, columns: Floats, loss: Loss, kind: Noise) -> None:
         self._model, self._columns, self._loss = model, columns, loss
         self._kind = kind
         self._unit = float(np.median(model.u_amplitude))
@@ -87,11 +85,9 @@ class NoiseSearch:
     def bounds(self, found: LikeliestNoise) -> NoiseBounds:
         """From the rise of -2 ln L on either side of the optimum."""
         at_rest = found.noise.at_rest
-        start = (
-            float(_TRIED[0])
-            if at_rest
-            else float(np.log10(found.noise.step / found.noise.scale / self._unit))
-        )
+        start = float(_TRIED[0])
+        if not at_rest:
+            start = float(np.log10(found.noise.step / found.noise.scale / self._unit))
         target = found.deviance + _ONE_SIDED
         above = start
         while self._deviance(above + 0.25) < target and above < self._highest:
@@ -107,7 +103,7 @@ class NoiseSearch:
         # where the likelihood does not fall towards zero, the bound says more than the curvature
         return NoiseBounds(min(float(found.noise.step * relative), highest), highest)
 
-    def averaged_covariance(self, found: LikeliestNoise, bounds: NoiseBounds) -> Array | None:
+    def averaged_covariance(self, found: LikeliestNoise, bounds: NoiseBounds) -> Floats | None:
         """Covariance of the columns averaged over the steps that the data allow; None for a well-known step.
 
         Uncertainties grow with the step. Those of the likeliest one are too small where a run at rest

@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Ints
 from processing.contact import ContactParameters, PendulumOnBall, scaled_contact
 from processing.deflections import Deflections
 from processing.errors import DataError
@@ -110,7 +110,7 @@ def measured_again(
     return again
 
 
-def _nearest(swings: Sequence[Swing], times_ns: NDArray[np.int64], time_ns: int) -> Swing | None:
+def _nearest(swings: Sequence[Swing], times_ns: Ints, time_ns: int) -> Swing | None:
     if not len(times_ns):
         return None
     after = min(int(np.searchsorted(times_ns, time_ns)), len(times_ns) - 1)

@@ -6,8 +6,8 @@ from math import pi
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.contact.laws import DRAG, PAPER
 from processing.errors import DataError
 from processing.estimate import Estimate
@@ -15,8 +15,6 @@ from processing.fit.apparatus import RigQuantities
 from processing.fit.result import FitResult
 from processing.quantity import Quantity, quantities_of
 from processing.units import in_ascii
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,16 +26,16 @@ class Derived:
     """
 
     surface_energy_table2_j_per_m2: Annotated[
-        Array, Quantity("σ (Table 2's form)", "surface energy, as in the paper's Table 2", "mJ/m²")
+        Floats, Quantity("σ (Table 2's form)", "surface energy, as in the paper's Table 2", "mJ/m²")
     ]
     surface_energy_eq2_j_per_m2: Annotated[
-        Array, Quantity("σ (Eq. 2 as printed)", "surface energy, by the paper's Eq. 2", "mJ/m²")
+        Floats, Quantity("σ (Eq. 2 as printed)", "surface energy, by the paper's Eq. 2", "mJ/m²")
     ]
     contact_radius_m: Annotated[
-        Array, Quantity("contact radius a", "radius of the contact, after Hertz", "µm")
+        Floats, Quantity("contact radius a", "radius of the contact, after Hertz", "µm")
     ]
-    contact_depth_m: Annotated[Array, Quantity("depth a²/R", "depth of the contact", "µm")]
-    contact_angle_rad: Annotated[Array, Quantity("contact angle a/R", "angle of the contact", "arcmin")]
+    contact_depth_m: Annotated[Floats, Quantity("depth a²/R", "depth of the contact", "µm")]
+    contact_angle_rad: Annotated[Floats, Quantity("contact angle a/R", "angle of the contact", "arcmin")]
 
 
 OUTPUTS: Mapping[str, str] = {
@@ -68,14 +66,14 @@ class FittedContact:
     """
 
     names: tuple[str, ...]
-    values: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    values: Floats
+    covariance: Floats
     dof: float
-    by_log_rho: NDArray[np.float64]
+    by_log_rho: Floats
     reference_rad: float
-    reading_covariance: NDArray[np.float64] | None = None
-    by_row_time: NDArray[np.float64] | None = None
-    place_covariance: NDArray[np.float64] | None = None
+    reading_covariance: Floats | None = None
+    by_row_time: Floats | None = None
+    place_covariance: Floats | None = None
 
 
 def fitted_contact(result: FitResult) -> FittedContact:
@@ -99,11 +97,8 @@ def fitted_contact(result: FitResult) -> FittedContact:
 
 
 def reported_quantities(
-    found: FittedContact,
-    values: NDArray[np.float64],
-    inputs: Mapping[str, NDArray[np.float64]],
-    rig: RigQuantities,
-) -> dict[str, NDArray[np.float64]]:
+    found: FittedContact, values: Floats, inputs: Mapping[str, Floats], rig: RigQuantities
+) -> dict[str, Floats]:
     """The reported quantities for given fitted values and inputs, as in a Monte Carlo draw.
 
     Parameters
@@ -161,8 +156,8 @@ def reported_quantities(
 
 
 def derived_quantities(
-    c: Array, scale: Array, force_n: Array, ball_radius_m: Array, contact_radius_m: Array
-) -> dict[str, Array]:
+    c: Floats, scale: Floats, force_n: Floats, ball_radius_m: Floats, contact_radius_m: Floats
+) -> dict[str, Floats]:
     """The fields of `Derived` by name, for arrays of equal shape; `scale` is true over assumed angle."""
     a = contact_radius_m
     return {
@@ -174,7 +169,7 @@ def derived_quantities(
     }
 
 
-def draw_fitted(found: FittedContact, rng: np.random.Generator, draws: int) -> NDArray[np.float64]:
+def draw_fitted(found: FittedContact, rng: np.random.Generator, draws: int) -> Floats:
     """Random draws of the fitted parameters, shape ``(names, draws)``.
 
     Multivariate Student t distribution about the fit, for ln b and gamma expressed at the reference
@@ -208,10 +203,8 @@ def draw_fitted(found: FittedContact, rng: np.random.Generator, draws: int) -> N
 
 
 def work_per_cycle_j(
-    amplitude_rad: float,
-    reported: Mapping[str, NDArray[np.float64]],
-    inputs: Mapping[str, NDArray[np.float64]],
-) -> NDArray[np.float64]:
+    amplitude_rad: float, reported: Mapping[str, Floats], inputs: Mapping[str, Floats]
+) -> Floats:
     """Work per cycle 4A in J for random draws (n,) of reported parameters and inputs, to obtain its
     uncertainty.
     """
@@ -219,7 +212,6 @@ def work_per_cycle_j(
     b, p, c = reported["b"], reported["p"], reported["c"]
     dissipated = 4 * moment * (c * amplitude_rad + b * amplitude_rad ** (p + 1) / (p + 1))
     if DRAG.key in reported:
-        dissipated = (
-            dissipated + moment * reported[DRAG.key] * 2 * pi**2 / reported["period0_s"] * amplitude_rad**2
-        )
+        per_s = moment * reported[DRAG.key]
+        dissipated = dissipated + per_s * 2 * pi**2 / reported["period0_s"] * amplitude_rad**2
     return np.asarray(dissipated, dtype=np.float64)

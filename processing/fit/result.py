@@ -6,9 +6,9 @@ from math import nan
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from processing.arrays import Floats
 from processing.contact import ContactParameters
 from processing.contact.laws import AMPLITUDE, DRAG, PAPER, TIME, Law
 from processing.errors import DataError
@@ -97,28 +97,28 @@ class FitResult(FitQuality):
     method: FitMethod
     law: Law
     names: tuple[str, ...]
-    values: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    values: Floats
+    covariance: Floats
     reference_rad: float
-    by_log_rho: NDArray[np.float64]
+    by_log_rho: Floats
     loss: Loss
     cost: float
     half_cycles: int = 0
     ground: GroundFit | None = None
-    reading_covariance: NDArray[np.float64] | None = None
-    widened: NDArray[np.float64] | None = None
-    place_covariance: NDArray[np.float64] | None = None
+    reading_covariance: Floats | None = None
+    widened: Floats | None = None
+    place_covariance: Floats | None = None
 
     @property
     def dof(self) -> int:
         return self.degrees_of_freedom
 
     @property
-    def standard_uncertainty(self) -> NDArray[np.float64]:
+    def standard_uncertainty(self) -> Floats:
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def correlation(self) -> NDArray[np.float64]:
+    def correlation(self) -> Floats:
         """Correlation matrix; NaN in rows and columns of parameters that are not determined."""
         u = self.standard_uncertainty
         with np.errstate(invalid="ignore"):

@@ -7,9 +7,9 @@ from math import nan, sqrt
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, stdtr, stdtrit
 
+from processing.arrays import Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.reported import FittedContact, fitted_contact
@@ -223,7 +223,7 @@ def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
         raise DataError(f"{len(runs)} run: there is nothing to average")
     common = min(float(run.amplitude[0]) for run in runs)
     starts = [int(np.nonzero(run.amplitude <= common)[0][0]) for run in runs]
-    shared: NDArray[np.int64] | None = None
+    shared: Ints | None = None
     for run, start in zip(runs, starts, strict=True):
         counted = run.index[start:] - run.index[start]
         shared = counted if shared is None else np.intersect1d(shared, counted)
@@ -233,21 +233,15 @@ def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
     rows = []
     for run, start in zip(runs, starts, strict=True):
         at = start + np.searchsorted(run.index[start:] - run.index[start], shared)
-        rows.append(
-            (
-                run.time_s[at] - run.time_s[at[0]],
-                run.u_time_s[at],
-                run.amplitude[at],
-                run.u_amplitude[at],
-            )
-        )
-    count = len(runs)
+        time_s = run.time_s[at] - run.time_s[at[0]]
+        rows.append((time_s, run.u_time_s[at], run.amplitude[at], run.u_amplitude[at]))
+    time_s, u_time_s, amplitude, u_amplitude = (np.array(column) for column in zip(*rows, strict=True))
     return TurningPoints(
         index=shared,
-        time_s=np.mean([row[0] for row in rows], axis=0),
-        u_time_s=np.sqrt(np.sum([row[1] ** 2 for row in rows], axis=0)) / count,
-        amplitude=np.mean([row[2] for row in rows], axis=0),
-        u_amplitude=np.sqrt(np.sum([row[3] ** 2 for row in rows], axis=0)) / count,
+        time_s=np.mean(time_s, axis=0),
+        u_time_s=np.sqrt(np.sum(u_time_s**2, axis=0)) / len(runs),
+        amplitude=np.mean(amplitude, axis=0),
+        u_amplitude=np.sqrt(np.sum(u_amplitude**2, axis=0)) / len(runs),
     )
 
 

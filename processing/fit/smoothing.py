@@ -6,8 +6,8 @@ and the choice itself is smoothed.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.errors import DataError
 from processing.kernel import kernel
 
@@ -17,9 +17,7 @@ _FEWEST = 8
 
 
 @kernel
-def _running_lines(
-    x: NDArray[np.float64], y: NDArray[np.float64], weight: NDArray[np.float64], span: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _running_lines(x: Floats, y: Floats, weight: Floats, span: float) -> tuple[Floats, Floats]:
     """Local straight lines through the nearest neighbours on either side, and the cross-validation residuals
     (of each point from the line fitted without it)."""
     count = len(x)
@@ -48,13 +46,7 @@ def _running_lines(
     return smooth, left_out
 
 
-def super_smooth(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    u: NDArray[np.float64] | None = None,
-    *,
-    bass: float = 0.0,
-) -> NDArray[np.float64]:
+def super_smooth(x: Floats, y: Floats, u: Floats) -> Floats:
     """Smooth y over x, with the span chosen by cross-validation at every point.
 
     Parameters
@@ -62,9 +54,7 @@ def super_smooth(
     x, y
         One length, at least eight points, x in any order; equal x are allowed.
     u
-        Standard uncertainties of y; weights are 1/u^2. None: equal weights.
-    bass
-        Friedman's bass control, 0 to 10: prefers the widest span if it is nearly as good.
+        Standard uncertainties of y; weights are 1/u^2.
 
     Returns
     -------
@@ -76,16 +66,10 @@ def super_smooth(
         )
     if not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
         raise DataError("smoothing needs finite values")
-    if u is not None and not (len(u) == len(x) and np.all(u > 0)):
+    if not (len(u) == len(x) and np.all(u > 0)):
         raise DataError("smoothing needs one positive uncertainty for every point")
-    if not 0 <= bass <= 10:
-        raise DataError(f"bass = {bass}: it lies between 0 and 10")
     order = np.argsort(x, kind="stable")
-    xs, ys = (
-        np.ascontiguousarray(x[order], dtype=np.float64),
-        np.ascontiguousarray(y[order], dtype=np.float64),
-    )
-    weight = np.ones(len(xs)) if u is None else (np.median(u) / u[order]) ** 2
+    xs, ys, weight = x[order], y[order], (np.median(u) / u[order]) ** 2
     # The comparison of spans at one point does not depend on u there. For smoothing over points the residuals
     # have to be normalised.
     size = np.sqrt(weight)
@@ -94,14 +78,7 @@ def super_smooth(
         smooth, left_out = _running_lines(xs, ys, weight, span)
         smooths.append(smooth)
         errors.append(_running_lines(xs, left_out * size, np.ones(len(xs)), SPANS[1])[0])
-    error = np.array(errors)
-    best = np.argmin(error, axis=0)
-    spans = np.array(SPANS)
-    chosen = spans[best]
-    if bass > 0:
-        least = np.min(error, axis=0)
-        ratio = np.clip(least / np.maximum(error[-1], 1e-300), 0.0, 1.0)
-        chosen = chosen + (SPANS[-1] - chosen) * ratio ** (10 - bass)
+    chosen = np.array(SPANS)[np.argmin(errors, axis=0)]
     chosen = np.clip(_running_lines(xs, chosen, np.ones(len(xs)), SPANS[1])[0], SPANS[0], SPANS[-1])
     below = chosen < SPANS[1]
     share = np.where(

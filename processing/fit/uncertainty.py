@@ -6,9 +6,9 @@ from math import floor, inf, isfinite, log10, nan, sqrt
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from processing.arrays import Floats
 from processing.contact.laws import DRAG
 from processing.fit.apparatus import RigQuantities
 from processing.fit.reported import OUTPUTS, FittedContact, draw_fitted, reported_quantities
@@ -73,7 +73,7 @@ class Propagated:
     gum_holds: bool
 
 
-def _nominal(rig: RigQuantities, count: int) -> dict[str, NDArray[np.float64]]:
+def _nominal(rig: RigQuantities, count: int) -> dict[str, Floats]:
     return {name: np.full(count, quantity.value) for name, quantity in rig.inputs().items()}
 
 
@@ -88,18 +88,21 @@ def budgets(found: FittedContact, rig: RigQuantities) -> dict[str, Budget]:
     of 1e-6 for quantities that are nearly linear over the uncertainty. For others the Monte Carlo interval
     should be used.
     """
-    value = {
-        name: float(out[0])
-        for name, out in reported_quantities(found, found.values[:, None], _nominal(rig, 1), rig).items()
-    }
+
+    def slopes(values: Floats, inputs: Mapping[str, Floats], step: float) -> dict[str, float]:
+        reported = reported_quantities(found, values, inputs, rig)
+        return {name: float(out[1] - out[0]) / (2 * step) for name, out in reported.items()}
+
+    reported = reported_quantities(found, found.values[:, None], _nominal(rig, 1), rig)
+    value = {name: float(out[0]) for name, out in reported.items()}
     spread = np.diag(found.covariance)
-    by_value: dict[str, NDArray[np.float64]] = {name: np.zeros(len(found.names)) for name in value}
+    by_value: dict[str, Floats] = {name: np.zeros(len(found.names)) for name in value}
     for i in range(len(found.names)):
         step = 1e-3 * (sqrt(spread[i]) if 0 < spread[i] < inf else 1e-3 * abs(found.values[i]) or 1e-12)
         both = np.repeat(found.values[:, None], 2, axis=1)
         both[i] += (-step, step)
-        for name, out in reported_quantities(found, both, _nominal(rig, 2), rig).items():
-            by_value[name][i] = (out[1] - out[0]) / (2 * step)
+        for name, slope in slopes(both, _nominal(rig, 2), step).items():
+            by_value[name][i] = slope
     by_input: dict[str, dict[str, float]] = {name: {} for name in value}
     for source, quantity in rig.inputs().items():
         if quantity.u == 0:
@@ -107,10 +110,8 @@ def budgets(found: FittedContact, rig: RigQuantities) -> dict[str, Budget]:
         step = 1e-3 * quantity.u
         inputs = _nominal(rig, 2)
         inputs[source] = quantity.value + np.array([-step, step])
-        for name, out in reported_quantities(
-            found, np.repeat(found.values[:, None], 2, axis=1), inputs, rig
-        ).items():
-            by_input[name][source] = float(out[1] - out[0]) / (2 * step)
+        for name, slope in slopes(np.repeat(found.values[:, None], 2, axis=1), inputs, step).items():
+            by_input[name][source] = slope
     return {
         name: _budget(name, unit, value[name], found, rig, by_value[name], by_input[name])
         for name, unit in _quantities(found).items()
@@ -123,7 +124,7 @@ def _budget(
     value: float,
     found: FittedContact,
     rig: RigQuantities,
-    by_value: NDArray[np.float64],
+    by_value: Floats,
     by_input: Mapping[str, float],
 ) -> Budget:
     blind = ~np.isfinite(np.diag(found.covariance))
@@ -168,7 +169,7 @@ def _budget(
     )
 
 
-def _of(covariance: NDArray[np.float64] | None, by_value: NDArray[np.float64]) -> float:
+def _of(covariance: Floats | None, by_value: Floats) -> float:
     """Standard uncertainty by a covariance of the values; 0 without one."""
     if covariance is None:
         return 0.0
@@ -176,7 +177,7 @@ def _of(covariance: NDArray[np.float64] | None, by_value: NDArray[np.float64]) -
     return sqrt(max(float(by_value @ known @ by_value), 0.0))
 
 
-def _reading(found: FittedContact, by_value: NDArray[np.float64], type_a: float) -> float:
+def _reading(found: FittedContact, by_value: Floats, type_a: float) -> float:
     """What of a type A uncertainty remains on ground at rest; all of it where that is not known."""
     if found.reading_covariance is None or not isfinite(type_a):
         return type_a

@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from math import log1p
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincc
 
+from processing.arrays import Complexes
 from processing.contact import PendulumOnBall, law_harmonics
 from processing.fit.result import FitResult
 from processing.swing import ORDERS, HarmonicClass
@@ -27,14 +27,14 @@ _THIRD, _EVEN = ORDERS.index(3), [ORDERS.index(2), ORDERS.index(4)]
 
 def predicted_harmonics(
     classes: Sequence[HarmonicClass], fit: FitResult, pendulum: PendulumOnBall
-) -> list[NDArray[np.complex128]]:
+) -> list[Complexes]:
     """A fitted law's harmonics (rad) in each class."""
     values = dict(zip(fit.names, fit.values.tolist(), strict=True))
     return [one.mean(lambda a: law_harmonics(fit.law, values, pendulum, a, ORDERS)) for one in classes]
 
 
 def waveform_chances(
-    classes: Sequence[HarmonicClass], predicted: Mapping[str, Sequence[NDArray[np.complex128]]]
+    classes: Sequence[HarmonicClass], predicted: Mapping[str, Sequence[Complexes]]
 ) -> dict[str, float]:
     """For each law the chance of a third harmonic at least so far from its prediction."""
     chances = {}

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from math import nan
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-Array = NDArray[np.float64]
+from processing.arrays import Floats
 
 CORRELATED = 0.001
 """Chance below which the residuals of amplitudes or times are called correlated."""
@@ -40,7 +39,7 @@ class Whiteness:
         return min(self.p_amplitude, self.p_time) < CORRELATED
 
 
-def whiteness(residuals: Array) -> Whiteness:
+def whiteness(residuals: Floats) -> Whiteness:
     """Test whitened residuals, those of the amplitudes first and then as many of the times."""
     count = len(residuals) // 2
     lags = min(_LAGS, count // 5)
@@ -49,7 +48,7 @@ def whiteness(residuals: Array) -> Whiteness:
     return Whiteness(lags, p_amplitude, p_time, first_amplitude, first_time)
 
 
-def _ljung_box(z: Array, lags: int) -> tuple[float, float]:
+def _ljung_box(z: Floats, lags: int) -> tuple[float, float]:
     count = len(z)
     z = np.clip(z, -5.0, 5.0)  # an outlier is listed as such; it must not hide or feign a correlation
     power = float(z @ z)
@@ -62,7 +61,7 @@ def _ljung_box(z: Array, lags: int) -> tuple[float, float]:
     )
 
 
-def correlated_covariance(residuals: Array, jacobian: Array, covariance: Array, lags: int) -> Array:
+def correlated_covariance(residuals: Floats, jacobian: Floats, covariance: Floats, lags: int) -> Floats:
     """Covariance of fitted columns if neighbouring residuals are correlated (Newey and West, 1987).
 
     Parameters

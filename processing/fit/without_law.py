@@ -4,16 +4,14 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.contact import MomentSplines, PendulumOnBall, spline_law, weight_moment
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.least_squares import solve
 from processing.swing import TurningPoints
-
-Array = NDArray[np.float64]
 
 _INWARDS = 1.1
 """How far the angles shown stay from both ends of the amplitudes."""
@@ -27,11 +25,11 @@ class FreeMoments:
     is that of gravity alone by definition. `u_` are standard uncertainties; bands of one of them cover 68 %.
     """
 
-    phi_rad: Array
-    friction_n_m: Array
-    u_friction_n_m: Array
-    elastic_n_m: Array
-    u_elastic_n_m: Array
+    phi_rad: Floats
+    friction_n_m: Floats
+    u_friction_n_m: Floats
+    elastic_n_m: Floats
+    u_elastic_n_m: Floats
     reference_rad: float
 
 
@@ -44,14 +42,14 @@ class WithoutLaw:
     splines: MomentSplines
     fit: FitResult
 
-    def moments(self, phi_rad: Array | None = None) -> FreeMoments:
+    def moments(self, phi_rad: Floats | None = None) -> FreeMoments:
         """Moments with bands; by default at 41 angles between the lowest and the highest amplitude."""
         if phi_rad is None:
             low, high = self.points.amplitude.min() * _INWARDS, self.points.amplitude.max() / _INWARDS
             phi_rad = np.geomspace(low, high, 41)
         return self._of(phi_rad, self.fit.values, self.fit.covariance)
 
-    def _of(self, phi_rad: Array, values: Array, covariance: Array) -> FreeMoments:
+    def _of(self, phi_rad: Floats, values: Floats, covariance: Floats) -> FreeMoments:
         unit_rad, weight = self.splines.unit_rad, weight_moment(self.pendulum)
         x = phi_rad / unit_rad
         friction, elastic = weight * self.splines.friction(x), weight * unit_rad * self.splines.elastic(x)
@@ -66,7 +64,7 @@ class WithoutLaw:
             unit_rad,
         )
 
-    def of_law(self, fit: FitResult, phi_rad: Array) -> FreeMoments:
+    def of_law(self, fit: FitResult, phi_rad: Floats) -> FreeMoments:
         """What a fitted law says in the same terms: the splines that have its turning points.
 
         The uncertainties are 0.
@@ -82,7 +80,7 @@ class WithoutLaw:
         return self._of(phi_rad, values, np.zeros_like(self.fit.covariance))
 
 
-def _uncertainty(basis: Array, covariance: Array) -> Array:
+def _uncertainty(basis: Floats, covariance: Floats) -> Floats:
     variance = np.einsum("ij,jk,ik->i", basis, covariance, basis)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 

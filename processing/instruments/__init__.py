@@ -4,15 +4,12 @@ scipy is imported inside functions: the settings import the table of instruments
 scipy.optimize would slow down the start of every command.
 """
 
-from processing.instruments.checks import Check, Compliance, check
 from processing.instruments.circular import circular_error
 from processing.instruments.crossings import inferred_swings, joined_swings
 from processing.instruments.damping_fit import Damping, damping, over_places, ratio
-from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Description, Limits
-from processing.instruments.driven import with_drive
-from processing.instruments.friction_law import FrictionLaw, fit_friction_law
+from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Check, Description, Limits, check
+from processing.instruments.friction_law import FrictionLaw, fit_friction_law, rolling_friction
 from processing.instruments.hardness import herbert_hardness
 from processing.instruments.plane import along_plane, swing_plane
-from processing.instruments.rolling import rolling_friction
-from processing.instruments.scale import with_scale
+from processing.instruments.shared_uncertainty import with_drive, with_scale
 from processing.instruments.turning import refined

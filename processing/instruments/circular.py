@@ -13,8 +13,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from processing.arrays import Floats
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.periods import full_periods
@@ -34,11 +35,11 @@ class CircularError(NamedTuple):
     period0_s: Estimate
     factor: Estimate
     chi2_per_dof: float
-    amplitude_rad: NDArray[np.float64]
-    period_s: NDArray[np.float64]
-    u_period_s: NDArray[np.float64]
-    law_s: NDArray[np.float64]
-    sixteenth_s: NDArray[np.float64]
+    amplitude_rad: Floats
+    period_s: Floats
+    u_period_s: Floats
+    law_s: Floats
+    sixteenth_s: Floats
 
     @property
     def sentence(self) -> str:
@@ -53,12 +54,12 @@ class CircularError(NamedTuple):
         )
 
 
-def ideal_excess(amplitude_rad: ArrayLike) -> NDArray[np.float64]:
+def ideal_excess(amplitude_rad: ArrayLike) -> Floats:
     """T(A)/T0 - 1 of the ideal pendulum, exact: (2/pi) K(sin A/2) - 1; amplitudes of any shape."""
     from scipy.special import ellipkm1
 
     cosine = np.cos(0.5 * np.asarray(amplitude_rad, dtype=np.float64))
-    excess: NDArray[np.float64] = 2 / math.pi * ellipkm1(cosine**2) - 1
+    excess: Floats = 2 / math.pi * ellipkm1(cosine**2) - 1
     return excess
 
 

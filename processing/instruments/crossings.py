@@ -16,8 +16,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.swing import Swing, SwingFlag
 from processing.ticks import nanoseconds, seconds
 
@@ -41,11 +41,7 @@ class _Crossing(NamedTuple):
     u_speed: float
 
 
-def inferred_swings(
-    times_ns: NDArray[np.int64],
-    deflection_rad: NDArray[np.float64],
-    u_deflection_rad: NDArray[np.float64],
-) -> list[Swing]:
+def inferred_swings(times_ns: Ints, deflection_rad: Floats, u_deflection_rad: Floats) -> list[Swing]:
     """Half-cycles with a turning point outside the sensor, flagged `SwingFlag.INFERRED`.
 
     Parameters
@@ -117,7 +113,7 @@ def joined_swings(seen: Sequence[Swing], inferred: Sequence[Swing]) -> list[Swin
     return joined
 
 
-def _half_period_s(time_s: NDArray[np.float64], values: NDArray[np.float64], spacing_s: float) -> float:
+def _half_period_s(time_s: Floats, values: Floats, spacing_s: float) -> float:
     """Median interval between recorded changes of sign."""
     at = np.nonzero((values[1:] * values[:-1] <= 0) & (np.diff(time_s) < 3 * spacing_s))[0]
     interval = np.diff(time_s[at])
@@ -126,13 +122,7 @@ def _half_period_s(time_s: NDArray[np.float64], values: NDArray[np.float64], spa
     return float(np.median(interval)) if len(interval) else math.nan
 
 
-def _crossings(
-    time_s: NDArray[np.float64],
-    values: NDArray[np.float64],
-    u: NDArray[np.float64],
-    half_s: float,
-    spacing_s: float,
-) -> list[_Crossing]:
+def _crossings(time_s: Floats, values: Floats, u: Floats, half_s: float, spacing_s: float) -> list[_Crossing]:
     """Crossings of zero with their times and speeds (positive for rising deflection)."""
     at = np.nonzero((values[1:] * values[:-1] <= 0) & (np.diff(time_s) < 3 * spacing_s))[0]
     found: list[_Crossing] = []

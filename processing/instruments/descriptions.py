@@ -2,15 +2,20 @@
 
 The numbers are those of the published instruments. A number that the source does not state is None;
 disagreements of sources are given in `note`. Every number can be overridden by the configuration.
+
+Acceptance test of an instrument: measured values compared with the limits of a standard.
 """
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from types import MappingProxyType
-from typing import Literal
+from typing import Annotated, Literal
 
 from processing.angle import ARCSEC_RAD
+from processing.estimate import Estimate
+from processing.quantity import IN_UNIT
 
 DEGREE_RAD = math.pi / 180.0
 
@@ -72,141 +77,108 @@ class Description:
 
 _AIR = Limits(23.0, 2.0), Limits(50.0, 5.0)
 
+# kind, title, what its decay tells, support, number of supports, report, amplitudes at the start and the end
 _TABLE = (
     Description(
-        kind="single_ball",
-        title="Pendulum on one ball, swinging within the contact spot",
-        tells="friction, adhesion, period.",
-        support="one ball, 12.1 mm, on a flat",
-        supports=1,
-        report="contact",
-        start_amplitude_rad=124 * ARCSEC_RAD,
-        end_amplitude_rad=2 * ARCSEC_RAD,
-        mass_kg=0.406,
-        support_radius_m=6.05e-3,
+        "single_ball", "Pendulum on one ball, swinging within the contact spot",
+        "friction, adhesion, period.", "one ball, 12.1 mm, on a flat", 1,
+        "contact", 124 * ARCSEC_RAD, 2 * ARCSEC_RAD, mass_kg=0.406, support_radius_m=6.05e-3,
     ),
     Description(
-        kind="two_ball",
-        title="Pendulum on two equal balls that share the weight",
-        tells="the same laws, 300 to 2 arcsec.",
-        support="two balls, 10 mm, polycrystalline sapphire",
-        supports=2,
-        report="contact",
-        start_amplitude_rad=300 * ARCSEC_RAD,
-        end_amplitude_rad=2 * ARCSEC_RAD,
-        mass_kg=1.2,
-        support_radius_m=5e-3,
+        "two_ball", "Pendulum on two equal balls that share the weight",
+        "the same laws, 300 to 2 arcsec.", "two balls, 10 mm, polycrystalline sapphire", 2,
+        "contact", 300 * ARCSEC_RAD, 2 * ARCSEC_RAD, mass_kg=1.2, support_radius_m=5e-3,
     ),
     Description(
-        kind="herbert",
-        title="Herbert's hardness pendulum",
-        tells="time of ten single swings, scale after the first swing.",
-        support="one ball, 1 mm, steel or ruby",
-        supports=1,
-        report="hardness",
-        start_amplitude_rad=5 * DEGREE_RAD,
-        end_amplitude_rad=0.5 * DEGREE_RAD,
-        mass_kg=4.0,
-        support_radius_m=0.5e-3,
-        lever_m=0.1e-3,
+        "herbert", "Herbert's hardness pendulum",
+        "time of ten single swings, scale after the first swing.", "one ball, 1 mm, steel or ruby", 1,
+        "hardness", 5 * DEGREE_RAD, 0.5 * DEGREE_RAD, mass_kg=4.0, support_radius_m=0.5e-3, lever_m=0.1e-3,
         note="mass centre 0.1 mm below the ball's centre, above the fulcrum",
     ),
     Description(
-        kind="herbert_roller",
-        title="Herbert's pendulum on a roller, whose swing plane is stable",
-        tells="the same two hardnesses.",
-        support="one roller, 2 mm diameter, 12 mm long",
-        supports=1,
-        report="hardness",
-        start_amplitude_rad=5 * DEGREE_RAD,
-        end_amplitude_rad=0.5 * DEGREE_RAD,
-        support_radius_m=1e-3,
+        "herbert_roller", "Herbert's pendulum on a roller, whose swing plane is stable",
+        "the same two hardnesses.", "one roller, 2 mm diameter, 12 mm long", 1,
+        "hardness", 5 * DEGREE_RAD, 0.5 * DEGREE_RAD, support_radius_m=1e-3,
     ),
     Description(
-        kind="kuznetsov_one",
-        title="Kuznetsov's pendulum on one needle or ball",
-        tells="decay, relative hardness, turning plane.",
-        support="one needle (90 degree cone) or 0.5 mm ball",
-        supports=1,
-        report="decay",
-        start_amplitude_rad=5 * DEGREE_RAD,
-        end_amplitude_rad=2.5 * DEGREE_RAD,
-        support_radius_m=0.25e-3,
-        turning_plane=True,
+        "kuznetsov_one", "Kuznetsov's pendulum on one needle or ball",
+        "decay, relative hardness, turning plane.", "one needle (90 degree cone) or 0.5 mm ball", 1,
+        "decay", 5 * DEGREE_RAD, 2.5 * DEGREE_RAD, support_radius_m=0.25e-3, turning_plane=True,
     ),
     Description(
-        kind="kuznetsov_two",
-        title="Kuznetsov's pendulum on two needles or balls",
-        tells="decay with swing number, hardness.",
-        support="two needles (90 degree cone) or 0.5 mm balls",
-        supports=2,
-        report="decay",
-        start_amplitude_rad=5 * DEGREE_RAD,
-        end_amplitude_rad=2.5 * DEGREE_RAD,
-        support_radius_m=0.25e-3,
+        "kuznetsov_two", "Kuznetsov's pendulum on two needles or balls",
+        "decay with swing number, hardness.", "two needles (90 degree cone) or 0.5 mm balls", 2,
+        "decay", 5 * DEGREE_RAD, 2.5 * DEGREE_RAD, support_radius_m=0.25e-3,
     ),
     Description(
-        kind="koenig",
-        title="Koenig's pendulum (ISO 1522, ASTM D4366)",
-        tells="damping from 6 to 3 degrees against glass.",
-        support="two balls, 5 mm, 30 mm apart",
-        supports=2,
-        report="damping",
-        start_amplitude_rad=6 * DEGREE_RAD,
-        end_amplitude_rad=3 * DEGREE_RAD,
-        mass_kg=0.200,
-        mass_tolerance_kg=0.2e-3,
-        support_radius_m=2.5e-3,
-        support_distance_m=0.030,
-        period_s=Limits(1.40, 0.02),
-        glass_time_s=Limits(250.0, 10.0),
-        temperature_c=_AIR[0],
-        humidity_percent=_AIR[1],
+        "koenig", "Koenig's pendulum (ISO 1522, ASTM D4366)",
+        "damping from 6 to 3 degrees against glass.", "two balls, 5 mm, 30 mm apart", 2,
+        "damping", 6 * DEGREE_RAD, 3 * DEGREE_RAD, mass_kg=0.200, mass_tolerance_kg=0.2e-3,
+        support_radius_m=2.5e-3, support_distance_m=0.030, period_s=Limits(1.40, 0.02),
+        glass_time_s=Limits(250.0, 10.0), temperature_c=_AIR[0], humidity_percent=_AIR[1],
     ),
     Description(
-        kind="persoz",
-        title="Persoz's pendulum (ISO 1522, ASTM D4366)",
-        tells="damping from 12 to 4 degrees against glass.",
-        support="two balls, 8 mm, 50 mm apart",
-        supports=2,
-        report="damping",
-        start_amplitude_rad=12 * DEGREE_RAD,
-        end_amplitude_rad=4 * DEGREE_RAD,
-        mass_kg=0.500,
-        mass_tolerance_kg=0.1e-3,
-        support_radius_m=4e-3,
-        support_distance_m=0.050,
-        period_s=Limits(1.00, 0.02),
-        glass_time_s=Limits(430.0, 10.0),
-        temperature_c=_AIR[0],
-        humidity_percent=_AIR[1],
+        "persoz", "Persoz's pendulum (ISO 1522, ASTM D4366)",
+        "damping from 12 to 4 degrees against glass.", "two balls, 8 mm, 50 mm apart", 2,
+        "damping", 12 * DEGREE_RAD, 4 * DEGREE_RAD, mass_kg=0.500, mass_tolerance_kg=0.1e-3,
+        support_radius_m=4e-3, support_distance_m=0.050, period_s=Limits(1.00, 0.02),
+        glass_time_s=Limits(430.0, 10.0), temperature_c=_AIR[0], humidity_percent=_AIR[1],
         note="sources disagree on the time on glass: at least 420 s, or 430 s +- 10 s (assumed here); "
         "they give the period as about 1 s, its tolerance is assumed",
     ),
     Description(
-        kind="tomlinson",
-        title="Tomlinson's disc on an axis",
-        tells="log decrement and coefficient of rolling friction.",
-        support="cylindrical axis of a disc on two cylinders or balls",
-        supports=2,
-        report="rolling",
-        start_amplitude_rad=221 * 60 * ARCSEC_RAD,
-        end_amplitude_rad=6 * 60 * ARCSEC_RAD,
-        mass_kg=0.600,
+        "tomlinson", "Tomlinson's disc on an axis",
+        "log decrement and coefficient of rolling friction.",
+        "cylindrical axis of a disc on two cylinders or balls", 2,
+        "rolling", 221 * 60 * ARCSEC_RAD, 6 * 60 * ARCSEC_RAD, mass_kg=0.600,
     ),
     Description(
-        kind="knife_edge",
-        title="Pendulum on a knife edge",
-        tells="period against amplitude beside the circular-error law.",
-        support="edge of a prism",
-        supports=1,
-        report="circular",
-        start_amplitude_rad=5 * DEGREE_RAD,
-        end_amplitude_rad=0.5 * DEGREE_RAD,
+        "knife_edge", "Pendulum on a knife edge",
+        "period against amplitude beside the circular-error law.", "edge of a prism", 1,
+        "circular", 5 * DEGREE_RAD, 0.5 * DEGREE_RAD,
     ),
-)
+)  # fmt: skip
 
 INSTRUMENTS: Mapping[str, Description] = MappingProxyType(
     {description.kind: description for description in _TABLE}
 )
 """All instruments by name."""
+
+
+class Compliance(StrEnum):
+    """Of a value against its limits. `UNDECIDED`: a limit is within two standard uncertainties of it."""
+
+    WITHIN = "within"
+    OUTSIDE = "outside"
+    UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A value compared with its limits."""
+
+    name: str
+    value: Annotated[float, IN_UNIT]
+    standard_uncertainty: Annotated[float, IN_UNIT]
+    lowest: Annotated[float, IN_UNIT]
+    highest: Annotated[float, IN_UNIT]
+    unit: str
+    verdict: Compliance
+    text: str
+
+
+def check(name: str, measured: Estimate, limits: Limits, unit: str) -> Check:
+    """Compare a value with limits; an unknown uncertainty (0) is ignored."""
+    value, u = measured
+    low, high = limits.lowest, limits.highest
+    inside = low <= value <= high
+    near = min(abs(value - low), abs(value - high) if math.isfinite(high) else math.inf)
+    verdict = Compliance.UNDECIDED if near < 2 * u else Compliance.WITHIN if inside else Compliance.OUTSIDE
+    if math.isinf(high):
+        wanted = f"at least {low:g} {unit}"
+    else:
+        wanted = f"{limits.value:g} ± {limits.tolerance:g} {unit}"
+    word = "too close to the limit to decide" if verdict is Compliance.UNDECIDED else verdict
+    return Check(
+        name, value, u, low, high, unit, verdict, f"{name} {value:.5g} {unit}, {wanted} wanted: {word}"
+    )

@@ -7,14 +7,19 @@ The moment is divided by m g d, with the lever arm d of the centre of mass. Betw
 by conservation of energy. At the turning points the kinetic energy is zero, so that neither inertia nor
 rolling of the support enters. s = 0 is friction independent of amplitude and speed, s = 1 gives a constant
 decrement.
+
+Rolling friction after Tomlinson tests whether the decrement is constant and the coefficient depends on speed.
+The energy loss of a cycle divided by the angle covered is the mean moment. Divided by load and radius, it is
+the coefficient of rolling friction.
 """
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.kernel import kernel
@@ -32,12 +37,11 @@ class FrictionLaw:
     """
 
     reference_rad: float
-    initial_rad: Estimate
     moment: Estimate
     exponent: Estimate
-    covariance: NDArray[np.float64]
+    covariance: Floats
     chi2_per_dof: float
-    amplitude_model_rad: NDArray[np.float64]
+    amplitude_model_rad: Floats
 
     @property
     def mean_moment(self) -> Estimate:
@@ -88,7 +92,7 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
     reference = float(np.exp(np.mean(np.log(amplitude))))
     start = np.array([math.log(amplitude[0]), math.log(lost / float(steps[-1]) * reference), 1.0])
 
-    def residuals(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residuals(x: Floats) -> Floats:
         return (_decay(x[0], x[1], x[2], reference, steps) - amplitude) / points.u_amplitude
 
     bounds = ([-np.inf, -np.inf, -0.9], [math.log(math.pi), 0.0, 6.0])
@@ -97,15 +101,14 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
     )
     chi2_per_dof = float(2 * found.cost) / (len(points) - 3)
     try:
-        jacobian: NDArray[np.float64] = np.asarray(found.jac, dtype=np.float64)
+        jacobian: Floats = np.asarray(found.jac, dtype=np.float64)
         covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian) * max(1.0, chi2_per_dof), np.float64)
     except np.linalg.LinAlgError:
         raise DataError("the decay is too short to tell friction from its exponent; measure longer") from None
     u = np.sqrt(np.diag(covariance))
-    initial, moment = math.exp(found.x[0]), math.exp(found.x[1])
+    moment = math.exp(found.x[1])
     return FrictionLaw(
         reference_rad=reference,
-        initial_rad=Estimate(initial, initial * float(u[0])),
         moment=Estimate(moment, moment * float(u[1])),
         exponent=Estimate(float(found.x[2]), float(u[2])),
         covariance=covariance,
@@ -114,10 +117,71 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
     )
 
 
+class RollingFriction(NamedTuple):
+    """Rolling friction of a decay.
+
+    `decrement` and `coefficient` refer to `law.reference_rad`, the geometric mean of the amplitudes. The
+    coefficient is proportional to amplitude^exponent, and likewise to the same power of the largest speed;
+    the decrement is proportional to amplitude^(exponent - 1). Each sentence states whether one of the two
+    exponents differs from zero by more than two standard uncertainties.
+    """
+
+    law: FrictionLaw
+    decrement: Estimate
+    coefficient: Estimate | None
+    constant_decrement: bool
+    independent_of_speed: bool
+    sentences: tuple[str, str]
+
+
+def rolling_friction(
+    points: TurningPoints, lever_m: Estimate | None, radius_m: Estimate | None
+) -> RollingFriction:
+    """Decrement and coefficient from turning points.
+
+    Parameters
+    ----------
+    lever_m
+        Distance of the centre of mass below the axis of rolling; with it, moments are known relative to m g.
+    radius_m
+        Radius of the axis or ball that rolls. If either is None, no coefficient is computed.
+
+    Raises
+    ------
+    DataError
+        Too few turning points or no decay.
+    """
+    law = fit_friction_law(points)
+    coefficient = None
+    if lever_m is not None and radius_m is not None:
+        if not (lever_m.value > 0 and radius_m.value > 0):
+            raise DataError("lever and radius of the support must be positive")
+        mean = law.mean_moment
+        value = mean.value * lever_m.value / radius_m.value
+        relative = math.hypot(
+            mean.standard_uncertainty / mean.value,
+            lever_m.standard_uncertainty / lever_m.value,
+            radius_m.standard_uncertainty / radius_m.value,
+        )
+        coefficient = Estimate(value, value * relative)
+    s, u = law.exponent
+    constant, independent = abs(s - 1) <= 2 * u, abs(s) <= 2 * u
+    digits = max(2, 1 - math.floor(math.log10(u))) if 0 < u < 1 else 2
+    decrement = (
+        f"the log decrement is {'constant' if constant else 'not constant'}: "
+        f"it goes as amplitude^({s - 1:+.{digits}f} ± {u:.{digits}f})"
+    )
+    speed = (
+        f"the rolling-friction coefficient is {'independent' if independent else 'not independent'} "
+        f"of speed: it goes as amplitude^({s:.{digits}f} ± {u:.{digits}f})"
+    )
+    return RollingFriction(
+        law, law.decrement(law.reference_rad), coefficient, constant, independent, (decrement, speed)
+    )
+
+
 @kernel
-def _decay(
-    log_initial: float, log_moment: float, exponent: float, reference: float, steps: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _decay(log_initial: float, log_moment: float, exponent: float, reference: float, steps: Ints) -> Floats:
     """Amplitudes at the half-cycles `steps`, which rise from 0; 0 after friction has stopped the pendulum."""
     found = np.zeros(len(steps))
     amplitude = math.exp(log_initial)

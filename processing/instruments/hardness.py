@@ -41,10 +41,7 @@ def herbert_hardness(points: TurningPoints, divisions: float = 100.0) -> Herbert
     """
     if len(points) < 2 or points.index[1] - points.index[0] != 1:
         raise DataError("the first swing was not seen whole: two successive turning points are needed")
-    swing = Estimate(
-        float(points.time_s[1] - points.time_s[0]),
-        math.hypot(points.u_time_s[0], points.u_time_s[1]),
-    )
+    swing = _since_the_first(points, 1)
     kept = float(points.amplitude[1] / points.amplitude[0])
     u_kept = kept * math.hypot(
         points.u_amplitude[0] / points.amplitude[0],
@@ -53,11 +50,7 @@ def herbert_hardness(points: TurningPoints, divisions: float = 100.0) -> Herbert
     tenth = np.nonzero(points.index == points.index[0] + 10)[0]
     ten, missing = None, ""
     if len(tenth):
-        last = int(tenth[0])
-        ten = Estimate(
-            float(points.time_s[last] - points.time_s[0]),
-            math.hypot(points.u_time_s[0], points.u_time_s[last]),
-        )
+        ten = _since_the_first(points, int(tenth[0]))
     else:
         seen = int(points.index[-1] - points.index[0])
         missing = f"no time of ten single swings: the record holds {seen}, or the tenth is disturbed"
@@ -68,3 +61,8 @@ def herbert_hardness(points: TurningPoints, divisions: float = 100.0) -> Herbert
         float(points.amplitude[0]),
         missing,
     )
+
+
+def _since_the_first(points: TurningPoints, last: int) -> Estimate:
+    lasts_s = float(points.time_s[last] - points.time_s[0])
+    return Estimate(lasts_s, math.hypot(points.u_time_s[0], points.u_time_s[last]))

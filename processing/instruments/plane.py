@@ -4,8 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.ticks import seconds
@@ -21,16 +21,14 @@ class PlaneRotation(NamedTuple):
     minor to major axis of the ellipse.
     """
 
-    time_s: NDArray[np.float64]
-    direction_rad: NDArray[np.float64]
+    time_s: Floats
+    direction_rad: Floats
     rate_rad_per_s: Estimate
     turned_rad: Estimate
     width_ratio: float
 
 
-def swing_plane(
-    times_ns: NDArray[np.int64], x_rad: NDArray[np.float64], y_rad: NDArray[np.float64], period_s: float
-) -> PlaneRotation:
+def swing_plane(times_ns: Ints, x_rad: Floats, y_rad: Floats, period_s: float) -> PlaneRotation:
     """Principal direction of (X, Y), period by period.
 
     Parameters
@@ -87,13 +85,8 @@ def swing_plane(
 
 
 def along_plane(
-    plane: PlaneRotation,
-    times_ns: NDArray[np.int64],
-    x_rad: NDArray[np.float64],
-    y_rad: NDArray[np.float64],
-    u_x_rad: NDArray[np.float64],
-    u_y_rad: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    plane: PlaneRotation, times_ns: Ints, x_rad: Floats, y_rad: Floats, u_x_rad: Floats, u_y_rad: Floats
+) -> tuple[Floats, Floats]:
     """Deflection in the rotating plane and its standard uncertainty in rad, from those along both axes.
 
     All arrays are (n,); NaN where the spot was lost. The direction of the plane is given by the straight line

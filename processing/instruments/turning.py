@@ -11,8 +11,8 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.swing import Swing, SwingFlag
 from processing.ticks import seconds
@@ -29,10 +29,7 @@ _FEWEST = 2 * _TERMS
 
 
 def refined(
-    times_ns: NDArray[np.int64],
-    deflection_rad: NDArray[np.float64],
-    u_deflection_rad: NDArray[np.float64],
-    swings: Sequence[Swing],
+    times_ns: Ints, deflection_rad: Floats, u_deflection_rad: Floats, swings: Sequence[Swing]
 ) -> list[Swing]:
     """The same half-cycles with time and amplitude fitted to the samples around each turning point.
 
@@ -59,11 +56,7 @@ def refined(
 
 
 def _refined_one(
-    times_ns: NDArray[np.int64],
-    values: NDArray[np.float64],
-    u_values: NDArray[np.float64],
-    swing: Swing,
-    half_period_ns: float,
+    times_ns: Ints, values: Floats, u_values: Floats, swing: Swing, half_period_ns: float
 ) -> Swing:
     if swing.flags:
         return swing
@@ -93,9 +86,7 @@ def _refined_one(
     )
 
 
-def _fit(
-    x: NDArray[np.float64], values: NDArray[np.float64], u_values: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _fit(x: Floats, values: Floats, u_values: Floats) -> tuple[Floats, Floats]:
     """Weighted linear fit; coefficients of 1, x, x^2 and the rest with uncertainties scaled by chi2/dof."""
     design = np.empty((len(x), _TERMS))
     design[:, :_POWERS] = np.vander(x, _POWERS, increasing=True)
@@ -143,14 +134,9 @@ def _with_half_periods(swings: list[Swing]) -> list[Swing]:
     """Compute the half periods again from the turning times."""
     result = swings[:1]
     for before, swing in pairwise(swings):
-        whole = swing.index - before.index == 1
-        result.append(
-            replace(
-                swing,
-                half_period_s=seconds(swing.turn_time_ns - before.turn_time_ns) if whole else float("nan"),
-                u_half_period_s=float(np.hypot(swing.u_turn_time_s, before.u_turn_time_s))
-                if whole
-                else float("nan"),
-            )
-        )
+        lasts_s = u_s = float("nan")
+        if swing.index - before.index == 1:
+            lasts_s = seconds(swing.turn_time_ns - before.turn_time_ns)
+            u_s = float(np.hypot(swing.u_turn_time_s, before.u_turn_time_s))
+        result.append(replace(swing, half_period_s=lasts_s, u_half_period_s=u_s))
     return result

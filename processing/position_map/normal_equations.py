@@ -4,14 +4,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from processing.arrays import Floats
 from processing.position_map.position_map import Splines
 from processing.swing import SHARED, CycleResiduals
-
-Floats = NDArray[np.float64]
-
 
 _AT_ONCE = 8
 """Cycles whose columns are multiplied together."""

@@ -4,11 +4,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.deflections import Deflections
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +27,7 @@ class Splines:
         """Places (count,) at which the splines are largest."""
         return np.asarray(self.low + self.spacing * (np.arange(self.count) - 1.0), dtype=np.float64)
 
-    def at(self, place: Floats) -> tuple[NDArray[np.int64], Floats]:
+    def at(self, place: Floats) -> tuple[Ints, Floats]:
         """Index of the first of the four splines at each place (n,), and the values (n, 4) of the four.
 
         Places outside are moved to the nearest end.

@@ -13,14 +13,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
+from processing.arrays import Floats
 from processing.position_map.normal_equations import Accumulator, NormalEquations, all_of
 from processing.position_map.position_map import PositionMap, Splines
 from processing.swing import CycleResiduals
-
-Floats = NDArray[np.float64]
 
 _SPLINES = 320
 """The shortest correlation length is 2.5 of their spacings."""

@@ -1,8 +1,9 @@
 """Which model of the beam a run used, since when, and how many of its spots have which flag."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from processing.arrays import Ints
 from processing.spot.model_choice import LONGEST_CHOICE_FRAMES, SpotModel
 from processing.spot.spot import SpotFlag
 
@@ -68,7 +69,7 @@ class BeamUse:
         for start, count in zip(starts.tolist(), np.diff(starts, append=len(models)).tolist(), strict=True):
             self._stretch(list(SpotModel)[models[start]], int(numbers[start]), marks[start : start + count])
 
-    def _stretch(self, model: SpotModel, number: int, marks: NDArray[np.int64]) -> None:
+    def _stretch(self, model: SpotModel, number: int, marks: Ints) -> None:
         """Some spots in a row that were fitted with the same model."""
         first_learned = model is SpotModel.LEARNED and not self._learned
         if first_learned:
@@ -91,7 +92,7 @@ class BeamUse:
                 self.changes += self._found > LONGEST_CHOICE_FRAMES
         self._found += len(marks)
 
-    def _judge(self, marks: NDArray[np.int64]) -> None:
+    def _judge(self, marks: Ints) -> None:
         self.judged_frames += len(marks)
         poor = marks[(marks & SpotFlag.POOR_FIT) != 0]
         self.poor_frames += len(poor)
@@ -99,5 +100,5 @@ class BeamUse:
             self.poor_with[flag] += _with(poor, flag)
 
 
-def _with(marks: NDArray[np.int64], flag: SpotFlag) -> int:
+def _with(marks: Ints, flag: SpotFlag) -> int:
     return int(np.count_nonzero(marks & flag))

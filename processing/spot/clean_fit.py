@@ -7,8 +7,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Singles
 from processing.kernel import kernel
 from processing.spot.fit_values import (
     AMPLITUDE,
@@ -21,7 +21,6 @@ from processing.spot.fit_values import (
     TILTED,
     UPRIGHT,
     Fitted,
-    Floats,
     Window,
     Workspace,
     X,
@@ -92,7 +91,7 @@ def moved(image: Image, p: Floats, noise: PixelNoise) -> bool:
 
 @kernel
 def fit_clean(
-    image: Image, work: Workspace, rough: bool, tilted: bool, noise: PixelNoise, tables: NDArray[np.float32]
+    image: Image, work: Workspace, rough: bool, tilted: bool, noise: PixelNoise, tables: Singles
 ) -> CleanFit:
     """Fisher scoring; `work.parameters` holds the start values and is updated in place.
 

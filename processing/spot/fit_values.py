@@ -3,12 +3,8 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from processing.arrays import Floats
 from processing.kernel import kernel
-
-Floats = NDArray[np.float64]
 
 AMPLITUDE, X, Y, SIGMA_X, SIGMA_Y, BACKGROUND, COVARIANCE, SECOND_AMPLITUDE, SECOND_X, SECOND_Y = range(10)
 """Indices of the fitted parameters; positions and sigmas in px, amplitudes and background in DN.

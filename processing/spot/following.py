@@ -4,11 +4,7 @@ The fit of a clean spot is tried first because it is the fastest; the general fi
 used where the spot needs it.
 """
 
-import math
-
-import numpy as np
-from numpy.typing import NDArray
-
+from processing.arrays import Floats, Singles
 from processing.kernel import kernel
 from processing.spot.clean_fit import TILT_EVIDENCE, fit_clean, moved
 from processing.spot.fit_values import (
@@ -17,25 +13,18 @@ from processing.spot.fit_values import (
     SIGMA_X,
     SIGMA_Y,
     Fitted,
-    Floats,
     Place,
     as_kind,
     workspace_of,
 )
 from processing.spot.general_fit import fit_general
 from processing.spot.memory import LAST, TILT_HINTS, TILTED, TWO, expect
-from processing.spot.outcome import Result, finish, significant
+from processing.spot.outcome import Result, finish, significant, without_spot
 from processing.spot.sensor_model import PixelNoise, pixel_noise_of
 from processing.spot.spot import Image
 
 SEARCH = -1
 """Returned in place of the flags if the spot was not found at the expected position."""
-
-
-@kernel
-def _not_here() -> Result:
-    nan = math.nan
-    return nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, SEARCH
 
 
 @kernel
@@ -47,7 +36,7 @@ def follow(
     sensor_ny: int,
     memory: Floats,
     work_array: Floats,
-    tables: NDArray[np.float32],
+    tables: Singles,
     noise_values: Floats,
 ) -> Result:
     """Fit the spot of one frame, starting from the spot of the previous frame.
@@ -91,14 +80,14 @@ def follow(
                 image, place, memory, work, noise, as_kind(one, one.size, tilted, False), followed=True
             )
         if clean.far:
-            return _not_here()
+            return without_spot(SEARCH)
         # the failed fit has changed the parameters: restore the start values
         expect(memory, place, work.parameters)
     if moved(image, work.parameters, noise):
-        return _not_here()
+        return without_spot(SEARCH)
     fitted = fit_general(image, work, tilted, two, noise, REACH)
     if not fitted.done or not _plausible(work.parameters, memory, noise, fitted):
-        return _not_here()
+        return without_spot(SEARCH)
     return finish(image, place, memory, work, noise, fitted, followed=True)
 
 

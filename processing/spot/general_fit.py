@@ -24,6 +24,7 @@ import math
 
 import numpy as np
 
+from processing.arrays import Floats
 from processing.kernel import kernel
 from processing.spot.fit_values import (
     AMPLITUDE,
@@ -39,7 +40,6 @@ from processing.spot.fit_values import (
     TILTED,
     UPRIGHT,
     Fitted,
-    Floats,
     Window,
     Workspace,
     X,
@@ -78,6 +78,18 @@ def _add_pixel(
         wk = weight * derivative[k]
         for m in range(k + 1):
             matrix[k, m] += wk * derivative[m]
+
+
+@kernel
+def _light_at(u: float, v: float, pxx: float, pyy: float, pxy: float) -> tuple[float, float, float]:
+    """f, q_x and q_y at a distance (u, v) from the centre."""
+    qx = pxx * u + pxy * v
+    qy = pxy * u + pyy * v
+    exponent = u * qx + v * qy
+    f = 0.0
+    if exponent < _FAR:
+        f = math.exp(-0.5 * exponent) * (1.0 + (qx * qx - pxx + qy * qy - pyy) / 24.0)
+    return f, qx, qy
 
 
 @kernel
@@ -140,13 +152,7 @@ def score_general(
         v = j - p[Y]
         v2 = j - p[SECOND_Y]
         for i in range(window.x0 + step_x // 2, window.x1, step_x):
-            u = i - p[X]
-            qx = pxx * u + pxy * v
-            qy = pxy * u + pyy * v
-            exponent = u * qx + v * qy
-            f = 0.0
-            if exponent < _FAR:
-                f = math.exp(-0.5 * exponent) * (1.0 + (qx * qx - pxx + qy * qy - pyy) / 24.0)
+            f, qx, qy = _light_at(i - p[X], v, pxx, pyy, pxy)
             light = p[AMPLITUDE] * f
             # dg/dC = g q q^T / 2. With C_xx = sigma_x^2 this gives dg/dsigma_x = g q_x^2 sigma_x. The
             # covariance stands in C twice (C_xy and C_yx), hence dg/dc = g q_x q_y.
@@ -157,13 +163,7 @@ def score_general(
             derivative[SIGMA_Y] = light * qy * qy * p[SIGMA_Y]
             derivative[COVARIANCE] = light * qx * qy
             if two:
-                u2 = i - p[SECOND_X]
-                qx2 = pxx * u2 + pxy * v2
-                qy2 = pxy * u2 + pyy * v2
-                exponent2 = u2 * qx2 + v2 * qy2
-                f2 = 0.0
-                if exponent2 < _FAR:
-                    f2 = math.exp(-0.5 * exponent2) * (1.0 + (qx2 * qx2 - pxx + qy2 * qy2 - pyy) / 24.0)
+                f2, qx2, qy2 = _light_at(i - p[SECOND_X], v2, pxx, pyy, pxy)
                 light2 = p[SECOND_AMPLITUDE] * f2
                 light += light2
                 derivative[SIGMA_X] += light2 * qx2 * qx2 * p[SIGMA_X]

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
@@ -17,7 +18,6 @@ from processing.spot.fit_values import (
     SECOND_Y,
     SIGMA_X,
     SIGMA_Y,
-    Floats,
     Place,
     X,
     Y,
@@ -32,7 +32,6 @@ _MARGIN_PX = 2
 _ROUNDS = 5
 _NEIGHBOURS = tuple((dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dx or dy)
 
-Indices = NDArray[np.int64]
 Follow = Callable[[Image, Place], Result]
 
 
@@ -48,7 +47,7 @@ class HotPixels:
         self._y = np.array([y for y, _ in at], dtype=np.int64)
         self._x = np.array([x for _, x in at], dtype=np.int64)
 
-    def within(self, x0: int, y0: int, x1: int, y1: int) -> tuple[Indices, Indices] | None:
+    def within(self, x0: int, y0: int, x1: int, y1: int) -> tuple[Ints, Ints] | None:
         """Rows and columns, counted from (x0, y0), of those in x0 <= x < x1, y0 <= y < y1, if any."""
         first, last = np.searchsorted(self._y, (y0, y1))
         columns = self._x[first:last] - x0
@@ -91,20 +90,19 @@ class HotPixels:
             return follow(image, place)
         cut = image[top:bottom, left:right].copy()
         before = memory.copy()
+        light = partial(_light, two=bool(before[TWO]), rows=hot[0] + y0, columns=hot[1] + x0)
         for _ in range(_ROUNDS):
             memory[:] = before
-            expected = np.rint(_light(spot, two=bool(before[TWO]), rows=hot[0] + y0, columns=hot[1] + x0))
+            expected = np.rint(light(spot))
             cut[hot] = np.clip(expected, 0, np.iinfo(cut.dtype).max)
             result = follow(cut, place._replace(origin_x=x0, origin_y=y0))
             spot = memory[LAST : LAST + PARAMETERS].copy()
-            if result[10] == SEARCH or np.array_equal(
-                expected, np.rint(_light(spot, two=bool(before[TWO]), rows=hot[0] + y0, columns=hot[1] + x0))
-            ):
+            if result[10] == SEARCH or np.array_equal(expected, np.rint(light(spot))):
                 break
         return result
 
 
-def _light(p: Floats, *, two: bool, rows: Indices, columns: Indices) -> Floats:
+def _light(p: Floats, *, two: bool, rows: Ints, columns: Ints) -> Floats:
     """What is expected, in DN, at places on the sensor."""
     determinant = (p[SIGMA_X] * p[SIGMA_Y]) ** 2 - p[COVARIANCE] ** 2
     xx, yy, xy = p[SIGMA_Y] ** 2 / determinant, p[SIGMA_X] ** 2 / determinant, -p[COVARIANCE] / determinant

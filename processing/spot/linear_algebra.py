@@ -3,11 +3,9 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.kernel import kernel
-
-Floats = NDArray[np.float64]
 
 
 @kernel

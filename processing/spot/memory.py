@@ -2,17 +2,9 @@
 
 import numpy as np
 
+from processing.arrays import Floats
 from processing.kernel import kernel
-from processing.spot.fit_values import (
-    PARAMETERS,
-    SECOND_X,
-    SECOND_Y,
-    Fitted,
-    Floats,
-    Place,
-    X,
-    Y,
-)
+from processing.spot.fit_values import PARAMETERS, SECOND_X, SECOND_Y, Fitted, Place, X, Y
 
 FOLLOWS = 0
 """1.0 while a spot is being followed, else 0.0. A search sets the other entries before they are read."""

@@ -10,7 +10,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from processing.spot.fit_values import Floats, misfit_limit
+from processing.arrays import Floats
+from processing.spot.fit_values import misfit_limit
 from processing.spot.profile import ROUNDS, BeamProfile, Sample, Shape, learn
 from processing.spot.sensor_model import PixelNoise
 from processing.spot.spot import Image, SpotFlag

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from processing.arrays import Floats
 from processing.kernel import kernel
 from processing.spot.fit_values import (
     AMPLITUDE,
@@ -19,7 +20,6 @@ from processing.spot.fit_values import (
     SIGMA_Y,
     UPRIGHT,
     Fitted,
-    Floats,
     Place,
     Workspace,
     X,
@@ -48,11 +48,17 @@ _MULTIPLE = SpotFlag.MULTIPLE.value
 
 
 @kernel
+def without_spot(flags: int) -> Result:
+    """Result with these flags, and NaN for every other field."""
+    nan = math.nan
+    return nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, flags
+
+
+@kernel
 def lost(memory: Floats) -> Result:
     """Result for a frame without a spot: NaN and the flag LOST; the next frame is searched as a whole."""
     forget(memory)
-    nan = math.nan
-    return nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, _LOST
+    return without_spot(_LOST)
 
 
 @kernel

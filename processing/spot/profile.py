@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from processing.spot.fit_values import GATE, Floats, misfit_limit, poor_fit_limit
+from processing.arrays import Floats, Singles
+from processing.spot.fit_values import GATE, misfit_limit, poor_fit_limit
 from processing.spot.hot_pixels import HotPixels
 from processing.spot.outcome import principal_axes
 from processing.spot.profile_fit import (
@@ -21,7 +21,6 @@ from processing.spot.profile_fit import (
     MARGIN_PX,
     SLOPE_X,
     SLOPE_Y,
-    Singles,
     fit_profile,
     spline_weights,
 )
@@ -223,14 +222,14 @@ class _MeanResidual:
         self._count[y0:y1, x0:x1] += known
 
     @property
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> Floats:
         """The average."""
         return np.asarray(self._total / np.maximum(self._count, 1.0))
 
 
 def _residual(
     profile: BeamProfile, sample: Sample, fit: ProfileFit, noise: PixelNoise, start_x: float, start_y: float
-) -> NDArray[np.float64]:
+) -> Floats:
     """A sample minus the fit, over the amplitude; NaN for pixels that the fit leaves out, and outside."""
     ny, nx = sample.pixels.shape
     light = np.full((ny, nx), np.nan)
@@ -244,7 +243,7 @@ def _residual(
     # the background is that in the middle of the fitted window
     middle_x, middle_y = _window_middle(profile, sample, fit)
     plane = fit.p[LEVEL] + fit.p[SLOPE_X] * (column - middle_x) + fit.p[SLOPE_Y] * (row - middle_y)[:, None]
-    residual: NDArray[np.float64] = sample.pixels - plane - light
+    residual: Floats = sample.pixels - plane - light
     lit = np.maximum(light, 0.0)
     variance = dark_variance(float(fit.p[LEVEL]), noise) + lit * (noise.dn_per_e + lit * noise.prnu2)
     residual[plane + light + 3.0 * np.sqrt(variance) >= noise.full_scale_dn] = np.nan
@@ -262,7 +261,7 @@ def _window_middle(profile: BeamProfile, sample: Sample, fit: ProfileFit) -> tup
     return middles[0], middles[1]
 
 
-def _spline_between(spline: Singles, phase_x: float, phase_y: float) -> NDArray[np.float64]:
+def _spline_between(spline: Singles, phase_x: float, phase_y: float) -> Floats:
     """Values of a spline at `phase` beyond its grid points, from the second to the last but two."""
     weights = np.empty((2, 4), dtype=np.float32)
     slopes = np.empty(4, dtype=np.float32)
@@ -282,32 +281,30 @@ def _cubic(t: float) -> list[float]:
 
 
 def _of_four(
-    image: Singles | NDArray[np.float64],
-    along_x: Sequence[float] | Singles,
-    along_y: Sequence[float] | Singles,
-) -> NDArray[np.float64]:
+    image: Singles | Floats, along_x: Sequence[float] | Singles, along_y: Sequence[float] | Singles
+) -> Floats:
     """Sums of four neighbours along x and y with these weights; the first is that of the first four."""
     ny, nx = image.shape
     rows = np.zeros((ny - 3, nx))
     for k in range(4):
         rows += along_y[k] * image[k : ny - 3 + k]
-    sums: NDArray[np.float64] = np.zeros((ny - 3, nx - 3))
+    sums: Floats = np.zeros((ny - 3, nx - 3))
     for k in range(4):
         sums += along_x[k] * rows[:, k : nx - 3 + k]
     return sums
 
 
-def _gaussian(size_x: int, size_y: int, centre: Floats, shape: Shape) -> NDArray[np.float64]:
+def _gaussian(size_x: int, size_y: int, centre: Floats, shape: Shape) -> Floats:
     """A Gaussian of peak 1 on the grid."""
     u = np.arange(size_x) - centre[0]
     v = (np.arange(size_y) - centre[1])[:, None]
     determinant = shape.xx * shape.yy - shape.xy**2
     square = (shape.yy * u**2 - 2.0 * shape.xy * u * v + shape.xx * v**2) / determinant
-    light: NDArray[np.float64] = np.exp(-0.5 * square)
+    light: Floats = np.exp(-0.5 * square)
     return light
 
 
-def _to_spline(size: int, sigma_px: float) -> NDArray[np.float64]:
+def _to_spline(size: int, sigma_px: float) -> Floats:
     """Matrix (size, size) from values at grid points to spline coefficients.
 
     With knots further apart than a pixel it is the spline of least squares, expressed on the grid.

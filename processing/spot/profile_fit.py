@@ -10,14 +10,12 @@ pixels. With the derivatives d of A T + B + B_x i + B_y j by the six parameters,
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Singles
 from processing.kernel import kernel
-from processing.spot.fit_values import GATE, Floats
+from processing.spot.fit_values import GATE
 from processing.spot.linear_algebra import cholesky, inverse_diagonal, solve
 from processing.spot.sensor_model import background_variance, pixel_noise_of
-
-Singles = NDArray[np.float32]
 
 LIGHT, CENTRE_X, CENTRE_Y, LEVEL, SLOPE_X, SLOPE_Y = range(6)
 """Fitted parameters: amplitude in DN, centre in px from the window's first pixel, background in DN in the
@@ -197,11 +195,7 @@ def score_profile(
 
 @kernel
 def fit_profile(
-    pixels: Singles,
-    spline: Singles,
-    centre: Floats,
-    p: Floats,
-    noise_values: Floats,
+    pixels: Singles, spline: Singles, centre: Floats, p: Floats, noise_values: Floats
 ) -> tuple[bool, float, float, float, float, float, float]:
     """Fisher scoring until convergence; `p` holds the start values and is updated in place.
 

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
+from processing.arrays import Floats
 from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
     COVARIANCE,
     SIGMA_X,
     SIGMA_Y,
-    Floats,
     Place,
     X,
     Y,

@@ -4,9 +4,7 @@ The frame is divided into bands of BAND_ROWS rows. A scan reduces every band to 
 column, the highest value met. The brightest place is then located in the few rows so obtained.
 """
 
-import numpy as np
-from numpy.typing import NDArray
-
+from processing.arrays import Ints
 from processing.kernel import kernel
 from processing.spot.prefetch import LINE_BYTES, prefetch, prefetch_window
 from processing.spot.spot import Image
@@ -159,7 +157,7 @@ def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
 
 
 @kernel
-def _ranked(sample: NDArray[np.int64], rank: int, bits: int) -> int:
+def _ranked(sample: Ints, rank: int, bits: int) -> int:
     """Order statistic: the highest value of `bits` bits such that at most `rank` of the sample are lower.
 
     It is built up from the highest bit down, which needs no sorting.
@@ -176,7 +174,7 @@ def _ranked(sample: NDArray[np.int64], rank: int, bits: int) -> int:
 
 
 @kernel
-def background_of(image: Image, row_step: int, sample: NDArray[np.int64]) -> tuple[float, float]:
+def background_of(image: Image, row_step: int, sample: Ints) -> tuple[float, float]:
     """Median and robust standard deviation, DN, of a grid of 512 pixels in rows that the scan has read."""
     ny, nx = image.shape
     count = 0

@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints, Singles
 from processing.kernel import kernel
 from processing.spot.clean_fit import TILT_EVIDENCE, fit_clean
 from processing.spot.fit_values import (
@@ -16,7 +17,6 @@ from processing.spot.fit_values import (
     SIGMA_Y,
     TILTED,
     Fitted,
-    Floats,
     Place,
     Workspace,
     X,
@@ -40,8 +40,6 @@ from processing.spot.scan import (
 from processing.spot.sensor_model import PixelNoise, pixel_noise_of
 from processing.spot.spot import Image
 from processing.spot.start import start_on_areas, start_on_chords
-
-Integers = NDArray[np.int64]
 
 _NEAR_PX = 32
 _SMALLEST_SPOT_PX = 0.7
@@ -109,13 +107,13 @@ def search(
     sensor_ny: int,
     memory: Floats,
     work_array: Floats,
-    tables: NDArray[np.float32],
+    tables: Singles,
     noise_values: Floats,
     row_step: int,
     bands: Image,
-    sample: Integers,
+    sample: Ints,
     mask: NDArray[np.uint8],
-    stack: Integers,
+    stack: Ints,
     cut_out: bool,
 ) -> Result:
     """Find and fit the spot of one frame.

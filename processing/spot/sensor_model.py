@@ -3,9 +3,7 @@
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from processing.arrays import Floats
 from processing.errors import DataError
 from processing.kernel import kernel
 
@@ -90,7 +88,7 @@ class SensorModel:
 
 
 @kernel
-def pixel_noise_of(values: NDArray[np.float64]) -> PixelNoise:
+def pixel_noise_of(values: Floats) -> PixelNoise:
     """`PixelNoise` from an array of its fields; numba takes a NamedTuple argument from Python only slowly."""
     return PixelNoise(values[0], values[1], values[2], values[3])
 

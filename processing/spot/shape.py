@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.spot.spot import Image, Spot, SpotFlag
 
 _REACH = 5.0
@@ -17,7 +17,7 @@ _SMOOTH = 0.33
 """Standard deviation of the smoothing, in those of the spot: single pixels and noise are no shape."""
 _DIRECTIONS = 12
 
-Picture = NDArray[np.float64]
+Picture = Floats
 
 
 @dataclass(frozen=True, slots=True)

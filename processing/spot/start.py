@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.kernel import kernel
 from processing.spot.fit_values import (
     AMPLITUDE,
@@ -16,7 +17,6 @@ from processing.spot.fit_values import (
     SECOND_Y,
     SIGMA_X,
     SIGMA_Y,
-    Floats,
     X,
     Y,
 )
@@ -104,13 +104,7 @@ def start_on_chords(image: Image, x: int, y: int, background: float, peak: int, 
 
 @kernel
 def _flood(
-    image: Image,
-    x: int,
-    y: int,
-    level: float,
-    mask: NDArray[np.uint8],
-    mark: int,
-    stack: NDArray[np.int64],
+    image: Image, x: int, y: int, level: float, mask: NDArray[np.uint8], mark: int, stack: Ints
 ) -> _Area:
     """Flood fill: pixels at or above `level` connected to (x, y); `mask` is set to `mark` there."""
     ny, nx = image.shape
@@ -157,7 +151,7 @@ def start_on_areas(
     peak: float,
     full_scale: float,
     mask: NDArray[np.uint8],
-    stack: NDArray[np.int64],
+    stack: Ints,
     p: Floats,
 ) -> bool:
     """Start values from the areas above two levels around a bright place, written into `p`.

@@ -12,8 +12,8 @@ written as a polynomial so that the compiler turns it into vector instructions.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Singles
 from processing.kernel import kernel
 from processing.spot.fit_values import (
     AMPLITUDE,
@@ -23,7 +23,6 @@ from processing.spot.fit_values import (
     SIGMA_X,
     SIGMA_Y,
     TILTED,
-    Floats,
     Window,
     X,
     Y,
@@ -44,7 +43,7 @@ def score_tilted(
     y0: int,
     nx: int,
     ny: int,
-    columns: NDArray[np.float32],
+    columns: Singles,
     p: Floats,
     floor: float,
     noise: PixelNoise,

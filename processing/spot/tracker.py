@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from processing.arrays import Floats
 from processing.errors import DataError
 from processing.spot.clean_fit import LARGEST_TABLE
 from processing.spot.fit_values import (
@@ -16,7 +17,6 @@ from processing.spot.fit_values import (
     SIGMA_X,
     SIGMA_Y,
     WORKSPACE_SHAPE,
-    Floats,
     Place,
     X,
     Y,
@@ -85,6 +85,8 @@ _NEAR_MARGIN_PX = 16
 _NEAR_STEP_PX = 32
 """A jump is looked for within _NEAR_REACH sigmas and _NEAR_MARGIN_PX of the last place, in steps, so that the
 search's memory seldom changes its size."""
+_ROW_STEP = 8
+"""A search reads every so many rows first, and every row if that finds no clean spot."""
 _ALIKE = (AMPLITUDE, SIGMA_X, SIGMA_Y)
 _TYPES = (np.dtype(np.uint8), np.dtype(np.uint16))
 _SPOT = tuple.__new__
@@ -102,20 +104,9 @@ class SpotTracker:
     ----------
     sensor
         Noise and full scale of a pixel, and the hot pixels, which are left out.
-    row_step
-        A search reads every `row_step`-th row first, and every row if that finds no clean spot. With 1,
-        every row is read at once.
-
-    Raises
-    ------
-    DataError
-        A `row_step` below 1.
     """
 
-    def __init__(self, sensor: SensorModel, *, row_step: int = 8) -> None:
-        if row_step < 1:
-            raise DataError(f"row_step = {row_step} must be at least 1")
-        self._row_step = row_step
+    def __init__(self, sensor: SensorModel) -> None:
         self._pixel_noise = sensor.pixel_noise
         self._noise = np.array(self._pixel_noise, dtype=np.float64)
         self._memory = empty_memory()
@@ -181,42 +172,42 @@ class SpotTracker:
                 return spot
             if self._memory[TWO] and not self._settled:
                 self._memory[ALONE] = 1.0  # two Gaussians have not lasted
-        return _SPOT(Spot, self._find(image, x0, y0, nx, ny))
+        return _SPOT(Spot, self._find(image, Place(x0, y0, nx, ny)))
 
     def _follow(self, image: Image, place: Place) -> Result:
         return follow(image, *place, self._memory, self._work, self._tables, self._noise)
 
-    def _find(self, image: Image, x0: int, y0: int, nx: int, ny: int) -> Result:
+    def _find(self, image: Image, place: Place) -> Result:
         """Spot of a frame in which it is not at the expected place."""
         if self._hot is None:
-            return self._find_in(image, x0, y0, nx, ny)
+            return self._find_in(image, place)
         memory = self._memory
-        found = self._find_in(self._hot.smoothed(image, (x0, y0)), x0, y0, nx, ny)
+        found = self._find_in(self._hot.smoothed(image, place[:2]), place)
         if not memory[FOLLOWS]:
             return found
         before = memory.copy()
-        result = self._hot.follow(image, Place(x0, y0, nx, ny), memory, self._follow)
+        result = self._hot.follow(image, place, memory, self._follow)
         if result[10] == SEARCH:
             memory[:] = before
             return found
         memory[[STEP_X, STEP_Y]] = before[[STEP_X, STEP_Y]]
         return result
 
-    def _find_in(self, image: Image, x0: int, y0: int, nx: int, ny: int) -> Result:
+    def _find_in(self, image: Image, place: Place) -> Result:
         """The same in an image all of whose pixels are taken."""
         if self._memory[FOLLOWS]:
-            found = self._follow_jump(image, x0, y0, nx, ny)
+            found = self._follow_jump(image, place)
             if found[10] != SEARCH:
                 return found
         if not self._frame.fits(image):
             self._frame = SearchMemory(image)
-        return self._search(image, x0, y0, nx, ny, self._frame, self._row_step, False)
+        return self._search(image, place, self._memory, self._frame, _ROW_STEP, False)
 
     def _with_profile(self, follower: ProfileFollower, image: Image, place: Place) -> Spot:
         """Spot of one frame with the learned profile; a Gaussian finds it where it was not expected."""
         found = follower.follow(image, place, self._memory) if self._memory[FOLLOWS] else None
         if found is None:
-            spot = _SPOT(Spot, self._find(image, *place))
+            spot = _SPOT(Spot, self._find(image, place))
             found = follower.follow(image, place, self._memory, fresh=True) if self._memory[FOLLOWS] else None
             return spot if found is None else found
         self._judge(found, image, place)
@@ -254,18 +245,15 @@ class SpotTracker:
         """Fit of a single Gaussian to a window."""
         memory = empty_memory()
         memory[ALONE] = 1.0
-        arrays = SearchMemory(image)
-        found = search(
-            image, *origin_px, 2**30, 2**30, memory, self._work, self._tables, self._noise, 1,
-            arrays.bands, self._sample, arrays.mask, arrays.stack, False,
-        )  # fmt: skip
+        place = Place(*origin_px, 2**30, 2**30)
+        found = self._search(image, place, memory, SearchMemory(image), 1, False)
         if found[10] & SpotFlag.LOST:
             return None
         last = memory[LAST : LAST + PARAMETERS]
         shape = Shape(last[SIGMA_X] ** 2, last[SIGMA_Y] ** 2, last[COVARIANCE])
         return last[[X, Y, AMPLITUDE, BACKGROUND]], shape
 
-    def _follow_jump(self, image: Image, x0: int, y0: int, nx: int, ny: int) -> Result:
+    def _follow_jump(self, image: Image, place: Place) -> Result:
         """Spot of a frame in which it is not at the expected place, but may be near its last one.
 
         A search there gives the start of the fit. What it finds must resemble the last spot: it could be a
@@ -275,33 +263,26 @@ class SpotTracker:
         reach_px = _NEAR_REACH * max(last[SIGMA_X], last[SIGMA_Y]) + _NEAR_MARGIN_PX
         side = _NEAR_STEP_PX * math.ceil(2 * reach_px / _NEAR_STEP_PX)
         height, width = min(side, image.shape[0]), min(side, image.shape[1])
-        left = min(max(round(last[X] - x0) - width // 2, 0), image.shape[1] - width)
-        top = min(max(round(last[Y] - y0) - height // 2, 0), image.shape[0] - height)
+        left = min(max(round(last[X] - place.origin_x) - width // 2, 0), image.shape[1] - width)
+        top = min(max(round(last[Y] - place.origin_y) - height // 2, 0), image.shape[0] - height)
         near = image[top : top + height, left : left + width].copy()
         if not self._near.fits(near):
             self._near = SearchMemory(near)
-        self._search(near, x0 + left, y0 + top, nx, ny, self._near, 1, True)
+        around = place._replace(origin_x=place.origin_x + left, origin_y=place.origin_y + top)
+        self._search(near, around, self._memory, self._near, 1, True)
         found = self._memory[LAST : LAST + PARAMETERS]
         if not self._memory[FOLLOWS] or not all(0.5 < found[k] / last[k] < 2.0 for k in _ALIKE):
             return _NOT_HERE
-        result = self._follow(image, Place(x0, y0, nx, ny))
+        result = self._follow(image, place)
         self._memory[STEP_X] = found[X] - last[X]
         self._memory[STEP_Y] = found[Y] - last[Y]
         return result
 
     def _search(
-        self,
-        image: Image,
-        x0: int,
-        y0: int,
-        nx: int,
-        ny: int,
-        arrays: SearchMemory,
-        row_step: int,
-        cut_out: bool,
+        self, image: Image, place: Place, memory: Floats, arrays: SearchMemory, row_step: int, cut_out: bool
     ) -> Result:
         return search(
-            image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise, row_step,
+            image, *place, memory, self._work, self._tables, self._noise, row_step,
             arrays.bands, self._sample, arrays.mask, arrays.stack, cut_out,
         )  # fmt: skip
 

@@ -8,23 +8,11 @@ multiplications in single precision, which the compiler turns into vector instru
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Singles
 from processing.kernel import kernel
-from processing.spot.fit_values import (
-    AMPLITUDE,
-    BACKGROUND,
-    COVARIANCE,
-    SIGMA_X,
-    SIGMA_Y,
-    TILTED,
-    Floats,
-    X,
-    Y,
-)
+from processing.spot.fit_values import AMPLITUDE, BACKGROUND, COVARIANCE, SIGMA_X, SIGMA_Y, TILTED, X, Y
 from processing.spot.spot import Image
-
-Singles = NDArray[np.float32]
 
 SMALLEST_SIGMA_PX = 1.5
 """Smallest sigma for which the expansion of the pixel integral in the pixel's width is accurate enough."""

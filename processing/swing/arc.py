@@ -13,20 +13,16 @@ half-cycle can also be removed from the solution again, and be compared with a p
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints, Matrix, Vector
 from processing.kernel import kernel
 from processing.swing.half_cycle import (
     AMPLITUDE,
     RATE,
     STATES,
     TIME,
-    Indices,
-    Matrix,
-    Vector,
     invert,
     linearise,
     normal_equations,
@@ -52,19 +48,9 @@ class HalfCycleSamples:
 
     reference_ns: int
     side: int
-    tau_s: NDArray[np.float64]
-    deflection: NDArray[np.float64]
-    u_deflection: NDArray[np.float64]
-
-
-class _Walk(NamedTuple):
-    states: Matrix
-    transitions: NDArray[np.float64]
-    information: NDArray[np.float64]
-    score: Matrix
-    windows: Matrix
-    chi2_each: Matrix
-    chi2: float
+    tau_s: Floats
+    deflection: Floats
+    u_deflection: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +59,9 @@ class Arc:
 
     states: Matrix
     """(m, STATES): state at each turning point."""
-    transitions: NDArray[np.float64]
+    transitions: Floats
     """(m, k, k): derivative of each state by the first one, active entries only."""
-    information: NDArray[np.float64]
+    information: Floats
     """(m, k, k): information of each half-cycle's samples about the first state."""
     score: Matrix
     """(m, k): score of each half-cycle's samples, by the first state."""
@@ -84,10 +70,10 @@ class Arc:
     chi2_each: Matrix
     """(m, 2): chi-square and number of samples of each half-cycle."""
     chi2: float
-    """Chi-square of all samples."""
+    """Chi-square of all samples; infinite if the motion cannot be followed to the end."""
     prior: Matrix
     """(k, k): information of the prior about the first state."""
-    active: Indices
+    active: Ints
     """(k,): free entries of the state."""
     reference: float
     """Amplitude to which the shape terms refer, unit of the deflection."""
@@ -113,15 +99,15 @@ class Arc:
 def _walk_kernel(
     x0: Vector,
     reference: float,
-    active: Indices,
+    active: Ints,
     sides: Vector,
     steps: Vector,
-    bounds: Indices,
+    bounds: Ints,
     tau: Vector,
     deflection: Vector,
     u_deflection: Vector,
-) -> tuple[Matrix, NDArray[np.float64], NDArray[np.float64], Matrix, Matrix, Matrix, bool]:
-    """Normal equations of every half-cycle in terms of the first state `x0`; fields of `_Walk` but the last.
+) -> tuple[Matrix, Floats, Floats, Matrix, Matrix, Matrix, bool]:
+    """Normal equations of every half-cycle in terms of the first state `x0`; fields of `Arc` to `chi2_each`.
 
     Half-cycle k has the samples ``bounds[k]`` to ``bounds[k + 1]``; the next reference time is ``steps[k]`` s
     later. The last value returned is False if a state became infinite or the amplitude not positive.
@@ -170,20 +156,13 @@ def _walk_kernel(
     return states, transitions, information, scores, windows, chi2_each, True
 
 
-class _Samples(NamedTuple):
-    """Samples of consecutive half-cycles, concatenated for `_walk_kernel`."""
-
-    sides: Vector
-    steps: Vector
-    bounds: Indices
-    tau: Vector
-    deflection: Vector
-    u_deflection: Vector
+_Samples = tuple[Vector, Vector, Ints, Vector, Vector, Vector]
+"""Samples of consecutive half-cycles, concatenated: the last six parameters of `_walk_kernel`."""
 
 
 def _joined(halves: Sequence[HalfCycleSamples]) -> _Samples:
     references = np.array([h.reference_ns for h in halves])
-    return _Samples(
+    return (
         np.array([h.side for h in halves], dtype=np.float64),
         seconds(np.append(np.diff(references), 0)),
         np.concatenate([[0], np.cumsum([len(h.tau_s) for h in halves])]).astype(np.int64),
@@ -193,18 +172,18 @@ def _joined(halves: Sequence[HalfCycleSamples]) -> _Samples:
     )
 
 
-def _walk(x0: Vector, samples: _Samples, reference: float, active: Indices) -> _Walk:
-    states, transitions, information, scores, windows, chi2_each, moving = _walk_kernel(
+def _walk(x0: Vector, samples: _Samples, reference: float, active: Ints, prior: Matrix) -> Arc:
+    """The arc from a first state, which need not be the likeliest one."""
+    states, transitions, information, score, windows, chi2_each, moving = _walk_kernel(
         x0, reference, active, *samples
     )
     chi2 = float(chi2_each[:, 0].sum()) if moving else math.inf
-    return _Walk(states, transitions, information, scores, windows, chi2_each, chi2)
+    return Arc(states, transitions, information, score, windows, chi2_each, chi2, prior, active, reference)
 
 
 def fit_arc(
     start: Vector,
-    prior_mean: Vector,
-    prior_sigma: Vector,
+    expected: tuple[Vector, Vector],
     halves: Sequence[HalfCycleSamples],
     reference: float,
     terms: tuple[int, ...],
@@ -215,7 +194,7 @@ def fit_arc(
     ----------
     start : (STATES,)
         Start values; entries that are not in `terms` keep them.
-    prior_mean, prior_sigma : (STATES,)
+    expected : (STATES,), (STATES,)
         Mean and standard deviation of a normal prior; inf where there is none.
     halves
         Consecutive half-cycles.
@@ -230,29 +209,29 @@ def fit_arc(
         None if no solution is found.
     """
     active = np.array(sorted(terms), dtype=np.int64)
-    prior = np.diag(1.0 / prior_sigma[active] ** 2)
+    prior = np.diag(1.0 / expected[1][active] ** 2)
     x = start.copy()
     covariance = np.empty_like(prior)
     samples = _joined(halves)
-    best_cost, best_x, best_walk = math.inf, x, None
+    best_cost, best_x, best = math.inf, x, None
     step, part = np.zeros(len(active)), 1.0
     for _ in range(_STEPS):
-        walk = _walk(x, samples, reference, active)
-        offset = (prior_mean - x)[active]
-        cost = walk.chi2 + float(offset @ prior @ offset)
+        arc = _walk(x, samples, reference, active, prior)
+        offset = (expected[0] - x)[active]
+        cost = arc.chi2 + float(offset @ prior @ offset)
         if cost < best_cost:
             gain = best_cost - cost
-            best_cost, best_x, best_walk = cost, x, walk
+            best_cost, best_x, best = cost, x, arc
             if gain < _SETTLED and part == 1.0:
                 break
             # Gauss-Newton with step halving. Levenberg-Marquardt damping is not used: it would prevent any
             # progress along directions that the samples hardly determine.
             part = min(1.0, 4.0 * part)
-            total = prior + walk.information.sum(axis=0)
+            total = prior + arc.information.sum(axis=0)
             if not invert(total, covariance):
                 return None
-            step = covariance @ (walk.score.sum(axis=0) + prior @ offset)
-        elif best_walk is None:
+            step = covariance @ (arc.score.sum(axis=0) + prior @ offset)
+        elif best is None:
             return None
         elif cost < best_cost + _SETTLED and part == 1.0:
             break
@@ -263,14 +242,13 @@ def fit_arc(
         if not x[AMPLITUDE] > 0.0 or not x[RATE] > 0.0:
             x = best_x.copy()
             x[active] += 0.1 * part * step
-    return best_walk and Arc(*best_walk, prior=prior, active=active, reference=reference)
+    return best
 
 
 def gain_of_more(
     arc: Arc,
     start: Vector,
-    prior_mean: Vector,
-    prior_sigma: Vector,
+    expected: tuple[Vector, Vector],
     halves: Sequence[HalfCycleSamples],
     terms: tuple[int, ...],
 ) -> float:
@@ -280,9 +258,9 @@ def gain_of_more(
     arc's first state with the new terms at values that leave the motion unchanged.
     """
     active = np.array(sorted(terms), dtype=np.int64)
-    prior = np.diag(1.0 / prior_sigma[active] ** 2)
-    walk = _walk(start, _joined(halves), arc.reference, active)
-    score = walk.score.sum(axis=0) + prior @ (prior_mean - start)[active]
+    prior = np.diag(1.0 / expected[1][active] ** 2)
+    walk = _walk(start, _joined(halves), arc.reference, active, prior)
+    score = walk.score.sum(axis=0) + prior @ (expected[0] - start)[active]
     covariance = np.empty_like(prior)
     if not math.isfinite(walk.chi2) or not invert(prior + walk.information.sum(axis=0), covariance):
         return 0.0

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.deflections import Deflections, joined
 from processing.robust import MAD_TO_SIGMA
 from processing.swing.half_cycle import (
@@ -30,8 +31,6 @@ from processing.swing.known_motion import KnownMotion
 from processing.swing.swing import Swing
 from processing.swing.waveform import NODES, SHAPES, zero_phases
 from processing.ticks import NS_PER_S, seconds
-
-Floats = NDArray[np.float64]
 
 _ACTIVE = np.array([AMPLITUDE, TIME, RATE, *range(SHAPE, SHAPE + SHAPES), CENTRE, DRIFT])
 _OWN = np.isin(_ACTIVE, (AMPLITUDE, TIME, CENTRE, DRIFT))

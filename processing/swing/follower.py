@@ -11,19 +11,10 @@ import math
 
 import numpy as np
 
+from processing.arrays import Matrix
 from processing.swing.arc import Arc, HalfCycleSamples, state_on_arc
 from processing.swing.driven_walk import DrivenWalk
-from processing.swing.half_cycle import (
-    AMPLITUDE,
-    CENTRE,
-    DRIFT,
-    FAST_RATE,
-    RATE,
-    SHAPE,
-    STATES,
-    TIME,
-    Matrix,
-)
+from processing.swing.half_cycle import AMPLITUDE, CENTRE, DRIFT, FAST_RATE, RATE, SHAPE, STATES, TIME
 from processing.swing.half_cycle_fit import HalfCycleFit, excess, fit_half_cycle
 from processing.swing.judgement import judge
 from processing.swing.noise import SampleNoise

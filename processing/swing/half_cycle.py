@@ -19,8 +19,8 @@ digits. Only the active entries of the state are free; the others are constants.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Ints, Matrix, Vector
 from processing.kernel import kernel
 from processing.swing.waveform import (
     DAMPING,
@@ -37,10 +37,6 @@ from processing.swing.waveform import (
 AMPLITUDE, TIME, RATE, SHAPE, CENTRE, DRIFT = 0, 1, 2, 3, 10, 11
 FAST_COSINE, FAST_SINE, FAST_RATE, FAST_DAMPING = 12, 13, 14, 15
 STATES = 16
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @kernel
@@ -87,7 +83,7 @@ def invert(matrix: Matrix, inverse: Matrix) -> bool:
 
 @kernel
 def tabulate_state(
-    x: Vector, anchor: Vector, reference: float, active: Indices, table: Table, turn: Matrix
+    x: Vector, anchor: Vector, reference: float, active: Ints, table: Table, turn: Matrix
 ) -> None:
     """Tabulate the half-swing of the state `x` and its derivatives by the active shape terms.
 
@@ -133,7 +129,7 @@ def tabulate_state(
 def linearise(
     x: Vector,
     side: float,
-    active: Indices,
+    active: Ints,
     table: Table,
     tau: Vector,
     deflection: Vector,

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from processing.arrays import Ints, Matrix, Vector
 from processing.kernel import kernel
 from processing.robust import MAD_TO_SIGMA
 from processing.swing.half_cycle import (
@@ -29,9 +30,6 @@ from processing.swing.half_cycle import (
     RATE,
     SHAPE,
     TIME,
-    Indices,
-    Matrix,
-    Vector,
     invert,
     linearise,
     normal_equations,
@@ -181,7 +179,7 @@ def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> i
 
 
 @kernel
-def _forget_drift(mean: Vector, covariance: Matrix, active: Indices) -> None:
+def _forget_drift(mean: Vector, covariance: Matrix, active: Ints) -> None:
     """Set the drift to zero if it is not significant; this reduces the scatter of the centre four times.
 
     The prior is conditioned on drift = 0. With the variance v of the drift and its column c of the
@@ -215,7 +213,7 @@ def fit_half_cycle(
     anchor: Vector,
     side: float,
     reference: float,
-    active: Indices,
+    active: Ints,
     noise_scale: float,
     calm: bool,
     start: float,

@@ -1,10 +1,10 @@
 """Known frequency and waveform of the motion, so that only amplitude, time and centre have to be fitted."""
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.swing.half_cycle import RATE, SHAPE, STATES
 from processing.swing.waveform import SHAPES
 
@@ -14,7 +14,8 @@ class KnownMotion:
     """Frequency and shape of the half-swing at every amplitude (see `waveform` for the equation).
 
     `rate_rad_per_s` is the angular frequency of the linear part of the waveform's equation at the amplitude
-    `reference`, which has the unit of the deflection. The other fields are dimensionless.
+    `reference`, which has the unit of the deflection. The other fields are dimensionless, in the order of the
+    state's shape terms.
     """
 
     rate_rad_per_s: float
@@ -27,18 +28,10 @@ class KnownMotion:
     n: float = 1.0
     bend: float = 0.0
 
-    def put_into(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def put_into(self, x: Floats) -> Floats:
         """Copy of the state `x` (see `half_cycle`) with this motion's frequency and shape."""
         out = np.array(x, dtype=np.float64)
         assert out.shape == (STATES,)
         out[RATE] = self.rate_rad_per_s
-        out[SHAPE : SHAPE + SHAPES] = (
-            self.damping,
-            self.dry,
-            self.rise,
-            self.p,
-            self.stiff,
-            self.n,
-            self.bend,
-        )
+        out[SHAPE : SHAPE + SHAPES] = astuple(self)[2:]
         return out

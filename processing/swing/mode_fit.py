@@ -7,12 +7,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.kernel import kernel
 from processing.swing.spectral_line import line
-
-Floats = NDArray[np.float64]
 
 TERMS = 18
 SLOW_RATE, SLOW_DAMPING, FAST_RATE, FAST_DAMPING, TURNING, WIDENING = range(6)
@@ -80,18 +78,16 @@ class ModeFit(NamedTuple):
     left_x: Floats
     left_y: Floats
 
-    def explains(self, samples: ModeSamples, alike: bool) -> bool:
+    def explains(self, samples: ModeSamples) -> bool:
         """Whether the fit explains more than half of the variation, and nearly all that is not noise.
 
-        The second condition rejects a record that is at rest for one part and swings for the other. With
-        `alike` the uncertainties are equal and of unknown size, and give no information about the noise.
+        The second condition rejects a record that is at rest for one part and swings for the other.
         """
         part = self.chi2 / max(samples.variation, 1e-300)
-        noise_like = alike or self.chi2 < _NOISE_LIKE * 2 * len(samples.t)
-        return part < 0.5 and (noise_like or part < 0.05)
+        return part < 0.5 and (self.chi2 < _NOISE_LIKE * 2 * len(samples.t) or part < 0.05)
 
 
-def slow_fit(samples: ModeSamples, slow_period_s: float, alike: bool) -> ModeFit | None:
+def slow_fit(samples: ModeSamples, slow_period_s: float) -> ModeFit | None:
     """Fit of the slow mode alone; None if it does not explain the samples.
 
     If `slow_period_s` is NaN, the fit starts from the strongest spectral line.
@@ -109,10 +105,10 @@ def slow_fit(samples: ModeSamples, slow_period_s: float, alike: bool) -> ModeFit
     start = np.zeros(TERMS)
     start[SLOW_RATE] = rate
     fit = fit_terms(start, SLOW_ONLY, samples, rate)
-    return fit if fit.explains(samples, alike) else None
+    return fit if fit.explains(samples) else None
 
 
-def with_fast_mode(slow: ModeFit, samples: ModeSamples, alike: bool) -> tuple[ModeFit, float]:
+def with_fast_mode(slow: ModeFit, samples: ModeSamples) -> tuple[ModeFit, float]:
     """Fit with a fast mode and 0.0 if one is significant; otherwise the slow fit and a limit.
 
     The limit is the amplitude in x of the strongest spectral line in the residuals; NaN if the samples
@@ -128,12 +124,12 @@ def with_fast_mode(slow: ModeFit, samples: ModeSamples, alike: bool) -> tuple[Mo
     start = slow.p.copy()
     start[FAST_RATE] = rate
     fit = fit_terms(start, EVERY, samples, slow_rate)
-    if fast_mode_seen(fit, alike, len(rates)) and fit.p[FAST_RATE] > 1.5 * fit.p[SLOW_RATE]:
+    if fast_mode_seen(fit, len(rates)) and fit.p[FAST_RATE] > 1.5 * fit.p[SLOW_RATE]:
         return fit, 0.0
     return slow, limit
 
 
-def fast_mode_seen(fit: ModeFit, alike: bool, frequencies: int = 1) -> bool:
+def fast_mode_seen(fit: ModeFit, frequencies: int = 1) -> bool:
     """Whether the fast mode's four amplitudes together differ significantly from zero (Wald test).
 
     `frequencies` is how many were looked at to find it: the strongest of many is strong by chance.
@@ -145,7 +141,7 @@ def fast_mode_seen(fit: ModeFit, alike: bool, frequencies: int = 1) -> bool:
     places = [X + FAST_COSINE, X + FAST_SINE, Y + FAST_COSINE, Y + FAST_SINE]
     part = fit.p[places]
     scale = fit.chi2 / max(2 * len(fit.left_x) - TERMS, 1)
-    covariance = fit.covariance[np.ix_(places, places)] * (scale if alike else max(scale, 1.0))
+    covariance = fit.covariance[np.ix_(places, places)] * max(scale, 1.0)
     try:
         return bool(part @ np.linalg.solve(covariance, part) > limit)
     except np.linalg.LinAlgError:

@@ -12,11 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.swing.mode_fit import (
-    DRIFT,
     EVERY,
     FAST_COSINE,
     FAST_RATE,
@@ -25,7 +24,6 @@ from processing.swing.mode_fit import (
     SLOW_COSINE,
     SLOW_RATE,
     TERMS,
-    TURNING,
     ModeFit,
     ModeSamples,
     X,
@@ -37,8 +35,6 @@ from processing.swing.mode_fit import (
 )
 from processing.ticks import seconds
 
-Floats = NDArray[np.float64]
-
 _FEWEST = 20  # samples of two coordinates each, for the 18 terms of both modes
 
 
@@ -47,23 +43,18 @@ class Mode:
     """One damped ellipse at the reference time, in the unit of the coordinates; angles in rad.
 
     `amplitude` is the semi-major axis and `direction_rad` its angle from Y towards X, in (-pi/2, pi/2].
-    `width` is the semi-minor axis, positive if the motion runs from +Y towards +X. `phase_rad` is the
-    phase of the motion along the major axis. `x_amplitude` and `y_amplitude` are the largest deflections
-    in each coordinate. `u_` marks standard uncertainties.
+    `width` is the semi-minor axis, positive if the motion runs from +Y towards +X. `x_amplitude` and
+    `y_amplitude` are the largest deflections in each coordinate. `u_` marks standard uncertainties.
     """
 
     period_s: float
     u_period_s: float
-    damping_per_s: float
-    u_damping_per_s: float
     amplitude: float
     u_amplitude: float
     width: float
     u_width: float
     direction_rad: float
     u_direction_rad: float
-    phase_rad: float
-    u_phase_rad: float
     x_amplitude: float
     u_x_amplitude: float
     y_amplitude: float
@@ -72,12 +63,11 @@ class Mode:
 
 @dataclass(frozen=True, slots=True)
 class TwoModes:
-    """Slow and fast mode, rest position and its drift, at `time_ns`, the middle of the samples.
+    """Slow and fast mode, and rest position, at `time_ns`, the middle of the samples.
 
     `fast` is None if no fast mode is significant; `fast_limit` is then the amplitude in X of the strongest
-    spectral line in the residuals. `turning_rad_per_s` is the rate at which the slow mode's major axis
-    rotates from Y towards X. Standard uncertainties (`u_`) are multiplied by the square root of chi-square
-    per degree of freedom where that exceeds 1, for each coordinate by its own.
+    spectral line in the residuals. Standard uncertainties (`u_`) are multiplied by the square root of
+    chi-square per degree of freedom where that exceeds 1, for each coordinate by its own.
     """
 
     time_ns: int
@@ -88,20 +78,14 @@ class TwoModes:
     u_rest_x: float
     rest_y: float
     u_rest_y: float
-    drift_x_per_s: float
-    u_drift_x_per_s: float
-    drift_y_per_s: float
-    u_drift_y_per_s: float
-    turning_rad_per_s: float
-    u_turning_rad_per_s: float
 
 
 def separate_modes(
-    times_ns: ArrayLike,
-    x: ArrayLike,
-    y: ArrayLike,
-    u_x: ArrayLike | None = None,
-    u_y: ArrayLike | None = None,
+    times_ns: Ints,
+    x: Floats,
+    y: Floats,
+    u_x: Floats,
+    u_y: Floats,
     slow_period_s: float = math.nan,
     fast_period_s: float = math.nan,
 ) -> TwoModes | None:
@@ -111,7 +95,7 @@ def separate_modes(
     ----------
     times_ns : (n,) int64, ns, ascending
     x, y : (n,) coordinates, any unit; samples where either is NaN are ignored
-    u_x, u_y : (n,) standard uncertainties, positive; None: all equal, estimated from the residuals
+    u_x, u_y : (n,) standard uncertainties, positive
     slow_period_s, fast_period_s : start values; NaN if unknown
 
     Returns
@@ -126,51 +110,42 @@ def separate_modes(
     DataError
         Lengths differ.
     """
-    times = np.asarray(times_ns, dtype=np.int64)
-    alike = u_x is None or u_y is None
-    ones = np.ones(times.shape)
-    columns = [
-        np.asarray(c, dtype=np.float64)
-        for c in (x, y, ones if u_x is None else u_x, ones if u_y is None else u_y)
-    ]
-    if any(c.shape != times.shape for c in columns) or times.ndim != 1:
+    if any(column.shape != times_ns.shape for column in (x, y, u_x, u_y)):
         raise DataError("times, coordinates and uncertainties must be of one length")
-    good = np.isfinite(columns[0]) & np.isfinite(columns[1])
-    times = times[good]
+    good = np.isfinite(x) & np.isfinite(y)
+    times = times_ns[good]
     if len(times) < _FEWEST or times[0] == times[-1]:
         return None
-    x_, y_, u_x_, u_y_ = (c[good] for c in columns)
     middle_ns = int(times[0] + (times[-1] - times[0]) // 2)
     t = seconds(times - middle_ns)
-    samples = ModeSamples(t, x_, y_, u_x_**-2.0, u_y_**-2.0)
+    samples = ModeSamples(t, x[good], y[good], u_x[good] ** -2.0, u_y[good] ** -2.0)
     fit = None
     if not math.isnan(slow_period_s) and not math.isnan(fast_period_s):
         # both periods are known: no search is needed
         start = np.zeros(TERMS)
         start[SLOW_RATE], start[FAST_RATE] = 2.0 * math.pi / slow_period_s, 2.0 * math.pi / fast_period_s
         fit = fit_terms(start, EVERY, samples, float(start[SLOW_RATE]))
-        if not (fit.explains(samples, alike) and fast_mode_seen(fit, alike)):
+        if not (fit.explains(samples) and fast_mode_seen(fit)):
             fit = None
     limit = 0.0
     if fit is None:
-        slow = slow_fit(samples, slow_period_s, alike)
+        slow = slow_fit(samples, slow_period_s)
         if slow is None:
             return None
-        fit, limit = with_fast_mode(slow, samples, alike)
+        fit, limit = with_fast_mode(slow, samples)
     if not fit.p[SLOW_RATE] * samples.span_s > 1.8 * math.pi:
         return None
     dof = max(len(t) - len(fit.active) / 2.0, 1.0)
     misfit_x = float((fit.left_x**2 * samples.weights_x).sum()) / dof
     misfit_y = float((fit.left_y**2 * samples.weights_y).sum()) / dof
-    lowest = 0.0 if alike else 1.0
-    if min(misfit_x, misfit_y) > 0.0 and max(misfit_x, misfit_y) > lowest:
+    if min(misfit_x, misfit_y) > 0.0 and max(misfit_x, misfit_y) > 1.0:
         # Each coordinate gets its own scatter: friction and anharmonicity distort the motion along the major
         # axis and hardly the one across it.
-        samples = samples.rescaled(max(misfit_x, lowest), max(misfit_y, lowest))
+        samples = samples.rescaled(max(misfit_x, 1.0), max(misfit_y, 1.0))
         fit = fit_terms(fit.p, fit.active, samples, float(fit.p[SLOW_RATE]))
-        if FAST_RATE in fit.active and not fast_mode_seen(fit, alike, len(t)):
+        if FAST_RATE in fit.active and not fast_mode_seen(fit, len(t)):
             # a misfit of one coordinate had passed for a mode of both
-            slow = slow_fit(samples, 2.0 * math.pi / float(fit.p[SLOW_RATE]), alike)
+            slow = slow_fit(samples, 2.0 * math.pi / float(fit.p[SLOW_RATE]))
             if slow is None:
                 return None
             fit, limit = slow, float(np.hypot(fit.p[X + FAST_COSINE], fit.p[X + FAST_SINE]))
@@ -178,7 +153,7 @@ def separate_modes(
 
 
 def _ellipse(parts: Floats) -> Floats:
-    """Semi-axes, direction, phase, amplitudes in x and y; from x cosine, x sine, y cosine, y sine."""
+    """Semi-axes, direction, amplitudes in x and y; from x cosine, x sine, y cosine, y sine."""
     x, y = complex(parts[0], -parts[1]), complex(parts[2], -parts[3])
     # An ellipse is the sum of two circular motions of y + i x in opposite senses, with these amplitudes. Its
     # semi-axes are the sum and the difference of their moduli.
@@ -189,7 +164,6 @@ def _ellipse(parts: Floats) -> Floats:
             abs(forward) + abs(backward),
             abs(forward) - abs(backward),
             (one + other) / 2.0,
-            (one - other) / 2.0,
             abs(x),
             abs(y),
         ]
@@ -206,31 +180,26 @@ def _mode(p: Floats, covariance: Floats, rate_place: int, offset: int) -> Mode:
         change = np.zeros(4)
         change[k] = 1e-6 * size
         difference = _ellipse(parts + change) - _ellipse(parts - change)
-        # the two angles are defined modulo pi: remove jumps
-        difference[2:4] = (difference[2:4] + math.pi / 2.0) % math.pi - math.pi / 2.0
+        # the angle is defined modulo pi: remove jumps
+        difference[2] = (difference[2] + math.pi / 2.0) % math.pi - math.pi / 2.0
         slopes[:, k] = difference / (2e-6 * size)
     u = np.sqrt(np.maximum(np.diag(slopes @ part_covariance @ slopes.T), 0.0))
     turn = round(values[2] / math.pi) if abs(values[2]) > math.pi / 2.0 else 0
-    direction, phase = values[2] - turn * math.pi, values[3] - turn * math.pi
     period = 2.0 * math.pi / p[rate_place]
-    u_rate, u_damping = (math.sqrt(max(covariance[k, k], 0.0)) for k in (rate_place, rate_place + 1))
+    u_rate = math.sqrt(max(covariance[rate_place, rate_place], 0.0))
     return Mode(
         period_s=float(period),
         u_period_s=float(period * u_rate / p[rate_place]),
-        damping_per_s=float(p[rate_place + 1]),
-        u_damping_per_s=u_damping,
         amplitude=float(values[0]),
         u_amplitude=float(u[0]),
         width=float(values[1]),
         u_width=float(u[1]),
-        direction_rad=float(direction),
+        direction_rad=float(values[2] - turn * math.pi),
         u_direction_rad=float(u[2]),
-        phase_rad=float(math.remainder(phase, 2.0 * math.pi)),
-        u_phase_rad=float(u[3]),
-        x_amplitude=float(values[4]),
-        u_x_amplitude=float(u[4]),
-        y_amplitude=float(values[5]),
-        u_y_amplitude=float(u[5]),
+        x_amplitude=float(values[3]),
+        u_x_amplitude=float(u[3]),
+        y_amplitude=float(values[4]),
+        u_y_amplitude=float(u[4]),
     )
 
 
@@ -246,10 +215,4 @@ def _result(time_ns: int, fit: ModeFit, limit: float) -> TwoModes:
         u_rest_x=float(u[X + REST]),
         rest_y=float(p[Y + REST]),
         u_rest_y=float(u[Y + REST]),
-        drift_x_per_s=float(p[X + DRIFT]),
-        u_drift_x_per_s=float(u[X + DRIFT]),
-        drift_y_per_s=float(p[Y + DRIFT]),
-        u_drift_y_per_s=float(u[Y + DRIFT]),
-        turning_rad_per_s=float(p[TURNING]),
-        u_turning_rad_per_s=float(u[TURNING]),
     )

@@ -6,11 +6,12 @@ prediction by the others.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
+from processing.arrays import Matrix, Vector
 from processing.swing.arc import Arc, HalfCycleSamples, state_before, state_on_arc
 from processing.swing.half_cycle import AMPLITUDE, RATE, TIME
 from processing.swing.half_cycle_fit import HalfCycleFit, fit_half_cycle
@@ -214,29 +215,26 @@ def _believable(arc: Arc, halves: list[HalfCycleSamples]) -> bool:
     return bool(math.sqrt(arc.reduced_chi2) * u < _SHAPELESS * arc.states[-1][AMPLITUDE])
 
 
+def _fit(
+    arc: Arc, x: Vector, covariance: Matrix, half: HalfCycleSamples, start: float, end: float, scale: float
+) -> FirstHalfCycle:
+    """Measure a half-cycle from `start` to `end`, with a predicted state and covariance as the prior."""
+    result = fit_half_cycle(
+        x, covariance * scale**2, x, float(half.side), arc.reference, arc.active, scale, True, start, end,
+        half.tau_s, half.deflection, half.u_deflection,
+    )  # fmt: skip
+    flags = SwingFlag(0)
+    if result.valid:
+        flags = judge(result, NoiseLevel(scale), float(x[TIME]), math.pi / float(x[RATE]))
+    return FirstHalfCycle(half, result, flags)
+
+
 def _measure_one(arc: Arc, k: int, half: HalfCycleSamples, noise_scale: float) -> FirstHalfCycle:
     """Measure half-cycle `k` of an arc, with the prediction by its other half-cycles as the prior."""
     x, covariance = state_on_arc(arc, k, left_out=k)
     start, end = arc.windows[k]
-    result = fit_half_cycle(
-        x,
-        covariance * noise_scale**2,
-        x,
-        float(half.side),
-        arc.reference,
-        arc.active,
-        noise_scale,
-        True,
-        max(start, float(half.tau_s[0])) if k else start,
-        end,
-        half.tau_s,
-        half.deflection,
-        half.u_deflection,
-    )
-    flags = SwingFlag(0)
-    if result.valid:
-        flags = judge(result, NoiseLevel(noise_scale), float(x[TIME]), math.pi / float(x[RATE]))
-    return FirstHalfCycle(half, result, flags)
+    start = max(start, float(half.tau_s[0])) if k else start
+    return _fit(arc, x, covariance, half, start, end, noise_scale)
 
 
 def _measure_before(
@@ -252,25 +250,9 @@ def _measure_before(
         return None
     end_ns = first.reference_ns + nanoseconds(arc.windows[0][0])
     half = samples.between(reference_ns, -first.side, reference_ns + nanoseconds(start), end_ns)
-    end = seconds(end_ns - reference_ns)
-    result = fit_half_cycle(
-        x,
-        covariance * noise_scale**2,
-        x,
-        float(half.side),
-        arc.reference,
-        arc.active,
-        noise_scale,
-        True,
-        start,
-        end,
-        half.tau_s,
-        half.deflection,
-        half.u_deflection,
-    )
-    if not turned(result, half):
+    found = _fit(arc, x, covariance, half, start, seconds(end_ns - reference_ns), noise_scale)
+    if not turned(found.result, half):
         return None
-    flags = judge(result, NoiseLevel(noise_scale), float(x[TIME]), math.pi / float(x[RATE]))
-    if flags & SwingFlag.VIBRATION:
-        flags = flags & ~SwingFlag.VIBRATION | SwingFlag.START
-    return FirstHalfCycle(half, result, flags)
+    if found.flags & SwingFlag.VIBRATION:
+        return replace(found, flags=found.flags & ~SwingFlag.VIBRATION | SwingFlag.START)
+    return found

@@ -4,8 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.kernel import kernel
 
 REVERSAL = 0.25
@@ -40,13 +40,13 @@ def _middle(a: float, b: float, c: float) -> float:
 
 @kernel
 def search(
-    times_ns: NDArray[np.int64],
-    deflection: NDArray[np.float64],
-    u_deflection: NDArray[np.float64],
+    times_ns: Ints,
+    deflection: Floats,
+    u_deflection: Floats,
     first: int,
     last: int,
-    state: NDArray[np.float64],
-    marks: NDArray[np.int64],
+    state: Floats,
+    marks: Ints,
 ) -> int:
     """Search samples `first` to `last` (not included) for the next turning point.
 

@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from processing.arrays import Ints, Matrix, Vector
 from processing.kernel import kernel
 from processing.swing.half_cycle import (
     AMPLITUDE,
@@ -27,9 +28,6 @@ from processing.swing.half_cycle import (
     SHAPE,
     STATES,
     TIME,
-    Indices,
-    Matrix,
-    Vector,
     propagate,
     tabulate_state,
 )
@@ -46,7 +44,7 @@ def predict(
     covariance: Matrix,
     anchor: Vector,
     reference: float,
-    active: Indices,
+    active: Ints,
     resolution: float,
     process_noise: float,
     drift_noise: float,

@@ -3,8 +3,9 @@
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.kernel import kernel
 from processing.swing.arc import HalfCycleSamples
@@ -15,9 +16,7 @@ _FIRST_SIZE = 4096
 
 
 @kernel
-def _fault(
-    times_ns: NDArray[np.int64], deflection: NDArray[np.float64], u_deflection: NDArray[np.float64], last: int
-) -> tuple[int, int]:
+def _fault(times_ns: Ints, deflection: Floats, u_deflection: Floats, last: int) -> tuple[int, int]:
     for i in range(len(times_ns)):
         if times_ns[i] < last:
             return _BACKWARDS, i

@@ -1,12 +1,7 @@
 """Products of small matrices in loops, which compile faster than numba's own and run faster than BLAS."""
 
-import numpy as np
-from numpy.typing import NDArray
-
+from processing.arrays import Matrix, Vector
 from processing.kernel import kernel
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 
 @kernel

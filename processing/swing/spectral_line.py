@@ -2,8 +2,8 @@
 
 import math
 
+from processing.arrays import Vector
 from processing.kernel import kernel
-from processing.swing.half_cycle import Vector
 
 
 @kernel

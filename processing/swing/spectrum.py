@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.swing.swing import Swing
 from processing.ticks import seconds
@@ -42,12 +42,12 @@ class ResidualSpectrum:
         Frequency of the pendulum.
     """
 
-    frequency_hz: NDArray[np.float64]
-    density: NDArray[np.float64]
+    frequency_hz: Floats
+    density: Floats
     relative_u: float
     pendulum_hz: float
 
-    def base_acceleration(self, rad_per_acceleration: float) -> NDArray[np.float64]:
+    def base_acceleration(self, rad_per_acceleration: float) -> Floats:
         """Amplitude density of the base acceleration that alone would leave this, in m/s^2/sqrt(Hz).
 
         Far above its own frequency f0 the pendulum answers an acceleration a of its base with the angle
@@ -63,9 +63,7 @@ class ResidualSpectrum:
         return np.asarray(np.sqrt(self.density) / (abs(rad_per_acceleration) * answer))
 
 
-def residual_spectrum(
-    times_ns: NDArray[np.int64], deflection: NDArray[np.float64], swings: Sequence[Swing]
-) -> ResidualSpectrum:
+def residual_spectrum(times_ns: Ints, deflection: Floats, swings: Sequence[Swing]) -> ResidualSpectrum:
     """Spectrum of the samples between the first and the last good turning point.
 
     Samples may be missing or NaN: the spectrum is the mean over stretches without gaps.
@@ -117,7 +115,7 @@ def residual_spectrum(
     )
 
 
-def segment_powers(samples: NDArray[np.float64], length: int) -> NDArray[np.float64]:
+def segment_powers(samples: Floats, length: int) -> Floats:
     """One-sided power densities of half-overlapping segments after Welch, each less its mean, Hann's window.
 
     Parameters

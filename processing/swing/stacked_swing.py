@@ -10,12 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Complexes, Floats
 from processing.swing.swing import TurningPoints
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 ORDERS = (2, 3, 4, 5)
 _TERMS = 2 + 6 + 2 * len(ORDERS)
@@ -33,7 +30,7 @@ class CycleHarmonics:
     """
 
     amplitude: Floats
-    harmonics: Complex
+    harmonics: Complexes
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +43,10 @@ class HarmonicClass:
 
     amplitude: float
     amplitudes: Floats
-    harmonics: Complex
+    harmonics: Complexes
     u: Floats
 
-    def mean(self, predicted: Callable[[Floats], Complex]) -> Complex:
+    def mean(self, predicted: Callable[[Floats], Complexes]) -> Complexes:
         """A law's harmonics of the class, from its harmonics (n, 4) at amplitudes (n,)."""
         return _at_middle(self.amplitudes, predicted(self.amplitudes))[0]
 
@@ -107,7 +104,7 @@ def harmonic_classes(cycles: CycleHarmonics) -> list[HarmonicClass]:
     return out
 
 
-def _at_middle(amplitudes: Floats, harmonics: Complex) -> tuple[Complex, Floats]:
+def _at_middle(amplitudes: Floats, harmonics: Complexes) -> tuple[Complexes, Floats]:
     """Value and uncertainty at the geometric mean amplitude, by a straight line over ln A."""
     x = np.log(amplitudes)
     terms = np.column_stack([np.ones_like(x), x - np.mean(x)])

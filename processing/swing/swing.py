@@ -1,12 +1,12 @@
 """Half-cycles of the decay: turning points, uncertainties and flags."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntFlag
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.ticks import seconds
 
 
@@ -57,24 +57,18 @@ class TurningPoints:
     have the unit of the deflections: rad, which the contact laws require, or px without a calibration.
     """
 
-    index: NDArray[np.int64]
-    time_s: NDArray[np.float64]
-    u_time_s: NDArray[np.float64]
-    amplitude: NDArray[np.float64]
-    u_amplitude: NDArray[np.float64]
+    index: Ints
+    time_s: Floats
+    u_time_s: Floats
+    amplitude: Floats
+    u_amplitude: Floats
 
     def __len__(self) -> int:
         return len(self.index)
 
     def first(self, count: int) -> "TurningPoints":
         """The first so many of them."""
-        return TurningPoints(
-            self.index[:count],
-            self.time_s[:count],
-            self.u_time_s[:count],
-            self.amplitude[:count],
-            self.u_amplitude[:count],
-        )
+        return TurningPoints(*(getattr(self, column.name)[:count] for column in fields(self)))
 
 
 def turning_points(swings: Sequence[Swing]) -> TurningPoints:

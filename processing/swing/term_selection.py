@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from processing.arrays import Ints, Matrix, Vector
 from processing.kernel import kernel
 from processing.swing.arc import Arc, HalfCycleSamples, fit_arc, gain_of_more
 from processing.swing.half_cycle import (
@@ -19,9 +20,6 @@ from processing.swing.half_cycle import (
     SHAPE,
     STATES,
     TIME,
-    Indices,
-    Matrix,
-    Vector,
     linearise,
     tabulate_state,
 )
@@ -123,8 +121,7 @@ def choose(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion
     if known is not None:
         return _on_known(known, start, halves)
     reference = float(start[AMPLITUDE])
-    mean, sigma = prior(start, anharmonic=False)
-    linear = fit_arc(start, mean, sigma, halves, reference, LINEAR)
+    linear = fit_arc(start, prior(start, anharmonic=False), halves, reference, LINEAR)
     if linear is None:
         return None
     base = linear.states[0]
@@ -132,10 +129,8 @@ def choose(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion
     if linear.reduced_chi2 * _typical_variance(halves) > _HOPELESS * spread**2:
         return linear
     candidates = [linear]
-    anharmonic_mean, anharmonic_sigma = prior(base, anharmonic=True)
-    anharmonic = fit_arc(
-        bent(base), anharmonic_mean, anharmonic_sigma, halves, reference, LINEAR + ANHARMONIC
-    )
+    expected = prior(base, anharmonic=True)
+    anharmonic = fit_arc(bent(base), expected, halves, reference, LINEAR + ANHARMONIC)
     if anharmonic is not None:
         candidates.append(anharmonic)
     for arc in tuple(candidates):
@@ -147,25 +142,22 @@ def choose(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion
 
 
 def _on_known(known: KnownMotion, start: Vector, halves: Sequence[HalfCycleSamples]) -> Arc | None:
-    mean, sigma = prior(start, anharmonic=False)
-    arc = fit_arc(known.put_into(start), mean, sigma, halves, known.reference, PLACE)
+    expected = prior(start, anharmonic=False)
+    arc = fit_arc(known.put_into(start), expected, halves, known.reference, PLACE)
     if arc is None or not arc.chi2 > _SUSPICIOUS * arc.samples:
         return arc
     found = _with_fast_mode(arc, halves)
     return arc if found is None else best_of((arc, found))
 
 
-def extend(
-    first: Vector, halves: Sequence[HalfCycleSamples], reference: float, active: Indices
-) -> Arc | None:
+def extend(first: Vector, halves: Sequence[HalfCycleSamples], reference: float, active: Ints) -> Arc | None:
     """Fit a longer arc, starting from the first state of a shorter one.
 
     The anharmonic terms are added if they reduce chi-square enough. None if the fit fails.
     """
     terms = tuple(active.tolist())
     anharmonic = SHAPE + RISE in terms
-    mean, sigma = prior(first, anharmonic)
-    same = fit_arc(first, mean, sigma, halves, reference, terms)
+    same = fit_arc(first, prior(first, anharmonic), halves, reference, terms)
     if anharmonic or same is None:
         return same
     base = same.states[0].copy()
@@ -173,12 +165,10 @@ def extend(
     sigma[SHAPE + DAMPING] = math.inf
     mean[[SHAPE + DRY, SHAPE + RISE]] = 0.0
     base[[SHAPE + P, SHAPE + N]] = mean[[SHAPE + P, SHAPE + N]]
-    if gain_of_more(same, base, mean, sigma, halves, terms + ANHARMONIC_LINEAR) < _GAIN_PER_TERM * len(
-        ANHARMONIC
-    ):
+    gain = gain_of_more(same, base, (mean, sigma), halves, terms + ANHARMONIC_LINEAR)
+    if gain < _GAIN_PER_TERM * len(ANHARMONIC):
         return same
-    mean, sigma = prior(base, anharmonic=True)
-    more = fit_arc(bent(base), mean, sigma, halves, reference, terms + ANHARMONIC)
+    more = fit_arc(bent(base), prior(base, anharmonic=True), halves, reference, terms + ANHARMONIC)
     return same if more is None else best_of((same, more))
 
 
@@ -202,8 +192,8 @@ def _with_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> Arc | None:
         return None
     start = arc.states[0].copy()
     start[FAST_RATE], start[FAST_COSINE], start[FAST_SINE] = guess
-    mean, sigma = prior(start, anharmonic=len(arc.active) > len(LINEAR))
-    return fit_arc(start, mean, sigma, halves, arc.reference, (*arc.active.tolist(), *FAST_MODE))
+    expected = prior(start, anharmonic=len(arc.active) > len(LINEAR))
+    return fit_arc(start, expected, halves, arc.reference, (*arc.active.tolist(), *FAST_MODE))
 
 
 @kernel
@@ -243,16 +233,8 @@ def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float
         table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
         tabulate_state(x, x, arc.reference, arc.active, table, turn)
         residual, jacobian = np.empty(len(half.tau_s)), np.empty((len(half.tau_s), k))
-        linearise(
-            x,
-            float(half.side),
-            arc.active,
-            table,
-            half.tau_s,
-            half.deflection,
-            residual,
-            jacobian,
-        )
+        side = float(half.side)
+        linearise(x, side, arc.active, table, half.tau_s, half.deflection, residual, jacobian)
         times.append(half.tau_s + seconds(half.reference_ns - halves[0].reference_ns))
         residuals.append(residual)
         weights.append(np.where(np.isfinite(residual), 1.0 / half.u_deflection**2, 0.0))

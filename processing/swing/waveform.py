@@ -18,8 +18,8 @@ sinusoid.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints, Matrix, Vector
 from processing.kernel import kernel
 from processing.swing.small_matrices import copy
 
@@ -39,12 +39,9 @@ _NEAREST = 1e-9
 _NEAREST_SLOPE = 1e-2
 """Lower limits of |y| in logarithms and in slopes of the forces, which diverge at y = 0."""
 
-Table = NDArray[np.float64]
+Table = Floats
 """(2 + SHAPES, NODES, 2): y and dy/ds in row 0, their derivatives by the terms and by ln r in the rows
 after."""
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 
 @kernel
@@ -98,14 +95,15 @@ def _acceleration(y: float, v: float, sense: float, shape: Vector, by: Vector) -
 
 
 @kernel
-def _step(
-    motion: Matrix,
-    sense: float,
-    shape: Vector,
-    wanted: NDArray[np.int64],
-    h: float,
-    rates: NDArray[np.float64],
-) -> None:
+def _add_weighted(motion: Matrix, rates: Floats, h: float, row: int) -> None:
+    """Move a row of `motion` by the weighted mean of the rates of the four stages."""
+    for column in range(2):
+        inner = rates[1, row, column] + rates[2, row, column]
+        motion[row, column] += h / 6.0 * (rates[0, row, column] + 2.0 * inner + rates[3, row, column])
+
+
+@kernel
+def _step(motion: Matrix, sense: float, shape: Vector, wanted: Ints, h: float, rates: Floats) -> None:
     """One step of the classical Runge-Kutta method of order four, for `motion` (2 + SHAPES, 2).
 
     Row 0 holds y and v; row 1 + k holds their derivatives by term k, which obey the variational equation
@@ -132,33 +130,14 @@ def _step(
                 shift_v += part * rates[before, 1 + k, 1]
             rates[stage, 1 + k, 0] = shift_v
             rates[stage, 1 + k, 1] = by[k] + by[SHAPES + 1] * shift + by[SHAPES + 2] * shift_v
-    for column in range(2):
-        motion[0, column] += (
-            h
-            / 6.0
-            * (rates[0, 0, column] + 2.0 * (rates[1, 0, column] + rates[2, 0, column]) + rates[3, 0, column])
-        )
-        for k in wanted:
-            row = 1 + k
-            motion[row, column] += (
-                h
-                / 6.0
-                * (
-                    rates[0, row, column]
-                    + 2.0 * (rates[1, row, column] + rates[2, row, column])
-                    + rates[3, row, column]
-                )
-            )
+    _add_weighted(motion, rates, h, 0)
+    for k in wanted:
+        _add_weighted(motion, rates, h, 1 + k)
 
 
 @kernel
 def _step_on_grid(
-    motion: Matrix,
-    before: Matrix,
-    sense: float,
-    shape: Vector,
-    wanted: NDArray[np.int64],
-    rates: NDArray[np.float64],
+    motion: Matrix, before: Matrix, sense: float, shape: Vector, wanted: Ints, rates: Floats
 ) -> None:
     """One step of the table; `before` becomes a copy of `motion` before the step.
 
@@ -204,7 +183,7 @@ def _tabulate_sinusoid(damping: float, table: Table, turn: Matrix) -> None:
 
 
 @kernel
-def tabulate(shape: Vector, wanted: NDArray[np.int64], table: Table, turn: Matrix) -> None:
+def tabulate(shape: Vector, wanted: Ints, table: Table, turn: Matrix) -> None:
     """Tabulate the half-swing and its derivatives by the wanted terms.
 
     Parameters

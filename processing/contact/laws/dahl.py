@@ -5,23 +5,24 @@ dM/ds = sigma m g R (1 - M/M_c),    M_c = m g R c
 
 import numpy as np
 
-from processing.contact.branch import Array, Arrays, Branch
+from processing.arrays import Floats
+from processing.contact.branch import Arrays, Branch
 from processing.contact.branch_columns import PERIOD, Scaling, logarithms_of
 from processing.contact.branch_law import FREE_PERIOD, branch_law
 from processing.contact.law import Parameter
 from processing.contact.start_values import StartValues
 
 
-def _resistance(s: Array, held: Array, q: Arrays) -> Array:
+def _resistance(s: Floats, held: Floats, q: Arrays) -> Floats:
     return np.asarray(q["c"] - (held + q["c"]) * np.exp(-s * q["sigma"] / q["c"]))
 
 
-def _mean_resistance(s: Array, held: Array, q: Arrays) -> Array:
+def _mean_resistance(s: Floats, held: Floats, q: Arrays) -> Floats:
     way = s * q["sigma"] / q["c"]
     return np.asarray(q["c"] + (held + q["c"]) * np.expm1(-way) / way)
 
 
-def _at_reversal(amplitude: Array, q: Arrays) -> Array:
+def _at_reversal(amplitude: Floats, q: Arrays) -> Floats:
     return np.asarray(q["c"] * np.tanh(amplitude * q["sigma"] / q["c"]))
 
 

@@ -10,18 +10,19 @@ the period depend on the amplitude without any further parameter.
 import numpy as np
 from scipy.special import loggamma
 
-from processing.contact.branch import Array, Arrays, masing
+from processing.arrays import Floats
+from processing.contact.branch import Arrays, masing
 from processing.contact.branch_columns import PERIOD, ComplexOrReal, Scaling, Straight
 from processing.contact.branch_law import CONSTANT, FREE_PERIOD, branch_law
 from processing.contact.law import Parameter
 from processing.contact.start_values import StartValues
 
 
-def _backbone(x: Array, q: Arrays) -> Array:
+def _backbone(x: Floats, q: Arrays) -> Floats:
     return np.asarray(q["k"] * x ** q["q"])
 
 
-def _work(x: Array, q: Arrays) -> Array:
+def _work(x: Floats, q: Arrays) -> Floats:
     return np.asarray(q["k"] * x ** (q["q"] + 1) / (q["q"] + 1))
 
 
@@ -43,7 +44,7 @@ def _scaled(values: ComplexOrReal) -> ComplexOrReal:
     return np.array([k, q, (1 + k) * c, period_s * np.sqrt(1 + k * _stiffness(q))])
 
 
-def _coordinates(values: Array) -> Array:
+def _coordinates(values: Floats) -> Floats:
     k, q, c, period0_s = values
     loss = max(k * (1 - q) / (1 + q), 1e-12)
     return np.array(

@@ -11,7 +11,8 @@ there, and so may be uncertainties that hang on these amplitudes.
 
 import numpy as np
 
-from processing.contact.branch import Array, Arrays, masing
+from processing.arrays import Floats
+from processing.contact.branch import Arrays, masing
 from processing.contact.branch_columns import PERIOD, Scaling, logarithms_of
 from processing.contact.branch_law import CONSTANT, FREE_PERIOD, branch_law
 from processing.contact.law import Parameter
@@ -23,13 +24,13 @@ _YIELD_RAD = tuple(np.deg2rad(angle / 3600).item() for angle in YIELD_ARCSEC)
 _KEYS = tuple(f"k{number}" for number in range(1, len(YIELD_ARCSEC) + 1))
 
 
-def _backbone(x: Array, q: Arrays) -> Array:
+def _backbone(x: Floats, q: Arrays) -> Floats:
     total = sum(q[key] * np.minimum(x, y / q["reference"]) for key, y in zip(_KEYS, _YIELD_RAD, strict=True))
     return np.asarray(total)
 
 
-def _work(x: Array, q: Arrays) -> Array:
-    total: Array = np.zeros(())
+def _work(x: Floats, q: Arrays) -> Floats:
+    total: Floats = np.zeros(())
     for key, y_rad in zip(_KEYS, _YIELD_RAD, strict=True):
         y = y_rad / q["reference"]
         total = total + q[key] * np.where(x < y, 0.5 * x * x, y * (x - 0.5 * y))

@@ -2,19 +2,11 @@
 
 import numpy as np
 
-from processing.contact.branch import Array, Arrays, Branch
+from processing.contact.branch import without_memory
 from processing.contact.branch_columns import PERIOD, logarithms_of
 from processing.contact.branch_law import FREE_PERIOD, branch_law
 from processing.contact.law import DRAG
 from processing.contact.start_values import StartValues
-
-
-def _resistance(s: Array, held: Array, q: Arrays) -> Array:
-    return np.zeros(np.broadcast(s, held).shape)
-
-
-def _at_reversal(amplitude: Array, q: Arrays) -> Array:
-    return np.ones_like(amplitude)
 
 
 def _likely(found: StartValues, _: float) -> list[dict[str, float]]:
@@ -27,7 +19,7 @@ VISCOUS = branch_law(
     "linear drag alone",
     "Stokes",
     (DRAG, FREE_PERIOD),
-    Branch(_resistance, _resistance, _at_reversal),
+    without_memory(),
     {},
     logarithms_of(),
     _likely,

@@ -11,7 +11,8 @@ import numpy as np
 
 from acquisition.frame import Frame
 from calibration import Stability, relate_clocks, stability
-from processing.deflections import Deflections, DeflectionUnit, Floats
+from processing.arrays import Floats
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.ground_at_rest import ground_at_rest
 from processing.spot import Spot, SpotFlag, SpotModel

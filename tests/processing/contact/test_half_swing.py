@@ -131,8 +131,8 @@ def test_derivatives_are_those_of_the_map(drag_s: float) -> None:
     q = np.array([*scaled_contact(parameters, pendulum, 50 * ARCSEC), 2.4])
     index = np.array([0, 1, 2, 10, 57, 200], dtype=np.int64)
     nodes = quarter_nodes()
-    _, _, by_amplitude, by_time, state = half_swing_map(q, index, *nodes)
-    assert state == 0
+    _, time, by_amplitude, by_time = half_swing_map(q, index, *nodes)
+    assert np.isfinite(time).all()
     for i in range(len(q)):
         step = np.zeros_like(q)
         step[i] = 1e-6 * max(abs(q[i]), 1e-3)
@@ -149,7 +149,7 @@ def test_gaps_are_run_over_exactly() -> None:
     q = np.array([*scaled_contact(parameters, pendulum, 50 * ARCSEC), 2.4])
     every = half_swing_map(q, np.arange(101, dtype=np.int64), *quarter_nodes())
     some = half_swing_map(q, np.array([0, 3, 50, 100], dtype=np.int64), *quarter_nodes())
-    for whole, part in zip(every[:4], some[:4], strict=True):
+    for whole, part in zip(every, some, strict=True):
         assert np.array_equal(whole[[0, 3, 50, 100]], part)
 
 

@@ -10,6 +10,7 @@ from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
 from processing.errors import ConfigurationError, DataError
 from processing.fit.apparatus import InputQuantity, RigQuantities
+from processing.fit.errors_of_place import by_row_time
 from processing.fit.exact import fit_exact
 from processing.fit.reported import (
     FittedContact,
@@ -18,7 +19,6 @@ from processing.fit.reported import (
     reported_quantities,
     work_per_cycle_j,
 )
-from processing.fit.row_time import by_row_time
 from processing.fit.uncertainty import FIT, GROUND, budgets, monte_carlo
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair

@@ -26,10 +26,9 @@ from processing.fit.exact import fit_exact
 from processing.instruments.circular import circular_error
 from processing.instruments.damping_fit import damping, ratio
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS
-from processing.instruments.friction_law import fit_friction_law
+from processing.instruments.friction_law import fit_friction_law, rolling_friction
 from processing.instruments.hardness import herbert_hardness
 from processing.instruments.plane import along_plane, swing_plane
-from processing.instruments.rolling import rolling_friction
 from processing.instruments.turning import refined
 from processing.swing import SwingDetector, TurningPoints, turning_points
 from rig.instrument import complete, pendulum_on_ball

@@ -13,14 +13,12 @@ from processing.angle import ARCSEC_RAD
 from processing.contact.hertz import Material, hertz_contact, material
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.instruments.checks import check
 from processing.instruments.circular import circular_error, ideal_excess
 from processing.instruments.damping_fit import damping, over_places, ratio
-from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Limits
-from processing.instruments.friction_law import fit_friction_law
+from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Limits, check
+from processing.instruments.friction_law import fit_friction_law, rolling_friction
 from processing.instruments.hardness import herbert_hardness
 from processing.instruments.plane import swing_plane
-from processing.instruments.rolling import rolling_friction
 from processing.instruments.turning import refined
 from processing.swing import SwingDetector, TurningPoints
 from rig.settings.configuration import load_configuration

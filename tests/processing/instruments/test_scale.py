@@ -10,8 +10,8 @@ from processing.estimate import Estimate
 from processing.instruments.circular import circular_error
 from processing.instruments.damping_fit import Damping, damping
 from processing.instruments.descriptions import DEGREE_RAD
-from processing.instruments.rolling import rolling_friction
-from processing.instruments.scale import with_scale
+from processing.instruments.friction_law import rolling_friction
+from processing.instruments.shared_uncertainty import with_scale
 from processing.swing import TurningPoints
 from tests.processing.instruments.test_instruments import decay, exponential
 

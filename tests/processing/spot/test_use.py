@@ -105,8 +105,6 @@ def test_an_image_that_is_none_is_refused(image: np.ndarray) -> None:
 
 
 def test_bad_settings_are_refused() -> None:
-    with pytest.raises(DataError, match="row_step"):
-        SpotTracker(EIGHT_BIT, row_step=0)
     with pytest.raises(DataError, match="gain_e_per_dn"):
         SensorModel(gain_e_per_dn=0, read_noise_e=1, full_scale_dn=255)
     with pytest.raises(DataError, match="read_noise_e"):

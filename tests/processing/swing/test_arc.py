@@ -54,7 +54,7 @@ def fitted(
 ) -> Arc:
     start = true_state(0)
     start[[AMPLITUDE, TIME, RATE]] += 3.0, 0.05, 0.02
-    arc = fit_arc(start, start if mean is None else mean, sigma, halves, FIRST, terms)
+    arc = fit_arc(start, (start if mean is None else mean, sigma), halves, FIRST, terms)
     assert arc is not None
     return arc
 
@@ -114,7 +114,7 @@ def test_a_prior_counts_by_its_weight() -> None:
     u = math.sqrt(covariance[CENTRE, CENTRE])
     mean, sigma = x.copy(), NO_PRIOR.copy()
     mean[CENTRE], sigma[CENTRE] = x[CENTRE] + 6 * u, u
-    both = fit_arc(x, mean, sigma, halves, FIRST, (CENTRE,))
+    both = fit_arc(x, (mean, sigma), halves, FIRST, (CENTRE,))
     assert both is not None
     y, narrower = state_on_arc(both, 0)
     assert (y - x)[CENTRE] == pytest.approx(3 * u, rel=1e-6)
@@ -126,13 +126,13 @@ def test_the_gain_of_a_term_is_foretold() -> None:
     arc = fitted(halves)
     terms = (*TERMS, DRIFT)
     more = fitted(halves, terms=terms)
-    foretold = gain_of_more(arc, arc.states[0], arc.states[0], NO_PRIOR, halves, terms)
+    foretold = gain_of_more(arc, arc.states[0], (arc.states[0], NO_PRIOR), halves, terms)
     assert arc.chi2 - more.chi2 > 50
     assert foretold == pytest.approx(arc.chi2 - more.chi2, rel=0.01)
     # a prior that the drift is nothing forbids it
     sigma = NO_PRIOR.copy()
     sigma[DRIFT] = 1e-9
-    assert gain_of_more(arc, arc.states[0], arc.states[0], sigma, halves, terms) < 1
+    assert gain_of_more(arc, arc.states[0], (arc.states[0], sigma), halves, terms) < 1
 
 
 def test_the_half_cycle_before_is_foretold() -> None:

@@ -7,7 +7,8 @@ import pytest
 
 from calibration.axes import Axes
 from calibration.shutter import Shutter
-from processing.deflections import Deflections, DeflectionUnit, Floats
+from processing.arrays import Floats
+from processing.deflections import Deflections, DeflectionUnit
 from processing.fit.apparatus import InputQuantity
 from processing.fit.reported import FittedContact
 from processing.fit.uncertainty import budgets

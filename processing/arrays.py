@@ -1,0 +1,13 @@
+"""Types of arrays, by what they hold; their shapes are stated where they are used."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+"""Floats of shape (n,) and (n, m)."""
+Singles = NDArray[np.float32]
+Complexes = NDArray[np.complex128]
+Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
