@@ -103,11 +103,8 @@ class Valued(Node):
             outside = (value - low) % step != 0  # type: ignore[operator]
         if outside or value != value:
             steps = f" in steps of {step:g}" if step is not None and step != 1 else ""
-            span = (
-                f"{low:.10g} to {high:.10g}"
-                if low is not None and high is not None
-                else f"from {low} to {high}"
-            )
+            both = low is not None and high is not None
+            span = f"{low:.10g} to {high:.10g}" if both else f"from {low} to {high}"
             allowed = span + (f" {unit}" if unit else "") + steps
             raise DeviceError(
                 f"{self.nodes.name}: {self.name} = {value} is out of range; allowed is {allowed}"
