@@ -1,5 +1,7 @@
 """Eqs. 5 and 6 agree with direct quadrature, their limits, and each other."""
 
+import threading
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -121,6 +123,22 @@ def test_path_with_drag_follows_the_rate_and_without_it_the_closed_form() -> Non
         np.testing.assert_allclose(
             gradient[:, i], (up - down) / (2 * step[i]), rtol=1e-6, atol=1e-7 * np.abs(gradient[:, i]).max()
         )
+
+
+def test_constant_friction_ends_the_path_at_rest() -> None:
+    """In finite time, and there the computation ends, too; in a thread, which can be given up."""
+    start, c = 3.0, 1e-3
+    s = np.array([0.0, 0.5, 0.9, 1.001, 2.0]) * start / c
+    found: list[NDArray[np.float64]] = []
+
+    def follow() -> None:
+        found.append(decay_path(s, start, 0.0, 1.0, c, 0.0, *path_nodes())[0])
+
+    thread = threading.Thread(target=follow, daemon=True)
+    thread.start()
+    thread.join(20.0)
+    assert found, "the amplitude falls for ever"
+    np.testing.assert_allclose(found[0], [3.0, 1.5, 0.3, np.nan, np.nan], rtol=1e-12)
 
 
 @pytest.mark.parametrize(("b", "c"), [(-1e-3, 1e-8), (1e-3, -1e-8), (0.0, 0.0)])

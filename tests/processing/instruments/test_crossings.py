@@ -77,3 +77,17 @@ def test_nothing_is_inferred_where_all_was_seen() -> None:
     assert inferred_swings(found.times_ns, found.y_rad, found.u_rad) == []
     lost = np.full(len(found.y_rad), np.nan)
     assert inferred_swings(found.times_ns, lost, found.u_rad) == []
+
+
+def test_half_periods_without_any_sample_are_counted() -> None:
+    """A camera that paused for five half periods: the count of swings goes on as if it had seen them."""
+    settings = simulation("koenig")
+    found = samples(settings, 2.2, seed=3, noise_rad=1e-5)
+    truth = truth_points(settings, 2.2)
+    paused_s = truth.time_s[[10, 15]]
+    time_s = found.times_ns * 1e-9
+    place = np.where((time_s > paused_s[0]) & (time_s < paused_s[1]), np.nan, seen(found, 2.0))
+    swings = inferred_swings(found.times_ns, place, found.u_rad)
+    nearest = [int(np.argmin(np.abs(truth.time_s - swing.turn_time_ns * 1e-9))) for swing in swings]
+    assert max(np.diff(nearest)) > 5
+    np.testing.assert_array_equal(np.diff([swing.index for swing in swings]), np.diff(nearest))

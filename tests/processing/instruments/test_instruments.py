@@ -224,6 +224,14 @@ def test_amplitudes_too_much_alike_for_the_period() -> None:
         circular_error(exponential(5.0, 0.01, 7))
 
 
+def test_swings_too_small_for_their_clock_give_a_factor_of_large_uncertainty() -> None:
+    """Times to 1 ms of swings of 3': the circular error, 5e-8 of the period, is not seen."""
+    found = circular_error(decay(0.05 * DEGREE_RAD * np.exp(-0.01 * np.arange(200)), u_s=1e-3))
+    assert found.factor.standard_uncertainty > 10
+    assert abs(found.factor.value) < 2 * found.factor.standard_uncertainty
+    assert found.period0_s.value == pytest.approx(1.4, abs=1e-5)
+
+
 def test_herbert_with_a_short_record() -> None:
     found = herbert_hardness(exponential(5.0, 0.05, 6))
     assert found.ten_swings_s is None

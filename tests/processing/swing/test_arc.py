@@ -7,6 +7,7 @@ import pytest
 
 from processing.swing.arc import Arc, HalfCycleSamples, fit_arc, gain_of_more, state_before, state_on_arc
 from processing.swing.half_cycle import AMPLITUDE, CENTRE, DRIFT, RATE, SHAPE, STATES, TIME
+from processing.swing.term_selection import prior, relative_loss
 from processing.swing.waveform import DAMPING
 
 FIRST, RATE_RAD_PER_S, DAMPING_RATIO, CENTRE_PX = 80.0, 1.6, 0.01, 3.0
@@ -149,3 +150,12 @@ def test_the_half_cycle_before_is_foretold() -> None:
     assert math.sqrt(covariance[TIME, TIME]) == pytest.approx(0.1 * half_period_s, rel=0.02)
     # the drift is known from the later ones: the centre is less certain the further it is away
     assert covariance[CENTRE, CENTRE] > state_on_arc(arc, 0)[1][CENTRE, CENTRE]
+
+
+def test_before_the_fit_damping_may_cause_all_of_the_loss_but_not_twice_of_it() -> None:
+    """At more than all of the loss the friction gives energy: one standard deviation lies between."""
+    start = true_state(0)
+    _, sigma = prior(start, anharmonic=True)
+    widest = start.copy()
+    widest[SHAPE + DAMPING] = sigma[SHAPE + DAMPING]
+    assert 1 < relative_loss(widest) / relative_loss(start) < 2

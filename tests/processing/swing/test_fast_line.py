@@ -31,3 +31,14 @@ def test_noise_and_gaps_have_no_line() -> None:
     assert _fast_mode(TAU_S, noise, OWN) is None
     assert _fast_mode(TAU_S, np.where(TAU_S > 1, np.nan, np.cos(20 * TAU_S)), OWN) is None
     assert _fast_mode(TAU_S, OWN[:, 1] * 2 + 1 + 1e-3 * noise, OWN) is None
+
+
+@pytest.mark.parametrize("part", [-0.4, -0.2, 0.3, 0.5])
+def test_the_frequency_of_a_line_between_those_of_the_spectrum_is_met(part: float) -> None:
+    # the spectrum has four frequencies for each one that the cycle's length tells apart
+    spacing_hz = (len(TAU_S) - 1) / (4 * len(TAU_S) * (TAU_S[-1] - TAU_S[0]))
+    phase = 2 * np.pi * (80 + part) * spacing_hz * (TAU_S - TAU_S[0])
+    columns = _fast_mode(TAU_S, np.cos(phase + 1.0), OWN)
+    assert columns is not None
+    # over the whole cycle: a hundredth of the spacing is 0.016 rad
+    np.testing.assert_allclose(columns[:, 0], np.cos(phase), atol=0.05)

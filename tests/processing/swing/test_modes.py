@@ -4,9 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from processing.balance.estimate import _without_overtone
 from processing.errors import DataError
+from processing.swing.mode_fit import EVERY, FAST_COSINE, FAST_SINE, TERMS, ModeFit, X, Y, fast_mode_seen
 from processing.swing.modes import TwoModes, separate_modes
 
 RATE, FAST_RATE, TURNING = 1.55, 7.5, 1e-4
@@ -133,3 +135,14 @@ def test_no_oscillation(kind: str) -> None:
 def test_bad_input() -> None:
     with pytest.raises(DataError, match="of one length"):
         separate_modes(np.arange(5), np.zeros(5), np.zeros(4), np.ones(5), np.ones(5))
+
+
+@pytest.mark.parametrize("frequencies", [1, 300])
+def test_noise_is_taken_for_a_fast_mode_once_in_ten_million_looks(frequencies: int) -> None:
+    """Four amplitudes of noise of unit variance: the sum of their squares has a known distribution."""
+    limit = chi2.isf(1e-7 / frequencies, 4)
+    for factor, seen in ((0.999, False), (1.001, True)):
+        p = np.zeros(TERMS)
+        p[[X + FAST_COSINE, Y + FAST_SINE]] = np.sqrt(0.5 * factor * limit)
+        fit = ModeFit(p, np.eye(TERMS), EVERY, 0.0, np.zeros(50), np.zeros(50))
+        assert fast_mode_seen(fit, frequencies) is seen
