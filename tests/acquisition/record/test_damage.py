@@ -1,6 +1,7 @@
 """Changed bytes and truncated files are found and named, and everything else is read."""
 
 import contextlib
+import io
 import json
 import struct
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 
 from acquisition.record.check import Finding, check_record
@@ -16,6 +18,7 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from acquisition.record.topics import SCHEMA_VERSION
+from acquisition.record.without_index import RecordSearch
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
@@ -370,3 +373,13 @@ def test_a_file_without_a_checksum_of_its_data_is_not_called_damaged_for_that(
     assert errors(check_record(path)) == []
     path.write_bytes(flipped(whole, at))
     assert len(errors(check_record(path))) == 1
+
+
+def test_a_record_without_checksum_is_believed_only_if_the_next_one_fits_into_the_file() -> None:
+    """Bytes that look like the head of a record are found in any picture: its end must be there."""
+    index = bytes([Opcode.MESSAGE_INDEX]) + struct.pack("<QHI", 6, 1, 0)
+    following = bytes([Opcode.METADATA]) + struct.pack("<Q", 40) + bytes(40)
+    whole = index + following
+    assert RecordSearch(io.BytesIO(whole)).is_sound(0, followed=True)
+    for missing in (1, 9, 18, 40):
+        assert not RecordSearch(io.BytesIO(whole[:-missing])).is_sound(0, followed=True)

@@ -1,12 +1,16 @@
 """Parts of a record that its disk cannot give are lost, and nothing else is."""
 
+import errno
+import io
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 from acquisition.record.check import check_record
+from acquisition.record.disk_faults import _FaultyFile
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from processing.errors import RecordError
@@ -76,3 +80,31 @@ def test_nothing_but_unreadable_bytes_is_no_record(disk: Mounted) -> None:
     disk.spoil(0, path.stat().st_size)
     with pytest.raises(RecordError, match=r"run\.mcap: cannot be read from its disk"):
         read(path)
+
+
+class Failing(io.FileIO):
+    """A file of which the first reads fail, each with its error."""
+
+    errors: ClassVar[list[int]]
+
+    def readinto(self, buffer: Any, /) -> int | None:
+        if self.errors:
+            raise OSError(self.errors.pop(0), "failed")
+        return super().readinto(buffer)
+
+
+class FailingTolerated(_FaultyFile, Failing):
+    pass
+
+
+@pytest.mark.parametrize("errors", [[errno.ENODEV], [errno.EIO, errno.ENODEV]])
+def test_a_disk_that_is_pulled_out_is_no_unreadable_block(tmp_path: Path, errors: list[int]) -> None:
+    """What was there is on the disk still: zeros would be taken for a damaged record."""
+    path = tmp_path / "run.mcap"
+    path.write_bytes(bytes([7]) * 4 * BLOCK_BYTES)
+    FailingTolerated.errors = list(errors)
+    with FailingTolerated(path) as file:
+        with pytest.raises(OSError, match="failed") as caught:
+            file.readinto(bytearray(2 * BLOCK_BYTES))
+        assert caught.value.errno == errno.ENODEV
+        assert file.lost == {}

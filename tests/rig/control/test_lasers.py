@@ -190,6 +190,34 @@ def test_the_wrong_family_is_not_driven(ports: Ports, kind: str, there: str) -> 
     assert not any(word.upper().endswith((" ON", " 1")) for word in instrument.received)
 
 
+@pytest.mark.parametrize(
+    ("kind", "question", "reply"),
+    [
+        ("thorlabs4000", "*IDN?", "Thorlabs,ITC4001"),
+        ("thorlabs4000", "*IDN?", "Thorlabs,CLD1015,M00277475,1.8.0"),
+        ("thorlabs4000", "*IDN?", "Keysight,ITC4001,M00277475,1.8.0"),
+        ("ldc500", "*IDN?", "Stanford_Research_Systems,LDC501"),
+        ("ldc500", "*IDN?", "Stanford_Research_Systems,SIM960,s/n098023,v1.02"),
+        ("ldc500", "*IDN?", "Newport,LDC501,s/n098023,v1.02"),
+        ("obis", "*IDN?", "Coherent, Inc - CUBE 640nm 100mW C - V1.0.1 - Dec 14 2010"),
+        ("obis", "*IDN?", "Vendor, Inc - OBIS 640nm 100mW C - V1.0.1 - Dec 14 2010"),
+        ("cobolt", "sn?", "Syntax error: illegal command 1"),
+        ("cobolt", "sn?", "unknown"),
+        ("cobolt", "sn?", "Thorlabs,ITC4001,M00277475,1.8.0"),
+    ],
+)
+def test_one_that_obeys_under_another_name_is_asked_for_it_and_told_nothing(
+    ports: Ports, monkeypatch: pytest.MonkeyPatch, kind: str, question: str, reply: str
+) -> None:
+    instrument = FAMILIES[kind][0]()
+    end = "\r\nOK\r\n" if kind == "obis" else "\r\n"
+    usual = instrument.answer
+    monkeypatch.setattr(instrument, "answer", lambda said: reply + end if said == question else usual(said))
+    with pytest.raises(LaserRefused, match="check the port"):
+        laser_for(kind, ports.plug_in(instrument)).open()
+    assert instrument.received == [question]
+
+
 def test_thorlabs_limit_goes_into_the_instrument_and_its_errors_come_out(ports: Ports) -> None:
     instrument = FakeThorlabs()
     laser = laser_for("thorlabs4000", ports.plug_in(instrument))
