@@ -1,7 +1,7 @@
 """All features of one camera, with a cache of their registers that is invalidated by writes."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Final, Protocol
 
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Boolean, Command, EnumEntry, Enumeration
@@ -90,6 +90,9 @@ class NodeMap:
 
     def __contains__(self, name: str) -> bool:
         return name in self._descriptions
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._descriptions)
 
     def node(self, name: str) -> Node:
         """The node with this name; DeviceError if the camera has none."""
