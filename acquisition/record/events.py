@@ -12,6 +12,10 @@ class EventKind(StrEnum):
     """The first frame of the record."""
     STOP = "stop"
     """The last frame, with the reason of the end."""
+    STOPPED = "stopped"
+    """A person ended the run before its end, or the program had to end, with the reason; `STOP` follows."""
+    FAILED = "failed"
+    """An error ended the run before its end, with the reason; `STOP` follows."""
     REJECTED = "rejected"
     """The last frame of a run whose start was not accepted, with the reason."""
     GAP = "gap"
@@ -61,6 +65,8 @@ class EventKind(StrEnum):
 
 WARNING_KINDS: Final = frozenset(
     {
+        EventKind.STOPPED,
+        EventKind.FAILED,
         EventKind.GAP,
         EventKind.SPOT_LOST,
         EventKind.CAMERA_LOST,
@@ -98,18 +104,30 @@ class Event(NamedTuple):
         return f"{self.kind}: {self.text}"
 
 
-_NOT_ACCEPTED: Final = "start not accepted: "
+_EARLIER_TEXTS: Final = {
+    "start not accepted: ": EventKind.REJECTED,
+    "stopped by the user": EventKind.STOPPED,
+    "terminated": EventKind.STOPPED,
+    "the program has failed": EventKind.FAILED,
+    "no frame ": EventKind.FAILED,
+    "camera: ": EventKind.FAILED,
+}
+_ENDS: Final = (EventKind.STOP, EventKind.REJECTED)
+CUT_SHORT: Final = (EventKind.STOPPED, EventKind.FAILED)
+"""Kinds of ends that are none."""
 
 
 def end_of(events: Sequence[Event]) -> Event | None:
-    """The end of a run, of kind STOP or REJECTED; None where the record was cut short.
+    """The end of a run: STOP where it came to its end, REJECTED, STOPPED or FAILED; None without any.
 
-    Earlier versions recorded a start that was not accepted as a STOP, and said so in its text alone: that is
-    read here and nowhere else.
+    Earlier versions recorded every end as a STOP, and said in its text alone which it was: that is read here
+    and nowhere else.
     """
-    ends = [event for event in events if event.kind in (EventKind.STOP, EventKind.REJECTED)]
-    if not ends:
+    place = max((place for place, event in enumerate(events) if event.kind in _ENDS), default=None)
+    if place is None:
         return None
-    if ends[-1].text.startswith(_NOT_ACCEPTED):
-        return ends[-1]._replace(kind=EventKind.REJECTED)
-    return ends[-1]
+    end, before = events[place], events[place - 1] if place else None
+    if before is not None and before.kind in CUT_SHORT:
+        return end._replace(kind=before.kind)
+    kinds = [kind for text, kind in _EARLIER_TEXTS.items() if end.text.startswith(text)]
+    return end._replace(kind=kinds[0]) if kinds else end

@@ -1,4 +1,4 @@
-"""The conditions of a run as its record shows them: light, losses, beam, air, steps, draughts, ground."""
+"""The conditions of a run as its record shows them: end, light, losses, beam, air, steps, ground."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from acquisition.record.events import Event, EventKind
+from acquisition.record.events import Event, EventKind, end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT
 from processing.fit import Ground
@@ -42,6 +42,7 @@ def run_conditions(
     Frames that were dropped cost what lost spots cost: the limit of both is the preflight's of lost spots.
     """
     return (
+        _end(end_of(reader.events())),
         _fraction("lost spots", lost_spots, frames, limits.max_lost_fraction, "see laser, beam and exposure"),
         _fraction(
             "dropped frames",
@@ -56,6 +57,17 @@ def run_conditions(
         *_temperature(reader),
         *_ground(ground, half_cycles),
     )
+
+
+def _end(end: Event | None) -> Verdict:
+    """Whether the run came to its end; a person may end one early, and fit what there is."""
+    if end is None or end.kind == EventKind.FAILED:
+        reason = "the record has no end" if end is None else "an error ended it"
+        remedy = "remove the cause, then measure again: rig run --resume"
+        measured = "none" if end is None else end.text
+        return Verdict("end", False, reason, remedy, measured=measured, limit="its own")
+    early = "ended early" if end.kind == EventKind.STOPPED else ""
+    return Verdict("end", True, early, measured=end.text, limit="its own")
 
 
 def _fraction(name: str, count: int, of: int, most: float, remedy: str) -> Verdict:

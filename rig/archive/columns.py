@@ -43,7 +43,7 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "computer": Column("text", "the computer on which it was added"),
     "record": Column("text", "path of the record, in the folder where it lies there"),
     "record_bytes": Column("count", "size of the record"),
-    "state": Column("text", "of the record: whole, cut, damaged, unreadable, missing"),
+    "state": Column("text", "of the record: whole, cut short, cut, damaged, unreadable, missing"),
     "flaw": Column("text", "in a line what is wrong with the record"),
     "windows": Column("text", "of raw pixels: recorded, none, recompressed, dropped"),
     "results": Column("text", "name of the results file"),

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from acquisition.record.digest import sha256_of
+from acquisition.record.events import CUT_SHORT, end_of
 from acquisition.record.proof import data_crc_matches, identity_of, thinning_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW
@@ -98,6 +99,9 @@ def _of_record(path: Path) -> Row:
                 }
             elif contents.damage or not data_crc_matches(reader.file, contents):
                 row |= {"state": "damaged", "flaw": "; ".join(contents.damage) or "its bytes have changed"}
+            elif (end := end_of(reader.events())) is None or end.kind in CUT_SHORT:
+                flaw = "it has no end" if end is None else f"{end.kind}: {end.text}"
+                row |= {"state": "cut short", "flaw": flaw}
             if contents.start_ns:
                 row["began_utc"] = utc(contents.start_ns).replace(tzinfo=None)
                 row["duration_s"] = seconds(contents.end_ns - contents.start_ns)

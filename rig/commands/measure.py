@@ -51,6 +51,16 @@ def run(
             metavar="FILE", help="Measure the series of a plan (TOML file), without CONFIG.", callback=there
         ),
     ] = None,
+    instead: Annotated[
+        Path | None,
+        typer.Option(
+            "--config",
+            metavar="FILE",
+            help="With --resume: another configuration for the missing runs.",
+            show_default=False,
+            callback=there,
+        ),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Measure even if a preflight check fails.")] = False,
     json_lines: JsonLines = False,
 ) -> None:
@@ -61,18 +71,27 @@ def run(
       rig run configs/demo.toml -o runs/first --view web
       rig run mine.toml --runs 3 --set session.sample="steel on K8"
       rig run --resume runs/first
+      rig run --resume runs/first --config corrected.toml
     """
+    if instead is not None and resume is None:
+        raise typer.BadParameter("--config goes with --resume DIR; else name the file as CONFIG")
     if config is None and resume is None and plan is None:
         raise typer.BadParameter("Missing argument 'CONFIG'.")
 
     if resume is not None:
-        if config is not None or output is not None or set_ or runs is not None or view or plan:
+        stated = set_ if instead is None else None
+        if config is not None or output is not None or stated or runs is not None or view or plan:
             raise typer.BadParameter(
-                "--resume takes its configuration from DIR: leave out CONFIG and options but --force, --json"
+                "--resume takes its configuration from DIR: leave out CONFIG and options but --force, "
+                "--json, --config FILE (and its --set)"
             )
-        from rig.measure import resume_session
+        from rig.measure import SourcedConfiguration, resume_session
+        from rig.settings import load_configuration
 
-        raise typer.Exit(resume_session(resume, force=force, json_lines=json_lines))
+        other = None
+        if instead is not None:
+            other = SourcedConfiguration(instead, load_configuration(instead, set_ or []))
+        raise typer.Exit(resume_session(resume, other, force=force, json_lines=json_lines))
     if plan is not None:
         if config is not None or set_ or runs is not None or view:
             raise typer.BadParameter(

@@ -112,7 +112,7 @@ class Desk:
         with self._lock:
             self.needs_camera("run")
             config = self.checked(values)
-            folder = session_folder(config, self.source, None)
+            folder, _ = session_folder(config, self.source, None)
             sets = [word for one in self.overridden(values) for word in ("--set", one)]
             words = ["run", str(self.source), "-o", str(folder), *sets, *(["--force"] if force else [])]
             self._session = start_session(words, folder), folder

@@ -1,6 +1,6 @@
 """A measurement session: preflight checks, runs, recording, end of a run, display on the terminal."""
 
-from rig.measure.night import measure_plan, resume_session
+from rig.measure.night import SourcedConfiguration, measure_plan, resume_session
 from rig.measure.plain_record import record_plainly, take_frames
 from rig.measure.preflight_alone import preflight_rig
 from rig.measure.run_panel import estimate_texts

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from acquisition.record.events import EventKind
 from processing.errors import RigError
 from processing.estimate import Estimate
 from processing.swing import Swing
@@ -60,7 +61,8 @@ class EndOfRun:
 class StopRequest:
     """Whether the run is to end, and why; the first reason given is recorded.
 
-    `failure` is the first error, if an error ended the run. With `skip_waiting` (after Ctrl-C) frames
+    `failure` is the first error, if an error ended the run; `early` is STOPPED or FAILED where it was ended
+    before its end. With `skip_waiting` (after Ctrl-C) frames
     that a source on demand has still to deliver are not processed. May be used from any thread.
     """
 
@@ -69,16 +71,17 @@ class StopRequest:
         self._asked = threading.Event()
         self.reason = ""
         self.failure: Exception | None = None
+        self.early: EventKind | None = None
         self.skip_waiting = False
 
     def __bool__(self) -> bool:
         return self._asked.is_set()
 
-    def because(self, reason: str) -> bool:
+    def because(self, reason: str, early: EventKind | None = None) -> bool:
         """End the run soon; returns whether this reason is the first."""
         if self._asked.is_set():
             return False
-        self.reason = reason
+        self.reason, self.early = reason, early
         self._asked.set()
         self._stream.request_stop()
         return True
@@ -89,7 +92,7 @@ class StopRequest:
             self.failure = error
         if not isinstance(error, RigError):
             _log.error("%s", error, exc_info=error)
-        self.because(str(error))
+        self.because(str(error), EventKind.FAILED)
 
     def close_stream(self) -> None:
         """Close the camera's stream; an error of the camera is kept if there was no other."""

@@ -24,10 +24,16 @@ from rig.settings import (
     load_configuration,
     load_plan,
     migrated,
+    stored_configuration,
     validate_configuration,
 )
 
 Sleep = Callable[[float], None]
+_ENDS: dict[str, RunState] = {
+    EventKind.REJECTED: RunState.REJECTED,
+    EventKind.STOPPED: RunState.STOPPED,
+    EventKind.FAILED: RunState.FAILED,
+}
 
 
 def measure_plan(
@@ -67,6 +73,13 @@ def measure_plan(
         if series is not plan.series[-1]:
             sleep(series.pause_s)
     return worst
+
+
+class SourcedConfiguration(NamedTuple):
+    """A configuration and the file from which it comes."""
+
+    source: Path
+    config: Configuration
 
 
 class _Waiting:
@@ -131,7 +144,7 @@ class _Series(NamedTuple):
 
     def _made(self) -> int:
         source = self.planned.config
-        folder = session_folder(self.config, source, self.folder)
+        folder, _ = session_folder(self.config, source, self.folder)
         return make_session(self.config, source, folder, self.manner)
 
     def _gone_on(self) -> int:
@@ -157,17 +170,33 @@ def _set_bad_aside(folder: Path, most: int) -> int:
     return len(bad)
 
 
-def resume_session(folder: Path, *, force: bool = False, json_lines: bool = False) -> int:
+def resume_session(
+    folder: Path,
+    instead: SourcedConfiguration | None = None,
+    *,
+    force: bool = False,
+    json_lines: bool = False,
+) -> int:
     """Continue an interrupted session: complete runs are kept, the missing ones are made.
 
-    A truncated record is left unchanged and a repaired copy is made next to it. New runs get new
-    numbers. Returns the exit status like `measure_session`.
+    They get the configuration with which the session was begun, or `instead`, which is then the session's. A
+    truncated record is left unchanged and a repaired copy is made next to it. New runs get new numbers.
+    Returns the exit status like `measure_session`.
     """
     with closing(SessionFile.opened(folder)) as file:
         tree, note = migrated(file.state.configuration, f"{folder / STATE_NAME}: its configuration")
         if note:
             say(note)
-        config = validate_configuration(tree, str(folder / STATE_NAME))
+        if instead is None:
+            config = validate_configuration(tree, str(folder / STATE_NAME))
+            say(f"{folder}: goes on as it was begun, with {file.state.source} (--config takes another)")
+        else:
+            config = complete(instead.config)
+            check_materials(config)
+            check_stop_when(config)
+            stored = stored_configuration(config)
+            changed = file.reconfigure(instead.source, stored)
+            say(f"{folder}: goes on with {instead.source}, which states {changed}")
         with announced(config.session, folder) as outcome:
             outcome.status = _go_on(file, config, Manner(outcome.notices, force, json_lines))
     return outcome.status
@@ -215,15 +244,16 @@ def _notice_cut(record: Path) -> None:
 
 
 def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
-    """Note a record that came to its end as complete; make a repaired copy of one that was cut short."""
+    """Note how a record ended that has an end; make a repaired copy of one that was cut off."""
     record = file.folder / entry.record
     if record.exists():
         with suppress(RecordError), RecordReader(record) as reader:
             end = end_of(reader.events())
             if end is not None and not reader.truncated:
-                state = RunState.REJECTED if end.kind == EventKind.REJECTED else RunState.COMPLETE
+                state = _ENDS.get(end.kind, RunState.COMPLETE)
                 file.note(entry.number, entry.record, state, end.text)
-                say(f"{entry.record} is whole: {end.text}")
+                how = "whole" if state is RunState.COMPLETE else f"{state}, its run is made again"
+                say(f"{entry.record} is {how}: {end.text}")
                 return
     whole = record.with_name(f"{record.stem}-recovered{record.suffix}")
     name, reason = "", "the session was interrupted"

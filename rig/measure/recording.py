@@ -219,14 +219,15 @@ class Recording:
             if self._stop and self._stop.skip_waiting:
                 break
         if stream.ended and not rejected:
-            self._stop.because(stream.ended)
+            self._stop.because(stream.ended, None if stream.failure is None else EventKind.FAILED)
         swings = pipeline.finish()
         empty = pipeline.measure(np.empty(0, np.int64), [])
         empty = empty._replace(swings=swings, balances=[*empty.balances, *pipeline.finish_balance()])
         end_event = Event(counts.last_ns, EventKind.STOP, self._stop.reason)
         if rejected:
             end_event = Event(counts.last_ns, EventKind.REJECTED, f"start not accepted: {rejected}")
-        last = [*self._device_events(counts.last_ns), end_event]
+        early = [] if rejected or self._stop.early is None else [end_event._replace(kind=self._stop.early)]
+        last = [*self._device_events(counts.last_ns), *early, end_event]
         features = {}
         if parts.camera is not None and temperature is not None:
             temperature.close()

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from acquisition.frame import Frame
-from acquisition.record.events import Event
+from acquisition.record.events import Event, EventKind
 from processing.errors import DataError, DeviceError
 from rig.instrument import Phase, Snapshot
 from rig.measure.end_of_run import StopRequest
@@ -50,9 +50,9 @@ class Run:
         """State of the run; may be read from any thread."""
         return self._status.snapshot
 
-    def request_stop(self, reason: str) -> bool:
-        """End the run soon; the first reason given is recorded. Returns whether this is it."""
-        return self._stop.because(reason)
+    def request_stop(self, reason: str, how: EventKind = EventKind.STOPPED) -> bool:
+        """End the run before its end; the first reason given is recorded. Returns whether this is it."""
+        return self._stop.because(reason, how)
 
     def execute(
         self, show: Callable[[Snapshot], None] = lambda _: None, interval_s: float = 0.1
@@ -80,7 +80,7 @@ class Run:
                     stopped = self.request_stop(reason_of(error))
         finally:
             # also after an interrupt or an error in the loop, so that the record is complete
-            self.request_stop("the program has failed")
+            self.request_stop("the program has failed", EventKind.FAILED)
             hangs = self._end(show)
             sys.setswitchinterval(usual_turn_s)
         return RunOutcome(

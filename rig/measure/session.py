@@ -23,7 +23,7 @@ from rig.measure.live_fit import check_stop_when
 from rig.measure.notices import Notices, announced
 from rig.measure.phases import NoGo
 from rig.measure.run_setup import RunPlan, measure_run
-from rig.measure.session_file import RunState, SessionFile
+from rig.measure.session_file import RunState, SessionFile, withdraw_unrecorded
 from rig.measure.session_orders import acknowledge_interlock, devices_now, orders
 from rig.presentation import failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
@@ -47,9 +47,14 @@ def measure_session(
     config = complete(config)
     check_materials(config)
     check_stop_when(config)
-    folder = session_folder(config, source, output)
-    with announced(config.session, folder) as outcome:
-        outcome.status = make_session(config, source, folder, Manner(outcome.notices, force, json_lines))
+    if output is not None:
+        withdraw_unrecorded(output)
+    folder, made = session_folder(config, source, output)
+    try:
+        with announced(config.session, folder) as outcome:
+            outcome.status = make_session(config, source, folder, Manner(outcome.notices, force, json_lines))
+    finally:
+        withdraw_unrecorded(folder, made)
     return outcome.status
 
 
@@ -230,8 +235,11 @@ def simulate_record(config: Configuration, source: Path, record: Path) -> int:
     return 0
 
 
-def session_folder(config: Configuration, source: Path, output: Path | None) -> Path:
-    """Create the folder of this session; raises ConfigurationError if it already contains a run."""
+def session_folder(config: Configuration, source: Path, output: Path | None) -> tuple[Path, list[Path]]:
+    """Make the folder of this session; returns it, and the folders that were made, the innermost first.
+
+    Raises ConfigurationError if it already contains a run.
+    """
     if output is None:
         now = datetime.datetime.now().astimezone()
         name = f"{now:%Y-%m-%dT%H-%M-%S}-{source.stem}"
@@ -246,11 +254,12 @@ def session_folder(config: Configuration, source: Path, output: Path | None) -> 
         raise ConfigurationError(f"{folder}: is a file; name a folder for the session")
     if folder.is_dir() and (list(folder.glob("run-*.mcap")) or (folder / "results.json").exists()):
         raise ConfigurationError(f"{folder}: holds a run already, which is never overwritten; name another")
+    made = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigurationError(f"{folder}: cannot be made: {error.strerror or error}") from None
-    return folder
+    return folder, made
 
 
 def _numbered(config: Configuration, number: int) -> Configuration:

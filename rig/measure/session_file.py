@@ -3,6 +3,8 @@
 import datetime
 import json
 import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import IO, Any, Self
@@ -10,7 +12,7 @@ from typing import IO, Any, Self
 from pydantic import BaseModel, ValidationError
 
 from acquisition.record import whole_file
-from processing.errors import ConfigurationError, RecordError
+from processing.errors import ConfigurationError, RecordError, RigError
 
 try:
     import fcntl
@@ -19,6 +21,7 @@ except ImportError:  # pragma: no cover
     fcntl = None  # type: ignore[assignment]
 
 STATE_NAME = "session.json"
+LOCK_NAME = ".session.lock"
 _SCHEMA = 1
 
 
@@ -92,6 +95,23 @@ def read_session(folder: Path) -> SessionState:
     return state
 
 
+def withdraw_unrecorded(folder: Path, made: Sequence[Path] = ()) -> None:
+    """Take back a session that has ended without a record: it would stand in the way of the next one.
+
+    Then what it left of itself is removed, and the folders `made` for it if they are empty.
+    """
+    with suppress(RigError), closing(SessionFile.opened(folder)) as file:
+        records = [folder / entry.record for entry in file.state.entries]
+        if any(record.exists() for record in records):
+            return
+        for path in (folder / STATE_NAME, *(record.with_suffix(".rrd") for record in records)):
+            path.unlink(missing_ok=True)
+        (folder / LOCK_NAME).unlink(missing_ok=True)
+    with suppress(OSError):
+        for place in made:
+            place.rmdir()
+
+
 class SessionFile:
     """`session.json` of one folder: locked while the session runs, replaced as a whole at each change."""
 
@@ -145,6 +165,15 @@ class SessionFile:
         kept = tuple(entry for entry in self.state.entries if entry.record != record)
         self.save(self.state.model_copy(update={"entries": kept}))
 
+    def reconfigure(self, source: Path, configuration: dict[str, Any]) -> str:
+        """Let the missing runs have another configuration; returns what it changes, in words.
+
+        Those made have theirs in their records.
+        """
+        changed = "; ".join(_changes(self.state.configuration, configuration))
+        self.save(self.state.model_copy(update={"source": str(source), "configuration": configuration}))
+        return changed or "nothing else"
+
     def save(self, state: SessionState) -> None:
         """Replace the file atomically, so that a power failure leaves either the old or the new file."""
         path = self.folder / STATE_NAME
@@ -163,7 +192,7 @@ class SessionFile:
     def _take_lock(self) -> None:
         if fcntl is None:
             return
-        path = self.folder / ".session.lock"
+        path = self.folder / LOCK_NAME
         try:
             # never through a symbolic link, which could name any file
             lock = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+b")
@@ -177,3 +206,12 @@ class SessionFile:
                 f"{self.folder}: its session is still running; stop it first, or name another folder"
             ) from None
         self._lock = lock
+
+
+def _changes(before: Mapping[str, Any], after: Mapping[str, Any], above: str = "") -> Iterator[str]:
+    for key in sorted(before.keys() | after.keys()):
+        old, new = before.get(key), after.get(key)
+        if isinstance(old, Mapping) and isinstance(new, Mapping):
+            yield from _changes(old, new, f"{above}{key}.")
+        elif old != new:
+            yield f"{above}{key} = {json.dumps(new)} (was {json.dumps(old)})"

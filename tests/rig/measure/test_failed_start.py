@@ -1,0 +1,112 @@
+"""A start that fails leaves nothing in the way, and a run that was cut short is never complete."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from acquisition.record.events import EventKind, end_of
+from acquisition.record.reader import RecordReader
+from rig.archive.session_rows import session_rows
+from rig.measure.run import Run
+from rig.measure.session_file import RunState, SessionFile, read_session
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+
+SHORT = set_words({**SMALL, "session.max_duration_s": "60"})
+FILES = "[camera]\ndriver = 'files'\n[camera.files]\npath = '{}'\n"
+FAILING = {
+    "no file": FILES.format("nowhere.avi"),
+    "no library": "[camera]\ndriver = 'pylon'\n",
+    "no camera": "[camera]\ndriver = 'v4l2'\n[camera.v4l2]\ndevice = '/dev/video-none'\n",
+    "no webhook": "[camera]\ndriver = 'simulated'\n[session]\nnotify_webhook_file = 'nowhere'\n",
+}
+
+
+@pytest.mark.parametrize("why", FAILING)
+def test_a_failed_start_leaves_no_folder(why: str, tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text(FAILING[why])
+    out = tmp_path / "runs" / "first"
+    done = rig("run", wrong, "-o", out, cwd=tmp_path)
+    assert done.returncode in (1, 2)
+    assert "Traceback" not in done.stderr
+    assert not out.parent.exists(), done.stderr
+
+
+def test_a_folder_that_was_there_stays_and_takes_the_corrected_call(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text(FAILING["no file"])
+    rig("run", wrong, "-o", out)
+    assert [path.name for path in out.iterdir()] == ["notes.txt"]
+    done = rig("run", CONFIGS / "demo.toml", "-o", out, *SHORT)
+    assert done.returncode == 0, done.stderr
+    assert read_session(out).complete
+
+
+def test_a_session_killed_before_its_record_began_is_in_nobodys_way(tmp_path: Path) -> None:
+    file = SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, {})
+    file.note(1, "run-1.mcap", RunState.RECORDING)
+    file.close()
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path, *SHORT)
+    assert done.returncode == 0, done.stderr
+
+
+def test_resume_says_its_configuration_and_takes_another(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert rig("run", CONFIGS / "demo.toml", "-o", out, *SHORT).returncode == 0
+    tree = json.loads((out / "session.json").read_text())
+    tree["runs_wanted"] = 2
+    tree["configuration"]["camera"]["driver"] = "pylon"
+    (out / "session.json").write_text(json.dumps(tree))
+    failed = rig("run", "--resume", out)
+    assert failed.returncode == 1
+    assert f"goes on as it was begun, with {CONFIGS / 'demo.toml'} (--config takes another)" in failed.stderr
+    done = rig("run", "--resume", out, "--config", CONFIGS / "demo.toml", *SHORT)
+    assert done.returncode == 0, done.stderr
+    assert 'which states camera.driver = "simulated" (was "pylon")' in done.stderr
+    assert len(read_session(out).complete) == 2
+
+
+def test_another_configuration_is_for_resume(tmp_path: Path) -> None:
+    done = rig("run", CONFIGS / "demo.toml", "--config", CONFIGS / "demo.toml", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--config goes with --resume DIR" in done.stderr
+
+
+def test_a_stump_is_complete_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = Run._watch
+
+    def failing(run: Run, *words: object) -> object:
+        monkeypatch.setattr(Run, "_watch", usual)
+        while run.snapshot.frames < 1000:
+            pass
+        raise RuntimeError("a defect of the program")
+
+    monkeypatch.setattr(Run, "_watch", failing)
+    out = tmp_path / "out"
+    words = ("run", CONFIGS / "demo.toml", "-o", out, *set_words({**SMALL, "session.max_duration_s": "600"}))
+    assert rig(*words).returncode != 0
+    with RecordReader(out / "run-1.mcap") as reader:
+        end = end_of(reader.events())
+    assert end is not None
+    assert (end.kind, end.text) == (EventKind.FAILED, "the program has failed")
+
+    (row,) = session_rows(out).rows
+    assert (row["state"], row["flaw"]) == ("cut short", "failed: the program has failed")
+    fitted = rig("fit", out / "run-1.mcap", "-o", tmp_path / "fit")
+    assert "END: the program has failed (limit its own); an error ended it" in fitted.stdout
+    assert rig("report", tmp_path / "fit" / "results.json", "-o", tmp_path / "page.html").returncode == 0
+    assert "an error ended it" in (tmp_path / "page.html").read_text()
+
+    tree = json.loads((out / "session.json").read_text())
+    tree["configuration"]["session"]["max_duration_s"] = 60
+    (out / "session.json").write_text(json.dumps(tree))
+    done = rig("run", "--resume", out)
+    assert done.returncode == 0, done.stderr
+    assert [(entry.record, entry.state) for entry in read_session(out).entries] == [
+        ("run-1.mcap", RunState.FAILED),
+        ("run-2.mcap", RunState.COMPLETE),
+    ]
