@@ -55,6 +55,8 @@ class LaserService(DeviceThread):
         self._permit = permit or LightPermit()
         self._own_interlock = own_interlock
         self._refused = ""
+        self._excess = ""
+        self._offs = 0
         self._is_open = False
         self._snapshot = LaserSnapshot()
         super().__init__("rig-laser", LONGEST_JOB_S)
@@ -65,11 +67,16 @@ class LaserService(DeviceThread):
         return self._snapshot
 
     def enable(self) -> "Future[None]":
-        """Switch the laser on, unless the interlock is open or `permit` refuses; may take several seconds."""
-        return self._submit(self._light, timeout_s=5.0)
+        """Switch the laser on, unless the interlock is open or `permit` refuses; may take several seconds.
+
+        An `off` that comes before the laser emits outdates it.
+        """
+        offs = self._offs
+        return self._submit(lambda laser: self._light(laser, offs), timeout_s=5.0)
 
     def off(self) -> "Future[None]":
-        """Switch the laser off, before all waiting commands."""
+        """Switch the laser off, before all waiting commands; those to light are no longer valid."""
+        self._offs += 1
         return self._submit(lambda laser: laser.off(), urgent=True)
 
     def set_power_w(self, power_w: float) -> "Future[None]":
@@ -101,10 +108,13 @@ class LaserService(DeviceThread):
             return _REOPEN_S
         return min(self._period_s, _LOOK_AT_PERMIT_S)
 
-    def _light(self, laser: Laser) -> None:
-        if refusal := self._permit.refusal:
-            raise DeviceError(f"the laser stays off: {refusal}")
-        laser.enable()
+    def _light(self, laser: Laser, offs: int) -> None:
+        def refusal() -> str:
+            return self._permit.refusal or ("it was switched off meanwhile" if self._offs != offs else "")
+
+        if why := refusal():
+            raise DeviceError(f"the laser stays off: {why}")
+        laser.enable(refusal)
 
     def _keep_to_the_permit(self) -> None:
         """Switch the laser off when the permit begins to refuse it."""
@@ -118,6 +128,12 @@ class LaserService(DeviceThread):
     def _read(self) -> None:
         before, state = self._snapshot.state, self._laser.state()
         self._snapshot = replace(self._snapshot, state=state, state_time_ns=time.monotonic_ns())
+        if state.excess:
+            self._permit.withdraw(state.excess)
+            if state.excess != self._excess:
+                self._say(f"laser off: {state.excess}")
+            self._laser.off()
+        self._excess = state.excess
         if before is not None and before.interlock_closed and not state.interlock_closed:
             self._say("interlock opened")
             if self._own_interlock:

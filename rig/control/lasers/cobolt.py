@@ -1,11 +1,14 @@
 """Cobolt lasers (04-01, 06-01, 08 series): text commands that end with CR, replies with CR LF, power in W.
 
-An executed command is answered by ``OK``, any other by ``Syntax error: ...``.
+An executed command is answered by ``OK``, any other by ``Syntax error: ...``. Modulation is switched off
+(constant power), and so is the direct input, 5 V at which lights an OEM model; autostart, in which the key
+lights it, must be switched off by hand.
 """
 
 from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
 from rig.control.lasers.serial_laser import SerialLaser, rounded_down
 
+_MODULATION = ("3", "4")
 _FAULTS = {"1": "temperature error", "3": "interlock error", "4": "constant-power time-out"}
 
 
@@ -24,7 +27,7 @@ class Cobolt(SerialLaser):
             )
         return LaserIdentity("Cobolt", "", serial)
 
-    def state(self) -> LaserState:
+    def _read(self) -> LaserState:
         """Emission, interlock, measured power, fault."""
         fault = self.ask("f?")
         return LaserState(
@@ -36,13 +39,29 @@ class Cobolt(SerialLaser):
         )
 
     def _prepare(self) -> None:
-        # models without this mode answer with a syntax error
-        if self.ask("@cobas?") == "1":
+        if self._autostarts():
             raise LaserRefused(
                 f"{self.name}: autostart is on, in which the laser lights by its key and rejects commands; "
                 "switch it off (@cobas 0, or in Cobolt Monitor) and turn the key off and on"
             )
+        if self._lights_directly():
+            self._command("@cobasdr 0")
         self._command("cp")
+
+    def _strayed(self) -> str:
+        if self.ask("gom?") in _MODULATION:
+            return "its modulation input sets the light"
+        if self._lights_directly():
+            return "its direct input can light it"
+        return "its autostart is on" if self._autostarts() else ""
+
+    # models without these settings answer with a syntax error
+
+    def _autostarts(self) -> bool:
+        return self.ask("@cobas?") == "1"
+
+    def _lights_directly(self) -> bool:
+        return self.ask("@cobasdr?") == "1"
 
     def _switch(self, on: bool) -> None:
         self._command("l1" if on else "l0")

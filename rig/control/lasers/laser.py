@@ -1,5 +1,6 @@
 """The interface of all laser drivers."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,7 +28,8 @@ class LaserState:
     """State read from the laser; None for values that this family does not report.
 
     `power_w` is the measured optical power, `current_a` the measured diode current; `fault` is empty if there
-    is none.
+    is none. `excess` says why the laser must be dark although it was set as allowed: more light or current
+    is measured, or something else than this program can change it; empty if it need not.
     """
 
     on: bool
@@ -35,16 +37,22 @@ class LaserState:
     power_w: float | None = None
     current_a: float | None = None
     fault: str = ""
+    excess: str = ""
+
+
+def never() -> str:
+    """Nothing refuses the light."""
+    return ""
 
 
 class Laser(Protocol):
     """A laser, or the driver of a laser diode.
 
     Life cycle: ``open`` -> (``set_power_w`` or ``set_current_a``, ``enable``, ``state``, ``off``) any number
-    of times -> ``close``. ``open`` switches the emission off and writes the configured limit into the device
-    if it has one; ``close`` switches the emission off and may be called in any state. Only one thread may
-    call them. Each blocks for at most a few timeouts (``enable`` for the delay of the safety class) and
-    raises DeviceError with one line.
+    of times -> ``close``. ``open`` switches the emission off, writes the configured limit into the device
+    if it has one, and sets or refuses what else could change the light; ``close`` switches the emission off
+    and may be called in any state. Only one thread may call them. Each blocks for at most a few timeouts
+    (``enable`` for the delay of the safety class) and raises DeviceError with one line.
     """
 
     def open(self) -> LaserIdentity:
@@ -69,9 +77,9 @@ class Laser(Protocol):
         """
         ...
 
-    def enable(self) -> None:
+    def enable(self, refusal: Callable[[], str] = never) -> None:
         """Switch on. Raises InterlockOpen if the interlock is open, LaserRefused if the laser does not
-        emit.
+        emit, or as soon as `refusal` says why it must not.
         """
         ...
 

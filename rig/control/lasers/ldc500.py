@@ -1,7 +1,8 @@
 """SRS LDC500 series diode drivers: four-letter commands, lines end with LF, current in mA.
 
 `SILM` is the instrument's own current limit, which no later setting exceeds. Modulation by the analogue input
-is switched off, because it would add to the set current.
+is switched off, because it would add to the set current. A scan of the current, which only another program
+can start, is refused.
 """
 
 import time
@@ -30,7 +31,7 @@ class Ldc500(SerialLaser):
             )
         return LaserIdentity(fields[0], fields[1], fields[2].removeprefix("s/n"))
 
-    def state(self) -> LaserState:
+    def _read(self) -> LaserState:
         """Output, interlock, measured current, monitor diode's power."""
         return LaserState(
             on=_flag(self.ask("LDON?")),
@@ -50,6 +51,13 @@ class Ldc500(SerialLaser):
                 f"{self.name}: the current limit was set to {limit_a:g} A and is {applied_a:g} A;"
                 " set it on the instrument's panel"
             )
+
+    def _strayed(self) -> str:
+        if self.ask("SMOD?").upper() not in ("CC", "0"):
+            return "it is not in the mode of constant current"
+        if _flag(self.ask("MODU?")):
+            return "its modulation input is on"
+        return "a scan of its current is going on" if _flag(self.ask("SCAN?")) else ""
 
     def _switch(self, on: bool) -> None:
         self._command(f"LDON {'ON' if on else 'OFF'}")

@@ -2,6 +2,10 @@
 
 With handshaking (the factory setting) each command is answered by a line ``OK`` or ``ERR<number>``, which
 also follows the answer to each query. Both lines are always read; handshaking is switched on at first.
+
+Its analogue and digital inputs are switched off (constant power), and so is ``SYSTem:AUTostart``, which
+lights by the key alone. The delay of its safety class (``SYSTem:CDRH``) stays as it is. While it warms up
+it is not told to light, because it would do so at the end of that.
 """
 
 import time
@@ -11,6 +15,7 @@ from rig.control.lasers.serial_laser import SerialLaser, rounded_down
 from rig.control.link import ReplyTimeout
 
 _CLOSED = ("ON", "OK", "1", "CLOSED")
+_WARMING_UP = 0x100
 
 
 class Obis(SerialLaser):
@@ -30,14 +35,18 @@ class Obis(SerialLaser):
             "Coherent", self.ask("SYSTem:INFormation:MODel?"), self.ask("SYSTem:INFormation:SNUMber?")
         )
 
-    def state(self) -> LaserState:
+    def _read(self) -> LaserState:
         """Emission, interlock, measured power, fault code."""
         fault = self.ask("SYSTem:FAULt?")
+        if _number(fault) != 0:
+            fault = f"fault {fault}"
+        else:
+            fault = "warming up" if (_number(self.ask("SYSTem:STATus?")) or 0) & _WARMING_UP else ""
         return LaserState(
             on=self.ask("SOURce:AM:STATe?").upper() == "ON",
             interlock_closed=self.ask("SYSTem:LOCK?").upper() in _CLOSED,
             power_w=self.ask_float("SOURce:POWer:LEVel?"),
-            fault="" if _is_zero(fault) else f"fault {fault}",
+            fault=fault,
         )
 
     def ask(self, command: str) -> str:
@@ -50,6 +59,12 @@ class Obis(SerialLaser):
 
     def _prepare(self) -> None:
         self._command("SOURce:AM:INTernal CWP")
+        self._command("SYSTem:AUTostart OFF")
+
+    def _strayed(self) -> str:
+        if (source := self.ask("SOURce:AM:SOURce?").upper()) != "CWP":
+            return f"its light is not of constant power but set by {source}"
+        return "" if self.ask("SYSTem:AUTostart?").upper() in ("OFF", "0") else "its autostart is on"
 
     def _switch(self, on: bool) -> None:
         self._command(f"SOURce:AM:STATe {'ON' if on else 'OFF'}")
@@ -80,8 +95,8 @@ class Obis(SerialLaser):
             raise LaserRefused(f"{self.name}: answered {line.decode('latin-1').strip()} to {command}")
 
 
-def _is_zero(code: str) -> bool:
+def _number(code: str) -> int | None:
     try:
-        return int(code.removeprefix("0x"), 16) == 0
+        return int(code.removeprefix("0x"), 16)
     except ValueError:
-        return False
+        return None

@@ -6,10 +6,12 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import replace
+from typing import final
 
 from processing.errors import DeviceError
 from rig.control.controller import InterlockOpen, PowerLimit
-from rig.control.lasers.laser import ON_WITHIN_S, LaserIdentity, LaserRefused, LaserState
+from rig.control.lasers.laser import ON_WITHIN_S, LaserIdentity, LaserRefused, LaserState, never
 from rig.control.lasers.settings import LaserSettings
 from rig.control.link import ReplyTimeout
 from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
@@ -17,6 +19,10 @@ from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
 _log = logging.getLogger(__name__)
 _RETRIES = 2
 _POLL_S = 0.1
+_METER = 1.05
+"""What a measured power or current may exceed its limit by: such meters err by some percent."""
+_DARK_W, _DARK_A = 1e-5, 1e-3
+"""What they may show in the dark, whatever the limit."""
 
 
 class SerialLaser(ABC):
@@ -44,8 +50,14 @@ class SerialLaser(ABC):
         """Read vendor, model and serial number; raises DeviceError if the device is of another family."""
 
     @abstractmethod
-    def state(self) -> LaserState:
-        """Read the laser's state."""
+    def _read(self) -> LaserState:
+        """Read the laser's state, without `excess`."""
+
+    @abstractmethod
+    def _strayed(self) -> str:
+        """What of the modes that `_prepare` sets is otherwise now, so that something else than the value set
+        here decides on the light; empty if nothing is.
+        """
 
     @abstractmethod
     def _prepare(self) -> None:
@@ -71,10 +83,18 @@ class SerialLaser(ABC):
             identity = self.identify()
             self.off()
             self._prepare()
+            if strayed := self._strayed():
+                raise LaserRefused(f"{self.name}: {strayed}, and stays so; change it as its manual says")
         except BaseException:
             self._give_back()
             raise
         return identity
+
+    @final
+    def state(self) -> LaserState:
+        """Read the laser's state."""
+        state = self._read()
+        return replace(state, excess=self._beyond_limits(state) or self._strayed())
 
     def set_power_w(self, power_w: float) -> None:
         """Set the optical power; raises PowerLimit above max_power_w."""
@@ -92,9 +112,9 @@ class SerialLaser(ABC):
             )
         self._set_within(current_a, self._settings.max_current_a, "max_current_a")
 
-    def enable(self) -> None:
+    def enable(self, refusal: Callable[[], str] = never) -> None:
         """Switch on if the interlock is closed and there is no fault, and wait until the laser reports
-        emission.
+        emission, or `refusal` says why it must not light.
         """
         state = self.state()
         if not state.interlock_closed:
@@ -105,10 +125,18 @@ class SerialLaser(ABC):
             raise LaserRefused(
                 f"{self.name}: the laser reports {state.fault!r} and was not switched on; clear the fault"
             )
+        if why := state.excess or refusal():
+            raise LaserRefused(f"{self.name}: {why}; it was not switched on")
         self._switch(True)
         # some families emit only after a delay that their safety class requires
         deadline_s = time.monotonic() + ON_WITHIN_S
-        while not self.state().on:
+        while True:
+            state = self.state()
+            if why := state.excess or refusal():
+                self._switch(False)
+                raise LaserRefused(f"{self.name}: {why}; it was switched off")
+            if state.on:
+                return
             if time.monotonic() > deadline_s:
                 self._switch(False)
                 raise LaserRefused(
@@ -119,7 +147,7 @@ class SerialLaser(ABC):
     def off(self) -> None:
         """Switch off and check the state."""
         self._switch(False)
-        if self.state().on:
+        if self._read().on:
             raise LaserRefused(f"{self.name}: was switched off but still emits; open the interlock by hand")
 
     def close(self) -> None:
@@ -191,6 +219,16 @@ class SerialLaser(ABC):
                 f"{self.name}: {value:g} {self.unit.upper()} was sent, {applied:g} was read back; "
                 "it was switched off"
             )
+
+    def _beyond_limits(self, state: LaserState) -> str:
+        limits = self._settings
+        for value, limit, dark, unit, name in (
+            (state.power_w, limits.max_power_w, _DARK_W, "mW", "max_power_w"),
+            (state.current_a, limits.max_current_a, _DARK_A, "mA", "max_current_a"),
+        ):
+            if value is not None and not value <= limit * _METER + dark:
+                return f"{value * 1e3:.3g} {unit} measured, {limit * 1e3:g} {unit} allowed by {name}"
+        return ""
 
     def _claimed(self) -> tuple[SerialLine, LineReader]:
         if self._line is None or self._reader is None:

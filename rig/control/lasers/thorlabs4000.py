@@ -4,7 +4,9 @@ They are USBTMC instruments (1313:804a is an ITC4001): ``port`` is "usbtmc", "us
 A serial port is served as well.
 
 The commands are those of the series' programmer's reference manual. The set current and its limit are read
-back, and the instrument's error queue is read after every setting.
+back, and the instrument's error queue is read after every setting. Modulation, which its analogue input or
+its own generator does, and pulses are switched off. Its input LD ENABLE, if used, is made to switch off for
+good instead of only as long as it is low.
 """
 
 from collections.abc import Callable
@@ -20,6 +22,7 @@ _USB_VENDOR = 0x1313
 _TRIPS = {
     "INTLock": "interlock",
     "KEYLock": "key switch",
+    "EXTernal": "input LD ENABLE",
     "OTEMp": "over-temperature",
     "VOLTage": "compliance voltage",
 }
@@ -51,7 +54,7 @@ class Thorlabs4000(SerialLaser):
             )
         return LaserIdentity(fields[0], fields[1], fields[2])
 
-    def state(self) -> LaserState:
+    def _read(self) -> LaserState:
         """Output, protections and measured current."""
         tripped = [name for key, name in _TRIPS.items() if self._flag(f"OUTPut:PROTection:{key}:TRIPped?")]
         return LaserState(
@@ -64,6 +67,10 @@ class Thorlabs4000(SerialLaser):
     def _prepare(self) -> None:
         self.tell("*CLS")
         self._command("SOURce:FUNCtion:MODE CURRent")
+        self._command("SOURce:FUNCtion:SHAPe DC")
+        self._command("SOURce:AM:STATe OFF")
+        if self._lights_by_its_input():
+            self._command("OUTPut:PROTection:EXTernal:MODE PROTection")
         limit_a = self._settings.max_current_a
         self._command(f"SOURce:CURRent:LIMit:AMPLitude {rounded_down(limit_a, 6)}")
         applied_a = self.ask_float("SOURce:CURRent:LIMit:AMPLitude?")
@@ -72,6 +79,18 @@ class Thorlabs4000(SerialLaser):
                 f"{self.name}: the current limit was set to {limit_a:g} A and is {applied_a:g} A;"
                 " set it on the instrument's panel"
             )
+
+    def _strayed(self) -> str:
+        if not self.ask("SOURce:FUNCtion:MODE?").upper().startswith("CURR"):
+            return "it is not in the mode of constant current"
+        if not self.ask("SOURce:FUNCtion:SHAPe?").upper().startswith("DC"):
+            return "it makes pulses"
+        if self._flag("SOURce:AM:STATe?"):
+            return "its amplitude modulation is on"
+        return "its input LD ENABLE can light it" if self._lights_by_its_input() else ""
+
+    def _lights_by_its_input(self) -> bool:
+        return self.ask("OUTPut:PROTection:EXTernal:MODE?").upper().startswith("ENAB")
 
     def _switch(self, on: bool) -> None:
         self._command(f"OUTPut:STATe {'ON' if on else 'OFF'}")

@@ -28,6 +28,8 @@ class Instrument:
         self.silent = False
         self.stuck_on = False
         self.deaf_to_off = 0
+        self.measures: float | None = None
+        """What its own meter shows, W or A, if that is not what was set."""
         self._heard = b""
 
     def answer(self, command: str) -> str | None:
@@ -36,6 +38,10 @@ class Instrument:
     def light(self, on: bool) -> None:
         self.on = (on and self.interlock_closed) or self.stuck_on
         self.note()
+
+    @property
+    def measured(self) -> float:
+        return self.set_value * self.on if self.measures is None else self.measures
 
     def note(self) -> None:
         if self.on:
@@ -107,7 +113,22 @@ class FakeThorlabs(Instrument):
         self.limit_a = self.hardware_limit_a
         self.errors: list[str] = []
         self.overheated = False
+        self.held_off = False
+        """By its input LD ENABLE, at the back."""
+        # kept from whoever used it before, over power-off too
+        self.kept = {"FUNC:MODE": "POW", "FUNC:SHAP": "PULS", "AM:STAT": "1", "PROT:EXT:MODE": "ENAB"}
+        self.deaf_to = ""
         super().__init__()
+
+    def keep(self, key: str, argument: str) -> None:
+        """A setting, as words in their short form or as a truth value."""
+        choices = {"FUNC:MODE": ("CURR", "POW"), "FUNC:SHAP": ("DC", "PULS"), "AM:STAT": ("OFF", "ON"),
+                   "PROT:EXT:MODE": ("OFF", "PROT", "ENAB")}[key]  # fmt: skip
+        word = next((word for word in choices if argument.upper().startswith(word)), None)
+        if word is None:
+            self.errors.append('-224,"Illegal parameter value"')
+        elif key != self.deaf_to:
+            self.kept[key] = str(choices.index(word)) if key == "AM:STAT" else word
 
     def answer(self, command: str) -> str | None:
         header, _, argument = command.partition(" ")
@@ -116,7 +137,7 @@ class FakeThorlabs(Instrument):
             "SOURCE": "SOUR", "CURRENT": "CURR", "LEVEL": "LEV", "AMPLITUDE": "AMPL", "LIMIT": "LIM",
             "OUTPUT": "OUTP", "STATE": "STAT", "PROTECTION": "PROT", "INTLOCK": "INTL", "KEYLOCK": "KEYL",
             "OTEMP": "OTEM", "VOLTAGE": "VOLT", "TRIPPED": "TRIP", "SYSTEM": "SYST", "ERROR": "ERR",
-            "MEASURE": "MEAS", "FUNCTION": "FUNC",
+            "MEASURE": "MEAS", "FUNCTION": "FUNC", "SHAPE": "SHAP", "EXTERNAL": "EXT",
         }  # fmt: skip
         query = header.endswith("?")
         words = [long_to_short.get(word, word) for word in header.rstrip("?").upper().split(":")]
@@ -138,6 +159,8 @@ class FakeThorlabs(Instrument):
                 return f"{int(not self.interlock_closed)}\n"
             case "OUTP:PROT:OTEM:TRIP?":
                 return f"{int(self.overheated)}\n"
+            case "OUTP:PROT:EXT:TRIP?":
+                return f"{int(self.held_off)}\n"
             case "OUTP:PROT:KEYL:TRIP?" | "OUTP:PROT:VOLT:TRIP?":
                 return "0\n"
             case "SOUR:CURR:LIM:AMPL":
@@ -153,11 +176,15 @@ class FakeThorlabs(Instrument):
             case "SOUR:CURR:LEV:AMPL?":
                 return f"{self.set_value:.8E}\n"
             case "MEAS:CURR?":
-                return f"{self.set_value * self.on:.8E}\n"
-            case "SOUR:FUNC:MODE" if argument[:4].upper() == "CURR":
-                pass
+                return f"{self.measured:.8E}\n"
             case _:
-                self.errors.append('-113,"Undefined header"')
+                kept = key.removeprefix("SOUR:").removeprefix("OUTP:")
+                if kept in self.kept:
+                    self.keep(kept, argument)
+                elif kept.rstrip("?") in self.kept:
+                    return self.kept[kept.rstrip("?")] + "\n"
+                else:
+                    self.errors.append('-113,"Undefined header"')
         return None
 
 
@@ -170,6 +197,11 @@ class FakeObis(Instrument):
         self.delay = 2
         self.faults = 0
         self.handshaking = True
+        self.autostart = True
+        self.autostart_locked = False
+        self.source = "MIXED"
+        """Who sets the light: CWP, CWC, DIGITAL, ANALOG, MIXED; kept over power-off."""
+        self.warm = True
         super().__init__()
 
     def answer(self, command: str) -> str | None:
@@ -207,7 +239,19 @@ class FakeObis(Instrument):
                 self.light(argument == "ON")
                 return "OK\r\n"
             case "SOURCE:AM:INTERNAL":
-                return "OK\r\n" if argument in ("CWP", "CWC") else "ERR-220\r\n"
+                if argument not in ("CWP", "CWC"):
+                    return "ERR-220\r\n"
+                self.source = argument
+                return "OK\r\n"
+            case "SOURCE:AM:SOURCE?":
+                return f"{self.source}\r\nOK\r\n"
+            case "SYSTEM:AUTOSTART":
+                self.autostart = self.autostart_locked or argument == "ON"
+                return "OK\r\n"
+            case "SYSTEM:AUTOSTART?":
+                return f"{'ON' if self.autostart else 'OFF'}\r\nOK\r\n"
+            case "SYSTEM:STATUS?":
+                return f"{0xC8001002 if self.warm else 0xC8001100:08X}\r\nOK\r\n"
             case "SOURCE:POWER:LEVEL:IMMEDIATE:AMPLITUDE":
                 if not 0.0 <= float(argument) <= 0.110:
                     return "ERR-222\r\n"
@@ -217,7 +261,7 @@ class FakeObis(Instrument):
             case "SOURCE:POWER:LEVEL:IMMEDIATE:AMPLITUDE?":
                 return f"{self.set_value:.5f}\r\nOK\r\n"
             case "SOURCE:POWER:LEVEL?":
-                return f"{self.set_value * self.on:.5f}\r\nOK\r\n"
+                return f"{self.measured:.5f}\r\nOK\r\n"
         return "ERR-100\r\n"
 
 
@@ -230,6 +274,9 @@ class FakeLdc500(Instrument):
         self.lcme = 0
         self.obeyed_s = 0.0
         self.error_after_s = 0.05
+        self.monitor_mw = 0.0
+        self.kept = {"SMOD": "CP", "MODU": "ON", "SCAN": "OFF"}
+        """Kept over power-off, except a scan."""
         super().__init__()
 
     def answer(self, command: str) -> str | None:
@@ -271,11 +318,14 @@ class FakeLdc500(Instrument):
             case "SILD?":
                 return f"{self.set_value * 1000:.3f}\r\n"
             case "RILD?":
-                return f"{self.set_value * 1000 * self.on:.3f}\r\n"
+                return f"{self.measured * 1000:.3f}\r\n"
             case "RWPD?":
-                return "0.00000\r\n"
+                return f"{self.monitor_mw:.5f}\r\n"
             case "SMOD" | "MODU":
                 self.lexe = 0 if argument in ("CC", "CP", "ON", "OFF") else 1
+                self.kept[header] = argument
+            case "SMOD?" | "MODU?" | "SCAN?":
+                return self.kept[header.rstrip("?")] + "\r\n"
             case _:
                 self.lcme = 2
         return None
@@ -289,6 +339,10 @@ class FakeCobolt(Instrument):
     def __init__(self) -> None:
         self.fault = 0
         self.autostart = False
+        self.direct_input: bool | None = True
+        """Whether 5 V at its connector lights it; None for a model that has none."""
+        self.mode = 4
+        """gom?: 0 off, 1 waits for the key, 2 continuous, 3 on/off modulation, 4 modulation, 5 fault."""
         super().__init__()
 
     def answer(self, command: str) -> str | None:
@@ -299,9 +353,12 @@ class FakeCobolt(Instrument):
             "l?": str(int(self.on)),
             "ilk?": str(int(not self.interlock_closed)),
             "f?": str(self.fault if self.interlock_closed else 3),
-            "pa?": f"{self.set_value * self.on:.6f}",
+            "pa?": f"{self.measured:.6f}",
             "p?": f"{self.set_value:.6f}",
+            "gom?": str(self.mode),
         }
+        if self.direct_input is not None:
+            answers["@cobasdr?"] = str(int(self.direct_input))
         if word in answers:
             return answers[word] + "\r\n"
         if word == "l1" and self.autostart:
@@ -311,6 +368,10 @@ class FakeCobolt(Instrument):
         elif word == "p" and 0.0 <= float(argument) <= 0.05:
             self.set_value = float(argument)
             self.note()
-        elif word != "cp":
+        elif word == "cp":
+            self.mode = 2
+        elif word == "@cobasdr" and self.direct_input is not None:
+            self.direct_input = argument != "0"
+        else:
             return "Syntax error: illegal command\r\n"
         return "OK\r\n"

@@ -1,8 +1,10 @@
 """Every laser driver passes the same tests, each with a simulated instrument of its family."""
 
 import itertools
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, example, given, settings
@@ -241,6 +243,149 @@ def test_ldc500_limit_goes_into_the_instrument(ports: Ports) -> None:
     laser.close()
 
 
+STRAYED = {
+    "thorlabs4000": [
+        (lambda it: it.kept.update({"AM:STAT": "1"}), "amplitude modulation is on"),
+        (lambda it: it.kept.update({"FUNC:SHAP": "PULS"}), "pulses"),
+        (lambda it: it.kept.update({"FUNC:MODE": "POW"}), "constant current"),
+        (lambda it: it.kept.update({"PROT:EXT:MODE": "ENAB"}), "LD ENABLE"),
+    ],
+    "obis": [
+        (lambda it: setattr(it, "source", "ANALOG"), "ANALOG"),
+        (lambda it: setattr(it, "source", "DIGITAL"), "DIGITAL"),
+        (lambda it: setattr(it, "autostart", True), "autostart"),
+    ],
+    "ldc500": [
+        (lambda it: it.kept.update(MODU="ON"), "modulation"),
+        (lambda it: it.kept.update(MODU="1"), "modulation"),
+        (lambda it: it.kept.update(SMOD="CP"), "constant current"),
+        (lambda it: it.kept.update(SCAN="ON"), "scan"),
+    ],
+    "cobolt": [
+        (lambda it: setattr(it, "mode", 3), "modulation"),
+        (lambda it: setattr(it, "mode", 4), "modulation"),
+        (lambda it: setattr(it, "direct_input", True), "direct input"),
+        (lambda it: setattr(it, "autostart", True), "autostart"),
+    ],
+}
+"""What another program or somebody at the panel can change, and the word that names it."""
+CASES = [(kind, change, named) for kind, changes in STRAYED.items() for change, named in changes]
+
+
+@pytest.mark.parametrize(("kind", "change", "named"), CASES)
+def test_what_changes_light_behind_the_program_is_set_and_later_refused(
+    ports: Ports, kind: str, change: Callable[[Any], None], named: str
+) -> None:
+    instrument = FAMILIES[kind][0]()
+    laser = laser_for(kind, ports.plug_in(instrument))
+    laser.open()
+    assert laser.state().excess == ""
+    change(instrument)
+    assert named in laser.state().excess
+    with pytest.raises(LaserRefused, match=f"{named}.*not switched on"):
+        laser.enable()
+    assert not instrument.on
+    laser.close()
+
+
+def test_a_setting_that_is_not_taken_is_refused_when_it_is_opened(ports: Ports) -> None:
+    thorlabs, obis = FakeThorlabs(), FakeObis()
+    thorlabs.deaf_to, obis.autostart_locked = "AM:STAT", True
+    for kind, instrument, named in (("thorlabs4000", thorlabs, "modulation"), ("obis", obis, "autostart")):
+        with pytest.raises(LaserRefused, match=f"{named}.*manual"):
+            laser_for(kind, ports.plug_in(instrument)).open()
+        assert ports.lines[-1].closed
+
+
+def test_a_thorlabs_whose_enable_input_was_not_used_keeps_it_so(ports: Ports) -> None:
+    instrument = FakeThorlabs()
+    instrument.kept["PROT:EXT:MODE"] = "OFF"
+    laser = laser_for("thorlabs4000", ports.plug_in(instrument))
+    laser.open()
+    assert instrument.kept["PROT:EXT:MODE"] == "OFF"
+    instrument.held_off = True
+    with pytest.raises(LaserRefused, match="LD ENABLE"):
+        laser.enable()
+    laser.close()
+
+
+def test_a_cobolt_without_a_direct_input_is_driven(ports: Ports) -> None:
+    instrument = FakeCobolt()
+    instrument.direct_input = None
+    laser = laser_for("cobolt", ports.plug_in(instrument))
+    laser.open()
+    laser.enable()
+    assert instrument.on
+    laser.close()
+
+
+def test_an_obis_that_would_light_after_its_warm_up_is_not_told_to(ports: Ports) -> None:
+    instrument = FakeObis()
+    laser = laser_for("obis", ports.plug_in(instrument))
+    laser.open()
+    instrument.warm = False
+    with pytest.raises(LaserRefused, match="warming up"):
+        laser.enable()
+    assert "SOURce:AM:STATe ON" not in instrument.received
+    laser.close()
+
+
+def test_more_light_or_current_than_allowed_is_seen_and_not_lit(pair: Pair) -> None:
+    pair.laser.open()
+    pair.set(0.020)
+    pair.laser.enable()
+    assert pair.laser.state().excess == ""
+    pair.instrument.measures = 0.050
+    what = r"50 m[AW] measured, 30 m[AW] allowed by max_"
+    assert re.search(what, pair.laser.state().excess)
+    pair.laser.off()
+    with pytest.raises(LaserRefused, match=what):
+        pair.laser.enable()
+    assert not pair.instrument.on
+
+
+@pytest.mark.parametrize("kind", sorted(LASERS))
+def test_a_meter_that_errs_by_a_few_percent_is_no_alarm(ports: Ports, kind: str) -> None:
+    instrument = FAMILIES[kind][0]()
+    laser = laser_for(kind, ports.plug_in(instrument))
+    laser.open()
+    instrument.measures = LIMIT * 1.03
+    assert laser.state().excess == ""
+    instrument.measures = LIMIT * 1.1
+    assert "allowed by max_" in laser.state().excess
+    instrument.measures = None
+    laser.close()
+
+
+class TooBright(FakeObis):
+    """Its light is not what it was set to."""
+
+    def light(self, on: bool) -> None:
+        super().light(on)
+        self.measures = 0.050 if on else None
+
+
+def test_an_obis_that_lights_with_more_than_allowed_is_dark_at_once(ports: Ports) -> None:
+    instrument = TooBright()
+    laser = make_laser(LaserSettings(kind="obis", port=ports.plug_in(instrument), max_power_w=0.001))
+    assert laser is not None
+    laser.open()
+    laser.set_power_w(0.0005)
+    with pytest.raises(LaserRefused, match="50 mW measured, 1 mW allowed by max_power_w; it was switched"):
+        laser.enable()
+    assert not instrument.on
+    laser.close()
+
+
+def test_the_monitor_diode_of_an_ldc500_counts(ports: Ports) -> None:
+    instrument = FakeLdc500()
+    laser = laser_for("ldc500", ports.plug_in(instrument))
+    laser.open()
+    instrument.monitor_mw = 40.0
+    assert "40 mW measured, 30 mW allowed by max_power_w" in laser.state().excess
+    laser.close()
+
+
 def test_a_fault_forbids_lighting(ports: Ports) -> None:
     obis, cobolt = FakeObis(), FakeCobolt()
     obis.faults, cobolt.fault = 0x20, 1
@@ -391,6 +536,73 @@ class TestService:
         with pytest.raises(DeviceError, match="the laser stays off: the run ends"):
             refused.result(0)
         assert instrument.received.count("l0") == count
+
+    def test_more_light_than_allowed_darkens_and_withdraws_the_permit(
+        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    ) -> None:
+        turn(service)
+        service.set_power_w(0.01)
+        service.enable()
+        turn(service)
+        service.take_events()
+        instrument.measures = 0.050
+        turn(service)
+        assert not instrument.on
+        said = "50 mW measured, 30 mW allowed by max_power_w"
+        assert service.take_events() == (f"laser off: {said}",)
+        assert said in permit.refusal
+        instrument.measures = None
+        refused = service.enable()
+        turn(service)
+        with pytest.raises(DeviceError, match=said):
+            refused.result(0)
+        assert not instrument.on
+
+    def test_modulation_switched_on_while_it_is_lit_darkens(
+        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    ) -> None:
+        turn(service)
+        service.enable()
+        turn(service)
+        instrument.mode = 4
+        turn(service)
+        assert not instrument.on
+        assert "modulation" in permit.refusal
+
+    def test_an_off_outdates_a_light_that_still_waits(
+        self, service: LaserService, instrument: FakeCobolt
+    ) -> None:
+        turn(service)
+        lit, dark = service.enable(), service.off()
+        turn(service)
+        dark.result(0)
+        with pytest.raises(DeviceError, match="was switched off meanwhile"):
+            lit.result(0)
+        assert "l1" not in instrument.received
+
+    @pytest.mark.parametrize("by", ["off", "permit"])
+    def test_a_laser_that_lights_late_is_not_waited_for_when_it_shall_be_dark(
+        self, ports: Ports, permit: LightPermit, by: str
+    ) -> None:
+        instrument = FakeObis()
+        service = LaserService(laser_for("obis", ports.plug_in(instrument)), permit=permit)
+        turn(service)
+        instrument.delay = 10_000
+        began_s = ports.clock.monotonic()
+        usual, asked = instrument.answer, [service.off if by == "off" else lambda: permit.withdraw("the end")]
+
+        def answer(command: str) -> str | None:
+            if asked and ports.clock.monotonic() > began_s + 1.0:
+                asked.pop()()
+            return usual(command)
+
+        instrument.answer = answer  # type: ignore[method-assign]
+        lit = service.enable()
+        turn(service)
+        with pytest.raises(DeviceError, match="it was switched off"):
+            lit.result(0)
+        assert not instrument.on
+        assert ports.clock.monotonic() - began_s < 2
 
     def test_an_off_that_was_not_obeyed_is_given_again(
         self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
