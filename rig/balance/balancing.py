@@ -10,7 +10,7 @@ from rig.balance.learned_turns import LearnedTurns
 from rig.balance.look import LooksView, look
 from rig.balance.reporter import OnTerminal, Reporter
 from rig.balance.simulated_operator import SimulatedOperator
-from rig.devices import Devices
+from rig.devices import Audited, Devices
 from rig.instrument import WEIGHTS, advice_for, complete, height_of
 from rig.presentation import say
 from rig.settings import Configuration
@@ -66,7 +66,7 @@ def balance_rig(
 
     moves = looks = 0
     with (
-        Devices(config, history_path(config, path).parent) as devices,
+        Devices(config, history_path(config, path).parent, "rig balance") as devices,
         LooksView(config, rrd, advise, reporter.way) as view,
     ):
         while True:
@@ -97,7 +97,7 @@ def balance_rig(
             else:
                 operator.follow(turn)
                 session.turned(turn.weight, turn.parts)
-                devices.audit("weight turned", weight=turn.weight, turns=turn.parts)
+                devices.audit(Audited.WEIGHT, "as advised", weight=turn.weight, turns=turn.parts)
                 moves += 1
 
 
@@ -145,5 +145,5 @@ def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter) -> Turn | 
             )
             continue
         session.turned(weight, parts)
-        devices.audit("weight turned", weight=weight, turns=parts)
+        devices.audit(Audited.WEIGHT, "stated by the operator", weight=weight, turns=parts)
         return Turn(weight, parts[0], "", sum(parts[1:]))

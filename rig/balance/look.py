@@ -11,7 +11,7 @@ from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
 from processing.ticks import nanoseconds, seconds
 from rig.balance.learned_turns import BalanceMeasurement
-from rig.devices import Devices, FrameStream, LightWatch
+from rig.devices import Devices, FrameStream, LightWatch, ask_leave
 from rig.instrument import Block, camera_settings, frame_policy, optics_of, prepare_kernels
 from rig.presentation import say
 from rig.settings import Configuration
@@ -88,6 +88,7 @@ def look(
         optics = optics_of(config, camera.info.full_scale_dn)
         prepare_kernels(optics.sensor, say)
         # lit only while frames are taken: then the operator's hands may be at the pendulum
+        ask_leave(devices)
         if lit := devices.light():
             say(lit)
         camera.camera.start()

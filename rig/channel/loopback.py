@@ -25,8 +25,9 @@ from rig.presentation import plain_values
 CHANNEL_NAME = ".channel.json"
 LOOPBACK = "127.0.0.1"
 _MOST_ASKED_BYTES = 64 * 1024
-Orders = Mapping[str, Callable[[], str]]
-"""What may be ordered, by name; an order returns what was done, or raises RigError."""
+Orders = Mapping[str, Callable[[str], str]]
+"""What may be ordered, by its first word, which is called with the rest; returns what was done, or raises
+RigError."""
 
 
 class Channel:
@@ -125,10 +126,10 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         if not self._may_ask() or not 0 <= length <= _MOST_ASKED_BYTES:
             self.close_connection = True
             return
-        name = self.rfile.read(length).decode(errors="replace")
+        name, _, rest = self.rfile.read(length).decode(errors="replace").partition(" ")
         order = self.server.channel.orders.get(name)
         try:
-            done = f"{name!r}: this session knows no such order" if order is None else order()
+            done = f"{name!r}: this session knows no such order" if order is None else order(rest)
             answer = {"ok": order is not None, "text": done}
         except Exception as error:
             # whatever it is, it is reported to who ordered, and ends no session

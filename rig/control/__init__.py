@@ -4,9 +4,10 @@ from rig.control.controller import Controller, Trip
 from rig.control.environment import EnvironmentService
 from rig.control.laser_service import LONGEST_JOB_S, LaserService
 from rig.control.lasers import LASERS, LaserSettings, LaserState, laser_unit, make_laser
-from rig.control.light_permit import Interlock, LightPermit, Stage
+from rig.control.light_permit import Interlock, LightPermit, LightRefused, Stage
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
+from rig.control.safety_state import Holder, LatchedTrip, SafetyState, TripCause, rig_state_path
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.control.simulated import SimulatedOutputs, simulated_controller
-from rig.control.states import DevicesNow, LaserNow, Light
+from rig.control.states import STALE_S, DevicesNow, LaserNow, Light, Loop, SafetyNow

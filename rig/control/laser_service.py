@@ -9,8 +9,9 @@ from typing import TypeVar
 from processing.errors import DeviceError
 from rig.control.device_thread import DeviceThread
 from rig.control.lasers.laser import ON_WITHIN_S, Laser, LaserIdentity, LaserState
-from rig.control.light_permit import Interlock, LightPermit
+from rig.control.light_permit import Interlock, LightPermit, LightRefused
 from rig.control.link import ReplyTimeout
+from rig.control.safety_state import TripCause
 from rig.control.serial_port import PortLost
 
 _REOPEN_S = 1.0
@@ -113,7 +114,7 @@ class LaserService(DeviceThread):
             return self._permit.refusal or ("it was switched off meanwhile" if self._offs != offs else "")
 
         if why := refusal():
-            raise DeviceError(f"the laser stays off: {why}")
+            raise LightRefused(f"the laser stays off: {why}")
         laser.enable(refusal)
 
     def _keep_to_the_permit(self) -> None:
@@ -129,15 +130,19 @@ class LaserService(DeviceThread):
         before, state = self._snapshot.state, self._laser.state()
         self._snapshot = replace(self._snapshot, state=state, state_time_ns=time.monotonic_ns())
         if state.excess:
-            self._permit.withdraw(state.excess)
-            if state.excess != self._excess:
-                self._say(f"laser off: {state.excess}")
-            self._laser.off()
+            try:
+                self._laser.off()
+            finally:
+                if state.excess != self._excess:
+                    self._excess = state.excess
+                    self._say(f"laser off: {state.excess}")
+                    self._permit.trip(TripCause.OUTPUT, state.excess)
         self._excess = state.excess
-        if before is not None and before.interlock_closed and not state.interlock_closed:
-            self._say("interlock opened")
+        if (before is None or before.interlock_closed) and not state.interlock_closed:
+            if before is not None:
+                self._say("interlock opened")
             if self._own_interlock:
-                self._permit.interlock_opened(Interlock.LASER)
+                self._permit.trip(TripCause.INTERLOCK, Interlock.LASER.opened_text)
         if state.fault and (before is None or before.fault != state.fault):
             self._say(state.fault)
 

@@ -1,9 +1,12 @@
-"""Whether lasers may be lit: only while frames are read, processed and recorded."""
+"""Whether lasers may be lit: only while frames are processed, and after a trip only by a person's leave."""
 
 import time
 from collections.abc import Callable
 from enum import StrEnum
 from typing import Final
+
+from processing.errors import DeviceError
+from rig.control.safety_state import LatchedTrip, SafetyState, TripCause
 
 
 class Stage(StrEnum):
@@ -35,20 +38,31 @@ LONGEST_PAUSE_S: Final = {Stage.CAMERA: 5.0, Stage.PROCESSING: 5.0, Stage.RECORD
 and once they cannot, the processing stalls too."""
 
 
+class LightRefused(DeviceError):
+    """The laser stays dark: a trip is latched, or something else refuses the light."""
+
+
 class LightPermit:
-    """Whether lasers may be lit, as a dead man's switch: a stage that stalls refuses the light.
+    """Whether lasers may be lit: the rig's latch, and a dead man's switch; a stage that stalls refuses it.
 
     The threads of the devices ask for `refusal` before each heartbeat. The stages report their progress;
     camera and processing are watched from `begin` on, the recorder from its first report until `ended`.
-    All methods may be called from any thread and never block: they only set plain values.
+    All methods may be called from any thread; all but `trip`, which writes the rig's file, only set plain
+    values. `tripped` is told of each trip, in the thread that saw it.
     """
 
-    def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        clock_s: Callable[[], float] = time.monotonic,
+        state: SafetyState | None = None,
+        tripped: Callable[[LatchedTrip], None] = lambda _trip: None,
+    ) -> None:
         self._clock_s = clock_s
+        self._state = state or SafetyState()
+        self._tripped = tripped
         self._moved_s: dict[Stage, float] = {}
         self._begun = False
         self._withdrawn = ""
-        self._unacknowledged: Interlock | None = None
 
     def begin(self) -> None:
         """A laser is about to be lit: from now on camera and processing must move."""
@@ -72,25 +86,30 @@ class LightPermit:
         """Refuse the light for good, for example after an interrupt; the first reason is kept."""
         self._withdrawn = self._withdrawn or why
 
-    def interlock_opened(self, whose: Interlock) -> None:
-        """Refuse the light until `acknowledge`, because an interlock opened while light was permitted."""
-        if self._begun:
-            self._unacknowledged = whose
-
-    def acknowledge(self) -> None:
-        """Someone has looked, and allows light again."""
-        self._unacknowledged = None
+    def trip(self, cause: TripCause, why: str) -> None:
+        """Latch a cause, lit or dark: the light is refused until a person has acknowledged it."""
+        try:
+            self._state.latch(cause, why, self._begun)
+        finally:
+            # also where the file cannot be written
+            if (trip := self.latched) is not None:
+                self._tripped(trip)
 
     @property
-    def unacknowledged(self) -> Interlock | None:
-        """The interlock that opened and was not acknowledged."""
-        return self._unacknowledged
+    def latched(self) -> LatchedTrip | None:
+        """The trip that waits for its acknowledgement."""
+        return self._state.trip
+
+    @property
+    def begun(self) -> bool:
+        """Whether a laser is, or is about to be, lit."""
+        return self._begun
 
     @property
     def refusal(self) -> str:
         """Why no laser may be lit; empty while it may."""
-        waits = self._unacknowledged
-        return self._withdrawn or ("" if waits is None else waits.opened_text) or self.stalled
+        trip = self.latched
+        return self._withdrawn or ("" if trip is None else trip.text) or self.stalled
 
     @property
     def paused_s(self) -> float:

@@ -14,8 +14,9 @@ from typing import TypeVar
 from processing.errors import DeviceError
 from rig.control.controller import AirReading, Controller, ControllerIdentity, ControllerStatus, Trip
 from rig.control.device_thread import DeviceThread
-from rig.control.light_permit import Interlock, LightPermit
+from rig.control.light_permit import Interlock, LightPermit, LightRefused
 from rig.control.link import ControllerReset, ReplyTimeout
+from rig.control.safety_state import TripCause
 from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings
 
@@ -81,6 +82,7 @@ class ControlService(DeviceThread):
         self._snapshot = ControlSnapshot()
         self._is_open = False
         self._was_open = False
+        self._interlock_closed = True
         self._heard_s = 0.0
         self._environment_due_s = 0.0
         self._counts_before = (0, 0, 0)
@@ -114,8 +116,8 @@ class ControlService(DeviceThread):
         return self.submit(self._light)
 
     def laser_off(self) -> "Future[None]":
-        """Switch the laser off, before all waiting commands."""
-        return self.submit(Controller.laser_off, urgent=True)
+        """Switch the laser off, before all waiting commands; done once the board has said how it stands."""
+        return self.submit(self._darken, urgent=True)
 
     def set_laser_power_w(self, power_w: float) -> "Future[None]":
         """Set the laser's power within its limits."""
@@ -180,8 +182,13 @@ class ControlService(DeviceThread):
 
     def _light(self, controller: Controller) -> None:
         if refusal := self._permit.refusal:
-            raise DeviceError(f"{controller.name}: the laser stays off: {refusal}")
+            raise LightRefused(f"{controller.name}: the laser stays off: {refusal}")
         controller.laser_on()
+        self._beat()
+
+    def _darken(self, controller: Controller) -> None:
+        controller.laser_off()
+        self._beat()
 
     def _keep_to_the_permit(self) -> None:
         """Switch the laser off when the permit begins to refuse it."""
@@ -212,8 +219,10 @@ class ControlService(DeviceThread):
         happened = controller.take_events()
         for event in happened:
             self._say(f"{event.name} {event.detail}".rstrip())
-        if not status.interlock_closed or any(event.detail == Trip.INTERLOCK for event in happened):
-            self._permit.interlock_opened(Interlock.CONTROLLER)
+        tripped = any(event.detail == Trip.INTERLOCK for event in happened)
+        if tripped or (self._interlock_closed and not status.interlock_closed):
+            self._permit.trip(TripCause.INTERLOCK, Interlock.CONTROLLER.opened_text)
+        self._interlock_closed = status.interlock_closed
         if status.errors_waiting:
             code, text = controller.next_error()
             self._say(f"error {code}: {text}")

@@ -1,10 +1,16 @@
 """States of laser and controller as values, for threads, displays and the desk; their texts are made here."""
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
 
 from rig.control.controller import ControllerStatus
+from rig.control.safety_state import LatchedTrip
 from rig.control.service import ControlState
+
+STALE_S: Final = 2.0
+"""A state that is older is not known any more, whatever it was."""
 
 
 class Light(StrEnum):
@@ -15,16 +21,19 @@ class Light(StrEnum):
     INTERLOCK_OPEN = "off, its interlock is open"
     SILENT = "does not answer"
     CONTROLLER_SILENT = "the controller does not answer"
+    UNKNOWN = "unknown, nothing was heard for more than 2 s"
+    DISAGREES = "told off, and seen lit"
 
 
 @dataclass(frozen=True, slots=True)
 class LaserNow:
-    """The laser's last known state; `set_w` is what the controller was set to, the others are measured."""
+    """The laser's state `age_s` ago; `set_w` is what the controller was set to, the others are measured."""
 
     light: Light
     set_w: float | None = None
     power_w: float | None = None
     current_a: float | None = None
+    age_s: float = 0.0
 
     @property
     def on(self) -> bool:
@@ -41,11 +50,38 @@ class LaserNow:
         return shown + (f", {self.current_a * 1e3:.4g} mA" if self.current_a else "")
 
 
+class Loop(StrEnum):
+    """The interlock loops that can be read: open if one is."""
+
+    CLOSED = "closed"
+    OPEN = "open"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyNow:
+    """The safety state of a rig; ages in s, infinite for what was never heard.
+
+    `trip` waits for an acknowledgement, `refusal` is why no light is allowed (empty while it is), `seen`
+    whether the camera's frames show the laser's spot, None where nobody looks at frames. What is older than
+    `STALE_S` is unknown.
+    """
+
+    trip: LatchedTrip | None = None
+    refusal: str = ""
+    light: Light = Light.UNKNOWN
+    light_age_s: float = math.inf
+    interlock: Loop = Loop.UNKNOWN
+    interlock_age_s: float = math.inf
+    seen: bool | None = None
+    seen_age_s: float = math.inf
+
+
 @dataclass(frozen=True, slots=True)
 class DevicesNow:
     """The last known state of laser and controller, None for what the program does not control.
 
-    `status` is None, too, while the controller does not answer.
+    `status` is None, too, while the controller does not answer, or has not for `STALE_S`.
     """
 
     laser: LaserNow | None = None

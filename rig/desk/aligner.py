@@ -12,7 +12,7 @@ from acquisition.frame import Frame
 from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError, RigError
 from rig.align import AlignmentFrame, take_look
-from rig.control import Interlock, LightPermit, Stage
+from rig.control import LatchedTrip, LightPermit, LightRefused, Stage
 from rig.devices import Devices, LightWatch, find_exposure, watch_latest
 from rig.instrument import complete, optics_of, prepare_kernels
 from rig.settings import Configuration
@@ -97,17 +97,17 @@ class Aligner:
         self._thread.join(10.0)
 
     @property
-    def unacknowledged(self) -> Interlock | None:
-        """The interlock that has opened since the laser was lit, and that nobody has acknowledged."""
+    def latched(self) -> LatchedTrip | None:
+        """The trip that nobody has acknowledged."""
         devices = self._devices
-        return None if devices is None else devices.permit.unacknowledged
+        return None if devices is None else devices.permit.latched
 
-    def acknowledge(self) -> str:
-        """Light the laser again after an interlock has opened; raises DeviceError while it is open."""
+    def acknowledge(self, number: int) -> str:
+        """Acknowledge a trip and light the laser again; raises DeviceError while an interlock is open."""
         devices = self._devices
         if devices is None:
-            return "no interlock waits for an acknowledgement"
-        said = devices.acknowledge()
+            return "nothing waits for an acknowledgement"
+        said = devices.acknowledge(number, "desk")
         self._relighting = True
         return said
 
@@ -130,7 +130,8 @@ class Aligner:
     def _watch(self) -> None:
         config = self._config
         begun_s = time.monotonic()
-        with Devices(config) as devices, devices.camera(config) as opened:
+        folder = config.session.output
+        with Devices(config, folder, "the live picture") as devices, devices.camera(config) as opened:
             self._devices = devices
             info = opened.info
             self.applied = opened.applied or CameraSettings()
@@ -138,7 +139,12 @@ class Aligner:
             # compiled while it is dark: a laser may be lit only while frames are looked at
             prepare_kernels(optics.sensor, self._say)
             camera = LitCamera(opened.camera, info, devices.permit)
-            self.note = "; ".join((*opened.notes, devices.light()))
+            try:
+                lit = devices.light()
+            except LightRefused as refused:
+                # the picture lives in the dark, until somebody acknowledges and asks for light
+                lit = str(refused)
+            self.note = "; ".join((*opened.notes, lit))
             light = LightWatch(devices)
             tracker = optics.tracker()
             lever = config.lever
@@ -154,9 +160,9 @@ class Aligner:
                         self.look, self.number = look, self.number + 1
                         light.look()
                         if self._relighting:
-                            light.relight()
+                            self._relighting = False
+                            self.note = devices.light()
                         self.darkness = devices.darkness()
-                        self._relighting = self._relighting and bool(self.darkness)
                         if self._ended.is_set() or not self._wishes.empty():
                             break
                     else:

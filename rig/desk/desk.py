@@ -3,12 +3,13 @@
 import subprocess
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 
 from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
-from rig.control import Interlock
+from rig.control import LatchedTrip
 from rig.desk.aligner import Aligner
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
@@ -150,14 +151,23 @@ class Desk:
             self.aligner = None
 
     @property
-    def unacknowledged(self) -> Interlock | None:
-        """The interlock that has opened, in a session or under the live picture."""
-        of_session = self.following.unacknowledged
-        return of_session or (None if self.aligner is None else self.aligner.unacknowledged)
+    def latched(self) -> LatchedTrip | None:
+        """The trip that waits for its acknowledgement, in a session or under the live picture."""
+        of_session = self.following.safety.trip
+        return of_session or (None if self.aligner is None else self.aligner.latched)
 
     def acknowledge(self) -> str:
         """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be."""
-        return self.following.order("acknowledge") if self.aligner is None else self.aligner.acknowledge()
+        trip = self.latched
+        if trip is None:
+            return "nothing waits for an acknowledgement"
+        if self.aligner is not None:
+            return self.aligner.acknowledge(trip.number)
+        said = self.following.order(f"acknowledge {trip.number}")
+        with suppress(RigError):
+            # a run that waits in the dark
+            said += f"; {self.following.order('light')}"
+        return said
 
     @property
     def session_state(self) -> Started | None:

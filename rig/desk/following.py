@@ -11,12 +11,13 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from rig.channel import Line, NoSession, SessionBusy, SessionPicture, running_sessions
-from rig.control import DevicesNow, Interlock
+from rig.control import DevicesNow, SafetyNow
 
 _LOOK_S = 0.2
 _SEARCH_S = 1.0
 _EVENTS_KEPT = 300
 _DEVICES = TypeAdapter(DevicesNow)
+_SAFETY = TypeAdapter(SafetyNow)
 
 
 class Following:
@@ -58,10 +59,11 @@ class Following:
         return _DEVICES.validate_python(self.news.get("devices") or {})
 
     @property
-    def unacknowledged(self) -> Interlock | None:
-        """The interlock that has opened in the running session, and that nobody has acknowledged."""
-        name = self.news.get("unacknowledged")
-        return None if name is None else Interlock(name)
+    def safety(self) -> SafetyNow:
+        """The safety state as the running session has told it."""
+        told = self.news.get("safety") or {}
+        # infinite ages are null on the way
+        return _SAFETY.validate_python({key: value for key, value in told.items() if value is not None})
 
     @property
     def has_picture(self) -> bool:

@@ -83,8 +83,8 @@ def build_page(desk: Desk) -> None:
         news = desk.following.news
         run_state = news.get("state") or {}
         state.set_text(_state(desk))
-        cry, waits = str(run_state.get("alarm") or ""), desk.unacknowledged
-        cry = cry or ("" if waits is None else waits.opened_text)
+        cry, waits = str(run_state.get("alarm") or ""), desk.latched
+        cry = cry or ("" if waits is None else waits.text)
         alarm.set_text(cry.upper())
         alarm.set_visibility(bool(cry))
         acknowledge.set_visibility(bool(waits))

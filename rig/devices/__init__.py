@@ -1,12 +1,14 @@
 """Finds, checks, opens and closes the devices: camera, controller, laser and sensors."""
 
 from rig.devices import picture
+from rig.devices.audit import Audited
 from rig.devices.camera_features import feature_lines
 from rig.devices.doctor import examine
 from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import MOST_PPM, kernel_clock, ntp_state, wrong_rate
 from rig.devices.laser import STAYS_LIT, WIRE_IT, goes_dark_by_itself, wait_for_command
 from rig.devices.latest_frames import watch_latest
+from rig.devices.leave import ask_leave, asked_for, at_terminal
 from rig.devices.light_watch import LightWatch
 from rig.devices.picture import PictureFigures, find_exposure
 from rig.devices.session_devices import Devices, OpenCamera

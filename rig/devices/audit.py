@@ -1,30 +1,163 @@
-"""The audit log: who lit, forced, acknowledged and turned what; a line of JSON each, only ever added to."""
+"""The audit log: who lit, darkened, acknowledged, forced and turned what; a line of JSON each, in a chain.
+
+Each line holds the digest of the one before, so that a line which is missing or altered is seen.
+"""
 
 import datetime
 import getpass
+import hashlib
 import json
 import os
+import queue
 import socket
+import threading
+from contextlib import suppress
+from enum import StrEnum
 from pathlib import Path
+from typing import BinaryIO
 
+from processing.errors import DeviceError, RecordError
+from rig.control import SafetyState
 from rig.presentation import say
 
+try:
+    import fcntl
+except ImportError:  # pragma: no cover
+    # no file locks on this system, where one program writes at a time
+    fcntl = None  # type: ignore[assignment]
+
 AUDIT_NAME = "audit.jsonl"
+_IDLE_S = 1.0
+_PATIENCE_S = 5.0
+"""For so long what is logged is waited for; a disk that hangs holds nothing up for longer."""
 
 
-def append(folder: Path, what: str, **details: object) -> None:
-    """Add a line to the log of a folder; a log that cannot be written is said, and stops nothing."""
-    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    line = {"utc": now, "user": _user(), "host": socket.gethostname(), "what": what, **details}
-    path = folder / AUDIT_NAME
-    # never through a symbolic link, which could name any file
-    flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0)
+class Audited(StrEnum):
+    """What is kept."""
+
+    LIT = "lit"
+    DARK = "dark"
+    TRIP = "trip"
+    LATCH = "latch"
+    ACKNOWLEDGE = "acknowledge"
+    FORCE = "force"
+    REFUSED = "refused"
+    WEIGHT = "weight turned"
+    BRAKE = "brake switched"
+
+
+class AuditLog:
+    """Adds lines to the log of a folder (None: nothing is kept) in a thread of its own, in their order.
+
+    A log that cannot be written is said, and stops nothing.
+    """
+
+    def __init__(self, folder: Path | None, operator: str, task: str, state: SafetyState) -> None:
+        self._path = None if folder is None else folder.absolute() / AUDIT_NAME
+        self._about = {"operator": operator, "task": task}
+        self._state = state
+        self._waiting: queue.Queue[dict[str, object]] = queue.Queue()
+        self._starting = threading.Lock()
+        self._thread: threading.Thread | None = None
+
+    def append(self, what: Audited, why: str, **details: object) -> None:
+        """Have a line written; returns at once, in whatever thread."""
+        if self._path is None:
+            return
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+        who = {"user": _user(), "host": socket.gethostname(), **self._about}
+        with self._starting:
+            self._waiting.put({"utc": now, **who, "what": what, "why": why, **details})
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._write, name="audit", daemon=True)
+                self._thread.start()
+
+    def wait(self) -> None:
+        """Wait until everything is written; not for long."""
+        with self._waiting.all_tasks_done:
+            done = self._waiting.all_tasks_done.wait_for(
+                lambda: not self._waiting.unfinished_tasks, _PATIENCE_S
+            )
+        if not done:
+            say(f"{self._path}: the audit log is not written: its disk does not answer", error=True)
+
+    def _write(self) -> None:
+        while True:
+            try:
+                line = self._waiting.get(timeout=_IDLE_S)
+            except queue.Empty:
+                with self._starting:
+                    if self._waiting.empty():
+                        self._thread = None
+                        return
+                continue
+            try:
+                self._add(line)
+            except (OSError, DeviceError) as error:
+                why = error.strerror if isinstance(error, OSError) else error
+                # a terminal that was closed hears nothing
+                with suppress(OSError):
+                    say(f"{self._path}: the audit log cannot be written: {why or error}", error=True)
+            finally:
+                self._waiting.task_done()
+
+    def _add(self, line: dict[str, object]) -> None:
+        path = self._path
+        assert path is not None
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # never through a symbolic link, which could name any file
+        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0)
+        with os.fdopen(os.open(path, flags, 0o644), "r+b") as file:
+            if fcntl is not None:
+                fcntl.flock(file, fcntl.LOCK_EX)
+            before, number = _last(file)
+            text = json.dumps({**line, "before": before}).encode()
+            file.write(text + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
+        self._state.note_log(path, number + 1, _digest(text))
+
+
+def check_log(folder: Path, state: SafetyState) -> list[str]:
+    """What is wrong with the log of a folder: lines that were altered, or are missing; empty if nothing is.
+
+    `state` knows how the log ended. Raises RecordError if the log cannot be read.
+    """
+    path = folder.absolute() / AUDIT_NAME
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with os.fdopen(os.open(path, flags, 0o644), "a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+        lines = path.read_bytes().splitlines()
     except OSError as error:
-        say(f"{path}: the audit log cannot be written: {error.strerror or error}", error=True)
+        raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
+    faults, chained, before = [], False, ""
+    for number, line in enumerate(lines, start=1):
+        try:
+            stated = json.loads(line).get("before")
+        except (ValueError, AttributeError):
+            faults.append(f"line {number} is no whole line")
+        else:
+            # lines of before there was a chain stand at the beginning alone
+            chained = chained or stated is not None
+            if chained and stated != before:
+                faults.append(f"before line {number} something is missing, or line {number - 1} was altered")
+        before = _digest(line)
+    end = state.end_of_log(path)
+    if end is not None and end != (len(lines), before):
+        faults.append(f"it had {end[0]} lines, and its last line was another one")
+    return faults
+
+
+def _last(file: BinaryIO) -> tuple[str, int]:
+    """Digest of the last line, and the number of lines; what was torn gets its end."""
+    file.seek(0)
+    data = file.read()
+    if data and not data.endswith(b"\n"):
+        file.write(b"\n")
+    lines = data.splitlines()
+    return (_digest(lines[-1]) if lines else ""), len(lines)
+
+
+def _digest(line: bytes) -> str:
+    return hashlib.sha256(line).hexdigest()
 
 
 def _user() -> str:

@@ -4,14 +4,17 @@ The laser is turned off when `Devices` closes: `LaserService` and `ControlServic
 switch it off at the end of their thread, also after an error.
 """
 
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
 from processing.errors import ConfigurationError, DeviceError
+from processing.ticks import seconds
 from rig.control import (
     LONGEST_JOB_S,
+    STALE_S,
     ControlService,
     LaserNow,
     LaserService,
@@ -77,18 +80,31 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
 def laser_now(
     settings: LaserSettings, control: ControlService | None, laser: LaserService | None
 ) -> LaserNow:
-    """The last known state; never blocks."""
+    """The last known state, as far as it is not too old; never blocks."""
     if settings.kind == "controller":
-        status = control.snapshot.status if control is not None else None
-        if status is None:
+        heard = control.snapshot if control is not None else None
+        if heard is None or heard.status is None:
             return LaserNow(Light.CONTROLLER_SILENT)
-        return LaserNow(Light.ON, status.laser_power_w) if status.laser_on else LaserNow(Light.OFF)
-    state = laser.snapshot.state if laser is not None else None
-    if state is None:
+        status, old_s = heard.status, age_s(heard.status_time_ns)
+        if old_s > STALE_S:
+            return LaserNow(Light.UNKNOWN, age_s=old_s)
+        if status.laser_on:
+            return LaserNow(Light.ON, status.laser_power_w, age_s=old_s)
+        return LaserNow(Light.OFF, age_s=old_s)
+    told = laser.snapshot if laser is not None else None
+    if told is None or told.state is None:
         return LaserNow(Light.SILENT)
+    state, old_s = told.state, age_s(told.state_time_ns)
+    if old_s > STALE_S:
+        return LaserNow(Light.UNKNOWN, age_s=old_s)
     if state.on:
-        return LaserNow(Light.ON, power_w=state.power_w, current_a=state.current_a)
-    return LaserNow(Light.OFF if state.interlock_closed else Light.INTERLOCK_OPEN)
+        return LaserNow(Light.ON, power_w=state.power_w, current_a=state.current_a, age_s=old_s)
+    return LaserNow(Light.OFF if state.interlock_closed else Light.INTERLOCK_OPEN, age_s=old_s)
+
+
+def age_s(heard_ns: int) -> float:
+    """Time since a moment of the host's monotonic clock; infinite for 0, never."""
+    return seconds(time.monotonic_ns() - heard_ns) if heard_ns else math.inf
 
 
 def wait_for_command(command: "Future[Any]", patience_s: float = _COMMAND_S) -> None:

@@ -3,7 +3,6 @@
 import logging
 import math
 from collections.abc import Iterator
-from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -12,25 +11,19 @@ from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.record.events import EventKind
 from acquisition.simulation.inputs import RigInputs
-from processing.errors import ConfigurationError, DeviceError
+from processing.errors import ConfigurationError
 from rig.control import (
     Controller,
     ControlService,
-    ControlState,
-    DevicesNow,
     EnvironmentService,
-    Interlock,
-    LaserNow,
     LaserService,
-    LightPermit,
     SimulatedOutputs,
-    Trip,
+    TripCause,
     make_laser,
     simulated_controller,
 )
-from rig.devices import audit
 from rig.devices.host_clock import wait_for_network_clock
-from rig.devices.laser import laser_now, light, wait_for_command
+from rig.devices.lit_devices import LitDevices
 from rig.devices.simulated_interlock import SimulatedInterlock
 from rig.instrument import (
     camera_settings,
@@ -60,24 +53,20 @@ class OpenCamera(NamedTuple):
     time_shift_ns: int = 0
 
 
-class Devices:
+class Devices(LitDevices):
     """Controller, sensor and laser of one session, and the camera of each run; a context manager.
 
     The configured devices are opened in the order controller, sensor, laser, camera, and closed in reverse
     order, also after an error; closing turns the laser off. Laser and controller stay on between the runs
-    of a series. What people do with them is added to the audit log in `folder`, if that is given.
+    of a series. `task` says what they are opened for. What happens to the light and what people do is added
+    to the audit log in `folder`, if that is given. Raises DeviceError where another program has the rig.
     """
 
-    def __init__(self, config: Configuration, folder: Path | None = None) -> None:
-        self._config = config
-        self._folder = folder
+    def __init__(self, config: Configuration, folder: Path | None = None, task: str = "this program") -> None:
+        super().__init__(config, folder, task)
         self._closing = ExitStack()
         self._inputs: RigInputs | None = None
-        self.control: ControlService | None = None
-        self.laser: LaserService | None = None
         self.sensor: EnvironmentService | None = None
-        self.permit = LightPermit()
-        self._was_lit = False
         if config.controller.kind == "simulated":
             if not config.simulated or config.on_demand:
                 raise ConfigurationError(
@@ -102,9 +91,14 @@ class Devices:
                     say(self._darkened())
         finally:
             self._closing.close()
+            self._log.wait()
 
     def _open(self) -> None:
         config = self._config
+        self._closing.enter_context(self.state)
+        if self.state.left_lit:
+            self.permit.trip(TripCause.WATCHDOG, "a program was killed that had lit the laser")
+            self.state.lit(False)
         if config.controller.kind != "none":
             self.control = self._closing.enter_context(
                 ControlService(
@@ -172,100 +166,6 @@ class Devices:
             ),
         )
 
-    def light(self) -> str:
-        """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`.
-
-        From now on frames must be read and taken, else the laser is switched off again (`LightPermit`). To
-        be called when the first frame is due. Raises DeviceError if an interlock opened earlier and nobody
-        has acknowledged it.
-        """
-        if opened := self.permit.unacknowledged:
-            raise DeviceError(f"the laser stays off: {opened.opened_text}, which was not acknowledged")
-        if self._config.laser.kind != "none":
-            # before it is lit, because a disk may hang
-            self.audit("laser switched on", laser=self._config.laser.kind)
-            self._was_lit = True
-        self.permit.begin()
-        return light(self._config.laser, self.control, self.laser)
-
-    def acknowledge(self) -> str:
-        """Allow light again after an interlock has opened; to be called when a person has said so.
-
-        Returns what was done. Raises DeviceError while the interlock is open: who closes it later may be in
-        the beam's way.
-        """
-        opened, still = self.permit.unacknowledged, self._open_interlock()
-        if opened is None:
-            return "no interlock waits for an acknowledgement"
-        if still:
-            raise DeviceError(f"{still.text} is still open: close it, then acknowledge")
-        self.audit("interlock acknowledged", opened=opened.opened_text)
-        self.permit.acknowledge()
-        return f"{opened.opened_text}: acknowledged"
-
-    def _open_interlock(self) -> Interlock | None:
-        """The interlock that is open now. Never blocks."""
-        status = None if self.control is None else self.control.snapshot.status
-        if status is not None and not status.interlock_closed:
-            return Interlock.CONTROLLER
-        state = None if self.laser is None else self.laser.snapshot.state
-        own = self._config.laser.interlock == "own"
-        return Interlock.LASER if own and state is not None and not state.interlock_closed else None
-
-    def audit(self, what: str, **details: object) -> None:
-        """Add what a person did, or had done, to the audit log."""
-        if self._folder is not None:
-            audit.append(self._folder, what, operator=self._config.session.operator, **details)
-
-    def darken(self) -> None:
-        """Switch the laser off before all waiting commands; never blocks."""
-        if self.control is not None and self._config.laser.kind != "none":
-            self.control.laser_off()
-        if self.laser is not None:
-            self.laser.off()
-        self.permit.end()
-
-    def _darkened(self) -> str:
-        """Switch the laser off; says who confirms it, or that nobody does."""
-        commands = []
-        if self.control is not None:
-            commands.append(("controller", self.control.laser_off()))
-        if self.laser is not None:
-            commands.append(("laser", self.laser.off()))
-        for who, command in commands:
-            try:
-                wait_for_command(command)
-            except (DeviceError, CancelledError) as error:
-                why = str(error) or "its thread has ended"
-                return f"THE LASER MAY BE LIT: the {who} does not confirm that it is off ({why}); go and look"
-        return f"laser off, confirmed by the {' and the '.join(who for who, _ in commands)}"
-
-    def darkness(self) -> str:
-        """Why the laser does not emit although it should; empty if it emits, or if none is controlled."""
-        laser = self.laser_now()
-        if laser is None or laser.on:
-            return ""
-        if self.permit.refusal:
-            return self.permit.refusal
-        for service in (self.control, self.laser):
-            if service is not None and service.failure is not None:
-                return f"{service.name} has failed: {service.failure}"
-        if self.control is not None:
-            snapshot = self.control.snapshot
-            if snapshot.status is None:
-                return f"the controller is {snapshot.state}: {snapshot.last_error}".rstrip(": ")
-            if interlock := self._open_interlock():
-                return f"{interlock.text} is open"
-            if snapshot.status.trip is not Trip.NONE:
-                return f"the controller has tripped: {snapshot.status.trip}"
-        return laser.text
-
-    def laser_now(self) -> LaserNow | None:
-        """State of the laser; None if this program controls none. Never blocks."""
-        if self._config.laser.kind == "none":
-            return None
-        return laser_now(self._config.laser, self.control, self.laser)
-
     def required_control(self, who: str) -> ControlService:
         """The controller; raises ConfigurationError, naming `who` needs it, if there is none."""
         if self.control is None:
@@ -294,14 +194,6 @@ class Devices:
             air = self.control.snapshot.environment
             return air.temperature_c, air.humidity_percent, air.pressure_pa
         return math.nan, math.nan, math.nan
-
-    def now(self) -> DevicesNow:
-        """State of laser and controller. Never blocks."""
-        if self.control is None:
-            return DevicesNow(self.laser_now())
-        snapshot = self.control.snapshot
-        status = snapshot.status if snapshot.state is ControlState.OPEN else None
-        return DevicesNow(self.laser_now(), snapshot.state, status)
 
 
 def _unwired(_: float) -> None:

@@ -216,7 +216,7 @@ def _go_on(file: SessionFile, config: Configuration, manner: Manner) -> int:
     if missing <= 0 and _has_results(folder):
         say("no run is missing")
         return 0
-    with Devices(config, folder) as devices:
+    with Devices(config, folder, "rig run --resume") as devices:
         made = make_runs(config, Path(file.state.source), file, devices, manner)
     return report(config, folder, made, json_lines=manner.json_lines)
 

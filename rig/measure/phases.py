@@ -15,7 +15,7 @@ from processing.deflections import DeflectionUnit
 from processing.errors import DataError, DeviceError
 from processing.robust import robust_scatter
 from processing.ticks import NS_PER_S, nanoseconds
-from rig.devices import Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
+from rig.devices import Audited, Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
 from rig.instrument import Optics, Phase, Snapshot
 from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import device_checks, frame_checks
@@ -225,7 +225,7 @@ class PhasesBeforeRecord:
         if against and not self._force:
             raise NoGo(f"preflight says no-go ({against}); --force passes over it")
         if against:
-            self._devices.audit("preflight forced", against=against)
+            self._devices.audit(Audited.FORCE, f"preflight said no-go: {against}")
 
     def _release(self) -> None:
         """Release the pendulum or ask the operator to, and wait until it moves."""

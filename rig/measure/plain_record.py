@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 
 from processing.errors import ConfigurationError, DataError
-from rig.devices import Devices
+from rig.devices import Devices, ask_leave
 from rig.instrument import complete
 from rig.measure.run_setup import RunPlan, measure_run
 from rig.settings import Configuration
@@ -29,7 +29,8 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
     }
     record.parent.mkdir(parents=True, exist_ok=True)
     config = complete(config.model_copy(update=updates))
-    with Devices(config, record.parent) as devices:
+    with Devices(config, record.parent, "a recording for a calibration") as devices:
+        ask_leave(devices)
         outcome = measure_run(RunPlan(config, source, record, record.stem, fitted=False), devices)
     if outcome.failure is not None:
         raise outcome.failure

@@ -5,7 +5,7 @@ from pathlib import Path
 from rich.console import Console
 
 from processing.errors import DataError, DeviceError
-from rig.devices import Devices, FrameStream, LightWatch
+from rig.devices import Devices, FrameStream, LightWatch, ask_leave
 from rig.instrument import (
     Snapshot,
     camera_settings,
@@ -30,7 +30,8 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     preflight = config.preflight.model_copy(update={"when": "always"})
     config = complete(config.model_copy(update={"preflight": preflight}))
     check_materials(config)
-    with Devices(config) as devices, devices.camera(config) as camera:
+    folder = config.session.output
+    with Devices(config, folder, "rig preflight") as devices, devices.camera(config) as camera:
         optics = optics_of(config, camera.info.full_scale_dn)
         phases = PhasesBeforeRecord(config, devices, camera, optics, _place(config))
         stream = FrameStream(
@@ -42,6 +43,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
             time_shift_ns=camera.time_shift_ns,
         )
         prepare_kernels(optics.sensor, say)
+        ask_leave(devices)
         if lit := devices.light():
             say(lit)
         light = LightWatch(devices)

@@ -250,7 +250,7 @@ class Recording:
         if not alarm or devices is None or self._stop:
             return
         parts = self._parts
-        if parts.waits_in_darkness and (not devices.permit.unacknowledged or parts.somebody_watches()):
+        if parts.waits_in_darkness and parts.somebody_watches():
             return
         self._stop.failed(DeviceError(f"{alarm}; the run is ended, laser.when_dark = 'wait' would go on"))
 

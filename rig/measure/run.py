@@ -122,8 +122,6 @@ class Run:
                 for instructing in self._status.take_instructions():
                     show(instructing)
                 show(self._snapshot_with_stall())
-                if self._parts.waits_in_darkness:
-                    self._status.light.relight()
             except OSError as error:
                 _log.warning("the display of the run failed, the run continues: %s", error)
                 return _show_nothing

@@ -62,10 +62,10 @@ class RunParts:
     environment_period_s
         Time between two recorded readings of the environment.
     waits_in_darkness
-        Go on, and light the laser again, if it went dark during the run for another reason than an
-        interlock; otherwise the run ends.
+        Go on if the laser went dark during the run, as long as somebody may be asked; otherwise the run
+        ends.
     somebody_watches
-        Whether somebody may acknowledge an interlock that opened; then the run waits for that, too.
+        Whether there is somebody who may ask for light again, and acknowledge a trip.
     """
 
     stream: FrameStream

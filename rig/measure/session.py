@@ -24,7 +24,7 @@ from rig.measure.notices import Notices, announced
 from rig.measure.phases import NoGo
 from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import RunState, SessionFile, withdraw_unrecorded
-from rig.measure.session_orders import acknowledge_interlock, devices_now, orders
+from rig.measure.session_orders import await_leave, devices_now, orders
 from rig.presentation import failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
 from rig.terminal import Terminated
@@ -74,7 +74,7 @@ class Manner(NamedTuple):
 def make_session(config: Configuration, source: Path, folder: Path, manner: Manner) -> int:
     """As `measure_session`, with a complete configuration and in a folder that was made for it."""
     with ExitStack() as closing:
-        with Devices(config, folder) as devices:
+        with Devices(config, folder, "rig run") as devices:
             file = SessionFile.made(folder, source, config.session.runs, stored_configuration(config))
             closing.callback(file.close)
             made = make_runs(config, source, file, devices, manner)
@@ -135,7 +135,7 @@ def _make_runs(
             session_news=session_news,
         )
         try:
-            acknowledge_interlock(devices, session_news)
+            await_leave(devices, session_news)
             outcome = measure_run(plan, devices)
         except (RigError, OSError) as error:
             file.note(number, record.name, RunState.FAILED, str(error))
@@ -222,7 +222,7 @@ def simulate_record(config: Configuration, source: Path, record: Path) -> int:
     quiet = config.view.model_copy(update={"mode": "none", "file": False})
     record.parent.mkdir(parents=True, exist_ok=True)
     config = complete(config.model_copy(update={"view": quiet}))
-    with Devices(config) as devices:
+    with Devices(config, task="rig simulate") as devices:
         outcome = measure_run(
             RunPlan(config, source, record, "simulation", fitted=bool(config.session.stop_when)), devices
         )

@@ -23,6 +23,14 @@ APPARATUS = (
 """The demonstration's own apparatus, with uncertainties stated."""
 
 
+@pytest.fixture(autouse=True)
+def rig_states(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the states of rigs are kept: what one test has latched is nothing to another."""
+    place = tmp_path_factory.mktemp("state")
+    monkeypatch.setenv("XDG_STATE_HOME", str(place))
+    return place
+
+
 @pytest.fixture(scope="session")
 def measured_series(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of two runs of 70 simulated seconds from (small) frames on, as `rig run` leaves it.

@@ -22,7 +22,7 @@ from rig.settings import Configuration
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
 
 
-def refuse() -> str:
+def refuse(_: str) -> str:
     raise DeviceError("the brake: does not answer; see its cable")
 
 
@@ -37,8 +37,8 @@ def told() -> SessionNews:
 def line(told: SessionNews, tmp_path: Path) -> Iterator[Line]:
     folder = tmp_path / "session"
     folder.mkdir()
-    orders = {"stop": lambda: "stopping", "brake on": refuse}
-    with Channel(folder, told, orders, lambda: {"unacknowledged": Interlock.LASER}), Line(folder) as opened:
+    orders = {"stop": lambda _: "stopping", "brake": refuse, "acknowledge": lambda number: f"trip {number}"}
+    with Channel(folder, told, orders, lambda: {"opened": Interlock.LASER}), Line(folder) as opened:
         yield opened
 
 
@@ -61,7 +61,7 @@ def test_news_are_plain_values_and_events_come_once(told: SessionNews, line: Lin
     news = line.news()
     assert news["run"] == "run 1"
     assert news["state"] == {"amplitude": None, "phase": "measuring"}
-    assert news["unacknowledged"] == "laser"
+    assert news["opened"] == "laser"
     assert news["path"]["y"] == [1.0] * 16
     (event,) = news["events"]
     assert (event["kind"], event["elapsed_s"]) == ("start", 2.0)
@@ -118,6 +118,7 @@ def test_who_is_connected_is_not_answered_after_its_end(told: SessionNews, tmp_p
 
 def test_orders(line: Line) -> None:
     assert line.order("stop") == "stopping"
+    assert line.order("acknowledge 5") == "trip 5"
     with pytest.raises(RigError, match="does not answer; see its cable"):
         line.order("brake on")
     with pytest.raises(RigError, match="knows no such order"):

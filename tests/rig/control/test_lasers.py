@@ -630,7 +630,7 @@ class TestService:
         turn(service)
         turn(service)
         assert service.take_events().count("interlock opened") == 1
-        assert permit.refusal == ("the interlock of the laser opened" if own else "")
+        assert permit.refusal == ("trip 1 (INTERLOCK): the interlock of the laser opened" if own else "")
 
     def test_a_fault_is_said_when_it_comes(self, service: LaserService, instrument: FakeCobolt) -> None:
         turn(service)

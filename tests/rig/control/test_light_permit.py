@@ -2,7 +2,9 @@
 
 import pytest
 
+from processing.errors import DeviceError
 from rig.control.light_permit import LONGEST_PAUSE_S, Interlock, LightPermit, Stage
+from rig.control.safety_state import LatchedTrip, SafetyState, TripCause
 
 
 class Clock:
@@ -62,16 +64,27 @@ def test_what_was_withdrawn_never_comes_back(permit: LightPermit) -> None:
     permit.withdraw("stopped by the user")
     permit.withdraw("later")
     permit.begin()
-    permit.acknowledge()
     assert permit.refusal == "stopped by the user"
 
 
-def test_an_interlock_needs_an_acknowledgement_once_light_was_allowed(permit: LightPermit) -> None:
-    permit.interlock_opened(Interlock.CONTROLLER)
-    assert permit.refusal == ""
+@pytest.mark.parametrize("lit", [True, False])
+def test_a_trip_latches_lit_or_dark_and_its_number_grows(clock: Clock, lit: bool) -> None:
+    told: list[LatchedTrip] = []
+    state = SafetyState()
+    permit = LightPermit(clock, state, told.append)
+    if lit:
+        permit.begin()
+    permit.trip(TripCause.INTERLOCK, Interlock.CONTROLLER.opened_text)
     permit.begin()
-    permit.interlock_opened(Interlock.CONTROLLER)
-    permit.begin()
-    assert permit.refusal == "the interlock of the controller opened"
-    permit.acknowledge()
+    assert permit.refusal == "trip 1 (INTERLOCK): the interlock of the controller opened"
+    permit.trip(TripCause.OUTPUT, "it stays lit")
+    assert told == [
+        LatchedTrip(1, TripCause.INTERLOCK, "the interlock of the controller opened", lit),
+        LatchedTrip(2, TripCause.OUTPUT, "it stays lit", True),
+    ]
+    with pytest.raises(DeviceError, match="trip 1 cannot be acknowledged: latched is trip 2"):
+        state.acknowledge(1)
+    state.acknowledge(2)
     assert permit.refusal == ""
+    with pytest.raises(DeviceError, match="nothing is latched"):
+        state.acknowledge(2)

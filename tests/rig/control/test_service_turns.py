@@ -8,6 +8,7 @@ from processing.errors import DeviceError
 from rig.control.controller import AirReading, Controller, InterlockOpen, PowerLimit
 from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, Stage
 from rig.control.link import CommandRefused
+from rig.control.safety_state import SafetyState
 from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings
@@ -28,8 +29,13 @@ def board(clock: Clock) -> SteppedBoard:
 
 
 @pytest.fixture
-def permit(clock: Clock) -> LightPermit:
-    return LightPermit(clock.monotonic)
+def state() -> SafetyState:
+    return SafetyState()
+
+
+@pytest.fixture
+def permit(clock: Clock, state: SafetyState) -> LightPermit:
+    return LightPermit(clock.monotonic, state)
 
 
 @pytest.fixture
@@ -158,7 +164,7 @@ def test_while_frames_have_stalled_the_board_gets_no_heartbeat(
 
 
 def test_an_interlock_that_opens_is_noticed_by_the_permit(
-    service: ControlService, board: SteppedBoard, permit: LightPermit
+    service: ControlService, board: SteppedBoard, permit: LightPermit, state: SafetyState
 ) -> None:
     lit(service, board)
     permit.begin()
@@ -167,13 +173,13 @@ def test_an_interlock_that_opens_is_noticed_by_the_permit(
     board.closed = True
     turn(service)
     # closed again before it was looked at: the trip tells
-    assert permit.refusal == "the interlock of the controller opened"
+    assert permit.refusal == "trip 1 (INTERLOCK): the interlock of the controller opened"
     assert "TRIP INTERLOCK" in service.take_events()
-    permit.acknowledge()
+    state.acknowledge(1)
     board.closed = False
     on = service.laser_on()
     turn(service)
-    assert permit.refusal == "the interlock of the controller opened"
+    assert permit.refusal == "trip 2 (INTERLOCK): the interlock of the controller opened"
     with pytest.raises((InterlockOpen, DeviceError)):
         on.result(0)
 

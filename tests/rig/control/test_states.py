@@ -7,10 +7,20 @@ from typing import Any
 
 import pytest
 
-from rig.control import ControlState, DevicesNow, Interlock, LaserNow, Light, Trip
+from rig.control import (
+    ControlState,
+    DevicesNow,
+    LaserNow,
+    LatchedTrip,
+    Light,
+    SafetyNow,
+    Trip,
+    TripCause,
+)
 from rig.control.controller import ControllerStatus
 from rig.desk.following import Following
 from rig.measure.preflight import device_checks
+from rig.presentation import plain_values
 
 
 def status(**changed: Any) -> ControllerStatus:
@@ -39,11 +49,13 @@ def test_preflight_judges_the_interlock_whatever_its_words(
 def test_a_desk_gets_the_same_values(tmp_path: Path, laser: LaserNow | None) -> None:
     now = DevicesNow(laser, ControlState.OPEN, status(brake_on=True, trip=Trip.WATCHDOG))
     following = Following(tmp_path)
-    following.news = json.loads(json.dumps({"devices": asdict(now), "unacknowledged": Interlock.LASER}))
+    trip = LatchedTrip(5, TripCause.INTERLOCK, "the interlock of the laser opened", lit=True)
+    safety = SafetyNow(trip, trip.text, Light.OFF, 0.1)
+    following.news = json.loads(json.dumps(plain_values({"devices": asdict(now), "safety": asdict(safety)})))
     assert following.devices == now
-    assert following.unacknowledged is Interlock.LASER
+    assert following.safety == safety
     following.news = {}
-    assert (following.devices, following.unacknowledged) == (DevicesNow(), None)
+    assert (following.devices, following.safety) == (DevicesNow(), SafetyNow())
 
 
 def test_what_people_read_of_them() -> None:

@@ -54,7 +54,7 @@ def test_a_session_that_does_not_answer_is_not_given_up(following: Following, tm
             time.sleep(0.5)
         return {}
 
-    with Channel(folder, told, {"stop": lambda: "stopping"}, extra):
+    with Channel(folder, told, {"stop": lambda _: "stopping"}, extra):
         following.look_now()
         until(lambda: following.running)
         busy.set()

@@ -158,18 +158,17 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
     empty = np.zeros(0)
     none = Deflections(np.zeros(0, np.int64), empty, empty, empty, empty, DeflectionUnit.PX)
 
-    def brake_on() -> str:
+    def brake(value: str) -> str:
+        if value == "off":
+            raise DeviceError("the brake: does not answer; see its cable")
         taken.append("on")
         now["devices"] = asdict(replace(lit, status=status(brake_on=True)))
         return "the brake is on"
 
-    def brake_off() -> str:
-        raise DeviceError("the brake: does not answer; see its cable")
-
     folder = desk_output / "of-another"
     folder.mkdir(parents=True)
     page.key("4")
-    with Channel(folder, session_news, {"brake on": brake_on, "brake off": brake_off}, lambda: now):
+    with Channel(folder, session_news, {"brake": brake}, lambda: now):
         session_news.state({"phase": "rest", "progress": "spread 3 px"}, [])
         page.wait_text("nothing is recorded yet: rest: spread 3 px")
         page.wait_text("no frame yet: rest: spread 3 px")

@@ -88,6 +88,6 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
     assert state["configuration"]["session"]["sample"] == 'steel "on" K8 – µ'
     assert state["configuration"]["camera"]["exposure_us"] == 125
     audit = (folder / "audit.jsonl").read_text()
-    assert "interlock acknowledged" in audit
+    assert '"what": "acknowledge"' in audit
     assert (folder / "report.html").exists()
     assert not (folder / ".channel.json").exists()

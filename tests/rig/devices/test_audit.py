@@ -1,18 +1,20 @@
-"""The audit log: what was acknowledged, by whom; it follows no link and stops nothing."""
+"""The audit log: what happened to the light, who did it, in a chain; it follows no link and stops nothing."""
 
 import json
 import sys
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from processing.errors import DeviceError
 from rig.channel import SessionNews
-from rig.control import Interlock
+from rig.control import LightRefused, SafetyState, TripCause
 from rig.control.simulated import SimulatedBoard
-from rig.devices import Devices
-from rig.measure.session_orders import acknowledge_interlock
+from rig.devices import Audited, Devices
+from rig.devices.audit import AUDIT_NAME, AuditLog, check_log
+from rig.measure.session_orders import await_leave
 from rig.settings import Configuration, load_configuration
 from tests.rig.command_line import CONFIGS
 from tests.rig.control.test_service import until
@@ -25,24 +27,45 @@ class Terminal(StringIO):
         return True
 
 
-def test_an_interlock_is_acknowledged_by_a_person_and_that_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def lines_of(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / AUDIT_NAME).read_text().splitlines()]
+
+
+def test_a_trip_is_acknowledged_by_its_number_and_that_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = Configuration(camera={"driver": "simulated"}, session={"operator": "Ada"})
-    devices, session_news = Devices(config, tmp_path), SessionNews(config)
-    devices.permit.begin()
-    devices.permit.interlock_opened(Interlock.CONTROLLER)
+    devices, session_news = Devices(config, tmp_path, "rig run"), SessionNews(config)
+    devices.permit.trip(TripCause.INTERLOCK, "the interlock of the controller opened")
     monkeypatch.setattr(sys, "stderr", Terminal())
-    monkeypatch.setattr(sys, "stdin", Terminal("no\nyes\n"))
-    with pytest.raises(DeviceError, match="nobody has allowed light again"):
-        acknowledge_interlock(devices, session_news)
-    assert not (tmp_path / "audit.jsonl").exists()
-    acknowledge_interlock(devices, session_news)
-    assert not devices.permit.unacknowledged
-    line = json.loads((tmp_path / "audit.jsonl").read_text())
-    assert (line["what"], line["operator"]) == ("interlock acknowledged", "Ada")
-    assert line["opened"] == "the interlock of the controller opened"
-    assert line["utc"].endswith("+00:00")
+    # nothing that is shorter than the number and Enter
+    for typed in ("\n", "y\n\n", "yes\n\n", "a\n\n", "2\n\n", "", "01x\n\n"):
+        monkeypatch.setattr(sys, "stdin", Terminal(typed))
+        with pytest.raises(LightRefused, match="nobody has acknowledged it"):
+            await_leave(devices, session_news)
+        with pytest.raises(LightRefused, match=r"trip 1 \(INTERLOCK\).*rig light acknowledge CONFIG 1"):
+            devices.light()
+    monkeypatch.setattr(sys, "stdin", Terminal("1\n"))
+    await_leave(devices, session_news)
+    assert not devices.permit.latched
+    lines = lines_of(tmp_path)
+    assert {line["what"] for line in lines[1:-1]} == {"refused"}
+    assert (lines[0]["what"], lines[0]["cause"], lines[0]["number"], lines[0]["lit"]) == (
+        "latch",
+        "INTERLOCK",
+        1,
+        False,
+    )
+    last = lines[-1]
+    assert (last["what"], last["operator"], last["by"], last["task"]) == (
+        "acknowledge",
+        "Ada",
+        "terminal",
+        "rig run",
+    )
+    assert last["why"] == "trip 1 (INTERLOCK): the interlock of the controller opened"
+    assert last["utc"].endswith("+00:00")
+    assert check_log(tmp_path, devices.state) == []
 
 
 def test_an_interlock_is_not_acknowledged_while_it_is_open(
@@ -54,17 +77,20 @@ def test_an_interlock_is_not_acknowledged_while_it_is_open(
         CONFIGS / "live.toml", ("camera.driver=simulated", "laser.kind=controller", "laser.max_power_w=0.001")
     )
     with Devices(config, tmp_path) as devices:
-        assert devices.acknowledge() == "no interlock waits for an acknowledgement"
-        devices.permit.begin()
+        with pytest.raises(DeviceError, match="trip 1 cannot be acknowledged: nothing is latched"):
+            devices.acknowledge(1, "test")
+        # nothing is lit: it latches all the same
         closed = False
-        until(lambda: bool(devices.permit.unacknowledged))
+        until(lambda: bool(devices.permit.latched))
         with pytest.raises(DeviceError, match="the controller's interlock is still open: close it"):
-            devices.acknowledge()
+            devices.acknowledge(1, "test")
         closed = True
         control = devices.required_control("this test")
         until(lambda: control.snapshot.status is not None and control.snapshot.status.interlock_closed)
-        assert devices.acknowledge() == "the interlock of the controller opened: acknowledged"
-    assert len((tmp_path / "audit.jsonl").read_text().splitlines()) == 1
+        with pytest.raises(DeviceError, match="trip 7 cannot be acknowledged: latched is trip 1"):
+            devices.acknowledge(7, "test")
+        assert devices.acknowledge(1, "test").endswith("the interlock of the controller opened: acknowledged")
+    assert [line["what"] for line in lines_of(tmp_path)] == ["latch", "acknowledge"]
 
 
 def test_a_log_that_leads_elsewhere_is_not_followed(
@@ -73,6 +99,59 @@ def test_a_log_that_leads_elsewhere_is_not_followed(
     elsewhere = tmp_path / "elsewhere"
     elsewhere.write_text("a file of somebody else")
     (tmp_path / "audit.jsonl").symlink_to(elsewhere)
-    Devices(Configuration(camera={"driver": "simulated"}), tmp_path).audit("weight turned")
+    devices = Devices(Configuration(camera={"driver": "simulated"}), tmp_path)
+    devices.audit(Audited.WEIGHT, "as advised")
+    devices._log.wait()
     assert elsewhere.read_text() == "a file of somebody else"
     assert "audit.jsonl: the audit log cannot be written" in capsys.readouterr().err
+
+
+@pytest.fixture
+def chained(tmp_path: Path) -> tuple[Path, SafetyState]:
+    """A log of five lines, by two programs."""
+    state = SafetyState()
+    for count in (3, 2):
+        log = AuditLog(tmp_path, "Ada", "test", state)
+        for number in range(count):
+            log.append(Audited.LIT, "asked for", number=number)
+        log.wait()
+    assert check_log(tmp_path, state) == []
+    return tmp_path / AUDIT_NAME, state
+
+
+@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("altered", [True, False])
+def test_a_line_that_is_missing_or_altered_is_seen(
+    chained: tuple[Path, SafetyState], number: int, altered: bool
+) -> None:
+    path, state = chained
+    lines = path.read_text().splitlines(keepends=True)
+    lines[number : number + 1] = [lines[number].replace("Ada", "Bob")] if altered else []
+    path.write_text("".join(lines))
+    faults = check_log(path.parent, state)
+    assert faults
+    if number < 4:
+        assert f"before line {number + 1 + altered} something is missing" in faults[0]
+    else:
+        assert faults == ["it had 5 lines, and its last line was another one"]
+
+
+def test_a_torn_line_and_what_follows_it(chained: tuple[Path, SafetyState]) -> None:
+    path, state = chained
+    path.write_bytes(path.read_bytes()[:-20])
+    log = AuditLog(path.parent, "Ada", "test", state)
+    log.append(Audited.DARK, "later")
+    log.wait()
+    assert check_log(path.parent, state) == ["line 5 is no whole line"]
+
+
+def test_lines_of_before_there_was_a_chain_stand_at_its_beginning(tmp_path: Path) -> None:
+    (tmp_path / AUDIT_NAME).write_text('{"what": "laser switched on"}\n')
+    state = SafetyState()
+    log = AuditLog(tmp_path, "Ada", "test", state)
+    log.append(Audited.DARK, "later")
+    log.wait()
+    assert check_log(tmp_path, state) == []
+    with (tmp_path / AUDIT_NAME).open("a") as file:
+        file.write('{"what": "laser switched on"}\n')
+    assert check_log(tmp_path, state)

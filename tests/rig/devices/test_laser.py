@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 
 from processing.errors import DeviceError
-from rig.control import LaserNow, Light
-from rig.control.controller import InterlockOpen
+from rig.control import LaserNow, Light, LightRefused
 from rig.devices.session_devices import Devices
 from rig.measure.preflight import device_checks
 from rig.settings.configuration import Configuration, validate_configuration
@@ -96,7 +95,8 @@ def test_an_open_interlock_lights_nothing(family: tuple[str, Instrument]) -> Non
     kind, instrument = family
     instrument.interlock_closed = False
     with Devices(configuration(kind, instrument.port)) as devices:
-        with pytest.raises(InterlockOpen):
+        until(lambda: devices.permit.latched is not None)
+        with pytest.raises(LightRefused, match="the interlock of the laser opened"):
             devices.light()
         now = devices.laser_now()
         assert now is not None

@@ -5,7 +5,9 @@ import getpass
 import json
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,12 @@ import pytest
 from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
 from acquisition.simulation.inputs import RigInputs
-from rig.control import Stage
+from processing.errors import RigError
+from rig.channel import Line, NoSession
+from rig.control import SafetyState, Stage
 from rig.control.light_permit import LONGEST_PAUSE_S
 from rig.control.simulated import SimulatedBoard
+from rig.devices.audit import check_log
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(120)]
@@ -95,23 +100,65 @@ def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
     assert "the laser is dark: the controller is lost" in entry["reason"]
     assert [text for kind, text in events_of(tmp_path / "out") if kind == "laser dark"]
     assert (tmp_path / "out" / "results.json").exists()
-    (lit,) = map(json.loads, (tmp_path / "out" / "audit.jsonl").read_text().splitlines())
-    assert (lit["what"], lit["laser"], lit["user"]) == ("laser switched on", "controller", getpass.getuser())
+    assert check_log(tmp_path / "out", SafetyState()) == []
+    lit, dark = map(json.loads, (tmp_path / "out" / "audit.jsonl").read_text().splitlines())
+    assert (lit["what"], lit["laser"], lit["user"]) == ("lit", "controller", getpass.getuser())
+    assert (lit["task"], lit["why"]) == ("rig run", "asked for by rig run")
+    assert dark["what"] == "dark"
+    assert "the controller is lost" in dark["why"]
 
 
-def test_a_run_may_wait_for_its_light(
-    tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_run_that_waits_in_the_dark_is_lit_by_who_asks_and_by_nothing_else(
+    tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch, asked: bool
 ) -> None:
+    """The controller's cable is pulled and put in again."""
+
     def unplugged(_: SimulatedBoard) -> bool:
         return apparatus.recording.is_set() and not apparatus.dark.is_set()
 
     monkeypatch.setattr(SimulatedBoard, "unplugged", unplugged)
     waiting = {**LIVE, "laser.when_dark": '"wait"', "session.max_duration_s": "12"}
-    done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(waiting))
+    out = tmp_path / "out"
+    with acting(lambda: watch_in_the_dark(out, asked)):
+        done = rig("run", CONFIGS / "live.toml", "-o", out, *set_words(waiting))
     assert "laser off, confirmed by the controller\n" in done.stderr
-    kinds = [kind for kind, _ in events_of(tmp_path / "out")]
-    assert kinds.index("laser dark") < kinds.index("laser lit")
-    assert entry_of(tmp_path / "out")["state"] == "complete"
+    kinds = [kind for kind, _ in events_of(out)]
+    assert "laser dark" in kinds
+    assert ("laser lit" in kinds) == asked
+    said = [json.loads(line)["what"] for line in (out / "audit.jsonl").read_text().splitlines()]
+    assert said.count("lit") == 1 + asked
+    assert check_log(out, SafetyState()) == []
+    assert entry_of(out)["state"] == "complete"
+
+
+@contextmanager
+def acting(person: Callable[[], None]) -> Iterator[None]:
+    """Somebody who acts beside the program."""
+    thread = threading.Thread(target=person)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join()
+
+
+def watch_in_the_dark(folder: Path, asks: bool) -> None:
+    """As a desk: watch the session, and when its laser is dark, and its controller is back, ask for light."""
+    heard = False
+    while not heard or (folder / ".channel.json").exists():
+        with suppress(NoSession), Line(folder) as line:
+            while True:
+                heard = True
+                safety = line.news()["safety"]
+                if safety["trip"]:
+                    with suppress(RigError):
+                        line.order(f"acknowledge {safety['trip']['number']}")
+                elif asks and safety["light"] == "off":
+                    with suppress(RigError):
+                        line.order("light")
+                time.sleep(0.05)
+        time.sleep(0.05)
 
 
 def test_after_an_interlock_nothing_is_lit_that_nobody_allowed(

@@ -1,0 +1,196 @@
+"""Controller and laser of a rig, and the one way to light: who may, who darkens it, what is known of it."""
+
+from concurrent.futures import CancelledError
+from pathlib import Path
+
+from processing.errors import DeviceError
+from rig.control import (
+    STALE_S,
+    ControlService,
+    ControlState,
+    DevicesNow,
+    Interlock,
+    LaserNow,
+    LaserService,
+    LatchedTrip,
+    Light,
+    LightPermit,
+    LightRefused,
+    Loop,
+    SafetyNow,
+    SafetyState,
+    Trip,
+    rig_state_path,
+)
+from rig.devices.audit import Audited, AuditLog
+from rig.devices.laser import age_s, goes_dark_by_itself, laser_now, light, wait_for_command
+from rig.settings import Configuration
+
+
+class LitDevices:
+    """What lights, once it is open (`Devices`); `task` says in the audit log of `folder` what it is for.
+
+    After a trip nothing is lit until a person has acknowledged it by its number and somebody asks for light
+    again. The trip is the rig's, not a session's: `SafetyState`.
+    """
+
+    def __init__(self, config: Configuration, folder: Path | None, task: str) -> None:
+        self._config = config
+        self.control: ControlService | None = None
+        self.laser: LaserService | None = None
+        self.state = SafetyState(rig_state_path(config.laser, config.controller), task)
+        self._log = AuditLog(folder, config.session.operator, task, self.state)
+        self._task = task
+        self._was_lit = self._is_lit = False
+        self.permit = LightPermit(state=self.state, tripped=self._tripped)
+
+    def light(self) -> str:
+        """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`.
+
+        From now on frames must be read and taken, else the laser is switched off again (`LightPermit`). To
+        be called when the first frame is due. Raises LightRefused while a trip is not acknowledged. Nothing
+        else in this program lights a laser.
+        """
+        if trip := self.permit.latched:
+            self.audit(Audited.REFUSED, trip.text)
+            raise LightRefused(
+                f"the laser stays off: {trip.text}; look that nobody is in the beam's way, then acknowledge "
+                f"it: rig light acknowledge CONFIG {trip.number}, or at the desk"
+            )
+        kind = self._config.laser.kind
+        if why := self.darkness():
+            self.went_dark(why)
+            # before it is lit, because a disk may hang
+            self.audit(Audited.LIT, f"asked for by {self._task}", laser=kind)
+            self._log.wait()
+            self._was_lit = self._is_lit = True
+            if not goes_dark_by_itself(self._config.laser):
+                self.state.lit(True)
+        self.permit.begin()
+        try:
+            return light(self._config.laser, self.control, self.laser)
+        except DeviceError as error:
+            self.audit(Audited.REFUSED, str(error))
+            raise
+
+    def darken(self, why: str = "frames are not processed any more") -> None:
+        """Switch the laser off before all waiting commands; never blocks."""
+        if self.control is not None and self._config.laser.kind != "none":
+            self.control.laser_off()
+        if self.laser is not None:
+            self.laser.off()
+        self.permit.end()
+        self.went_dark(why)
+
+    def acknowledge(self, number: int, who: str) -> str:
+        """Clear the trip of this number, because a person (`who`, where) has looked and says so.
+
+        Returns what was done; lights nothing. Raises DeviceError for another number than the latched one, and
+        while an interlock is open: who closes it later may be in the beam's way.
+        """
+        trip, still = self.permit.latched, self._open_interlock()
+        if trip is None:
+            raise DeviceError(f"trip {number} cannot be acknowledged: nothing is latched")
+        if trip.number != number:
+            raise DeviceError(f"trip {number} cannot be acknowledged: latched is {trip.text}")
+        if still:
+            raise DeviceError(f"{still.text} is still open: close it, then acknowledge trip {number}")
+        self.state.acknowledge(number)
+        self.audit(Audited.ACKNOWLEDGE, trip.text, number=number, by=who)
+        self._log.wait()
+        return f"{trip.text}: acknowledged"
+
+    def _tripped(self, trip: LatchedTrip) -> None:
+        self.audit(Audited.LATCH, trip.why, number=trip.number, cause=trip.cause, lit=trip.lit)
+        self.went_dark(trip.text)
+
+    def went_dark(self, why: str) -> None:
+        """Note that the light has gone; never blocks."""
+        if self._is_lit:
+            self._is_lit = False
+            self.audit(Audited.DARK, why)
+
+    def _open_interlock(self) -> Interlock | None:
+        """The interlock that is open now. Never blocks."""
+        status = None if self.control is None else self.control.snapshot.status
+        if status is not None and not status.interlock_closed:
+            return Interlock.CONTROLLER
+        state = None if self.laser is None else self.laser.snapshot.state
+        own = self._config.laser.interlock == "own"
+        return Interlock.LASER if own and state is not None and not state.interlock_closed else None
+
+    def audit(self, what: Audited, why: str, **details: object) -> None:
+        """Add what happened to the light, or what a person did, to the audit log; never blocks."""
+        self._log.append(what, why, **details)
+
+    def _darkened(self) -> str:
+        """Switch the laser off; says who confirms it, or that nobody does."""
+        commands = []
+        if self.control is not None:
+            commands.append(("controller", self.control.laser_off()))
+        if self.laser is not None:
+            commands.append(("laser", self.laser.off()))
+        self.darken("the devices are closed")
+        for who, command in commands:
+            try:
+                wait_for_command(command)
+            except (DeviceError, CancelledError) as error:
+                why = str(error) or "its thread has ended"
+                return f"THE LASER MAY BE LIT: the {who} does not confirm that it is off ({why}); go and look"
+        self.state.lit(False)
+        return f"laser off, confirmed by the {' and the '.join(who for who, _ in commands)}"
+
+    def darkness(self) -> str:
+        """Why the laser does not emit although it should; empty if it emits, or if none is controlled."""
+        laser = self.laser_now()
+        if laser is None or laser.on:
+            return ""
+        if self.permit.refusal:
+            return self.permit.refusal
+        for service in (self.control, self.laser):
+            if service is not None and service.failure is not None:
+                return f"{service.name} has failed: {service.failure}"
+        if self.control is not None:
+            snapshot = self.control.snapshot
+            if snapshot.status is None:
+                return f"the controller is {snapshot.state}: {snapshot.last_error}".rstrip(": ")
+            if interlock := self._open_interlock():
+                return f"{interlock.text} is open"
+            if snapshot.status.trip is not Trip.NONE:
+                return f"the controller has tripped: {snapshot.status.trip}"
+        return laser.text
+
+    def laser_now(self) -> LaserNow | None:
+        """State of the laser; None if this program controls none. Never blocks."""
+        if self._config.laser.kind == "none":
+            return None
+        return laser_now(self._config.laser, self.control, self.laser)
+
+    def safety(self) -> SafetyNow:
+        """The safety state of the rig, with the ages of what it is known from. Never blocks."""
+        laser = self.laser_now() or LaserNow(Light.UNKNOWN)
+        loops = []
+        if self.control is not None and (status := self.control.snapshot.status) is not None:
+            loops.append((status.interlock_closed, age_s(self.control.snapshot.status_time_ns)))
+        if self.laser is not None and self._config.laser.interlock == "own":
+            state = self.laser.snapshot.state
+            if state is not None:
+                loops.append((state.interlock_closed, age_s(self.laser.snapshot.state_time_ns)))
+        oldest_s = max((old_s for _, old_s in loops), default=float("inf"))
+        loop = Loop.CLOSED if all(closed for closed, _ in loops) else Loop.OPEN
+        return SafetyNow(
+            trip=self.permit.latched,
+            refusal=self.permit.refusal,
+            light=laser.light,
+            light_age_s=laser.age_s,
+            interlock=loop if oldest_s <= STALE_S else Loop.UNKNOWN,
+            interlock_age_s=oldest_s,
+        )
+
+    def now(self) -> DevicesNow:
+        """State of laser and controller. Never blocks."""
+        if self.control is None:
+            return DevicesNow(self.laser_now())
+        snapshot = self.control.snapshot
+        known = snapshot.state is ControlState.OPEN and age_s(snapshot.status_time_ns) <= STALE_S
+        return DevicesNow(self.laser_now(), snapshot.state, snapshot.status if known else None)
