@@ -64,6 +64,7 @@ class EnvironmentService(DeviceThread):
         self._line: SerialLine | None = None
         self._reader: LineReader | None = None
         self._asked_s = 0.0
+        self._between_lines = False
         self._latest = EnvironmentReading(AirReading())
         super().__init__("rig-environment")
 
@@ -82,6 +83,7 @@ class EnvironmentService(DeviceThread):
                 self._line = self._open_line()
                 self._reader = LineReader(self._line)
                 self._reader.clear()
+                self._between_lines = False
                 self._latest = replace(self._latest, last_error="")
             self._read(self._line, self._reader)
         except DeviceError as error:
@@ -94,6 +96,9 @@ class EnvironmentService(DeviceThread):
 
     def _read(self, line: SerialLine, reader: LineReader) -> None:
         now_s = time.monotonic()
+        if not self._between_lines:
+            self._between_lines = reader.finds_line_start(now_s + _READ_S)
+            return
         if self._settings.request and now_s - self._asked_s >= self._settings.period_s:
             self._asked_s = now_s
             line.write(self._settings.request.encode("ascii") + b"\n")

@@ -16,6 +16,8 @@ from rig.control.serial_port import LineReader, PortLost, SerialPort
 from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.presentation import Verdict
 
+_SILENT_S = 0.1
+
 
 @dataclass(frozen=True, slots=True)
 class SerialPortInfo:
@@ -152,6 +154,9 @@ def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) ->
         with SerialPort(settings.port, settings.baud) as port:
             reader = LineReader(port)
             deadline_s = time.monotonic() + patience_s
+            while not reader.finds_line_start(min(time.monotonic() + _SILENT_S, deadline_s)):
+                if time.monotonic() >= deadline_s:
+                    break
             if settings.request:
                 port.write(settings.request.encode("ascii") + b"\n")
             while (raw := reader.read_line(deadline_s)) is not None and time.monotonic() < deadline_s:

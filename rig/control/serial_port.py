@@ -142,6 +142,13 @@ class LineReader:
             if remaining_s <= 0 and self._terminator not in data:
                 return None
 
+    def finds_line_start(self, deadline_s: float) -> bool:
+        """Discard what a port that was opened in the middle of a line still brings of it.
+
+        True if the next byte begins a line: one has ended, or nothing came until deadline_s.
+        """
+        return self.read_line(deadline_s) is not None or not self._buffer
+
     def clear(self) -> None:
         """Discard everything received so far."""
         self._line.discard_input()

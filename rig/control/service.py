@@ -4,6 +4,7 @@ The serial line never delays frames: the threads that handle frames only read th
 is held while this thread waits for the device.
 """
 
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -22,6 +23,8 @@ from rig.control.settings import ControllerSettings
 
 _REOPEN_S = 0.5
 _NO_READING = AirReading()
+_NO_SENSOR = -240
+"""Error of the board's own sensor of the air."""
 
 T = TypeVar("T")
 
@@ -71,7 +74,7 @@ class ControlService(DeviceThread):
         self,
         controller: Controller,
         settings: ControllerSettings,
-        environment_period_s: float = 1.0,
+        environment_period_s: float | None = 1.0,
         permit: LightPermit | None = None,
     ) -> None:
         self._controller = controller
@@ -79,6 +82,7 @@ class ControlService(DeviceThread):
         self._permit = permit or LightPermit()
         self._refused = ""
         self._environment_period_s = environment_period_s
+        self._sensor_silent = False
         self._snapshot = ControlSnapshot()
         self._is_open = False
         self._was_open = False
@@ -225,10 +229,14 @@ class ControlService(DeviceThread):
         self._interlock_closed = status.interlock_closed
         if status.errors_waiting:
             code, text = controller.next_error()
-            self._say(f"error {code}: {text}")
-        if now_s >= self._environment_due_s:
+            # a board without a sensor has this error each time it is asked
+            if code != _NO_SENSOR or not self._sensor_silent:
+                self._say(f"error {code}: {text}")
+            self._sensor_silent = self._sensor_silent or code == _NO_SENSOR
+        if self._environment_period_s is not None and now_s >= self._environment_due_s:
             self._environment_due_s = now_s + self._environment_period_s
             environment = controller.environment()
+            self._sensor_silent = self._sensor_silent and math.isnan(environment.temperature_c)
             self._snapshot = replace(
                 self._snapshot, environment=environment, environment_time_ns=time.monotonic_ns()
             )

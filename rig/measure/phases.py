@@ -217,7 +217,12 @@ class PhasesBeforeRecord:
             ),
             device_checks.controller(self._devices.now(), config.controller.kind != "none"),
             device_checks.laser(self._devices.laser_now(), goes_dark_by_itself(config.laser)),
-            device_checks.air(self._devices.environment(), config.environment_sensor.kind != "none", limits),
+            device_checks.air(
+                self._devices.environment(),
+                config.environment_sensor.kind != "none",
+                limits,
+                optional=config.environment_sensor.kind == "controller",
+            ),
         ]
         self._show_table(self.verdicts)
         against = failures(self.verdicts)

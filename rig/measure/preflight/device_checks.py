@@ -14,12 +14,21 @@ _ALONG_ROWS = 0.1
 """Part of the slow swing that may go across the rows of a sensor whose slow axis lies along them."""
 
 
-def air(environment: tuple[float, float, float], expected: bool, limits: PreflightSettings) -> Verdict:
-    """Check the temperature, if a sensor is configured."""
+def air(
+    environment: tuple[float, float, float],
+    expected: bool,
+    limits: PreflightSettings,
+    *,
+    optional: bool = False,
+) -> Verdict:
+    """Check the temperature, if a sensor is configured; the controller's own is `optional`."""
     temperature_c, humidity_percent, pressure_pa = environment
     limit = f"{limits.min_temperature_c:g} to {limits.max_temperature_c:g} °C"
     if not expected:
         return Verdict("environment", True, measured="no sensor is configured", limit=limit, made=False)
+    if math.isnan(temperature_c) and optional:
+        reason, remedy = "the controller has none, or it is silent", "plug a BME280 in, or state [environment]"
+        return Verdict("environment", True, reason, remedy, measured="no reading", limit=limit)
     if math.isnan(temperature_c):
         return Verdict(
             "environment", False, "the sensor is silent", "see rig doctor", measured="no reading", limit=limit

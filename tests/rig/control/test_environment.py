@@ -1,7 +1,11 @@
 """Sensors of the air: any line on a serial port, and the BME280 on the board."""
 
 import math
+import os
+import pty
 import re
+import threading
+import tty
 
 import pytest
 from hypothesis import given
@@ -218,3 +222,32 @@ def test_a_quantity_that_a_bme280_has_not_measured_is_no_reading(skipped: str) -
     chip.measure(**{skipped: 0x8000 if skipped == "raw_h" else 0x80000})
     with pytest.raises(OSError, match="not measured yet"):
         sensor.read()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a pseudo-terminal is POSIX's")
+def test_the_rest_of_a_line_that_was_being_sent_is_no_reading() -> None:
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    over = threading.Event()
+
+    def send() -> None:
+        while not over.is_set():
+            for byte in b"21.5\n":
+                os.write(master, bytes([byte]))
+                over.wait(0.002)
+
+    sending = threading.Thread(target=send)
+    sending.start()
+    settings = EnvironmentSettings(kind="serial", port=os.ttyname(slave), pattern=r"^(?P<temperature_c>\S+)$")
+    try:
+        for _ in range(15):
+            service = EnvironmentService(settings)
+            while not service.latest.time_ns:
+                turn(service)
+            assert service.latest.environment.temperature_c == 21.5
+            service._finish()
+    finally:
+        over.set()
+        sending.join()
+        os.close(master)
+        os.close(slave)

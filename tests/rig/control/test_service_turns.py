@@ -98,6 +98,28 @@ def test_the_air_is_read_once_a_period(service: ControlService, board: SteppedBo
     assert len(periods_s) >= 3
 
 
+def test_a_board_without_a_sensor_says_so_once(service: ControlService, board: SteppedBoard) -> None:
+    board.sensor_works = False
+    live(service, board, 20.0)
+    said = [text for text in service.take_events() if "environment sensor" in text]
+    assert said == ["error -240: Hardware error; environment sensor"]
+    board.sensor_works = True
+    live(service, board, 4.0)
+    assert service.snapshot.environment.temperature_c == 20.125
+    board.sensor_works = False
+    live(service, board, 8.0)
+    assert len(service.take_events()) == 1
+
+
+def test_a_board_whose_sensor_is_not_wanted_is_not_asked(board: SteppedBoard) -> None:
+    board.sensor_works = False
+    settings = ControllerSettings(kind="serial", port="stepped")
+    controller = Controller(settings, 0.001, board.open_line)
+    service = ControlService(controller, settings, environment_period_s=None)
+    live(service, board, 10.0)
+    assert [text for text in service.take_events() if "error" in text] == []
+
+
 def test_what_the_board_refuses_is_said_and_no_loss(service: ControlService) -> None:
     turn(service)
     service.take_events()

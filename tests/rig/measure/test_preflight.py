@@ -239,6 +239,9 @@ def test_air_and_controller() -> None:
     nothing = (math.nan, math.nan, math.nan)
     assert_go(device_checks.air(nothing, False, LIMITS))
     assert_no(device_checks.air(nothing, True, LIMITS))
+    of_controller = device_checks.air(nothing, True, LIMITS, optional=True)
+    assert of_controller.ok
+    assert "BME280" in of_controller.remedy
     assert_no(device_checks.air((60.0, 40.0, 1e5), True, LIMITS))
     assert_go(device_checks.controller(opened(), True))
     assert_no(device_checks.controller(DevicesNow(controller=ControlState.LOST), True))
