@@ -104,7 +104,9 @@ class Devices(LitDevices):
                 ControlService(
                     self.make_controller(),
                     config.controller,
-                    config.environment_sensor.period_s if config.environment_sensor.kind == "controller" else None,
+                    config.environment_sensor.period_s
+                    if config.environment_sensor.kind == "controller"
+                    else None,
                     self.permit,
                 )
             )

@@ -190,11 +190,17 @@ class PhasesBeforeRecord:
     def _look(self) -> None:
         if not preflight_wanted(self._config):
             return
-        begun_ns = self._wait.frames.now_ns
+        frames = self._wait.frames
+        begun_ns = frames.now_ns
         duration_ns = nanoseconds(_preflight_s(self._config))
-        self._wait.until_reached(
-            Phase.PREFLIGHT, math.inf, lambda: self._wait.frames.now_ns - begun_ns >= duration_ns
-        )
+
+        def long_enough() -> bool:
+            nonlocal begun_ns
+            # 0 before the first frame
+            begun_ns = begun_ns or frames.now_ns
+            return frames.now_ns - begun_ns >= duration_ns
+
+        self._wait.until_reached(Phase.PREFLIGHT, math.inf, long_enough)
         self._check(resting=True)
 
     def _check(self, resting: bool) -> None:

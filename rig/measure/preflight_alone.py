@@ -1,5 +1,7 @@
 """The command `rig preflight`: the checks that precede a run, without the run."""
 
+import queue
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from rich.console import Console
@@ -17,7 +19,7 @@ from rig.instrument import (
 )
 from rig.measure.end_of_run import StopRequest
 from rig.measure.phases import PhasesBeforeRecord
-from rig.presentation import failures, print_json_line, print_verdicts, say, table_tree
+from rig.presentation import Verdict, failures, print_json_line, print_verdicts, say, table_tree
 from rig.settings import Configuration
 
 
@@ -48,25 +50,40 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
             say(lit)
         light = LightWatch(devices)
         before = ""
+        states: queue.SimpleQueue[Snapshot | None] = queue.SimpleQueue()
 
         def report(snapshot: Snapshot) -> None:
             nonlocal before
             light.look()
             if light.alarm:
                 raise DeviceError(light.alarm)
-            if json_lines and snapshot.doing != before:
-                where = {"phase": snapshot.phase, "progress": snapshot.progress}
-                print_json_line("state", {**where, "elapsed_s": snapshot.elapsed_s})
+            if snapshot.doing != before:
+                states.put(snapshot)
             before = snapshot.doing
 
-        try:
-            stream.start_camera()
-            if stream.begin() is None:
-                raise DataError("the camera delivered no frame at all")
-            verdicts = phases.check_alone(stream, report, StopRequest(stream))
-        finally:
-            devices.darken()
-            stream.close()
+        def look(stop: StopRequest) -> list[Verdict]:
+            try:
+                stream.start_camera()
+                if stream.begin() is None:
+                    raise DataError("the camera delivered no frame at all")
+                return phases.check_alone(stream, report, stop)
+            finally:
+                devices.darken()
+                stream.close()
+                states.put(None)
+
+        # in a thread of its own: what is printed may wait for a reader, and frames may not
+        stop = StopRequest(stream)
+        with ThreadPoolExecutor(1, "preflight") as looking:
+            found = looking.submit(look, stop)
+            try:
+                while (state := states.get()) is not None:
+                    if json_lines:
+                        where = {"phase": state.phase, "progress": state.progress}
+                        print_json_line("state", {**where, "elapsed_s": state.elapsed_s})
+            finally:
+                stop.because("stopped")
+            verdicts = found.result()
     if json_lines:
         print_json_line("preflight", {"table": table_tree(verdicts)})
     else:

@@ -106,6 +106,10 @@ def _execute(
         if session_news is not None:
             session_news.preflight(verdicts)
 
+    def start_rejected(aside: Path, reason: str) -> None:
+        plan.start_rejected(aside, reason)
+        display.tell(f"{plan.title}: start not accepted: {reason}")
+
     def show(snapshot: Snapshot) -> None:
         try:
             display.show(snapshot)
@@ -146,7 +150,7 @@ def _execute(
         ),
         phases=phases,
         start=start_limits(config, optics) if with_start else None,
-        start_rejected=plan.start_rejected,
+        start_rejected=start_rejected,
         watchers=(display, *plan.watchers, *watchers),
         devices=devices,
         camera=camera.camera,

@@ -5,7 +5,7 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any, Self
 
@@ -67,6 +67,7 @@ class RunDisplay:
         self._swings: deque[tuple[float, float, float]] = deque(maxlen=_SWINGS_KEPT)
         self._balance: Balance | None = None
         self._notes: deque[str] = deque(maxlen=12)
+        self._to_print: deque[Callable[[], None]] = deque()
         self._rates = Rates()
         self._forecast = _NO_FORECAST
         self._forecast_s = 0.0
@@ -96,19 +97,25 @@ class RunDisplay:
         self._notes.append(f"{seconds(event.time_ns - start_ns):8.1f} s  {event.line}")
         if self._json:
             elapsed_s = seconds(event.time_ns - start_ns)
-            self.line("event", {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text})
+            said = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
+            self._to_print.append(lambda: self.line("event", said))
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """Does nothing; the main thread shows snapshots."""
 
-    # -- in the main thread --------------------------------------------------
-
     def show_preflight(self, verdicts: Sequence[Verdict]) -> None:
-        """Print the preflight table above the live screen."""
+        """Have the preflight table printed above the live screen."""
+        shown = list(verdicts)
         if self._json:
-            self.line("preflight", {"table": table_tree(verdicts)})
+            self._to_print.append(lambda: self.line("preflight", {"table": table_tree(shown)}))
         else:
-            print_verdicts(self._console, verdicts)
+            self._to_print.append(lambda: print_verdicts(self._console, shown))
+
+    def tell(self, text: str) -> None:
+        """Have a line printed for the user."""
+        self._to_print.append(lambda: say(text))
+
+    # -- in the main thread --------------------------------------------------
 
     def line(self, kind: str, values: dict[str, Any]) -> None:
         """Print one line of JSON on stdout; a closed stdout is ignored, so that the measurement continues."""
@@ -120,7 +127,12 @@ class RunDisplay:
             os.close(nowhere)
 
     def show(self, snapshot: Snapshot) -> None:
-        """Update the display; fast enough to be called ten times a second."""
+        """Update the display; fast enough to be called ten times a second.
+
+        What the run's thread has to print is printed here: a terminal that nobody reads holds no frame up.
+        """
+        while self._to_print:
+            self._to_print.popleft()()
         if math.isnan(self._initial) and not math.isnan(snapshot.amplitude):
             self._initial = snapshot.amplitude
         self._rates.take(snapshot)

@@ -121,7 +121,6 @@ def _make_runs(
 
         def start_rejected(path: Path, reason: str, number: int = number) -> None:
             file.note(number, path.name, RunState.REJECTED, reason)
-            say(f"run {number}: start not accepted: {reason}")
 
         plan = RunPlan(
             _numbered(config, number),

@@ -7,6 +7,7 @@ the laser is switched off, ports are closed.
 import contextlib
 import os
 import signal
+import stat
 from collections.abc import Iterator
 from types import FrameType
 
@@ -27,9 +28,10 @@ def reason_of(interrupt: KeyboardInterrupt) -> str:
 def terminated_by_signals() -> Iterator[None]:
     """Turn the first SIGTERM or SIGHUP into `Terminated` in the main thread; restore the handlers afterwards.
 
-    Further signals are ignored, so that they cannot interrupt the closing of laser and record. Signals
-    that are already ignored (``nohup``) stay ignored. After SIGHUP all output is discarded, because
-    writing to the closed terminal would raise an error. To be entered in the main thread.
+    Further signals interrupt nothing, so that laser and record are closed; they discard all further output,
+    because a reader that does not read would hold that up for ever. Signals that are already ignored
+    (``nohup``) stay ignored. After SIGHUP the output is discarded at once, because writing to the closed
+    terminal would raise an error. To be entered in the main thread.
     """
     known = [getattr(signal, name) for name in _SAID if hasattr(signal, name)]
     terminals = [fd for fd in (0, 1, 2) if os.isatty(fd)]
@@ -39,6 +41,7 @@ def terminated_by_signals() -> Iterator[None]:
     def end(number: int, _: FrameType | None) -> None:
         nonlocal heard
         if heard:
+            _silence([fd for fd in (1, 2) if _may_block(fd)])
             return
         heard = True
         name = signal.Signals(number).name
@@ -56,6 +59,14 @@ def terminated_by_signals() -> Iterator[None]:
     finally:
         for each, handler in taken.items():
             signal.signal(each, handler)
+
+
+def _may_block(descriptor: int) -> bool:
+    """Whether it is not open on a file."""
+    try:
+        return not stat.S_ISREG(os.fstat(descriptor).st_mode)
+    except OSError:
+        return False
 
 
 def _silence(descriptors: list[int]) -> None:

@@ -27,7 +27,10 @@ def air(
     if not expected:
         return Verdict("environment", True, measured="no sensor is configured", limit=limit, made=False)
     if math.isnan(temperature_c) and optional:
-        reason, remedy = "the controller has none, or it is silent", "plug a BME280 in, or state [environment]"
+        reason, remedy = (
+            "the controller has none, or it is silent",
+            "plug a BME280 in, or state [environment]",
+        )
         return Verdict("environment", True, reason, remedy, measured="no reading", limit=limit)
     if math.isnan(temperature_c):
         return Verdict(

@@ -1,0 +1,109 @@
+"""A terminal or a pipe that nobody reads holds up neither frames nor the end; POSIX only."""
+
+import fcntl
+import json
+import os
+import signal
+import subprocess
+import sys
+import termios
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from acquisition.record.events import EventKind, end_of
+from acquisition.record.reader import RecordReader
+from rig.devices import FrameStream
+from rig.measure import preflight_alone
+from rig.terminal.interruption import _may_block
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="pipes and signals of POSIX")]
+WITHIN_S = 120.0
+
+
+def unread_pipe() -> tuple[int, int]:
+    out, into = os.pipe()
+    fcntl.fcntl(into, fcntl.F_SETPIPE_SZ, 4096)  # type: ignore[attr-defined, unused-ignore]
+    return out, into
+
+
+def waiting(out: int) -> int:
+    return int.from_bytes(fcntl.ioctl(out, termios.FIONREAD, b"\0\0\0\0"), sys.byteorder)
+
+
+def test_a_second_signal_ends_a_session_whose_output_nobody_reads(tmp_path: Path) -> None:
+    out, into = unread_pipe()
+    words = set_words({**SMALL, "session.max_duration_s": "1e6", "session.final_amplitude_arcsec": "0.001"})
+    command = [sys.executable, "-m", "rig", "run", CONFIGS / "demo.toml", "-o", tmp_path / "out", "--json"]
+    process = subprocess.Popen([*command, *words], stdout=into, stdin=subprocess.DEVNULL)
+    record = tmp_path / "out" / "run-1.mcap"
+    deadline_s = time.monotonic() + WITHIN_S
+    try:
+        # the pipe is full, and the record grows all the same
+        grown = 0
+        while waiting(out) < 3000 or record.stat().st_size < grown + 500_000:
+            if waiting(out) < 3000 and record.exists():
+                grown = record.stat().st_size
+            assert process.poll() is None
+            assert time.monotonic() < deadline_s
+            time.sleep(0.05)
+        process.send_signal(signal.SIGTERM)
+        while process.poll() is None:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.5)
+            process.send_signal(signal.SIGTERM)
+    finally:
+        process.kill()
+        process.wait()
+        os.close(out)
+        os.close(into)
+    with RecordReader(record) as reader:
+        end = end_of(reader.events())
+    assert end is not None
+    assert (end.kind, end.text) == (EventKind.STOPPED, "terminated")
+    (entry,) = json.loads((tmp_path / "out" / "session.json").read_text())["entries"]
+    assert entry["state"] == "stopped"
+
+
+def test_what_may_block_is_no_file(tmp_path: Path) -> None:
+    out, into = os.pipe()
+    with (tmp_path / "file").open("w") as file:
+        assert [_may_block(fd) for fd in (into, file.fileno(), 10**6)] == [True, False, False]
+    os.close(out)
+    os.close(into)
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("rate_hz", [25, 30, 100])
+def test_a_perfect_rig_is_a_go_at_every_rate(rate_hz: int) -> None:
+    words = set_words({**SMALL, "camera.frame_rate_hz": str(rate_hz), "preflight.duration_s": "3"})
+    done = rig("preflight", CONFIGS / "live.toml", "--json", *words)
+    assert done.returncode == 0, done.stderr
+    assert "too few" not in done.stdout
+
+
+@pytest.mark.realtime
+def test_an_unread_terminal_does_not_hold_a_preflight_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    over = threading.Event()
+    usual_close, usual_print = FrameStream.close, preflight_alone.print_json_line
+
+    def close(stream: FrameStream) -> None:
+        usual_close(stream)
+        over.set()
+
+    def read_late(kind: str, values: Mapping[str, object]) -> None:
+        assert over.wait(WITHIN_S)
+        usual_print(kind, values)
+
+    monkeypatch.setattr(FrameStream, "close", close)
+    monkeypatch.setattr(preflight_alone, "print_json_line", read_late)
+    done = rig(
+        "preflight", CONFIGS / "live.toml", "--json", *set_words({**SMALL, "preflight.duration_s": "3"})
+    )
+    assert done.returncode == 0, done.stderr
+    kinds = [json.loads(line)["kind"] for line in done.stdout.splitlines()]
+    assert kinds == ["state", "preflight"]
