@@ -1,41 +1,19 @@
-"""Draws the optics, the pendulum and the way of the data, as SVG beside this file: make drawings."""
+"""Draws optics, pendulum, the data's way and the light's supply, as SVG beside this file: make drawings."""
 
 import io
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib as mpl
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Polygon, Rectangle
 
 HERE = Path(__file__).resolve().parent
-INK, RED, BLUE, GREY, PALE = "#333333", "#D55E00", "#0072B2", "#8A8F98", "#E8EAED"
-STYLE = {"svg.fonttype": "none", "svg.hashsalt": "optical-pendulum-rig", "font.family": "DejaVu Sans"}
+sys.path.insert(0, str(HERE))
 
-
-def sheet(width: float, height: float) -> tuple[Figure, Axes]:
-    """A white sheet measured in its own units, a hundred to the inch."""
-    figure = Figure(figsize=(width / 100, height / 100))
-    FigureCanvasAgg(figure)
-    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(0, height), aspect="equal")
-    axes.axis("off")
-    return figure, axes
-
-
-def label(axes: Axes, x: float, y: float, text: str, *, to: tuple[float, float] | None = None) -> None:
-    """Words, with a thin line to what they name."""
-    if to is None:
-        axes.text(x, y, text, ha="center", va="center", color=INK, fontsize=9)
-    else:
-        line = {"arrowstyle": "-", "color": GREY, "lw": 0.7, "shrinkA": 1, "shrinkB": 0}
-        axes.annotate(text, to, (x, y), ha="center", va="center", color=INK, fontsize=9, arrowprops=line)
-
-
-def arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], colour: str = INK) -> None:
-    """From one point to another."""
-    axes.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.3})
+from light_chain import light_chain  # noqa: E402
+from sheet import BLUE, GREY, INK, PALE, RED, STYLE, arrow, box, label, sheet  # noqa: E402
 
 
 def pendulum() -> Figure:
@@ -145,18 +123,12 @@ def data_way() -> Figure:
     return figure
 
 
-def box(axes: Axes, x: float, y: float, wide: float, high: float, name: str, gives: str) -> None:
-    """A step, and what it gives."""
-    axes.add_patch(
-        FancyBboxPatch((x, y), wide, high, boxstyle="round,pad=1,rounding_size=6", fc=PALE, ec=GREY)
-    )
-    axes.text(
-        x + wide / 2, y + high - 20, name, ha="center", va="center", fontsize=10, weight="bold", color=INK
-    )
-    axes.text(x + wide / 2, y + 18, gives, ha="center", va="center", fontsize=8.5, color=INK)
-
-
-DRAWINGS: dict[str, Callable[[], Figure]] = {"pendulum": pendulum, "optics": optics, "data-way": data_way}
+DRAWINGS: dict[str, Callable[[], Figure]] = {
+    "pendulum": pendulum,
+    "optics": optics,
+    "data-way": data_way,
+    "light-chain": light_chain,
+}
 
 
 def svg(draw: Callable[[], Figure]) -> bytes:

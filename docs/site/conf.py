@@ -43,7 +43,7 @@ maximum_signature_line_length = 80
 
 CONTENTS = {
     "Start": ["docs/tutorial", "docs/everyday", "docs/troubleshooting"],
-    "Build one": ["docs/build"],
+    "Build one": ["docs/build", "docs/safety"],
     "Concepts": ["docs/concepts", "docs/laws", "docs/instruments"],
     "How to": [
         "docs/session",
