@@ -81,6 +81,7 @@ class ControlService(DeviceThread):
         self._settings = settings
         self._permit = permit or LightPermit()
         self._refused = ""
+        self._offs = 0
         self._environment_period_s = environment_period_s
         self._sensor_silent = False
         self._snapshot = ControlSnapshot()
@@ -116,11 +117,15 @@ class ControlService(DeviceThread):
         return self._worker.submit(lambda: self._guarded(call), timeout_s, urgent)
 
     def laser_on(self) -> "Future[None]":
-        """Switch the laser on, unless the interlock is open or `permit` refuses."""
-        return self.submit(self._light)
+        """Switch the laser on, unless the interlock is open or `permit` refuses; a later `laser_off` or
+        `safe` that is carried out before outdates it.
+        """
+        offs = self._offs
+        return self.submit(lambda controller: self._light(controller, offs))
 
     def laser_off(self) -> "Future[None]":
         """Switch the laser off, before all waiting commands; done once the board has said how it stands."""
+        self._offs += 1
         return self.submit(self._darken, urgent=True)
 
     def set_laser_power_w(self, power_w: float) -> "Future[None]":
@@ -153,6 +158,7 @@ class ControlService(DeviceThread):
 
     def safe(self) -> "Future[None]":
         """Put every output into its safe state, before all waiting commands."""
+        self._offs += 1
         return self.submit(Controller.safe, urgent=True)
 
     # -- in the thread --------------------------------------------------------
@@ -184,8 +190,9 @@ class ControlService(DeviceThread):
         )
         self._say(f"{identity.serial} is connected, firmware {identity.firmware}")
 
-    def _light(self, controller: Controller) -> None:
-        if refusal := self._permit.refusal:
+    def _light(self, controller: Controller, offs: int) -> None:
+        outdated = "it was switched off meanwhile" if self._offs != offs else ""
+        if refusal := self._permit.refusal or outdated:
             raise LightRefused(f"{controller.name}: the laser stays off: {refusal}")
         controller.laser_on()
         self._beat()

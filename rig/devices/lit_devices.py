@@ -95,6 +95,9 @@ class LitDevices:
             raise DeviceError(f"trip {number} cannot be acknowledged: latched is {trip.text}")
         if still:
             raise DeviceError(f"{still.text} is still open: close it, then acknowledge trip {number}")
+        state = None if self.laser is None else self.laser.snapshot.state
+        if state is not None and state.excess:
+            raise DeviceError(f"trip {number} cannot be acknowledged: {state.excess}")
         self.state.acknowledge(number)
         self.audit(Audited.ACKNOWLEDGE, trip.text, number=number, by=who)
         self._log.wait()

@@ -64,6 +64,19 @@ def live(service: ControlService, board: SteppedBoard, duration_s: float) -> Non
         board.turn(turn(service))
 
 
+@pytest.mark.parametrize("darken", [ControlService.laser_off, ControlService.safe])
+def test_an_off_outdates_a_light_that_still_waits(
+    service: ControlService, board: SteppedBoard, darken: Callable[[ControlService], object]
+) -> None:
+    turn(service)
+    on = service.laser_on()
+    darken(service)
+    turn(service)
+    with pytest.raises(DeviceError, match="it was switched off meanwhile"):
+        on.result(0)
+    assert board.count("laser", 1) == 0
+
+
 def test_it_is_open_after_the_first_turn(service: ControlService, board: SteppedBoard, clock: Clock) -> None:
     assert service.snapshot.state is ControlState.OPENING
     assert turn(service) == HEARTBEAT_S

@@ -104,6 +104,30 @@ def test_an_open_interlock_lights_nothing(family: tuple[str, Instrument]) -> Non
     assert instrument.highest_lit == 0.0
 
 
+def test_too_much_light_is_acknowledged_only_when_it_is_gone() -> None:
+    instrument = FakeObis()
+    try:
+        with Devices(configuration("obis", instrument.port)) as devices:
+            devices.light()
+            instrument.measures = 0.050
+            until(lambda: devices.permit.latched is not None)
+            until(lambda: not instrument.on)
+            with pytest.raises(DeviceError, match="cannot be acknowledged: 50 mW measured, 30 mW allowed"):
+                devices.acknowledge(1, "test")
+            instrument.measures = None
+            until(
+                lambda: (
+                    devices.laser is not None
+                    and (s := devices.laser.snapshot.state) is not None
+                    and not s.excess
+                )
+            )
+            assert "acknowledged" in devices.acknowledge(1, "test")
+            assert not instrument.on
+    finally:
+        instrument.close()
+
+
 def test_a_laser_that_is_not_there_is_named() -> None:
     missing = configuration("obis", "/dev/ttyNoSuchPort")
     with Devices(missing) as devices, pytest.raises(DeviceError, match="/dev/ttyNoSuchPort: cannot open"):
