@@ -15,7 +15,18 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError, RigError
-from rig.commands import archive, calibration, camera, init, measure, physics, records, reporting, session
+from rig.commands import (
+    archive,
+    calibration,
+    camera,
+    init,
+    light,
+    measure,
+    physics,
+    records,
+    reporting,
+    session,
+)
 from rig.terminal import reason_of, spell_out_what_is_missing, terminated_by_signals
 
 _MADE_BETWEEN_COLLECTIONS = 10_000
@@ -27,7 +38,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for module in (init, measure, session, records, physics, calibration, reporting, camera, archive):
+for module in (init, measure, session, records, physics, calibration, reporting, camera, light, archive):
     module.register(app)
 
 

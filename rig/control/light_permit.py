@@ -5,8 +5,10 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Final
 
+from acquisition.frame import Image
 from processing.errors import DeviceError
 from rig.control.safety_state import LatchedTrip, SafetyState, TripCause
+from rig.control.spot_seen import SpotSeen
 
 
 class Stage(StrEnum):
@@ -63,6 +65,7 @@ class LightPermit:
         self._moved_s: dict[Stage, float] = {}
         self._begun = False
         self._withdrawn = ""
+        self.spot = SpotSeen(clock_s)
 
     def begin(self) -> None:
         """A laser is about to be lit: from now on camera and processing must move."""
@@ -77,6 +80,11 @@ class LightPermit:
     def moved(self, stage: Stage) -> None:
         """A stage has done something."""
         self._moved_s[stage] = self._clock_s()
+
+    def frame_read(self, image: Image) -> None:
+        """The camera has delivered a frame; what it shows is evidence of the light."""
+        self.moved(Stage.CAMERA)
+        self.spot.frame(image)
 
     def ended(self, stage: Stage) -> None:
         """A stage has come to its regular end."""

@@ -1,9 +1,12 @@
 """States of laser and controller as values, for threads, displays and the desk; their texts are made here."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
+from typing import Any, Final
+
+from pydantic import TypeAdapter
 
 from rig.control.controller import ControllerStatus
 from rig.control.safety_state import LatchedTrip
@@ -75,6 +78,12 @@ class SafetyNow:
     interlock_age_s: float = math.inf
     seen: bool | None = None
     seen_age_s: float = math.inf
+
+    @classmethod
+    def told(cls, values: Mapping[str, Any]) -> "SafetyNow":
+        """From plain values, as a session tells them; there infinite ages are null."""
+        known = {key: value for key, value in values.items() if value is not None}
+        return TypeAdapter(cls).validate_python(known)
 
 
 @dataclass(frozen=True, slots=True)

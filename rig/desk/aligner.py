@@ -35,9 +35,10 @@ class LitCamera:
 
     def read(self, timeout_s: float) -> Frame | None:
         frame = self._camera.read(timeout_s)
+        if frame is not None:
+            self._permit.frame_read(frame.image)
         # whoever reads looks at once
-        for stage in (Stage.CAMERA, Stage.PROCESSING):
-            self._permit.moved(stage)
+        self._permit.moved(Stage.PROCESSING)
         return frame
 
     def stop(self) -> None:
@@ -184,3 +185,4 @@ class Aligner:
                     except (DeviceError, RigError) as error:
                         self.note = str(error)
                     tracker = optics.tracker()
+            devices.darken("the live picture is closed")

@@ -17,7 +17,6 @@ _LOOK_S = 0.2
 _SEARCH_S = 1.0
 _EVENTS_KEPT = 300
 _DEVICES = TypeAdapter(DevicesNow)
-_SAFETY = TypeAdapter(SafetyNow)
 
 
 class Following:
@@ -61,9 +60,7 @@ class Following:
     @property
     def safety(self) -> SafetyNow:
         """The safety state as the running session has told it."""
-        told = self.news.get("safety") or {}
-        # infinite ages are null on the way
-        return _SAFETY.validate_python({key: value for key, value in told.items() if value is not None})
+        return SafetyNow.told(self.news.get("safety") or {})
 
     @property
     def has_picture(self) -> bool:

@@ -1,7 +1,7 @@
 """Finds, checks, opens and closes the devices: camera, controller, laser and sensors."""
 
 from rig.devices import picture
-from rig.devices.audit import Audited
+from rig.devices.audit import AUDIT_NAME, Audited, check_log
 from rig.devices.camera_features import feature_lines
 from rig.devices.doctor import examine
 from rig.devices.frame_stream import FrameStream

@@ -16,7 +16,7 @@ from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame_losses import FrameLosses
 from processing.errors import DeviceError, RigError
 from processing.ticks import seconds
-from rig.control import check_controller, check_environment, check_laser
+from rig.control import LatchedTrip, check_controller, check_environment, check_laser
 from rig.devices.session_devices import Devices
 from rig.instrument import check_materials, complete
 from rig.presentation import Verdict, print_json_line, print_verdicts
@@ -46,8 +46,13 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
     config = complete(stated)
     yield from check_settings(config, stated)
     devices = Devices(config)
-    yield from check_controller(devices.make_controller(), config.controller, config.laser)
-    yield from check_laser(config.laser, config.controller)
+    try:
+        with devices.state as state:
+            yield check_trip(state.trip)
+            yield from check_controller(devices.make_controller(), config.controller, config.laser)
+            yield from check_laser(config.laser, config.controller)
+    except DeviceError as error:
+        yield Verdict("controller and laser", False, str(error), "end that program, or ask it")
     yield from check_environment(config.environment_sensor)
     if config.camera.driver == "usb3vision":
         yield from check_usb_cameras(cast(Usb3VisionSettings, config.camera.driver_settings()).serial)
@@ -55,6 +60,14 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
     yield check_disk(config.session.output)
     yield check_clock(_read(_CLOCK_SOURCE))
     yield check_governor(_read(_GOVERNOR), os.cpu_count() or 1)
+
+
+def check_trip(trip: LatchedTrip | None) -> Verdict:
+    """Check that no trip waits for its acknowledgement."""
+    if trip is None:
+        return Verdict("permit of light", True, "no trip is latched")
+    remedy = f"look that nobody is in the beam's way, then rig light acknowledge CONFIG {trip.number}"
+    return Verdict("permit of light", False, trip.text, remedy)
 
 
 def check_settings(config: Configuration, stated: Configuration) -> Iterator[Verdict]:

@@ -139,7 +139,7 @@ class FrameStream:
         first = self._first_frame()
         if first is None:
             return None
-        self.permit.moved(Stage.CAMERA)
+        self.permit.frame_read(first.image)
         self._queue = FrameQueue(_capacity(first, self.policy), self.policy)
         self._queue.put(first)
         self._thread = threading.Thread(target=self._acquire, name="camera", daemon=True)
@@ -229,7 +229,7 @@ class FrameStream:
                 if frame is None:
                     self.ended = self.ended or "the camera delivered its last frame"
                     break
-                self.permit.moved(Stage.CAMERA)
+                self.permit.frame_read(frame.image)
                 if self.policy != "wait":
                     self._clock.see(frame)
                 if silent_s:

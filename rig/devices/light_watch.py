@@ -23,7 +23,10 @@ class LightWatch:
 
     def look(self) -> list[tuple[EventKind, str]]:
         """Ask for the state of the laser; returns the events that follow from it, as (kind, text)."""
-        why = "" if self._devices is None else self._devices.darkness()
+        why = ""
+        if self._devices is not None:
+            self._devices.compare()
+            why = self._devices.darkness()
         now_s, since_s = time.monotonic(), self._dark_since_s
         if not why:
             self._dark_since_s = None

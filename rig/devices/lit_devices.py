@@ -1,9 +1,12 @@
 """Controller and laser of a rig, and the one way to light: who may, who darkens it, what is known of it."""
 
+import time
 from concurrent.futures import CancelledError
+from contextlib import suppress
 from pathlib import Path
 
-from processing.errors import DeviceError
+from acquisition.camera import Camera
+from processing.errors import DeviceError, RigError
 from rig.control import (
     STALE_S,
     ControlService,
@@ -20,11 +23,14 @@ from rig.control import (
     SafetyNow,
     SafetyState,
     Trip,
+    TripCause,
     rig_state_path,
 )
 from rig.devices.audit import Audited, AuditLog
 from rig.devices.laser import age_s, goes_dark_by_itself, laser_now, light, wait_for_command
 from rig.settings import Configuration
+
+_LOOKS_FOR_S = 3.0
 
 
 class LitDevices:
@@ -41,7 +47,7 @@ class LitDevices:
         self.state = SafetyState(rig_state_path(config.laser, config.controller), task)
         self._log = AuditLog(folder, config.session.operator, task, self.state)
         self._task = task
-        self._was_lit = self._is_lit = False
+        self._was_lit = self._is_lit = self._disagreed = False
         self.permit = LightPermit(state=self.state, tripped=self._tripped)
 
     def light(self) -> str:
@@ -103,6 +109,36 @@ class LitDevices:
         self._log.wait()
         return f"{trip.text}: acknowledged"
 
+    def compare(self) -> None:
+        """Hold what the devices say against what the frames show; a light that is seen though off latches."""
+        laser, spot = self.laser_now(), self.permit.spot
+        if laser is None or laser.light not in (Light.ON, Light.OFF, Light.INTERLOCK_OPEN):
+            return
+        spot.told(laser.on)
+        if not spot.disagrees:
+            self._disagreed = False
+        elif not self._disagreed:
+            self._disagreed = True
+            self.permit.trip(TripCause.OUTPUT, "the laser is told off, and the camera still sees its spot")
+
+    def see_dark(self, camera: Camera) -> None:
+        """After `darken`, look at the frames of a stopped camera until they show that the laser is off.
+
+        Not for long, and an error of the camera ends it: then the frames confirm nothing.
+        """
+        spot = self.permit.spot
+        end_s = time.monotonic() + _LOOKS_FOR_S + 2.0 * spot.exposure_s
+        with suppress(RigError, OSError):
+            camera.start()
+            try:
+                while time.monotonic() < end_s and not (spot.agrees or spot.disagrees):
+                    if (frame := camera.read(_LOOKS_FOR_S)) is None:
+                        return
+                    spot.frame(frame.image)
+                    self.compare()
+            finally:
+                camera.stop()
+
     def _tripped(self, trip: LatchedTrip) -> None:
         self.audit(Audited.LATCH, trip.why, number=trip.number, cause=trip.cause, lit=trip.lit)
         self.went_dark(trip.text)
@@ -140,8 +176,12 @@ class LitDevices:
             except (DeviceError, CancelledError) as error:
                 why = str(error) or "its thread has ended"
                 return f"THE LASER MAY BE LIT: the {who} does not confirm that it is off ({why}); go and look"
+        self.compare()
+        if (trip := self.permit.latched) is not None and trip.cause is TripCause.OUTPUT:
+            return f"THE LASER MAY BE LIT: {trip.text}; go and look"
         self.state.lit(False)
-        return f"laser off, confirmed by the {' and the '.join(who for who, _ in commands)}"
+        witnesses = [who for who, _ in commands] + ["camera"] * self.permit.spot.agrees
+        return f"laser off, confirmed by the {' and the '.join(witnesses)}"
 
     def darkness(self) -> str:
         """Why the laser does not emit although it should; empty if it emits, or if none is controlled."""
@@ -171,7 +211,7 @@ class LitDevices:
 
     def safety(self) -> SafetyNow:
         """The safety state of the rig, with the ages of what it is known from. Never blocks."""
-        laser = self.laser_now() or LaserNow(Light.UNKNOWN)
+        laser, spot = self.laser_now() or LaserNow(Light.UNKNOWN), self.permit.spot
         loops = []
         if self.control is not None and (status := self.control.snapshot.status) is not None:
             loops.append((status.interlock_closed, age_s(self.control.snapshot.status_time_ns)))
@@ -184,10 +224,12 @@ class LitDevices:
         return SafetyNow(
             trip=self.permit.latched,
             refusal=self.permit.refusal,
-            light=laser.light,
+            light=Light.DISAGREES if spot.disagrees else laser.light,
             light_age_s=laser.age_s,
             interlock=loop if oldest_s <= STALE_S else Loop.UNKNOWN,
             interlock_age_s=oldest_s,
+            seen=spot.seen if spot.age_s <= STALE_S else None,
+            seen_age_s=spot.age_s,
         )
 
     def now(self) -> DevicesNow:

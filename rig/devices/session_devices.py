@@ -135,9 +135,12 @@ class Devices(LitDevices):
             check_full_scale(config, info, applied)
             if asked.ptp:
                 wait_for_network_clock(camera)
+            self.permit.spot.exposure_s = 1e-6 * (applied.exposure_us or 0.0)
             notes = (*setting_differences(asked, applied), *pulse_faults(config, info, applied))
             yield OpenCamera(camera, info, notes, applied, shift_to_light_ns(config, info, applied))
         finally:
+            if self._was_lit and not self.permit.begun and not config.on_demand:
+                self.see_dark(camera)
             camera.close()
 
     def make_controller(self) -> Controller:

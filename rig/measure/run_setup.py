@@ -34,7 +34,8 @@ class RunPlan:
 
     `start_rejected` is called with the new path of the record of each rejected start, and the reason;
     `watchers` see the run beside its display and view, `session_news` tells those
-    who watch from outside. `fitted`: parameters are fitted while it is measured.
+    who watch from outside. `fitted`: parameters are fitted while it is measured. `is_last`: no other run
+    follows, for which the laser would stay lit.
     """
 
     config: Configuration
@@ -44,6 +45,7 @@ class RunPlan:
     force: bool = False
     json_lines: bool = False
     fitted: bool = True
+    is_last: bool = True
     start_rejected: Callable[[Path, str], None] = lambda _path, _reason: None
     watchers: Sequence[Watcher] = ()
     session_news: SessionNews | None = None
@@ -69,7 +71,12 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
         parameters = () if posterior is None else posterior.parameters
         view = open_view(plan.config, record, plan.title, camera.info.full_scale_dn, parameters)
         try:
-            return _execute(plan, devices, camera, [] if view is None else [view], posterior)
+            outcome = _execute(plan, devices, camera, [] if view is None else [view], posterior)
+            ends = plan.is_last or outcome.failure is not None or outcome.stopped
+            # what hangs is not asked for frames once more
+            if ends and not outcome.hangs:
+                devices.darken(outcome.snapshot.reason or "the run has ended")
+            return outcome
         finally:
             if posterior is not None:
                 posterior.close()

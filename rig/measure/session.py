@@ -129,6 +129,7 @@ def _make_runs(
             f"run {number}",
             manner.force,
             manner.json_lines,
+            is_last=len(records) + 1 >= file.state.runs_wanted,
             start_rejected=start_rejected,
             watchers=[manner.notices],
             session_news=session_news,

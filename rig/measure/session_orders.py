@@ -14,7 +14,7 @@ _LOOK_S = 0.1
 
 
 def orders(devices: Devices) -> Orders:
-    """The orders by name; `stop` is Ctrl-C, `acknowledge` is followed by the number of the trip."""
+    """The orders by name; `stop` is Ctrl-C, `acknowledge` is followed by the trip's number and by whom."""
 
     def stop(_: str) -> str:
         _thread.interrupt_main()
@@ -28,9 +28,10 @@ def orders(devices: Devices) -> Orders:
         return f"brake {value}"
 
     def acknowledge(value: str) -> str:
-        if not value.isdecimal():
+        number, _, by = value.partition(" ")
+        if not number.isdecimal():
             raise RigError(f"acknowledge {value!r}: the number of the trip is needed")
-        return devices.acknowledge(int(value), "desk")
+        return devices.acknowledge(int(number), by or "desk")
 
     return {"stop": stop, "acknowledge": acknowledge, "light": lambda _: relight(devices), "brake": brake}
 

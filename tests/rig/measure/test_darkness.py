@@ -122,7 +122,7 @@ def test_a_run_that_waits_in_the_dark_is_lit_by_who_asks_and_by_nothing_else(
     out = tmp_path / "out"
     with acting(lambda: watch_in_the_dark(out, asked)):
         done = rig("run", CONFIGS / "live.toml", "-o", out, *set_words(waiting))
-    assert "laser off, confirmed by the controller\n" in done.stderr
+    assert "laser off, confirmed by the controller" in done.stderr
     kinds = [kind for kind, _ in events_of(out)]
     assert "laser dark" in kinds
     assert ("laser lit" in kinds) == asked
@@ -185,6 +185,29 @@ def test_an_interlock_that_opens_before_the_run_is_named(
     assert done.returncode == 1
     assert "the interlock of the controller opened; nothing was recorded" in done.stderr
     assert not (tmp_path / "out" / "run-1.mcap").exists()
+
+
+def test_a_laser_that_stays_lit_is_seen_and_latched(
+    tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its output is stuck: the controller has switched it off and says so."""
+    usual = RigInputs.laser
+
+    def stuck(inputs: RigInputs, power_w: float) -> None:
+        if power_w or not apparatus.recording.is_set():
+            usual(inputs, power_w)
+
+    monkeypatch.setattr(RigInputs, "laser", stuck)
+    done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(LIVE))
+    assert "confirmed" not in done.stderr
+    assert "THE LASER MAY BE LIT: trip 1 (OUTPUT): the laser is told off, and the camera" in done.stderr
+    lines = [json.loads(line) for line in (tmp_path / "out" / "audit.jsonl").read_text().splitlines()]
+    assert [(line["what"], line.get("cause")) for line in lines][-1] == ("latch", "OUTPUT")
+
+
+def test_a_laser_that_is_off_is_seen_to_be(tmp_path: Path, apparatus: Apparatus) -> None:
+    done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(LIVE))
+    assert "laser off, confirmed by the controller and the camera\n" in done.stderr
 
 
 def test_a_disk_that_hangs_darkens_the_laser_and_two_interrupts_end_the_program(

@@ -1,0 +1,80 @@
+"""The commands of `rig light`: a rig's safety state, and its acknowledgement, also while a session runs."""
+
+import math
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from processing.errors import DeviceError, RigError
+from rig.channel import Line, NoSession, running_sessions
+from rig.control import SafetyNow, SafetyState, rig_state_path
+from rig.devices import AUDIT_NAME, Devices, check_log
+from rig.presentation import say
+from rig.settings import Configuration
+
+_HEARD_WITHIN_S = 3.0
+
+
+def show_light(config: Configuration) -> int:
+    """Print the safety state; returns 1 where light is refused, else 0."""
+    now = _of_a_session(config) or _of_the_devices(config)
+    for name, text, age_s in (
+        ("laser", str(now.light), now.light_age_s),
+        ("interlock", str(now.interlock), now.interlock_age_s),
+    ):
+        print(f"{name:<10} {text}" + (f", {age_s:.1f} s ago" if math.isfinite(age_s) else ""))
+    trip = now.trip
+    print(f"{'trip':<10} {'none is latched' if trip is None else trip.text}")
+    if trip is not None:
+        print(f"{'remedy':<10} look that nobody is in the beam's way, then")
+        print(f"{'':<10} rig light acknowledge CONFIG {trip.number}")
+    return 1 if now.refusal or trip is not None else 0
+
+
+def acknowledge_trip(config: Configuration, number: int) -> int:
+    """Acknowledge a trip, in the session that has the rig or with the devices opened here; lights nothing."""
+    for folder in running_sessions(config.session.output):
+        with Line(folder) as line:
+            say(line.order(f"acknowledge {number} rig light acknowledge"))
+            return 0
+    with Devices(config, config.session.output, "rig light acknowledge") as devices:
+        say(devices.acknowledge(number, "rig light acknowledge"))
+    return 0
+
+
+def check_audit(folder: Path, config: Configuration | None) -> int:
+    """Print what is wrong with an audit log; returns 1 if something is, else 0."""
+    state = SafetyState(None if config is None else rig_state_path(config.laser, config.controller))
+    state.read()
+    faults = check_log(folder, state)
+    for fault in faults:
+        print(f"{folder / AUDIT_NAME}: {fault}")
+    if not faults:
+        print(f"{folder / AUDIT_NAME}: whole")
+    return 1 if faults else 0
+
+
+def _of_a_session(config: Configuration) -> SafetyNow | None:
+    for folder in running_sessions(config.session.output):
+        with suppress(NoSession, KeyError, ValueError), Line(folder) as line:
+            return SafetyNow.told(line.news()["safety"])
+    return None
+
+
+def _of_the_devices(config: Configuration) -> SafetyNow:
+    """With the devices opened, which lights nothing; what the file says where another program has them."""
+    try:
+        with Devices(config, None, "rig light show") as devices:
+            end_s = time.monotonic() + _HEARD_WITHIN_S
+            while time.monotonic() < end_s and not math.isfinite(devices.safety().light_age_s):
+                if devices.laser_now() is None:
+                    break
+                time.sleep(0.05)
+            return devices.safety()
+    except DeviceError as error:
+        say(str(error), error=True)
+    state = SafetyState(rig_state_path(config.laser, config.controller))
+    with suppress(RigError):
+        state.read()
+    trip = state.trip
+    return SafetyNow(trip, "" if trip is None else trip.text)
