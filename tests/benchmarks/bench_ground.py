@@ -180,9 +180,9 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
         warned += result.whiteness.correlated
         left_out += result.ground.left_out_half_cycles
         q.append(result.ground.density_rad_per_s2_rthz.value)
-        error = result.values[: len(names)] - truth(parameters, names)
-        pulls.append(error / result.standard_uncertainty[: len(names)])
-        to_bound.append(error / bound(points.first(result.half_cycles), case, result.ground.noise))
+        off = result.values[: len(names)] - truth(parameters, names)
+        pulls.append(off / result.standard_uncertainty[: len(names)])
+        to_bound.append(off / bound(points.first(result.half_cycles), case, result.ground.noise))
         row = []
         for name in names:
             low_high = [result.interval(name, share) for share in COVERAGES]

@@ -3,6 +3,7 @@
 import argparse
 import math
 import time
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from tests.processing.instruments.simulated_instruments import MEASUREMENTS
 SEEDS = 50
 
 
-def run(quick: bool = False) -> dict:
+def run(quick: bool = False) -> dict[str, Any]:
     """Per kind and quantity: share of runs within one standard uncertainty, mean and scatter of the pull.
 
     Of a right uncertainty 68 % lie within one; with 50 runs and three quantities the share of a kind

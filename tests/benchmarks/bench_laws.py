@@ -10,7 +10,7 @@ import argparse
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from time import process_time
 from typing import Any
 
@@ -80,8 +80,8 @@ def cases(only: tuple[str, ...]) -> Iterator[tuple[str, Callable[[int], TurningP
         for flat in PAIRS
     ]
     for law in ("masing", "dahl"):
-        found.append((f"{law}, basement", lambda seed, law=law: walked(law, seed), PENDULUM))
-        found.append((f"{law}, at rest", lambda seed, law=law: walked(law, seed, 0.0), PENDULUM))
+        found.append((f"{law}, basement", partial(walked, law), PENDULUM))
+        found.append((f"{law}, at rest", partial(walked, law, drive=0.0), PENDULUM))
     return ((*case,) for case in found if not only or any(word in case[0] for word in only))
 
 

@@ -29,22 +29,26 @@ from rig.measure.end_of_run import EndLimits
 from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
 from rig.measure.run_parts import RunParts
-from rig.settings.configuration import Configuration
+from rig.settings import Configuration, validate_configuration
 from tests.benchmarks.bench_pipeline import MemoryCamera, drawn_frames
 from tests.rig.balance.cases import follow_advice
 
 _SENSOR = SensorModel(39.2, 7.0, 255)
 
 
+def _simulated() -> Configuration:
+    return validate_configuration({"camera": {"driver": "simulated"}}, "the benchmark")
+
+
 def frames_beside_a_stuck_line(seconds: float) -> dict[str, Any]:
     """500 frames/s of 640x480 while every heartbeat waits for its whole timeout and retries."""
     settings = ControllerSettings(kind="simulated", timeout_s=0.2, faults=SerialFaults(delay_s=10.0))
     service = ControlService(simulated_controller(settings, 0.001), settings)
-    devices = Devices(Configuration(camera={"driver": "simulated"}))
+    devices = Devices(_simulated())
     devices.control = service
-    frames = drawn_frames(640, 480, 500.0, 600)
+    frames = drawn_frames(640, 480, 8, 500.0, 600)
     with tempfile.TemporaryDirectory() as folder, service:
-        camera = MemoryCamera(frames, 500.0, seconds)
+        camera = MemoryCamera(frames, 255, 500.0, seconds)
         opened = OpenCamera(camera, camera.open(), ())
         optics = Optics(_SENSOR, Lever(arm_m=1.0, pixel_pitch_m=4.8e-6), Axes())
         run = Run(
@@ -53,7 +57,7 @@ def frames_beside_a_stuck_line(seconds: float) -> dict[str, Any]:
                 optics=optics,
                 record=RecordFile(
                     Path(folder) / "run.mcap",
-                    Configuration(camera={"driver": "simulated"}),
+                    _simulated(),
                     Path(),
                     opened,
                     optics,
@@ -92,7 +96,7 @@ def soak(simulated_s: float, runs: int) -> dict[str, Any]:
                     optics=optics,
                     record=RecordFile(
                         Path(folder) / "run.mcap",
-                        Configuration(camera={"driver": "simulated"}),
+                        _simulated(),
                         Path(),
                         opened,
                         optics,

@@ -32,7 +32,7 @@ from rig.measure.record_file import RecordFile
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run import Run
 from rig.measure.run_parts import RunParts, Watcher
-from rig.settings.configuration import Configuration
+from rig.settings import validate_configuration
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -147,7 +147,9 @@ def real_time(
         optics = Optics(sensor, lever, Axes())
         file = RecordFile(
             Path(folder) / "run.mcap",
-            Configuration(camera={"driver": "simulated"}, lever=lever),
+            validate_configuration({"camera": {"driver": "simulated"}}, "").model_copy(
+                update={"lever": lever}
+            ),
             Path(),
             opened,
             optics,

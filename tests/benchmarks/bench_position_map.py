@@ -44,12 +44,12 @@ def _fringes(period_px: float) -> Structure:
 
 
 def _speckle(clean: Floats, x: Floats) -> Floats:
-    return clean * (1.0 + 0.03 * np.random.default_rng(8).standard_normal(clean.shape))
+    return np.asarray(clean * (1.0 + 0.03 * np.random.default_rng(8).standard_normal(clean.shape)))
 
 
 def _gradient(clean: Floats, x: Floats) -> Floats:
     """0.2 DN of 8 bits, of which the spot has 180."""
-    return clean + 16.0 * (60.0 + 0.2 * (x - x.mean()))
+    return np.asarray(clean + 16.0 * (60.0 + 0.2 * (x - x.mean())))
 
 
 def _stop(clean: Floats, x: Floats) -> Floats:

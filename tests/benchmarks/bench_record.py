@@ -28,6 +28,7 @@ from acquisition.record.recover import recover
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import SPOT, SWING, WINDOW
 from acquisition.record.writer import RecordWriter
+from processing.arrays import Floats
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from rig.commands.record_screen import print_info
@@ -67,8 +68,8 @@ def _spot_image(rng: np.random.Generator, shape: tuple[int, int], bits: int) -> 
     electrons = 9000.0 * np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * 9.0**2)) + 400.0
     noisy = rng.poisson(electrons) + rng.normal(0.0, 30.0, shape)
     full = 2**bits - 1
-    kind = np.uint8 if bits == 8 else np.uint16
-    return np.clip(np.rint(noisy * full / 12_000.0 + 0.015 * full), 0, full).astype(kind)
+    levels: Floats = np.clip(np.rint(noisy * full / 12_000.0 + 0.015 * full), 0, full)
+    return levels.astype(np.uint8) if bits == 8 else levels.astype(np.uint16)
 
 
 def _writing(folder: Path, frames: int) -> dict[str, Any]:
@@ -85,7 +86,7 @@ def _writing(folder: Path, frames: int) -> dict[str, Any]:
             times = np.array(sequences, dtype=np.int64) * 10_000_000
             listed = times.tolist()
             values = rng.normal(100.0, 20.0, (BLOCK, 14))
-            spots = [Spot(*row[:10], flags=0) for row in values.tolist()]
+            spots = [Spot._make([*row[:10], 0]) for row in values.tolist()]
             columns = values[:, 10:].T.copy()
 
             def our_spots(
@@ -95,9 +96,9 @@ def _writing(folder: Path, frames: int) -> dict[str, Any]:
                 spots: list[Spot] = spots,
                 columns: Any = columns,
             ) -> None:
-                ours.write_spots(
-                    sequences, listed, listed, spots, Deflections(times, *columns, DeflectionUnit.RAD)
-                )
+                x, y, u_x, u_y = columns
+                deflections = Deflections(times, x, y, u_x, u_y, DeflectionUnit.RAD)
+                ours.write_spots(sequences, listed, listed, spots, deflections)
 
             def our_windows(sequences: list[int] = sequences, listed: list[int] = listed) -> None:
                 for sequence, time_ns in zip(sequences, listed, strict=True):

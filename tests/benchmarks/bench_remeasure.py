@@ -72,7 +72,7 @@ def dragged() -> Samples:
     )
     end_s = float(true_turning_points(settings).time_s[-1])
     path = true_path(settings, end_s, 25.0)
-    return Samples(path.times_ns * 1e-9, path.y_rad, parameters, pendulum)
+    return Samples(np.asarray(path.times_ns * 1e-9, np.float64), path.y_rad, parameters, pendulum)
 
 
 def irregular(samples: Samples, rng: np.random.Generator) -> Samples:
@@ -128,7 +128,11 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
             print(f"  seed {seed}: {error}")
             continue
         pulls.append(
-            [(fit.estimate(n).value - getattr(samples.parameters, n)) / fit.estimate(n)[1] for n in names]
+            [
+                (fit.estimate(n).value - getattr(samples.parameters, n))
+                / fit.estimate(n).standard_uncertainty
+                for n in names
+            ]
         )
     rms = np.sqrt(np.mean(np.square(pulls), axis=0))
     return {

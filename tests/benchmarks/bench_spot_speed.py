@@ -108,8 +108,7 @@ def against_sum(sigma: float, hot_pixels: int, rounds: int) -> dict[str, float]:
     actions: dict[str, Callable[[NDArray[Any]], object]] = {
         "cv2.sumElems": cv2.sumElems,
         "following": follower.track,
-        "search, every row": _search(SpotTracker(EIGHT_BIT, row_step=1)),
-        "search, every 8th row first": _search(SpotTracker(EIGHT_BIT, row_step=8)),
+        "search": _search(SpotTracker(EIGHT_BIT)),
     }
     for action in actions.values():
         action(frames[0])
@@ -145,8 +144,7 @@ def jumped(sigma: float, step_px: float, rounds: int) -> dict[str, float]:
     frames = ring((sigma, sigma), knocked(rng, step_px), rng)
     actions: dict[str, Callable[[NDArray[Any]], object]] = {
         "cv2.sumElems": cv2.sumElems,
-        "every row": SpotTracker(EIGHT_BIT, row_step=1).track,
-        "every 8th row first": SpotTracker(EIGHT_BIT, row_step=8).track,
+        "jumping": SpotTracker(EIGHT_BIT).track,
     }
     us = {name: np.full(RING, np.inf) for name in actions}
     for _ in range(max(3, rounds // 20)):
@@ -362,7 +360,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     others = peers(quick)
     console = Console()
     table = Table(title="1280 x 1024 uint8, time in units of cv2.sumElems over the frame")
-    names = ("following", "search, every row", "search, every 8th row first")
+    names: tuple[str, ...] = ("following", "search")
     for column in ("sigma", "hot pixels", "sumElems us", *names):
         table.add_column(column, justify="right")
     for r in ratios:
@@ -374,7 +372,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     table = Table(
         title="a spot that jumps each frame, in any direction, in units of cv2.sumElems: mean, largest"
     )
-    names = ("every row", "every 8th row first")
+    names = ("jumping",)
     for column in ("sigma", "step px", "sumElems us", *names):
         table.add_column(column, justify="right")
     for j in jumps:

@@ -7,6 +7,7 @@ import json
 import math
 import sys
 from collections.abc import Callable
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -104,9 +105,10 @@ def accuracy(runs: int) -> dict[str, Any]:
     """Damped sinusoid from 300 px to 3 px at each frame rate: whole runs and bands of amplitude."""
     found: dict[str, Any] = {}
     for frames_per_s in FRAMES_PER_S:
-        rows = gathered(
-            runs, lambda rng, fps=frames_per_s: damped_sinusoid(rng, 300.0, 3.0, HALF_CYCLES, fps)
+        decay = partial(
+            damped_sinusoid, first=300.0, last=3.0, half_cycles=HALF_CYCLES, frames_per_s=frames_per_s
         )
+        rows = gathered(runs, decay)
         here: dict[str, Any] = {"whole run": figures(rows)}
         for high, low in BANDS_PX:
             band = (rows[:, 0] <= high) & (rows[:, 0] > low)
@@ -117,13 +119,14 @@ def accuracy(runs: int) -> dict[str, Any]:
     return found
 
 
+def _disturbed(disturb: Callable[[Record, np.random.Generator], Record], rng: np.random.Generator) -> Record:
+    return disturb(damped_sinusoid(rng, 300.0, 3.0, HALF_CYCLES), rng)
+
+
 def disturbances(runs: int) -> dict[str, Any]:
     found = {}
     for name, disturb in DISTURBANCES.items():
-        rows = gathered(
-            runs,
-            lambda rng, disturb=disturb: disturb(damped_sinusoid(rng, 300.0, 3.0, HALF_CYCLES), rng),
-        )
+        rows = gathered(runs, partial(_disturbed, disturb))
         found[name] = figures(rows)
         print_figures(name, found[name])
     return found
@@ -204,9 +207,8 @@ def sinusoid_fits(record: Record, half_cycles: int) -> None:
         def residual(p: np.ndarray, t: np.ndarray = t, y: np.ndarray = y) -> np.ndarray:
             a, turn, rate, damping, centre = p
             s = t - turn
-            return (
-                a * np.exp(-damping * s) * (np.cos(rate * s) + damping / rate * np.sin(rate * s)) + centre - y
-            )
+            swing = a * np.exp(-damping * s) * (np.cos(rate * s) + damping / rate * np.sin(rate * s))
+            return np.asarray(swing + centre - y)
 
         side = (-1.0) ** k
         least_squares(residual, [side * record.turn_amplitude[k], 0.0, 1.57, 0.01, 12.0], x_scale="jac")

@@ -16,7 +16,7 @@ def run(quick: bool = False) -> dict[str, Any]:
         words = list(wrong_words(Path(name)))[:: 5 if quick else 1]
         faults = [fault for each in keys for fault in faults_of_key(each)]
         faults += [fault for each in words for fault in faults_of_words(each, Path(name))]
-    kinds = Counter(each.kind for each in (*keys, *words))
+    kinds = Counter([*(each.kind for each in keys), *(each.kind for each in words)])
     for fault in faults:
         print(fault)
     counts = f"{len(keys)} wrong keys, {len(words)} wrong calls"

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.frame import Image
 from processing.spot import SensorModel, SpotTracker
 from tests.processing.spot.frames import exposed
 
@@ -65,7 +66,7 @@ class RealBeam:
         """Light in DN without noise, moved by (x, y)."""
         return np.maximum(self._moved.at(x_px, y_px) + self.background_dn, 0.0)
 
-    def frame(self, x_px: float, y_px: float, rng: np.random.Generator) -> NDArray[np.uint8 | np.uint16]:
+    def frame(self, x_px: float, y_px: float, rng: np.random.Generator) -> Image:
         """A frame with fresh noise."""
         return exposed(self.light(x_px, y_px), rng, sensor=self.sensor, background=0.0)
 
