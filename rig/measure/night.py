@@ -218,7 +218,7 @@ def _go_on(file: SessionFile, config: Configuration, manner: Manner) -> int:
         return 0
     with Devices(config, folder, "rig run --resume") as devices:
         made = make_runs(config, Path(file.state.source), file, devices, manner)
-    return report(config, folder, made, json_lines=manner.json_lines)
+    return report(config, folder, made, manner)
 
 
 def _has_results(folder: Path) -> bool:

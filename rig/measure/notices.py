@@ -31,8 +31,8 @@ class Notices:
 
     The command gets the kind, the text and the folder as its last arguments, the webhook the same as JSON.
     Each call has a thread of its own, so that one that hangs delays nothing. As a watcher of runs it tells
-    of events at error level. The address is never printed, because it may hold a secret. Raises
-    ConfigurationError if there is none in the file.
+    of events at error level. `against` collects the causes that a failure states. The address is
+    never printed, because it may hold a secret. Raises ConfigurationError if there is none in the file.
     """
 
     def __init__(self, settings: SessionSettings, folder: Path) -> None:
@@ -40,14 +40,19 @@ class Notices:
         self._address = _address(settings.notify_webhook_file)
         self._folder = folder
         self.calls: list[threading.Thread] = []
+        self.against: list[str] = []
         self._alarms = 0
 
     def tell(self, kind: Literal["alarm", "end", "failure"], text: str) -> None:
         """Tell it; returns at once."""
         words = {"kind": kind, "text": text, "folder": str(self._folder.absolute())}
-        for wanted, call in ((self._command, self._run), (self._address, self._post)):
+        command = f"session.notify_command: {' '.join(self._command[:1])}"
+        for wanted, call, who in (
+            (self._command, self._run, command),
+            (self._address, self._post, self._hook),
+        ):
             if wanted:
-                thread = threading.Thread(target=call, args=(words,), name=f"notice of {kind}", daemon=True)
+                thread = threading.Thread(target=call, args=(words,), name=who, daemon=True)
                 thread.start()
                 self.calls.append(thread)
 
@@ -56,6 +61,8 @@ class Notices:
         end_s = time.monotonic() + _LAST_WAIT_S
         for thread in self.calls:
             thread.join(max(0.0, end_s - time.monotonic()))
+        for who in {thread.name for thread in self.calls if thread.is_alive()}:
+            say(f"{who} did not answer within {_LAST_WAIT_S:g} s: whether it heard is not known", error=True)
 
     def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
         """Frames are not reported."""
@@ -91,19 +98,30 @@ class Notices:
         # not at import: a session without a webhook begins without it
         import urllib.request
 
+        class Unmoved(urllib.request.HTTPRedirectHandler):
+            """To follow would be to ask the other address for a page, without what is to be told."""
+
+            def redirect_request(self, *_: object) -> None:
+                return None
+
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         data = json.dumps({**words, "utc": now}).encode()
         try:
             request = urllib.request.Request(self._address, data, {"Content-Type": "application/json"})
-            with urllib.request.urlopen(request, timeout=_CALL_S):
+            with urllib.request.build_opener(Unmoved).open(request, timeout=_CALL_S):
                 pass
         # whatever it is, it ends no session; its text might hold the address
         except Exception as error:
-            status = getattr(error, "code", "")
-            host = urllib.parse.urlsplit(self._address).hostname
-            say(
-                f"the webhook at {host} was not reached: {type(error).__name__} {status}".rstrip(), error=True
+            status = getattr(error, "code", 0)
+            moved = (
+                ": it has moved, state where to in session.notify_webhook_file" if 300 <= status < 400 else ""
             )
+            said = f"{type(error).__name__} {status or ''}".rstrip()
+            say(f"{self._hook} was not reached: {said}{moved}", error=True)
+
+    @property
+    def _hook(self) -> str:
+        return f"the webhook at {urllib.parse.urlsplit(self._address).hostname}"
 
 
 def _address(file: Path | None) -> str:
@@ -145,7 +163,10 @@ def announced(settings: SessionSettings, folder: Path) -> Iterator[Outcome]:
         raise
     else:
         if outcome.status:
-            outcome.notices.tell("failure", "not every run was measured and fitted under its conditions")
+            text = "not every run was measured and fitted under its conditions"
+            outcome.notices.tell(
+                "failure", ": ".join([text, *filter(None, ["; ".join(outcome.notices.against)])])
+            )
         else:
             outcome.notices.tell("end", "every run was measured and fitted")
     finally:

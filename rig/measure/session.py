@@ -78,7 +78,7 @@ def make_session(config: Configuration, source: Path, folder: Path, manner: Mann
             file = SessionFile.made(folder, source, config.session.runs, stored_configuration(config))
             closing.callback(file.close)
             made = make_runs(config, source, file, devices, manner)
-        return report(config, folder, made, json_lines=manner.json_lines)
+        return report(config, folder, made, manner)
 
 
 class Made(NamedTuple):
@@ -142,6 +142,7 @@ def _make_runs(
             if not records:
                 raise
             say(f"run {number} failed: {error}", error=True)
+            manner.notices.against.append(f"run {number} failed: {error}")
             failed = True
             break
         if outcome.hangs:
@@ -166,6 +167,7 @@ def _make_runs(
         if outcome.failure is not None:
             failed = True
             say(f"run {number} failed: {outcome.failure}", error=True)
+            manner.notices.against.append(f"run {number} failed: {outcome.failure}")
         if record.exists():
             records.append(record)
         else:
@@ -176,7 +178,7 @@ def _make_runs(
     return Made(records, failed, stopped)
 
 
-def report(config: Configuration, folder: Path, made: Made, *, json_lines: bool) -> int:
+def report(config: Configuration, folder: Path, made: Made, manner: Manner) -> int:
     """Fit the complete and the new records and write the results; the laser is already off."""
     # importing matplotlib takes a second, which must not delay the first frame
     from rig.report import make_report
@@ -188,9 +190,12 @@ def report(config: Configuration, folder: Path, made: Made, *, json_lines: bool)
     runs = [analyse_record(record) for record in records]
     if not runs:
         return 1
-    # without a calibration nothing can be fitted, which does not count as a failure
-    failed = failed or (any(run.results.problem for run in runs) and config.lever is not None)
-    failed = failed or any(failures(run.results.conditions) for run in runs)
+    for run in runs:
+        # without a calibration nothing can be fitted, which does not count as a failure
+        problem = run.results.problem if config.lever is not None else ""
+        for why in filter(None, (problem, failures(run.results.conditions))):
+            failed = True
+            manner.notices.against.append(f"{run.record.name}: {why}")
     path = free_path(folder)
     results = session_results(runs, folder)
     write_results(path, results)
@@ -200,7 +205,7 @@ def report(config: Configuration, folder: Path, made: Made, *, json_lines: bool)
     except RigError as error:
         # records and results are complete, so a missing report is not fatal
         say(f"no report: {error}", error=True)
-    if json_lines:
+    if manner.json_lines:
         print_json_line("results", {"path": str(path), "failed": failed})
     else:
         print_results(results, paths)

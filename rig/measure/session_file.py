@@ -2,7 +2,9 @@
 
 import datetime
 import json
+import math
 import os
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from enum import StrEnum
@@ -119,6 +121,7 @@ class SessionFile:
         self.folder = folder
         self.state = state
         self._lock: IO[bytes] | None = None
+        self._begun_s: dict[str, float] = {}
 
     @classmethod
     def made(cls, folder: Path, source: Path, runs: int, configuration: dict[str, Any]) -> Self:
@@ -145,7 +148,12 @@ class SessionFile:
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         before = next((entry for entry in self.state.entries if entry.record == record), None)
         begun = before.begun_utc if before is not None else now
-        ended = "" if state == RunState.RECORDING else now
+        self._begun_s.setdefault(record, time.monotonic() if before is None else math.nan)
+        lasted_s = time.monotonic() - self._begun_s[record]
+        ended = ""
+        if state != RunState.RECORDING:
+            # the time of day may have been set meanwhile; of an earlier program's run nothing else is known
+            ended = _later(begun, lasted_s) if math.isfinite(lasted_s) else max(now, begun)
         self.save(
             self.state.with_entry(
                 RunEntry(
@@ -206,6 +214,11 @@ class SessionFile:
                 f"{self.folder}: its session is still running; stop it first, or name another folder"
             ) from None
         self._lock = lock
+
+
+def _later(utc: str, seconds: float) -> str:
+    then = datetime.datetime.fromisoformat(utc) + datetime.timedelta(seconds=seconds)
+    return then.isoformat(timespec="seconds")
 
 
 def _changes(before: Mapping[str, Any], after: Mapping[str, Any], above: str = "") -> Iterator[str]:

@@ -37,6 +37,12 @@ class Webhook:
                 webhook.posted.put((self.path, body))
                 webhook.may_answer.wait(WAIT_S)
                 self.send_response(webhook.status)
+                if webhook.status == 302:
+                    self.send_header("Location", "/elsewhere")
+                self.end_headers()
+
+            def do_GET(self) -> None:
+                self.send_response(200)
                 self.end_headers()
 
             def log_message(self, *_: Any) -> None:
@@ -82,6 +88,8 @@ def test_the_failure_of_a_session_is_told_and_the_address_is_kept_nowhere(
     assert path.endswith(SECRET)
     assert (posted["kind"], posted["folder"]) == ("failure", str(out))
     assert posted["utc"]
+    # the cause, and not only that there is one
+    assert "run-1.mcap: " in posted["text"]
     assert json.loads((tmp_path / "told").read_text()) == ["failure", posted["text"], str(out)]
     assert (out / "run-1.mcap").exists()
     for file in out.rglob("*.*"):
@@ -126,6 +134,35 @@ def test_a_webhook_that_refuses_and_a_command_that_fails_are_said_without_the_ad
     assert "session.notify_command" in said
     assert "no-such-program" in said
     assert SECRET not in said
+
+
+def test_a_webhook_that_has_moved_is_said(
+    tmp_path: Path, webhook: Webhook, capsys: pytest.CaptureFixture[str]
+) -> None:
+    webhook.status = 302
+    session_news = Notices(SessionSettings(notify_webhook_file=webhook.file), tmp_path)
+    session_news.tell("alarm", "the laser is dark")
+    session_news.wait()
+    said = capsys.readouterr().err
+    assert (
+        "was not reached: HTTPError 302: it has moved, state where to in session.notify_webhook_file" in said
+    )
+
+
+def test_what_hangs_at_the_end_is_said(
+    tmp_path: Path, webhook: Webhook, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(notices, "_LAST_WAIT_S", 0.1)
+    webhook.may_answer.clear()
+    session_news = Notices(SessionSettings(notify_webhook_file=webhook.file), tmp_path)
+    session_news.tell("end", "every run was measured")
+    webhook.posted.get(timeout=WAIT_S)
+    session_news.wait()
+    said = capsys.readouterr().err
+    assert "the webhook at 127.0.0.1 did not answer within 0.1 s: whether it heard is not known" in said
+    webhook.may_answer.set()
+    for thread in session_news.calls:
+        thread.join(WAIT_S)
 
 
 @pytest.mark.parametrize("text", ["", f"ftp://host/{SECRET}", f"https://host/{SECRET} twice", "https:///"])

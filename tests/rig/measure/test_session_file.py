@@ -1,7 +1,10 @@
 """The files of a session are whole, belong to it, and are believed only after reading."""
 
+import datetime
 import json
+from contextlib import closing
 from pathlib import Path
+from typing import Self
 
 import pytest
 
@@ -101,3 +104,23 @@ def test_a_record_whose_folder_is_removed_ends_the_run_and_is_saved(
     with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
         assert not reader.truncated
         assert len(reader.spots()) > 30 * 64
+
+
+def test_a_clock_that_was_set_back_ends_no_run_before_it_began(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class SetBack(datetime.datetime):
+        @classmethod
+        def now(cls, tz: datetime.tzinfo | None = None) -> Self:
+            return super().now(tz) - datetime.timedelta(hours=1)
+
+    file = SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, {})
+    file.note(1, "run-1.mcap", RunState.RECORDING)
+    file.note(2, "run-2.mcap", RunState.RECORDING)
+    monkeypatch.setattr(datetime, "datetime", SetBack)
+    file.note(1, "run-1.mcap", RunState.COMPLETE)
+    file.close()
+    with closing(SessionFile.opened(tmp_path)) as later:
+        later.note(2, "run-2.mcap", RunState.INTERRUPTED)
+    for entry in later.state.entries:
+        assert entry.begun_utc <= entry.ended_utc
