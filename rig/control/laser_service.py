@@ -57,6 +57,7 @@ class LaserService(DeviceThread):
         self._own_interlock = own_interlock
         self._refused = ""
         self._excess = ""
+        self._asked = False
         self._offs = 0
         self._is_open = False
         self._snapshot = LaserSnapshot()
@@ -78,7 +79,7 @@ class LaserService(DeviceThread):
     def off(self) -> "Future[None]":
         """Switch the laser off, before all waiting commands; those to light are no longer valid."""
         self._offs += 1
-        return self._submit(lambda laser: laser.off(), urgent=True)
+        return self._submit(self._darken, urgent=True)
 
     def set_power_w(self, power_w: float) -> "Future[None]":
         """Set the optical power."""
@@ -115,23 +116,30 @@ class LaserService(DeviceThread):
 
         if why := refusal():
             raise LightRefused(f"the laser stays off: {why}")
+        self._asked = True
         laser.enable(refusal)
+
+    def _darken(self, laser: Laser) -> None:
+        self._asked = False
+        laser.off()
 
     def _keep_to_the_permit(self) -> None:
         """Switch the laser off when the permit begins to refuse it."""
         refusal, before = self._permit.refusal, self._refused
         if refusal and not before:
-            self._laser.off()
+            self._darken(self._laser)
             self._say(f"laser off: {refusal}")
         # set only now: a command that failed is given again at the next turn
         self._refused = refusal
 
     def _read(self) -> None:
         before, state = self._snapshot.state, self._laser.state()
+        if state.on and not self._asked and not state.excess:
+            state = replace(state, excess="it lights although this program did not: see its panel and key")
         self._snapshot = replace(self._snapshot, state=state, state_time_ns=time.monotonic_ns())
         if state.excess:
             try:
-                self._laser.off()
+                self._darken(self._laser)
             finally:
                 if state.excess != self._excess:
                     self._excess = state.excess
@@ -160,7 +168,7 @@ class LaserService(DeviceThread):
     def _lose(self, error: DeviceError) -> None:
         if str(error) != self._snapshot.last_error:
             self._say(str(error))
-        self._is_open = False
+        self._is_open = self._asked = False
         self._snapshot = replace(self._snapshot, state=None, last_error=str(error))
         self._laser.close()
 

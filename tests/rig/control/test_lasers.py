@@ -569,6 +569,20 @@ class TestService:
         assert not instrument.on
         assert "modulation" in permit.refusal
 
+    def test_a_laser_that_is_lit_at_its_panel_is_darkened_and_that_is_latched(
+        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    ) -> None:
+        for _ in range(2):
+            turn(service)
+        instrument.light(True)
+        turn(service)
+        assert not instrument.on
+        assert "it lights although this program did not" in permit.refusal
+        refused = service.enable()
+        turn(service)
+        with pytest.raises(DeviceError, match="it lights although"):
+            refused.result(0)
+
     def test_an_off_outdates_a_light_that_still_waits(
         self, service: LaserService, instrument: FakeCobolt
     ) -> None:

@@ -35,7 +35,7 @@ class Board:
         self._log(f"laser {int(on)} {power_w:.9g}")
 
     def laser_enabled(self):
-        return self._enabled and not wires.stuck()
+        return (self._enabled and not wires.stuck()) or wires.stuckOn()
 
     def set_pulse(self, delay_us, width_us):
         self._log(f"pulse {delay_us:.9g} {width_us:.9g}")
@@ -83,6 +83,8 @@ class Board:
             self._turning = True
             self._log("turning 1")
         wires.idle()
+        if wires.marked():
+            self._log("mark 1")
         if wires.resetWanted():
             raise ResetWanted()
 

@@ -5,7 +5,8 @@
 // The firmware's own files are loaded unchanged; only board.py is the test board beside this
 // file. CONTROL_FD takes single bytes: 'o' opens and 'c' closes the interlock, 'x' and 's' take
 // the environment sensor away and give it back, 'r' resets the board (a new interpreter, as after a
-// brown-out), 'h' hangs the loop for 700 ms. Every change of an output is a line in LOG_FILE.
+// brown-out), 'h' hangs the loop for 700 ms, 'b' opens the interlock for 20 ms, 'u' makes the relay read closed
+// whatever it was told, 'm' marks the moment in LOG_FILE. Every change of an output is a line in LOG_FILE.
 import * as fs from 'node:fs';
 import * as path from 'node:path';
 import { pathToFileURL } from 'node:url';
@@ -18,7 +19,7 @@ const { loadMicroPython } = await import(pathToFileURL(path.join(packageDir, 'mi
 
 const buffer = Buffer.alloc(4096);
 const sleeper = new Int32Array(new SharedArrayBuffer(4));
-const state = { interlock: true, sensor: true, reset: false, stuck: false };
+const state = { interlock: true, sensor: true, reset: false, stuck: false, stuckOn: false, mark: false, openTo: 0 };
 let quietTurns = 0;
 
 function take(fd) {
@@ -36,9 +37,15 @@ function sleep(ms) {
 }
 
 const wires = {
-  interlock: () => state.interlock,
+  interlock: () => state.interlock && performance.now() >= state.openTo,
   sensor: () => state.sensor,
   stuck: () => state.stuck,
+  stuckOn: () => state.stuckOn,
+  marked: () => {
+    const marked = state.mark;
+    state.mark = false;
+    return marked;
+  },
   log: (line) => fs.writeSync(log, line + '\n'),
   resetWanted: () => state.reset,
   read: () => {
@@ -70,6 +77,9 @@ const wires = {
         if (key === 'r') state.reset = true;
         if (key === 'p') state.stuck = true;
         if (key === 'h') sleep(700);
+        if (key === 'b') state.openTo = performance.now() + 20;
+        if (key === 'u') state.stuckOn = true;
+        if (key === 'm') state.mark = true;
       }
     }
     quietTurns += 1;
