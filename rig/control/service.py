@@ -28,6 +28,12 @@ _NO_SENSOR = -240
 
 T = TypeVar("T")
 
+_WHY: dict[str, str] = {
+    Trip.INTERLOCK: Interlock.CONTROLLER.opened_text,
+    Trip.OUTPUT: "the controller's laser output did not follow what it was set to",
+    Trip.WATCHDOG: "the controller heard nothing from this program for too long",
+}
+
 
 class ControlState(StrEnum):
     """Whether the controller answers."""
@@ -87,7 +93,7 @@ class ControlService(DeviceThread):
         self._snapshot = ControlSnapshot()
         self._is_open = False
         self._was_open = False
-        self._interlock_closed = True
+        self._interlock_closed, self._tripped = True, Trip.NONE
         self._heard_s = 0.0
         self._environment_due_s = 0.0
         self._counts_before = (0, 0, 0)
@@ -178,6 +184,8 @@ class ControlService(DeviceThread):
         identity = self._controller.open()
         self._is_open = True
         self._heard_s = time.monotonic()
+        # a new session of the board begins without a trip
+        self._tripped = Trip.NONE
         self._counts_before = (
             self._snapshot.junk_lines,
             self._snapshot.late_replies,
@@ -230,10 +238,7 @@ class ControlService(DeviceThread):
         happened = controller.take_events()
         for event in happened:
             self._say(f"{event.name} {event.detail}".rstrip())
-        tripped = any(event.detail == Trip.INTERLOCK for event in happened)
-        if tripped or (self._interlock_closed and not status.interlock_closed):
-            self._permit.trip(TripCause.INTERLOCK, Interlock.CONTROLLER.opened_text)
-        self._interlock_closed = status.interlock_closed
+        self._latch_trips(status, {event.detail for event in happened if event.name == "TRIP"})
         if status.errors_waiting:
             code, text = controller.next_error()
             # a board without a sensor has this error each time it is asked
@@ -247,6 +252,15 @@ class ControlService(DeviceThread):
             self._snapshot = replace(
                 self._snapshot, environment=environment, environment_time_ns=time.monotonic_ns()
             )
+
+    def _latch_trips(self, status: ControllerStatus, told: set[str]) -> None:
+        """Each trip once, whether the board's line about it came or only its state tells."""
+        causes = told | ({str(status.trip)} if status.trip is not self._tripped else set())
+        if self._interlock_closed and not status.interlock_closed:
+            causes.add(Trip.INTERLOCK)
+        self._tripped, self._interlock_closed = status.trip, status.interlock_closed
+        for cause in sorted(causes & _WHY.keys()):
+            self._permit.trip(TripCause(cause), _WHY[cause])
 
     def _guarded(self, call: Callable[[Controller], T]) -> T:
         if not self._is_open:

@@ -8,7 +8,7 @@ from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import MOST_PPM, kernel_clock, ntp_state, wrong_rate
 from rig.devices.laser import STAYS_LIT, WIRE_IT, goes_dark_by_itself, wait_for_command
 from rig.devices.latest_frames import watch_latest
-from rig.devices.leave import ask_leave, asked_for, at_terminal
+from rig.devices.leave import TypedLeave, ask_leave, at_terminal
 from rig.devices.light_watch import LightWatch
 from rig.devices.picture import PictureFigures, find_exposure
 from rig.devices.session_devices import Devices, OpenCamera

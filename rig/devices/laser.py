@@ -21,6 +21,7 @@ from rig.control import (
     LaserSettings,
     LaserState,
     Light,
+    Trip,
 )
 
 _COMMAND_S = 5.0
@@ -90,7 +91,7 @@ def laser_now(
             return LaserNow(Light.UNKNOWN, age_s=old_s)
         if status.laser_on:
             return LaserNow(Light.ON, status.laser_power_w, age_s=old_s)
-        return LaserNow(Light.OFF, age_s=old_s)
+        return LaserNow(Light.DISAGREES if status.trip is Trip.OUTPUT else Light.OFF, age_s=old_s)
     told = laser.snapshot if laser is not None else None
     if told is None or told.state is None:
         return LaserNow(Light.SILENT)

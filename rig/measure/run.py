@@ -122,6 +122,8 @@ class Run:
                 for instructing in self._status.take_instructions():
                     show(instructing)
                 show(self._snapshot_with_stall())
+                if self._parts.waits_in_darkness and self._parts.typed_leave is not None:
+                    self._parts.typed_leave.look(self._status.light.alarm)
             except OSError as error:
                 _log.warning("the display of the run failed, the run continues: %s", error)
                 return _show_nothing

@@ -8,7 +8,7 @@ from typing import Protocol
 from acquisition.camera import Camera
 from acquisition.frame import Frame
 from acquisition.record.events import Event
-from rig.devices import Devices, FrameStream
+from rig.devices import Devices, FrameStream, TypedLeave
 from rig.instrument import Block, Optics, Snapshot
 from rig.measure.end_of_run import EndLimits
 from rig.measure.phases import PhasesBeforeRecord
@@ -66,6 +66,8 @@ class RunParts:
         ends.
     somebody_watches
         Whether there is somebody who may ask for light again, and acknowledge a trip.
+    typed_leave
+        What somebody at the terminal types meanwhile.
     """
 
     stream: FrameStream
@@ -84,6 +86,7 @@ class RunParts:
     keep_windows: bool = True
     waits_in_darkness: bool = False
     somebody_watches: Callable[[], bool] = lambda: False
+    typed_leave: TypedLeave | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from rig.channel import SessionNews
-from rig.devices import Devices, FrameStream, OpenCamera
+from rig.devices import Devices, FrameStream, OpenCamera, TypedLeave
 from rig.instrument import Snapshot, camera_settings, frame_policy, optics_of, prepare_kernels
 from rig.measure.end_of_run import EndLimits
 from rig.measure.live_fit import live_posterior
@@ -138,6 +138,7 @@ def _execute(
             show_table=show_table,
             watch=None if session_news is None else session_news.before_record,
         )
+    typed_leave = TypedLeave(devices)
     parts = RunParts(
         stream=FrameStream(
             camera.camera,
@@ -166,7 +167,8 @@ def _execute(
         full_frame_interval_s=config.record.full_frame_interval_s,
         keep_windows=config.record.windows,
         waits_in_darkness=config.laser.when_dark == "wait",
-        somebody_watches=lambda: session_news is not None and session_news.watched,
+        somebody_watches=lambda: typed_leave.there or (session_news is not None and session_news.watched),
+        typed_leave=typed_leave,
     )
     prepare_kernels(optics.sensor, say)
     # only now: compiling takes time, and a laser may be lit only while frames are processed

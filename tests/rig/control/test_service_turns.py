@@ -6,7 +6,7 @@ import pytest
 
 from processing.errors import DeviceError
 from rig.control.controller import AirReading, Controller, InterlockOpen, PowerLimit
-from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, Stage
+from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, LightRefused, Stage
 from rig.control.link import CommandRefused
 from rig.control.safety_state import SafetyState
 from rig.control.serial_port import PortLost
@@ -217,6 +217,27 @@ def test_an_interlock_that_opens_is_noticed_by_the_permit(
     assert permit.refusal == "trip 2 (INTERLOCK): the interlock of the controller opened"
     with pytest.raises((InterlockOpen, DeviceError)):
         on.result(0)
+
+
+def test_an_opening_of_20_ms_latches_though_the_line_about_it_was_lost(
+    service: ControlService, board: SteppedBoard, permit: LightPermit
+) -> None:
+    lit(service, board)
+    board.to_host = lambda data: b"" if b"TRIP" in data else data
+    board.closed = False
+    board.turn(0.02)
+    board.closed = True
+    turn(service)
+    assert permit.refusal == "trip 1 (INTERLOCK): the interlock of the controller opened"
+    live(service, board, 3.0)
+    # told once
+    assert permit.latched is not None
+    assert permit.latched.number == 1
+    on = service.laser_on()
+    turn(service)
+    with pytest.raises(LightRefused, match="trip 1"):
+        on.result(0)
+    assert board.outputs()["laser"][0] == 0
 
 
 def test_a_reset_board_is_opened_again_and_stays_dark(service: ControlService, board: SteppedBoard) -> None:

@@ -1,0 +1,58 @@
+"""At a real terminal: only the number of the trip and Enter acknowledge, only `light` and Enter light."""
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+
+from tests.rig.command_line import CONFIGS, SMALL, set_words
+from tests.rig.pseudo_terminal import Terminal
+
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(120)]
+
+WAITING = {
+    **SMALL,
+    "start.way": '"at once"',
+    "preflight.when": '"never"',
+    "simulation.release.way": '"let go"',
+    "session.max_duration_s": "60",
+    "laser.when_dark": '"wait"',
+    "faults.interlock_opens_at_s": "3",
+    "faults.interlock_open_for_s": "0.5",
+}
+
+
+def said(folder: Path) -> list[str]:
+    return [json.loads(line)["what"] for line in (folder / "audit.jsonl").read_text().splitlines()]
+
+
+def test_no_key_lights_or_acknowledges(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    terminal = Terminal("run", CONFIGS / "live.toml", "-o", out, *set_words(WAITING), on_screen=True)
+    try:
+        # typed before the question
+        terminal.press("1\nlight\n")
+        terminal.wait_for("then type 1 and Enter")
+        for keys in ("a", "y", "1", " ", "l", "\x1b", "\n", "a\n", "y\n", "light\n", "2\n"):
+            terminal.press(keys)
+            if keys.endswith("\n") and keys.strip():
+                terminal.wait_for("nothing is done")
+        assert said(out) == ["lit", "latch", "dark"]
+        terminal.press("1\n")
+        terminal.wait_for("acknowledged")
+        terminal.wait_for("Type light and Enter")
+        for keys in ("1\n", "yes\n"):
+            terminal.press(keys)
+            terminal.wait_for("nothing is done")
+        assert said(out) == ["lit", "latch", "dark", "acknowledge"]
+        terminal.press("light\n")
+        terminal.wait_for("laser on, 0.9 mW")
+        assert said(out)[-1] == "lit"
+        terminal.process.send_signal(signal.SIGINT)
+        terminal.wait_for("Fit it now")
+        terminal.press("n\n")
+        terminal.end()
+    finally:
+        terminal.close()
+    assert said(out)[-1] == "dark"
