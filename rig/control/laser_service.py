@@ -168,9 +168,12 @@ class LaserService(DeviceThread):
     def _lose(self, error: DeviceError) -> None:
         if str(error) != self._snapshot.last_error:
             self._say(str(error))
-        self._is_open = self._asked = False
+        was_open, self._is_open, self._asked = self._is_open, False, False
         self._snapshot = replace(self._snapshot, state=None, last_error=str(error))
         self._laser.close()
+        if was_open:
+            # its interlock may open and close meanwhile, and nobody would know
+            self._permit.trip(TripCause.WATCHDOG, f"the laser was lost: {error}")
 
     def _finish(self) -> None:
         self._laser.close()

@@ -1,5 +1,6 @@
 """Whether lasers may be lit: only while frames are processed, and after a trip only by a person's leave."""
 
+import logging
 import time
 from collections.abc import Callable
 from enum import StrEnum
@@ -9,6 +10,8 @@ from acquisition.frame import Image
 from processing.errors import DeviceError
 from rig.control.safety_state import LatchedTrip, SafetyState, TripCause
 from rig.control.spot_seen import SpotSeen
+
+_log = logging.getLogger(__name__)
 
 
 class Stage(StrEnum):
@@ -95,13 +98,17 @@ class LightPermit:
         self._withdrawn = self._withdrawn or why
 
     def trip(self, cause: TripCause, why: str) -> None:
-        """Latch a cause, lit or dark: the light is refused until a person has acknowledged it."""
+        """Latch a cause, lit or dark: the light is refused until a person has acknowledged it.
+
+        Raises nothing: who has seen it goes on darkening. A state that cannot be written is logged, and holds
+        for this program.
+        """
         try:
             self._state.latch(cause, why, self._begun)
-        finally:
-            # also where the file cannot be written
-            if (trip := self.latched) is not None:
-                self._tripped(trip)
+        except DeviceError as error:
+            _log.error("%s", error)
+        if (trip := self.latched) is not None:
+            self._tripped(trip)
 
     @property
     def latched(self) -> LatchedTrip | None:

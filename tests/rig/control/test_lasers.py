@@ -478,7 +478,9 @@ class TestService:
         self, ports: Ports, service: LaserService, instrument: FakeCobolt
     ) -> None:
         assert turn(service) == 0.2
-        assert service.take_events() == ("Cobolt 12345 open, dark",)
+        opened, dark = service.take_events()
+        assert opened == "Cobolt 12345 open, dark"
+        assert dark.startswith("laser off: trip 1 (WATCHDOG): the laser was lost: ")
         assert service.snapshot.state is not None
         power, lit, too_much = service.set_power_w(0.01), service.enable(), service.set_power_w(1.0)
         turn(service)
@@ -518,7 +520,9 @@ class TestService:
         turn(service)
         assert not instrument.on
         assert service.snapshot.last_error == ""
-        assert service.take_events() == ("Cobolt 12345 open, dark",)
+        opened, dark = service.take_events()
+        assert opened == "Cobolt 12345 open, dark"
+        assert dark.startswith("laser off: trip 1 (WATCHDOG): the laser was lost: ")
 
     def test_without_a_permit_it_goes_dark_once_and_stays_dark(
         self, service: LaserService, instrument: FakeCobolt, permit: LightPermit

@@ -1,0 +1,104 @@
+"""The rig's own state: it outlives programs, is held by one at a time, and in doubt is latched."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from processing.errors import DeviceError
+from rig.control import ControllerSettings, LaserSettings, SafetyState, TripCause, rig_state_path
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "states" / "rig.json"
+
+
+def test_a_trip_outlives_the_program_and_its_number_grows_over_all_of_them(path: Path) -> None:
+    for number in (1, 2, 3):
+        with SafetyState(path) as state:
+            assert state.latch(TripCause.OUTPUT, "it stays lit", lit=False).number == number
+        with SafetyState(path) as state:
+            assert state.trip is not None
+            assert state.trip.text == f"trip {number} (OUTPUT): it stays lit"
+            with pytest.raises(DeviceError, match=f"trip {number - 1} cannot be acknowledged: latched is"):
+                state.acknowledge(number - 1)
+            state.acknowledge(number)
+        with SafetyState(path) as state:
+            assert state.trip is None
+
+
+def test_one_program_holds_it(path: Path) -> None:
+    with (
+        SafetyState(path, "rig run"),
+        pytest.raises(DeviceError, match=r"in use by process \d+ \(rig run\): end it first"),
+    ):
+        SafetyState(path).__enter__()
+    with SafetyState(path):
+        pass
+
+
+@pytest.mark.parametrize("torn", ["", "{", '{"number": 3, "latched": null, "unknown": 1}', '{"number": "x"}'])
+def test_a_file_that_cannot_be_read_counts_as_latched(path: Path, torn: str) -> None:
+    path.parent.mkdir()
+    path.write_text(torn)
+    with SafetyState(path) as state:
+        assert state.trip is not None
+        assert (state.trip.cause, state.trip.lit) == (TripCause.POWER, True)
+        assert str(path) in state.trip.why
+        state.acknowledge(state.trip.number)
+    with SafetyState(path) as state:
+        assert state.trip is None
+
+
+def test_a_trip_holds_even_where_it_cannot_be_written(path: Path) -> None:
+    with SafetyState(path) as state:
+        path.mkdir()
+        with pytest.raises(DeviceError, match="the rig's state cannot be written"):
+            state.latch(TripCause.INTERLOCK, "it opened", lit=True)
+        assert state.trip is not None
+        with pytest.raises(DeviceError, match="the rig's state cannot be written"):
+            state.lit(True)
+        path.rmdir()
+
+
+def test_a_link_is_not_followed(path: Path, tmp_path: Path) -> None:
+    path.parent.mkdir()
+    (tmp_path / "elsewhere").write_text("a file of somebody else")
+    path.with_suffix(".lock").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(DeviceError, match="the rig's state cannot be held"):
+        SafetyState(path).__enter__()
+    assert (tmp_path / "elsewhere").read_text() == "a file of somebody else"
+
+
+def test_each_rig_has_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    (tmp_path / "tty").symlink_to("/dev/ttyS0")
+    board = ControllerSettings(kind="serial", port="/dev/ttyS1")
+    cobolt = LaserSettings(kind="cobolt", port="/dev/ttyS0")
+    by_another_name = LaserSettings(kind="cobolt", port=str(tmp_path / "tty"))
+    none = ControllerSettings()
+    paths = [
+        rig_state_path(LaserSettings(kind="controller"), board),
+        rig_state_path(cobolt, none),
+        rig_state_path(cobolt.model_copy(update={"port": "usbtmc"}), none),
+    ]
+    assert len(set(paths)) == 3
+    assert all(path is not None and path.parent == tmp_path / "optical-pendulum-rig" for path in paths)
+    assert rig_state_path(by_another_name, none) == rig_state_path(cobolt, board) == paths[1]
+    # nothing real is lit
+    assert rig_state_path(LaserSettings(), board) is None
+    assert rig_state_path(LaserSettings(kind="controller"), ControllerSettings(kind="simulated")) is None
+
+
+def test_what_is_written_is_what_is_read(path: Path) -> None:
+    with SafetyState(path) as state:
+        state.lit(True)
+        state.note_log(Path("audit.jsonl"), 3, "digest")
+        state.latch(TripCause.WATCHDOG, "lost", lit=True)
+    stored = json.loads(path.read_text())
+    assert (stored["schema_number"], stored["number"], stored["lit"]) == (1, 1, True)
+    with SafetyState(path) as state:
+        assert state.left_lit
+        assert state.end_of_log(Path("audit.jsonl")) == (3, "digest")
+        assert state.end_of_log(Path("another")) is None

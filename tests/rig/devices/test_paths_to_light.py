@@ -1,0 +1,344 @@
+"""Every path to light goes through the rig's permit: found in the code, and each walked with a trip."""
+
+import ast
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rig
+from processing.errors import DeviceError, RigError
+from rig.balance.look import LooksView, look
+from rig.control import LightRefused, TripCause
+from rig.control.simulated import SimulatedBoard
+from rig.desk.aligner import Aligner
+from rig.devices import Devices
+from rig.devices.leave import TypedLeave
+from rig.instrument import complete
+from rig.measure import measure_session, preflight_rig, record_plainly, resume_session
+from rig.measure.session_orders import orders
+from rig.settings import Configuration, load_configuration
+from tests.rig.command_line import CONFIGS, SMALL
+from tests.rig.control.instruments import FakeCobolt
+from tests.rig.devices.test_laser import configuration
+
+SOURCES = Path(rig.__file__).parent
+LIVE = CONFIGS / "live.toml"
+
+ASKS = {
+    # what asks the rig for light; a new name here needs a walk below
+    ("balance/look.py", "look"),
+    ("desk/aligner.py", "_watch"),
+    ("devices/leave.py", "_answer"),
+    ("measure/preflight_alone.py", "preflight_rig"),
+    ("measure/run_setup.py", "_execute"),
+    ("measure/session_orders.py", "relight"),
+}
+SWITCHES = {
+    # what gives a device the command, each behind the permit
+    ("devices/lit_devices.py", "light", "light"),
+    ("devices/laser.py", "light", "enable"),
+    ("devices/laser.py", "light", "laser_on"),
+    ("control/service.py", "_light", "laser_on"),
+    ("control/laser_service.py", "_light", "enable"),
+}
+
+
+def calls() -> Iterator[tuple[str, str, str, ast.Call]]:
+    """Calls in this package: file, innermost function, name of what is called."""
+
+    def walk(node: ast.AST, inside: str, name: str) -> Iterator[tuple[str, str, str, ast.Call]]:
+        for child in ast.iter_child_nodes(node):
+            within = child.name if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef) else inside
+            if isinstance(child, ast.Call):
+                called = child.func
+                word = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
+                yield name, within, word, child
+            yield from walk(child, within, name)
+
+    for path in sorted(SOURCES.rglob("*.py")):
+        name = path.relative_to(SOURCES).as_posix()
+        yield from walk(ast.parse(path.read_text("utf-8")), "", name)
+
+
+def test_nothing_else_lights() -> None:
+    asking, switching = set(), set()
+    for name, within, word, call in calls():
+        if word in ("light", "laser_on", "enable"):
+            if isinstance(call.func, ast.Attribute) and word == "light" and not name.startswith("control/"):
+                asking.add((name, within))
+            elif name != "control/firmware/core.py" and isinstance(call.func, ast.Attribute | ast.Name):
+                switching.add((name, within, word))
+    switching -= {one for one in switching if one[0].startswith("desk/")}
+    assert asking == ASKS
+    assert {one for one in switching if not one[0].startswith("control/firmware")} == SWITCHES
+
+
+def test_the_command_that_lights_is_in_one_place() -> None:
+    found = {
+        path.relative_to(SOURCES).as_posix()
+        for path in SOURCES.rglob("*.py")
+        if "LAS:STAT ON" in path.read_text("utf-8") and "firmware" not in path.parts
+    }
+    assert found == {"control/controller.py"}
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Configuration:
+    quiet = {
+        **SMALL,
+        "start.way": '"at once"',
+        "preflight.when": '"never"',
+        "simulation.release.way": '"let go"',
+        "session.max_duration_s": "2",
+        "session.output": json.dumps(str(tmp_path / "runs")),
+        "balance.seconds": "9.1",
+    }
+    return load_configuration(LIVE, [f"{key}={value}" for key, value in quiet.items()])
+
+
+class Lit:
+    """Whether the simulated board was ever lit."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.at: list[float] = []
+        usual = SimulatedBoard.set_laser
+
+        def set_laser(board: SimulatedBoard, on: bool, power_w: float) -> None:
+            if on and power_w > 0:
+                self.at.append(time.monotonic())
+            usual(board, on, power_w)
+
+        monkeypatch.setattr(SimulatedBoard, "set_laser", set_laser)
+
+
+@pytest.fixture
+def lit(monkeypatch: pytest.MonkeyPatch) -> Lit:
+    return Lit(monkeypatch)
+
+
+@pytest.fixture
+def tripped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever opens the rig finds a trip that nobody has acknowledged."""
+    usual = Devices._open
+
+    def opened(devices: Devices) -> None:
+        usual(devices)
+        devices.permit.trip(TripCause.INTERLOCK, "the interlock of the controller opened")
+
+    monkeypatch.setattr(Devices, "_open", opened)
+
+
+def run(config: Configuration, folder: Path) -> None:
+    measure_session(config, LIVE, folder / "session")
+
+
+def resume(config: Configuration, folder: Path) -> None:
+    usual = Devices._open
+    with pytest.MonkeyPatch.context() as patch:
+        # begun, and killed before it made a run
+        patch.setattr(Devices, "light", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises((KeyboardInterrupt, RigError)):
+            run(config, folder)
+    assert Devices._open is usual
+    resume_session(folder / "session")
+
+
+def calibrate(config: Configuration, folder: Path) -> None:
+    record_plainly(config, LIVE, folder / "plain.mcap", 1.0)
+
+
+def balance(config: Configuration, folder: Path) -> None:
+    config = complete(config)
+    with Devices(config) as devices:
+        look(config, devices, lambda _: None, LooksView(config, None, lambda _: "", lambda _: None))
+
+
+def preflight(config: Configuration, folder: Path) -> None:
+    preflight_rig(config)
+
+
+def ordered(config: Configuration, folder: Path) -> None:
+    with Devices(config) as devices:
+        devices.permit.begin()
+        orders(devices)["light"]("")
+
+
+def typed(config: Configuration, folder: Path) -> None:
+    with Devices(config) as devices:
+        TypedLeave(devices)._answer("light", None)
+        devices.light()
+
+
+WALKS: dict[tuple[str, str], tuple[Callable[[Configuration, Path], None], ...]] = {
+    ("balance/look.py", "look"): (balance,),
+    ("devices/leave.py", "_answer"): (typed,),
+    ("measure/preflight_alone.py", "preflight_rig"): (preflight,),
+    ("measure/run_setup.py", "_execute"): (run, calibrate),
+    ("measure/session_orders.py", "relight"): (ordered,),
+}
+
+
+@pytest.mark.parametrize("path", sorted({walk for walks in WALKS.values() for walk in walks}, key=str))
+def test_after_a_trip_no_path_lights(
+    config: Configuration,
+    tmp_path: Path,
+    lit: Lit,
+    tripped: None,
+    path: Callable[[Configuration, Path], None],
+) -> None:
+    with pytest.raises(LightRefused, match=r"trip 1 \(INTERLOCK\): the interlock of the controller opened"):
+        path(config, tmp_path)
+    assert lit.at == []
+
+
+def test_after_a_trip_the_live_picture_lives_in_the_dark(
+    config: Configuration, lit: Lit, tripped: None
+) -> None:
+    aligner = Aligner(config)
+    aligner.start()
+    try:
+        until(lambda: aligner.look is not None and aligner.latched is not None)
+        assert "trip 1 (INTERLOCK)" in aligner.note
+        assert lit.at == []
+    finally:
+        aligner.close()
+    assert aligner.problem == ""
+
+
+def test_every_path_is_walked() -> None:
+    assert set(WALKS) | {("desk/aligner.py", "_watch")} == ASKS
+
+
+def until(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
+    end_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end_s, "it did not come about"
+        time.sleep(0.01)
+
+
+class Loop:
+    """The interlock of the simulated board."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.closed = True
+        monkeypatch.setattr(SimulatedBoard, "interlock_closed", lambda _: self.closed)
+
+    def open_and_close(self, devices: Devices) -> None:
+        self.closed = False
+        until(lambda: devices.permit.latched is not None)
+        self.closed = True
+        until(lambda: devices.safety().interlock == "closed")
+
+
+@pytest.mark.parametrize("when", ["before", "during", "after"])
+def test_a_trip_is_acknowledged_and_then_asked_for_light(
+    config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit, when: str
+) -> None:
+    loop = Loop(monkeypatch)
+    with Devices(config) as devices:
+        if when != "before":
+            devices.light()
+            assert len(lit.at) == 1
+        if when == "after":
+            devices.darken()
+        loop.open_and_close(devices)
+        trip = devices.safety().trip
+        assert trip is not None
+        assert trip.lit == (when == "during")
+        before = len(lit.at)
+        with pytest.raises(LightRefused):
+            devices.light()
+        with pytest.raises(DeviceError, match="latched is trip 1"):
+            devices.acknowledge(2, "test")
+        devices.acknowledge(1, "test")
+        time.sleep(1.0)
+        assert len(lit.at) == before
+        assert not devices.safety().refusal
+        devices.light()
+        assert len(lit.at) == before + 1
+
+
+def test_a_plan_that_waits_in_the_dark_does_not_light_after_a_trip(
+    config: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lit: Lit
+) -> None:
+    """Between two tries of a run whose preflight said no-go the door is opened for a moment."""
+    from rig.measure.notices import announced
+    from rig.measure.session import Manner, make_session
+
+    loop = Loop(monkeypatch)
+    opened: list[Devices] = []
+    usual = Devices._open
+
+    def noted(devices: Devices) -> None:
+        usual(devices)
+        opened.append(devices)
+
+    monkeypatch.setattr(Devices, "_open", noted)
+
+    def patience(_why: str) -> bool:
+        loop.open_and_close(opened[-1])
+        return True
+
+    never = {"when": "always", "min_temperature_c": 35.0}
+    config = complete(config.model_copy(update={"preflight": config.preflight.model_copy(update=never)}))
+    folder = tmp_path / "series"
+    folder.mkdir()
+    with announced(config.session, folder) as outcome:
+        with pytest.raises(LightRefused, match="nobody has acknowledged it"):
+            make_session(config, LIVE, folder, Manner(outcome.notices, False, False, patience))
+        outcome.status = 1
+    assert len(lit.at) == 1
+
+
+@pytest.mark.realtime
+def test_without_a_controller_the_state_is_the_rigs_and_outlives_the_program(tmp_path: Path) -> None:
+    instrument = FakeCobolt()
+    try:
+        config = configuration("cobolt", instrument.port)
+        with Devices(config, tmp_path) as devices:
+            devices.light()
+            with pytest.raises(DeviceError, match="in use by process"), Devices(config):
+                pass
+            instrument.interlock_closed = False
+            until(lambda: devices.permit.latched is not None)
+        instrument.interlock_closed = True
+        instrument.highest_lit = 0.0
+        with Devices(config, tmp_path) as devices:
+            until(lambda: devices.safety().interlock == "closed")
+            with pytest.raises(LightRefused, match="trip 1"):
+                devices.light()
+            assert instrument.highest_lit == 0.0
+            devices.acknowledge(1, "test")
+            devices.light()
+            # killed: nothing is closed
+            devices.state._held.close()  # type: ignore[union-attr]
+            with Devices(config, tmp_path) as after:
+                trip = after.permit.latched
+                assert trip is not None
+                assert (trip.number, trip.cause) == (2, TripCause.WATCHDOG)
+    finally:
+        instrument.close()
+
+
+def test_a_control_thread_that_hangs_is_unknown_and_not_lit(
+    config: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Devices(config) as devices:
+        devices.light()
+        until(lambda: devices.safety().light == "on")
+        now_ns = time.monotonic_ns
+        # for the host's reader of states two and a half seconds without a word have passed
+        import rig.devices.laser as reader
+
+        late: Any = type("Late", (), {"monotonic_ns": staticmethod(lambda: now_ns() + 2_500_000_000)})
+        monkeypatch.setattr(reader, "time", late)
+        safety = devices.safety()
+        assert (safety.light, safety.interlock) == ("unknown, nothing was heard for more than 2 s", "unknown")
+        assert safety.light_age_s > 2.0
+        assert "laser on" not in devices.now().text
+        assert devices.darkness().startswith("unknown")
+        monkeypatch.undo()
