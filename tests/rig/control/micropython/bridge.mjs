@@ -6,7 +6,7 @@
 // file. CONTROL_FD takes single bytes: 'o' opens and 'c' closes the interlock, 'x' and 's' take
 // the environment sensor away and give it back, 'r' resets the board (a new interpreter, as after a
 // brown-out), 'h' hangs the loop for 700 ms, 'b' opens the interlock for 20 ms, 'u' makes the relay read closed
-// whatever it was told, 'm' marks the moment in LOG_FILE. Every change of an output is a line in LOG_FILE.
+// whatever it was told, 'f' repairs the relay, 'm' marks the moment in LOG_FILE. Every change of an output is a line in LOG_FILE.
 import * as fs from 'node:fs';
 import * as path from 'node:path';
 import { pathToFileURL } from 'node:url';
@@ -79,6 +79,7 @@ const wires = {
         if (key === 'h') sleep(700);
         if (key === 'b') state.openTo = performance.now() + 20;
         if (key === 'u') state.stuckOn = true;
+        if (key === 'f') state.stuck = state.stuckOn = false;
         if (key === 'm') state.mark = true;
       }
     }

@@ -1,0 +1,85 @@
+"""Faults and what came of them: light that goes, what is said meanwhile, who was needed for the next one.
+
+Run as ``python -m tests.benchmarks safety [--quick]``. The firmware runs on MicroPython, its line can
+be cut, the program in processes of its own; the table of docs/safety.md is build/safety.md. Beside it, random
+sequences of faults, keys and commands on a stepped clock. SAFETY_TRIALS chooses trials by words in them.
+"""
+
+import os
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from tests.benchmarks.bench_control import _interpreter
+from tests.benchmarks.safety_faults import CABLE, KEYS, SIGNALS, Row, measured
+from tests.benchmarks.safety_program import PLACES
+
+EVERYTHING = (*SIGNALS, *KEYS, *CABLE)
+OFTEN = (
+    "killed",
+    "stopped (SIGSTOP), and goes on",
+    "told to end (SIGTERM)",
+    "interlock opened for 1.5 s",
+    "interlock opened for 20 ms, TRIP line lost",
+    "cable pulled, interlock opened meanwhile, put in again",
+    "board reset",
+)
+TRIALS = [
+    *(("run", fault) for fault in (*EVERYTHING, *PLACES)),
+    *(("plan", fault) for fault in (*OFTEN, "interlock opened for 20 ms", "relay stuck closed")),
+    *(("align", fault) for fault in (*OFTEN, "camera stalls", "control thread hangs", "Ctrl-C")),
+    *(("calibration", fault) for fault in (*OFTEN, "disk hangs", "processing hangs", "Ctrl-C")),
+    *(("balance", fault) for fault in (*OFTEN, "processing hangs")),
+    *(("preflight", fault) for fault in OFTEN[:5]),
+    ("doctor", "interlock opened and left open"),
+]
+
+
+def run(quick: bool = False) -> dict[str, Any]:
+    """Measure; the table is also printed."""
+    trials = TRIALS[:3] if quick else TRIALS
+    if wanted := os.environ.get("SAFETY_TRIALS"):
+        trials = [trial for trial in TRIALS if wanted in " ".join(trial)]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        package = _interpreter(folder)
+        if package is None:
+            return {"skipped": "node and npm are needed to run the firmware"}
+
+        def one(number: int) -> Row:
+            path, fault = trials[number]
+            try:
+                row = measured(package, folder / f"trial{number}", path, fault)
+            except Exception as error:
+                row = Row(path, fault, None, "", None, 0, "", f"{type(error).__name__}: {error}")
+            print(_line(row), flush=True)
+            return row
+
+        with ThreadPoolExecutor(2) as at_once:
+            rows = list(at_once.map(one, range(len(trials))))
+    text = "\n".join(
+        [
+            "| path | fault | dark after, s | says | says on for, s | light takes then |",
+            "|---|---|---|---|---|---|",
+        ]
+    )
+    text += "\n" + "\n".join(_line(row) for row in rows) + "\n"
+    target = Path("build") / "safety.md"
+    target.parent.mkdir(exist_ok=True)
+    target.write_text(text, encoding="utf-8")
+    wrong = [row for row in rows if row.violation]
+    return {
+        "rows": [asdict(row) for row in rows],
+        "lit by itself": sum(row.relit for row in rows),
+        "violations": [f"{row.path}: {row.fault}: {row.violation}" for row in wrong],
+        "longest dark, s": max((row.dark_s for row in rows if row.dark_s is not None), default=None),
+    }
+
+
+def _line(row: Row) -> str:
+    dark = "–" if row.dark_s is None else f"{row.dark_s:.2f}"
+    on = "–" if row.says_on_s is None else f"{row.says_on_s:.1f}"
+    wrong = f" **{row.violation}**" if row.violation else ""
+    return f"| {row.path} | {row.fault} | {dark} | {row.says} | {on} | {row.needed}{wrong} |"
