@@ -94,6 +94,8 @@ class Controller:
         self._line: SerialLine | None = None
         self._link: Link | None = None
         self._limit_w = 0.0
+        self.found = Trip.NONE
+        """What the board had tripped by before this session, which makes it forget."""
 
     def open(self) -> ControllerIdentity:
         """Open the line, check that a rig controller answers, and begin a session with every output off.
@@ -131,6 +133,7 @@ class Controller:
                 f"{link.name}: the controller's firmware is {firmware}, wanted {_PROTOCOL}.x;"
                 " flash the firmware that came with this version"
             )
+        self.found = _status(link.ask("SYST:STAT?")).trip
         token = secrets.token_hex(8).upper()
         (stored_w,) = _floats(link.ask(f"SYST:SESS {token},{round(self._settings.watchdog_s * 1000)}"), 1)
         self._limit_w = min(stored_w, self._laser_max_w)

@@ -93,7 +93,7 @@ class ControlService(DeviceThread):
         self._snapshot = ControlSnapshot()
         self._is_open = False
         self._was_open = False
-        self._interlock_closed, self._tripped = True, Trip.NONE
+        self._interlock_closed, self._tripped, self._was_reset = True, Trip.NONE, False
         self._heard_s = 0.0
         self._environment_due_s = 0.0
         self._counts_before = (0, 0, 0)
@@ -197,6 +197,12 @@ class ControlService(DeviceThread):
             self._snapshot, state=ControlState.OPEN, identity=identity, reconnects=reconnects, last_error=""
         )
         self._say(f"{identity.serial} is connected, firmware {identity.firmware}")
+        found, self._tripped = self._controller.found, Trip.NONE
+        if found is not Trip.NONE:
+            self._permit.trip(TripCause(found), _WHY[found])
+        elif self._was_reset:
+            self._permit.trip(TripCause.POWER, "the controller was reset or had lost its power")
+        self._was_reset = False
 
     def _light(self, controller: Controller, offs: int) -> None:
         outdated = "it was switched off meanwhile" if self._offs != offs else ""
@@ -286,6 +292,7 @@ class ControlService(DeviceThread):
         if not lost:
             self._say(str(error))
             return
+        self._was_reset = self._was_reset or isinstance(error, ControllerReset)
         if self._is_open or str(error) != self._snapshot.last_error:
             self._say(str(error))
         self._is_open = False

@@ -66,9 +66,9 @@ KEYS = {
     "interlock opened for 20 ms, TRIP line lost": b"mb",
     "interlock opened and left open": b"mo",
     "relay does not close": b"mp",
-    "relay stuck closed": b"mu",
+    "relay stuck closed, then told to end": b"mu",
     "board reset": b"mr",
-    "board hangs 0.7 s": b"mh",
+    "board hangs 2.8 s": b"mhhhh",
 }
 CABLE = {
     "cable pulled": b"m",
@@ -231,6 +231,9 @@ def _begin(trial: Trial, process: "subprocess.Popen[bytes]") -> None:
         board.wire.to_host = lambda data: re.sub(rb"![^\n]*TRIP[^\n]*\n", b"", data)
     if fault in KEYS:
         board.press(KEYS[fault])
+        if fault.endswith("told to end"):
+            time.sleep(0.5)
+            process.send_signal(signal.SIGTERM)
         return
     board.press(b"m")
     trial.wait(lambda: any(name == "mark" for _, name, _ in board.events()), 2.0)

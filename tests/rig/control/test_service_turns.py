@@ -8,7 +8,7 @@ from processing.errors import DeviceError
 from rig.control.controller import AirReading, Controller, InterlockOpen, PowerLimit
 from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, LightRefused, Stage
 from rig.control.link import CommandRefused
-from rig.control.safety_state import SafetyState
+from rig.control.safety_state import SafetyState, TripCause
 from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings
@@ -62,6 +62,47 @@ def live(service: ControlService, board: SteppedBoard, duration_s: float) -> Non
     end_s = board.clock.monotonic() + duration_s
     while board.clock.monotonic() < end_s:
         board.turn(turn(service))
+
+
+def test_a_trip_whose_line_was_lost_is_latched_once(
+    service: ControlService, board: SteppedBoard, state: SafetyState
+) -> None:
+    lit(service, board)
+    board.to_host = lambda data: b"" if b"TRIP" in data else data
+    board.closed = False
+    board.turn(0.02)
+    board.closed = True
+    live(service, board, 2.0)
+    assert state.trip is not None
+    assert (state.trip.number, state.trip.cause) == (1, TripCause.INTERLOCK)
+    state.acknowledge(1)
+    live(service, board, 2.0)
+    assert state.trip is None
+    assert board.outputs()["laser"][0] == 0
+
+
+def test_an_output_that_does_not_follow_is_latched(
+    service: ControlService, board: SteppedBoard, state: SafetyState
+) -> None:
+    lit(service, board)
+    board.press(b"p")
+    live(service, board, 1.0)
+    assert state.trip is not None
+    assert state.trip.cause is TripCause.OUTPUT
+
+
+def test_what_a_program_that_was_killed_left_tripped_the_next_one_finds(
+    service: ControlService, board: SteppedBoard, clock: Clock
+) -> None:
+    lit(service, board)
+    board.turn(WATCHDOG_S + 0.1)
+    assert board.outputs()["laser"][0] == 0
+    state = SafetyState()
+    settings = ControllerSettings(kind="serial", port="stepped", timeout_s=0.1)
+    permit = LightPermit(clock.monotonic, state)
+    turn(ControlService(Controller(settings, 0.001, board.open_line), settings, permit=permit))
+    assert state.trip is not None
+    assert state.trip.cause is TripCause.WATCHDOG
 
 
 @pytest.mark.parametrize("darken", [ControlService.laser_off, ControlService.safe])
