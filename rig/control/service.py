@@ -31,7 +31,7 @@ T = TypeVar("T")
 _WHY: dict[str, str] = {
     Trip.INTERLOCK: Interlock.CONTROLLER.opened_text,
     Trip.OUTPUT: "the controller's laser output did not follow what it was set to",
-    Trip.WATCHDOG: "the controller heard nothing from this program for too long",
+    Trip.WATCHDOG: "the controller heard nothing from its program for too long",
 }
 
 
@@ -197,8 +197,7 @@ class ControlService(DeviceThread):
             self._snapshot, state=ControlState.OPEN, identity=identity, reconnects=reconnects, last_error=""
         )
         self._say(f"{identity.serial} is connected, firmware {identity.firmware}")
-        found, self._tripped = self._controller.found, Trip.NONE
-        if found is not Trip.NONE:
+        if (found := self._controller.found) is not Trip.NONE:
             self._permit.trip(TripCause(found), _WHY[found])
         elif self._was_reset:
             self._permit.trip(TripCause.POWER, "the controller was reset or had lost its power")
