@@ -133,12 +133,12 @@ class SimulatedCamera:
         )
 
     def start(self) -> None:
-        """Begin a run, or continue the run in which the camera was lost."""
+        """Begin a run, or continue the run in which the camera was lost or silent."""
         self._must_be_open()
         if self._reader is not None:
             if self._reader.running:
                 raise DeviceError(f"{CAMERA_NAME}: is running already; stop it first")
-            if self._reader.lost:
+            if self._reader.lost or self._reader.stalled:
                 self._reader.resume()
                 return
         scene = Scene(self._settings, self._faults, self._readings, self._runs, self._inputs)

@@ -75,6 +75,11 @@ class RunReader:
         return not self._stopped.is_set() and not self.lost
 
     @property
+    def stalled(self) -> bool:
+        """Whether no frames come although the cable is plugged in; opening the camera again does not help."""
+        return self._stall_at <= self._next < self._stall_end
+
+    @property
     def status(self) -> CameraStatus:
         return CameraStatus(
             delivered=self._delivered,
@@ -136,6 +141,8 @@ class RunReader:
 
     def resume(self) -> None:
         """Continue the run; frames are numbered from 0 again."""
+        if self._settings.real_time:
+            self._next = max(self._next, self._due(self._clock_ns()))
         self._numbered_from = self._next
         self._reconnects += 1
         self.lost = False

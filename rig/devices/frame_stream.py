@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 
-from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout
+from acquisition.camera import Camera, CameraLost, CameraSettings, CameraStatus, FrameTimeout
 from acquisition.frame import Frame
 from acquisition.frame_losses import FrameLosses
 from acquisition.frame_queue import FrameQueue, Policy
@@ -119,6 +119,7 @@ class FrameStream:
         self._timeout_s = timeout_s
         self._reconnect_s = reconnect_s
         self._stop = threading.Event()
+        self._counts_before = CameraStatus()
         self._queue: FrameQueue | None = None
         self._line = FrameLine(time_shift_ns)
         self._clock = ClockWatch()
@@ -181,7 +182,8 @@ class FrameStream:
     def losses(self) -> FrameLosses:
         """Frames lost since the start, by cause."""
         unqueued = 0 if self._queue is None else self._queue.dropped
-        return FrameLosses.of(self._camera.status, unqueued=unqueued, while_unplugged=self._line.missing)
+        status = self._counts_before + self._camera.status
+        return FrameLosses.of(status, unqueued=unqueued, while_unplugged=self._line.missing)
 
     def __len__(self) -> int:
         return 0 if self._queue is None else len(self._queue)
@@ -205,6 +207,7 @@ class FrameStream:
         assert queue is not None
         line = self._line
         silent_s = 0.0
+        opened_again = False
         try:
             while not self._stop.is_set():
                 # a source on demand may be slow; silence of a free-running camera is reported early
@@ -212,14 +215,18 @@ class FrameStream:
                 patience_s = min(patience_s, self._timeout_s - silent_s)
                 try:
                     frame = self._camera.read(patience_s)
-                except FrameTimeout as timeout:
-                    if silent_s == 0.0 and patience_s < self._timeout_s:
-                        self._events.append((EventKind.CAMERA_SILENT, str(timeout)))
-                    silent_s += patience_s
-                    if silent_s >= self._timeout_s - 1e-6:
-                        raise
-                    continue
-                except CameraLost as lost:
+                except (FrameTimeout, CameraLost) as lost:
+                    if isinstance(lost, FrameTimeout):
+                        if silent_s == 0.0 and patience_s < self._timeout_s:
+                            self._events.append((EventKind.CAMERA_SILENT, str(lost)))
+                        silent_s += patience_s
+                        if silent_s < self._timeout_s - 1e-6:
+                            continue
+                        # drivers notice an unplugged cable after seconds, or never: one that can be opened
+                        # again was there all the time if it stays silent
+                        if self.policy == "wait" or opened_again:
+                            raise
+                        opened_again = True
                     self._events.append((EventKind.CAMERA_LOST, str(lost)))
                     self._reconnect(lost)
                     line.begin_again()
@@ -237,6 +244,7 @@ class FrameStream:
                         (EventKind.CAMERA_SPEAKS, f"after more than {silent_s:.2f} s of silence")
                     )
                     silent_s = 0.0
+                opened_again = False
                 frame, note = line.join(frame)
                 if note:
                     self._events.append((EventKind.CAMERA_BACK, note))
@@ -248,8 +256,9 @@ class FrameStream:
         finally:
             queue.close()
 
-    def _reconnect(self, lost: CameraLost) -> None:
+    def _reconnect(self, lost: FrameTimeout | CameraLost) -> None:
         deadline_s = time.monotonic() + self._reconnect_s
+        before = self._camera.status
         while not self._stop.is_set() and time.monotonic() < deadline_s:
             try:
                 self._camera.close()
@@ -261,8 +270,11 @@ class FrameStream:
             except DeviceError:
                 self._stop.wait(0.25)
             else:
+                # a driver that has noticed the loss counts on, any other begins again
+                if self._camera.status.reconnects == before.reconnects:
+                    self._counts_before += before
                 return
-        raise lost
+        raise CameraLost(f"{lost}; it was not to be opened again within {self._reconnect_s:g} s")
 
     def _fail(self, error: Exception, reason: str) -> None:
         if self.failure is None:
