@@ -162,7 +162,7 @@ class Aligner:
                         light.look()
                         if self._relighting:
                             self._relighting = False
-                            self.note = devices.light()
+                            self.note = devices.light(asked=True)
                         self.darkness = devices.darkness()
                         if self._ended.is_set() or not self._wishes.empty():
                             break

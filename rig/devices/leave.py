@@ -6,9 +6,10 @@ import sys
 from contextlib import suppress
 
 from processing.errors import DeviceError
-from rig.control import LatchedTrip
 from rig.devices.lit_devices import LitDevices
 from rig.presentation import say
+
+_ASKS_LIGHT = "Type light and Enter: the laser is lit again"
 
 
 def at_terminal() -> bool:
@@ -16,32 +17,40 @@ def at_terminal() -> bool:
     return sys.stdin.isatty() and sys.stderr.isatty()
 
 
-def asked_for(trip: LatchedTrip) -> str:
-    """What a person is asked before anything is lit."""
-    return f"{trip.text}. Look that nobody is in the beam's way, then type {trip.number} and Enter"
-
-
 def ask_leave(devices: LitDevices) -> None:
-    """Where a trip is latched and somebody sits at the terminal, ask until it is acknowledged.
+    """After a trip, and if somebody sits at the terminal, ask until it is acknowledged and light asked for.
 
-    An empty line, the end of input and Ctrl-C leave it latched: then `Devices.light` refuses.
+    An empty line, the end of input and Ctrl-C change nothing: then `Devices.light` refuses.
     """
-    while (trip := devices.permit.latched) is not None and at_terminal():
+    while at_terminal() and (asks := _what_to_ask(devices)):
         _forget_what_was_typed()
-        try:
-            # a program may read standard output
-            say(f"{asked_for(trip)}: the laser is lit then (only Enter: it stays dark)")
-            answer = input().strip()
-        except EOFError:
+        # not with `input`: a program may read standard output
+        say(f"{asks} (only Enter: it stays dark)")
+        typed = sys.stdin.readline().strip()
+        if not typed:
             return
-        if not answer:
-            return
-        try:
-            say(devices.acknowledge(int(answer), "terminal"))
-        except ValueError:
-            say(f"{answer!r} is not the number of the trip")
-        except DeviceError as error:
-            say(str(error))
+        _answer(devices, typed)
+
+
+def _what_to_ask(devices: LitDevices) -> str:
+    """What a person is asked before anything is lit again; empty if nothing."""
+    if (trip := devices.permit.latched) is not None:
+        return f"{trip.text}. Look that nobody is in the beam's way, then type {trip.number} and Enter"
+    return _ASKS_LIGHT if devices.waits_for_asking else ""
+
+
+def _answer(devices: LitDevices, typed: str) -> None:
+    """Do what a person has typed: the number of the trip, or `light`."""
+    trip = devices.permit.latched
+    try:
+        if trip is not None and typed == str(trip.number):
+            say(devices.acknowledge(trip.number, "terminal"))
+        elif trip is None and typed == "light":
+            devices.ask_for_light()
+        else:
+            say(f"{typed!r}: nothing is done")
+    except DeviceError as error:
+        say(str(error), error=True)
 
 
 class TypedLeave:
@@ -60,10 +69,8 @@ class TypedLeave:
 
         To be called by the main thread: lighting waits for the devices.
         """
-        trip = self._devices.permit.latched
-        asks = ""
-        if alarm:
-            asks = "Type light and Enter: the laser is lit again" if trip is None else asked_for(trip)
+        devices = self._devices
+        asks = (_what_to_ask(devices) or _ASKS_LIGHT) if alarm else ""
         if not self.there or asks != self._asked:
             self._asked = asks
             if self.there and asks:
@@ -71,16 +78,14 @@ class TypedLeave:
                 say(asks)
             return
         if asks and (typed := _typed_line()):
-            self._answer(typed, trip)
+            latched = devices.permit.latched
+            _answer(devices, typed)
+            if typed == "light" and latched is None:
+                self._light()
 
-    def _answer(self, typed: str, trip: LatchedTrip | None) -> None:
+    def _light(self) -> None:
         try:
-            if trip is not None and typed == str(trip.number):
-                say(self._devices.acknowledge(trip.number, "terminal"))
-            elif trip is None and typed == "light":
-                say(self._devices.light())
-            else:
-                say(f"{typed!r}: nothing is done. {self._asked}")
+            say(self._devices.light(asked=True))
         except DeviceError as error:
             say(str(error), error=True)
 

@@ -47,11 +47,13 @@ class LitDevices:
         self.state = SafetyState(rig_state_path(config.laser, config.controller), task)
         self._log = AuditLog(folder, config.session.operator, task, self.state)
         self._task = task
-        self._was_lit = self._is_lit = self._disagreed = False
+        self._was_lit = self._is_lit = self._disagreed = self._asked_before_trip = False
         self.permit = LightPermit(state=self.state, tripped=self._tripped)
 
-    def light(self) -> str:
+    def light(self, *, asked: bool = False) -> str:
         """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`.
+
+        `asked`: a person asks for it now; after a trip, also an acknowledged one, nothing else will do.
 
         From now on frames must be read and taken, else the laser is switched off again (`LightPermit`). To
         be called when the first frame is due. Raises LightRefused while a trip is not acknowledged. Nothing
@@ -64,6 +66,10 @@ class LitDevices:
                 f"it: rig light acknowledge CONFIG {trip.number}, or at the desk"
             )
         kind = self._config.laser.kind
+        if asked:
+            self.ask_for_light()
+        if self.waits_for_asking:
+            raise LightRefused("the trip is acknowledged; the laser stays off until a person asks for light")
         if why := self.darkness():
             self.went_dark(why)
             # before it is lit, because a disk may hang
@@ -87,6 +93,16 @@ class LitDevices:
             self.laser.off()
         self.permit.end()
         self.went_dark(why)
+
+    @property
+    def waits_for_asking(self) -> bool:
+        """Whether a trip since these devices were opened was not followed by a person's asking for light."""
+        return self._asked_before_trip
+
+    def ask_for_light(self) -> None:
+        """A person asks for light again; a trip that comes later outdates it."""
+        if self.permit.latched is None:
+            self._asked_before_trip = False
 
     def acknowledge(self, number: int, who: str) -> str:
         """Clear the trip of this number, because a person (`who`, where) has looked and says so.
@@ -141,6 +157,7 @@ class LitDevices:
 
     def _tripped(self, trip: LatchedTrip) -> None:
         self.audit(Audited.LATCH, trip.why, number=trip.number, cause=trip.cause, lit=trip.lit)
+        self._asked_before_trip = True
         self.went_dark(trip.text)
 
     def went_dark(self, why: str) -> None:

@@ -5,7 +5,7 @@ import time
 from dataclasses import asdict
 from typing import Any
 
-from processing.errors import DeviceError, RigError
+from processing.errors import RigError
 from rig.channel import Orders, SessionNews
 from rig.control import LightRefused
 from rig.devices import Audited, Devices, ask_leave, at_terminal, wait_for_command
@@ -37,10 +37,16 @@ def orders(devices: Devices) -> Orders:
 
 
 def relight(devices: Devices) -> str:
-    """Light the laser of a run again that waits in the dark, because a person asks for it."""
-    if not devices.permit.begun:
-        raise DeviceError("no run waits for its light: nothing is lit while no frames are processed")
-    return devices.light() or "the laser is lit already"
+    """A person asks for light: that of a run which waits in the dark, else the next run's.
+
+    While no frames are processed nothing is lit.
+    """
+    if (trip := devices.permit.latched) is not None:
+        raise LightRefused(f"{trip.text}: acknowledge it first")
+    if devices.permit.begun:
+        return devices.light(asked=True) or "the laser is lit already"
+    devices.ask_for_light()
+    return "the next run lights the laser"
 
 
 def devices_now(devices: Devices) -> dict[str, Any]:
@@ -53,17 +59,17 @@ def devices_now(devices: Devices) -> dict[str, Any]:
 
 
 def await_leave(devices: Devices, session_news: SessionNews) -> None:
-    """After a trip wait until a person has acknowledged it: at the terminal, else who watches.
-
-    The laser of the next run is lit then. Raises LightRefused if nobody acknowledges it.
+    """After a trip wait until a person has acknowledged it and asked for light: at the terminal, else who
+    watches. Raises LightRefused if nobody does.
     """
     ask_leave(devices)
     trip = devices.permit.latched
-    if trip is not None and session_news.watched and not at_terminal():
-        session_news.note("interlock", f"{trip.text}: the next run waits for an acknowledgement", "error")
-        while session_news.watched and devices.permit.latched:
+    if (trip or devices.waits_for_asking) and session_news.watched and not at_terminal():
+        what = "light is to be asked for" if trip is None else trip.text
+        session_news.note("interlock", f"{what}: the next run waits for a person", "error")
+        while session_news.watched and (devices.permit.latched or devices.waits_for_asking):
             time.sleep(_LOOK_S)
-    if trip := devices.permit.latched:
-        raise LightRefused(
-            f"{trip.text}, and nobody has acknowledged it; rig run --resume makes the missing runs"
-        )
+    if devices.permit.latched or devices.waits_for_asking:
+        what = "nobody has asked for light since the trip" if trip is None else f"{trip.text}, and nobody has"
+        what += "" if trip is None else " acknowledged it"
+        raise LightRefused(f"{what}; rig run --resume makes the missing runs")

@@ -38,14 +38,14 @@ def test_a_trip_is_acknowledged_by_its_number_and_that_is_kept(
     devices, session_news = Devices(config, tmp_path, "rig run"), SessionNews(config)
     devices.permit.trip(TripCause.INTERLOCK, "the interlock of the controller opened")
     monkeypatch.setattr(sys, "stderr", Terminal())
-    # nothing that is shorter than the number and Enter
+    # nothing that is less than the number and Enter, then the word and Enter
     for typed in ("\n", "y\n\n", "yes\n\n", "a\n\n", "2\n\n", "", "01x\n\n"):
         monkeypatch.setattr(sys, "stdin", Terminal(typed))
         with pytest.raises(LightRefused, match="nobody has acknowledged it"):
             await_leave(devices, session_news)
         with pytest.raises(LightRefused, match=r"trip 1 \(INTERLOCK\).*rig light acknowledge CONFIG 1"):
             devices.light()
-    monkeypatch.setattr(sys, "stdin", Terminal("1\n"))
+    monkeypatch.setattr(sys, "stdin", Terminal("1\nlight\n"))
     await_leave(devices, session_news)
     assert not devices.permit.latched
     lines = lines_of(tmp_path)

@@ -32,7 +32,7 @@ ASKS = {
     # what asks the rig for light; a new name here needs a walk below
     ("balance/look.py", "look"),
     ("desk/aligner.py", "_watch"),
-    ("devices/leave.py", "_answer"),
+    ("devices/leave.py", "_light"),
     ("measure/preflight_alone.py", "preflight_rig"),
     ("measure/run_setup.py", "_execute"),
     ("measure/session_orders.py", "relight"),
@@ -169,13 +169,13 @@ def ordered(config: Configuration, folder: Path) -> None:
 
 def typed(config: Configuration, folder: Path) -> None:
     with Devices(config) as devices:
-        TypedLeave(devices)._answer("light", None)
+        TypedLeave(devices)._light()
         devices.light()
 
 
 WALKS: dict[tuple[str, str], tuple[Callable[[Configuration, Path], None], ...]] = {
     ("balance/look.py", "look"): (balance,),
-    ("devices/leave.py", "_answer"): (typed,),
+    ("devices/leave.py", "_light"): (typed,),
     ("measure/preflight_alone.py", "preflight_rig"): (preflight,),
     ("measure/run_setup.py", "_execute"): (run, calibrate),
     ("measure/session_orders.py", "relight"): (ordered,),
@@ -258,7 +258,9 @@ def test_a_trip_is_acknowledged_and_then_asked_for_light(
         time.sleep(1.0)
         assert len(lit.at) == before
         assert not devices.safety().refusal
-        devices.light()
+        with pytest.raises(LightRefused, match="until a person asks for light"):
+            devices.light()
+        devices.light(asked=True)
         assert len(lit.at) == before + 1
 
 
@@ -313,6 +315,7 @@ def test_without_a_controller_the_state_is_the_rigs_and_outlives_the_program(tmp
                 devices.light()
             assert instrument.highest_lit == 0.0
             devices.acknowledge(1, "test")
+            # opened after the trip: that it was opened is the asking
             devices.light()
             # killed: nothing is closed
             devices.state._held.close()  # type: ignore[union-attr]
