@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from rig.commands.arguments import Config, Set
-from rig.commands.outputs import old_folder
+from rig.commands.inputs import there
 
 
 def register(app: typer.Typer) -> None:
@@ -49,10 +49,11 @@ def acknowledge(
 
 def audit(
     folder: Annotated[
-        Path, typer.Argument(help="Folder with audit.jsonl.", show_default=False, callback=old_folder)
+        Path, typer.Argument(help="Folder with audit.jsonl.", show_default=False, callback=there)
     ],
     config: Annotated[
-        Path | None, typer.Option(help="Configuration of its rig, which knows how the log ended.")
+        Path | None,
+        typer.Option(help="Configuration of its rig, which knows how the log ended.", callback=there),
     ] = None,
 ) -> None:
     """Check that no line of an audit log is missing or altered.

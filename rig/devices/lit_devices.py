@@ -1,5 +1,6 @@
 """Controller and laser of a rig, and the one way to light: who may, who darkens it, what is known of it."""
 
+import math
 import time
 from concurrent.futures import CancelledError
 from contextlib import suppress
@@ -31,6 +32,7 @@ from rig.devices.laser import age_s, goes_dark_by_itself, laser_now, light, wait
 from rig.settings import Configuration
 
 _LOOKS_FOR_S = 3.0
+_SILENT = (Light.SILENT, Light.CONTROLLER_SILENT)
 
 
 class LitDevices:
@@ -236,13 +238,14 @@ class LitDevices:
             state = self.laser.snapshot.state
             if state is not None:
                 loops.append((state.interlock_closed, age_s(self.laser.snapshot.state_time_ns)))
-        oldest_s = max((old_s for _, old_s in loops), default=float("inf"))
+        oldest_s = max((old_s for _, old_s in loops), default=math.inf)
         loop = Loop.CLOSED if all(closed for closed, _ in loops) else Loop.OPEN
         return SafetyNow(
             trip=self.permit.latched,
             refusal=self.permit.refusal,
             light=Light.DISAGREES if spot.disagrees else laser.light,
-            light_age_s=laser.age_s,
+            # who is silent was never heard, as far as this state goes
+            light_age_s=math.inf if laser.light in _SILENT else laser.age_s,
             interlock=loop if oldest_s <= STALE_S else Loop.UNKNOWN,
             interlock_age_s=oldest_s,
             seen=spot.seen if spot.age_s <= STALE_S else None,

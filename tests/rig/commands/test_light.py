@@ -1,0 +1,75 @@
+"""`rig light`: what is latched is shown and acknowledged by its number, and the audit log is checked."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rig.control import ControllerSettings, LaserSettings, SafetyState, TripCause, rig_state_path
+from tests.rig.command_line import CONFIGS, rig, set_words
+from tests.rig.control.instruments import FakeCobolt
+
+
+@pytest.fixture
+def words(tmp_path: Path) -> Iterator[list[str]]:
+    """Settings of a laser without a controller."""
+    instrument = FakeCobolt()
+    stated = {
+        "laser.kind": '"cobolt"',
+        "laser.port": f'"{instrument.port}"',
+        "laser.max_power_w": "0.03",
+        "controller.kind": '"none"',
+        "environment_sensor.kind": '"none"',
+        "start.way": '"at once"',
+        "session.output": f'"{tmp_path / "runs"}"',
+    }
+    yield set_words(stated)
+    instrument.close()
+
+
+def state_of(words: list[str]) -> SafetyState:
+    port = next(word for word in words if word.startswith("laser.port=")).split('"')[1]
+    return SafetyState(rig_state_path(LaserSettings(kind="cobolt", port=port), ControllerSettings()))
+
+
+@pytest.mark.realtime
+def test_a_trip_is_shown_acknowledged_and_logged(tmp_path: Path, words: list[str]) -> None:
+    live = CONFIGS / "live.toml"
+    with state_of(words) as state:
+        state.latch(TripCause.OUTPUT, "it stays lit", lit=True)
+    shown = rig("light", "show", live, *words)
+    assert (shown.returncode, shown.stderr) == (1, "")
+    assert "laser      off, 0." in shown.stdout
+    assert "interlock  closed, 0." in shown.stdout
+    assert "trip       trip 1 (OUTPUT): it stays lit" in shown.stdout
+    assert "rig light acknowledge CONFIG 1" in shown.stdout
+    refused = rig("light", "acknowledge", live, "2", *words)
+    assert refused.returncode == 1
+    assert "trip 2 cannot be acknowledged: latched is trip 1 (OUTPUT): it stays lit" in refused.stderr
+    done = rig("light", "acknowledge", live, "1", *words)
+    assert done.returncode == 0
+    assert "trip 1 (OUTPUT): it stays lit: acknowledged" in done.stderr
+    shown = rig("light", "show", live, *words)
+    assert shown.returncode == 0
+    assert "trip       none is latched" in shown.stdout
+    runs = tmp_path / "runs"
+    assert "audit.jsonl: whole" in rig("light", "audit", runs).stdout
+    log = runs / "audit.jsonl"
+    log.write_text(log.read_text().replace("rig light acknowledge", "nobody"))
+    with state_of(words) as state:
+        end = state.end_of_log(log)
+        assert end is not None
+        assert end[0] == 1
+    assert rig("light", "audit", runs).returncode == 0  # its only line, and nobody knows the end
+
+
+@pytest.mark.realtime
+def test_a_rig_that_another_program_holds_is_shown_from_its_file(words: list[str]) -> None:
+    with state_of(words) as state:
+        state.latch(TripCause.INTERLOCK, "it opened", lit=False)
+        shown = rig("light", "show", CONFIGS / "live.toml", *words)
+        assert "in use by process" in shown.stderr
+        assert "trip       trip 1 (INTERLOCK): it opened" in shown.stdout
+        refused = rig("light", "acknowledge", CONFIGS / "live.toml", "1", *words)
+        assert refused.returncode == 1
+        assert "in use by process" in refused.stderr
