@@ -119,6 +119,10 @@ class LitDevices:
             raise DeviceError(f"trip {number} cannot be acknowledged: latched is {trip.text}")
         if still:
             raise DeviceError(f"{still.text} is still open: close it, then acknowledge trip {number}")
+        if silent := self._silent():
+            raise DeviceError(
+                f"trip {number} cannot be acknowledged: {silent}, so that its cause may be there"
+            )
         state = None if self.laser is None else self.laser.snapshot.state
         if state is not None and state.excess:
             raise DeviceError(f"trip {number} cannot be acknowledged: {state.excess}")
@@ -176,6 +180,14 @@ class LitDevices:
         state = None if self.laser is None else self.laser.snapshot.state
         own = self._config.laser.interlock == "own"
         return Interlock.LASER if own and state is not None and not state.interlock_closed else None
+
+    def _silent(self) -> str:
+        """Who does not answer, so that nobody knows whether an interlock is open. Never blocks."""
+        if self.control is not None and self.control.snapshot.status is None:
+            return Light.CONTROLLER_SILENT
+        if self.laser is not None and self.laser.snapshot.state is None:
+            return f"the laser {Light.SILENT}"
+        return ""
 
     def audit(self, what: Audited, why: str, **details: object) -> None:
         """Add what happened to the light, or what a person did, to the audit log; never blocks."""

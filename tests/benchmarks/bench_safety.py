@@ -15,6 +15,7 @@ from typing import Any
 from tests.benchmarks.bench_control import _interpreter
 from tests.benchmarks.safety_faults import CABLE, KEYS, SIGNALS, Row, measured
 from tests.benchmarks.safety_program import PLACES
+from tests.benchmarks.safety_sequences import run_sequences
 
 EVERYTHING = (*SIGNALS, *KEYS, *CABLE)
 OFTEN = (
@@ -45,11 +46,13 @@ def run(quick: bool = False) -> dict[str, Any]:
     trials = TRIALS[:3] if quick else TRIALS
     if wanted := os.environ.get("SAFETY_TRIALS"):
         trials = [trial for trial in TRIALS if wanted in " ".join(trial)]
+    sequences = run_sequences(50 if quick else 1000, 30)
+    print(sequences, flush=True)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         package = _interpreter(folder)
         if package is None:
-            return {"skipped": "node and npm are needed to run the firmware"}
+            return {"sequences": sequences, "skipped": "node and npm are needed to run the firmware"}
 
         def one(number: int) -> Row:
             path, fault = trials[number]
@@ -74,6 +77,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     target.write_text(text, encoding="utf-8")
     wrong = [row for row in rows if row.violation]
     return {
+        "sequences": sequences,
         "rows": [asdict(row) for row in rows],
         "lit by itself": sum(row.relit for row in rows),
         "violations": [f"{row.path}: {row.fault}: {row.violation}" for row in wrong],

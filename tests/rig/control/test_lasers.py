@@ -243,7 +243,7 @@ def test_ldc500_limit_goes_into_the_instrument(ports: Ports) -> None:
     laser.close()
 
 
-STRAYED = {
+STRAYED: dict[str, list[tuple[Callable[[Any], None], str]]] = {
     "thorlabs4000": [
         (lambda it: it.kept.update({"AM:STAT": "1"}), "amplitude modulation is on"),
         (lambda it: it.kept.update({"FUNC:SHAP": "PULS"}), "pulses"),

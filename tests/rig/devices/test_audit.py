@@ -93,6 +93,26 @@ def test_an_interlock_is_not_acknowledged_while_it_is_open(
     assert [line["what"] for line in lines_of(tmp_path)] == ["latch", "acknowledge"]
 
 
+def test_nothing_is_acknowledged_while_the_controller_is_silent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed, pulled = False, False
+    monkeypatch.setattr(SimulatedBoard, "interlock_closed", lambda _: closed)
+    monkeypatch.setattr(SimulatedBoard, "unplugged", lambda _: pulled)
+    config = load_configuration(
+        CONFIGS / "live.toml", ("camera.driver=simulated", "laser.kind=controller", "laser.max_power_w=0.001")
+    )
+    with Devices(config, tmp_path) as devices:
+        until(lambda: bool(devices.permit.latched))
+        control = devices.required_control("this test")
+        pulled = True
+        until(lambda: control.snapshot.status is None)
+        with pytest.raises(
+            DeviceError, match="the controller does not answer, so that its cause may be there"
+        ):
+            devices.acknowledge(1, "test")
+
+
 def test_a_log_that_leads_elsewhere_is_not_followed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
