@@ -127,7 +127,7 @@ def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter) -> Turn | 
             answer = reporter.ask().split()
         except (EOFError, KeyboardInterrupt):
             return None
-        if not answer:
+        if not answer or answer == ["m"]:
             return _NOTHING
         if answer[0] == "q":
             return None

@@ -38,7 +38,7 @@ def _number(fault: Fault) -> str:
 
 
 QUESTION = (
-    "turned (weight turns, e.g. x 1.5, or x 1.5 -0.75 in sequence; Enter: measure again;"
+    "turned (weight turns, e.g. x 1.5, or x 1.5 -0.75 in sequence; m: measure again;"
     " f: forget the last turn learned; q: end)? "
 )
 _POINTS = 12
@@ -92,7 +92,10 @@ class OnTerminal:
             say(turn_text(back, []))
 
     def ask(self) -> str:
-        return input(QUESTION)
+        # each look lights the laser, and one key must not
+        while not (answer := input(QUESTION)).strip():
+            say("nothing is done: m and Enter measures again, which lights the laser")
+        return answer
 
     def wrong(self, problem: str) -> None:
         say(problem)

@@ -131,6 +131,23 @@ class SafetyState:
             self._held.close()
             self._held = None
 
+    def held_for(self, folder: Path) -> None:
+        """Tell others in which folder whoever holds it can be asked."""
+        if self._held is not None:
+            self._held.write(f"\n{folder.absolute()}".encode())
+            self._held.flush()
+
+    @property
+    def folder_of_holder(self) -> Path | None:
+        """The folder of the program that holds it, or held it last."""
+        if self.path is None:
+            return None
+        try:
+            _, _, folder = self.path.with_suffix(".lock").read_text("utf-8").partition("\n")
+        except (OSError, ValueError):
+            return None
+        return Path(folder) if folder else None
+
     def read(self) -> None:
         """Read the file; also without holding it, to show it."""
         if self.path is None:
@@ -215,7 +232,7 @@ class SafetyState:
         try:
             fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            by = held.read(200).decode(errors="replace") or "another program"
+            by = held.read(200).decode(errors="replace").partition("\n")[0] or "another program"
             held.close()
             raise DeviceError(f"the rig's devices are in use by {by}: end it first") from None
         held.truncate(0)

@@ -71,15 +71,17 @@ class LitDevices:
         if asked:
             self.ask_for_light()
         if self.waits_for_asking:
-            raise LightRefused("the trip is acknowledged; the laser stays off until a person asks for light")
+            why = "the trip is acknowledged; the laser stays off until a person asks for light"
+            self.audit(Audited.REFUSED, why)
+            raise LightRefused(why)
         if why := self.darkness():
             self.went_dark(why)
+            if not goes_dark_by_itself(self._config.laser):
+                self.state.lit(True)
             # before it is lit, because a disk may hang
             self.audit(Audited.LIT, f"asked for by {self._task}", laser=kind)
             self._log.wait()
             self._was_lit = self._is_lit = True
-            if not goes_dark_by_itself(self._config.laser):
-                self.state.lit(True)
         self.permit.begin()
         try:
             return light(self._config.laser, self.control, self.laser)
@@ -210,7 +212,9 @@ class LitDevices:
         self.compare()
         if (trip := self.permit.latched) is not None and trip.cause is TripCause.OUTPUT:
             return f"THE LASER MAY BE LIT: {trip.text}; go and look"
-        self.state.lit(False)
+        with suppress(DeviceError):
+            # else the next program finds it noted as lit, and asks
+            self.state.lit(False)
         witnesses = [who for who, _ in commands] + ["camera"] * self.permit.spot.agrees
         return f"laser off, confirmed by the {' and the '.join(witnesses)}"
 

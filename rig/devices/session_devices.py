@@ -64,6 +64,7 @@ class Devices(LitDevices):
 
     def __init__(self, config: Configuration, folder: Path | None = None, task: str = "this program") -> None:
         super().__init__(config, folder, task)
+        self._folder = folder
         self._closing = ExitStack()
         self._inputs: RigInputs | None = None
         self.sensor: EnvironmentService | None = None
@@ -96,6 +97,8 @@ class Devices(LitDevices):
     def _open(self) -> None:
         config = self._config
         self._closing.enter_context(self.state)
+        if self._folder is not None:
+            self.state.held_for(self._folder)
         if self.state.left_lit:
             self.permit.trip(TripCause.WATCHDOG, "a program was killed that had lit the laser")
             self.state.lit(False)

@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -33,8 +34,8 @@ def show_light(config: Configuration) -> int:
 
 def acknowledge_trip(config: Configuration, number: int) -> int:
     """Acknowledge a trip, in the session that has the rig or with the devices opened here; lights nothing."""
-    for folder in running_sessions(config.session.output):
-        with Line(folder) as line:
+    for folder in _sessions(config):
+        with suppress(NoSession), Line(folder) as line:
             say(line.order(f"acknowledge {number} rig light acknowledge"))
             return 0
     with Devices(config, config.session.output, "rig light acknowledge") as devices:
@@ -54,8 +55,16 @@ def check_audit(folder: Path, config: Configuration | None) -> int:
     return 1 if faults else 0
 
 
+def _sessions(config: Configuration) -> Iterator[Path]:
+    """Folders where a session may run: that of the program which has the rig, and those of the output."""
+    held = SafetyState(rig_state_path(config.laser, config.controller)).folder_of_holder
+    if held is not None:
+        yield held
+    yield from running_sessions(config.session.output)
+
+
 def _of_a_session(config: Configuration) -> SafetyNow | None:
-    for folder in running_sessions(config.session.output):
+    for folder in _sessions(config):
         with suppress(NoSession, KeyError, ValueError), Line(folder) as line:
             return SafetyNow.told(line.news()["safety"])
     return None

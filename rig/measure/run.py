@@ -91,7 +91,7 @@ class Run:
         """Refuse the light from now on, and ask for darkness; nothing here can be blocked."""
         if self._parts.devices is not None:
             self._parts.devices.permit.withdraw(why)
-            self._parts.devices.darken()
+            self._parts.devices.darken(why)
 
     def _stands_still(self) -> bool:
         return self._stream.permit.paused_s > _PATIENCE_S

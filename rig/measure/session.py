@@ -152,7 +152,7 @@ def _make_runs(
                 f"remove the cause (a disk that hangs?), then rig run --resume {folder}"
             )
         if isinstance(outcome.failure, NoGo) and outcome.interrupt is None:
-            devices.darken()
+            devices.darken("preflight said no-go")
             file.forget(record.name)
             if manner.patience(str(outcome.failure)):
                 continue
