@@ -32,6 +32,7 @@ from rig.devices.laser import age_s, goes_dark_by_itself, laser_now, light, wait
 from rig.settings import Configuration
 
 _LOOKS_FOR_S = 3.0
+_STILL_SEEN = "the laser is told off, and the camera still sees its spot"
 _SILENT = (Light.SILENT, Light.CONTROLLER_SILENT)
 
 
@@ -128,6 +129,8 @@ class LitDevices:
         state = None if self.laser is None else self.laser.snapshot.state
         if state is not None and state.excess:
             raise DeviceError(f"trip {number} cannot be acknowledged: {state.excess}")
+        if self.permit.spot.disagrees and self.permit.spot.age_s <= STALE_S:
+            raise DeviceError(f"trip {number} cannot be acknowledged: {_STILL_SEEN}")
         self.state.acknowledge(number)
         self.audit(Audited.ACKNOWLEDGE, trip.text, number=number, by=who)
         self._log.wait()
@@ -143,7 +146,7 @@ class LitDevices:
             self._disagreed = False
         elif not self._disagreed:
             self._disagreed = True
-            self.permit.trip(TripCause.OUTPUT, "the laser is told off, and the camera still sees its spot")
+            self.permit.trip(TripCause.OUTPUT, _STILL_SEEN)
 
     def see_dark(self, camera: Camera) -> None:
         """After `darken`, look at the frames of a stopped camera until they show that the laser is off.

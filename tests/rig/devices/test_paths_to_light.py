@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import rig
 from processing.errors import DeviceError, RigError
@@ -325,6 +327,28 @@ def test_without_a_controller_the_state_is_the_rigs_and_outlives_the_program(tmp
                 assert (trip.number, trip.cause) == (2, TripCause.WATCHDOG)
     finally:
         instrument.close()
+
+
+def test_a_spot_that_is_still_seen_cannot_be_acknowledged(config: Configuration) -> None:
+    with Devices(config) as devices:
+        spot = devices.permit.spot
+        spot.exposure_s = -0.45  # frames count 0.1 s after the command
+        bright, dark = (np.full((64, 64), 8, np.uint8) for _ in range(2))
+        bright[20:40, 20:40] = 200
+
+        def shown(image: NDArray[np.uint8]) -> None:
+            spot.frame(image)
+            devices.compare()
+
+        devices.light()
+        until(lambda: shown(bright) is None and spot.seen is True)
+        devices.darken()
+        until(lambda: shown(bright) is None and devices.permit.latched is not None)
+        assert devices.safety().light == "told off, but its output or its light is seen to be on"
+        with pytest.raises(DeviceError, match="the camera still sees its spot"):
+            devices.acknowledge(1, "test")
+        until(lambda: shown(dark) is None and spot.agrees)
+        devices.acknowledge(1, "test")
 
 
 def test_a_control_thread_that_hangs_is_unknown_and_not_lit(
