@@ -12,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from tests.benchmarks import safety_lasers
 from tests.benchmarks.bench_control import _interpreter
 from tests.benchmarks.safety_faults import CABLE, KEYS, SIGNALS, Row, measured
 from tests.benchmarks.safety_program import PLACES
@@ -65,6 +66,7 @@ def run(quick: bool = False) -> dict[str, Any]:
 
         with ThreadPoolExecutor(2) as at_once:
             rows = list(at_once.map(one, range(len(trials))))
+        rows += [safety_lasers.measured(*trial, folder) for trial in safety_lasers.TRIALS]
     text = "\n".join(
         [
             "| path | fault | dark after, s | says | says on for, s | light takes then |",

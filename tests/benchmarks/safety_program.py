@@ -27,6 +27,7 @@ from rig.devices import Devices, session_devices
 from rig.devices.frame_stream import FrameStream
 from rig.measure import record_plainly
 from rig.settings import load_configuration
+from rig.terminal import terminated_by_signals
 
 PLACES: dict[str, tuple[type, str]] = {
     "camera stalls": (SimulatedCamera, "read"),
@@ -115,7 +116,7 @@ def _ask(config: Path) -> None:
             print("ACKNOWLEDGED", flush=True)
             devices.acknowledge(latched.number, "the benchmark")
             try:
-                devices.light()
+                devices.light(asked=True)
                 print("LIT", flush=True)
             except LightRefused as still:
                 print(f"STILL {still}", flush=True)
@@ -139,12 +140,14 @@ def begin(path: str, config: Path, folder: Path, fault: str) -> None:
     if words is not None:
         sys.argv = ["rig", *words]
         main()
-    elif path == "align":
-        _align(config)
-    elif path == "ask":
-        _ask(config)
-    else:
-        record_plainly(load_configuration(config), config, folder / "calibration.mcap", 60.0)
+        return
+    with terminated_by_signals():
+        if path == "align":
+            _align(config)
+        elif path == "ask":
+            _ask(config)
+        else:
+            record_plainly(load_configuration(config), config, folder / "calibration.mcap", 60.0)
 
 
 if __name__ == "__main__":
