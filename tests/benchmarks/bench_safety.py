@@ -14,8 +14,9 @@ from typing import Any
 
 from tests.benchmarks import safety_lasers
 from tests.benchmarks.bench_control import _interpreter
-from tests.benchmarks.safety_faults import CABLE, KEYS, SIGNALS, Row, measured
+from tests.benchmarks.safety_faults import CABLE, KEYS, SIGNALS, measured
 from tests.benchmarks.safety_program import PLACES
+from tests.benchmarks.safety_row import Row
 from tests.benchmarks.safety_sequences import run_sequences
 
 EVERYTHING = (*SIGNALS, *KEYS, *CABLE)
@@ -61,7 +62,7 @@ def run(quick: bool = False) -> dict[str, Any]:
                 row = measured(package, folder / f"trial{number}", path, fault)
             except Exception as error:
                 row = Row(path, fault, None, "", None, 0, "", f"{type(error).__name__}: {error}")
-            print(_line(row), flush=True)
+            print(row.line, flush=True)
             return row
 
         with ThreadPoolExecutor(2) as at_once:
@@ -73,7 +74,7 @@ def run(quick: bool = False) -> dict[str, Any]:
             "|---|---|---|---|---|---|",
         ]
     )
-    text += "\n" + "\n".join(_line(row) for row in rows) + "\n"
+    text += "\n" + "\n".join(row.line for row in rows) + "\n"
     target = Path("build") / "safety.md"
     target.parent.mkdir(exist_ok=True)
     target.write_text(text, encoding="utf-8")
@@ -85,10 +86,3 @@ def run(quick: bool = False) -> dict[str, Any]:
         "violations": [f"{row.path}: {row.fault}: {row.violation}" for row in wrong],
         "longest dark, s": max((row.dark_s for row in rows if row.dark_s is not None), default=None),
     }
-
-
-def _line(row: Row) -> str:
-    dark = "–" if row.dark_s is None else f"{row.dark_s:.2f}"
-    on = "–" if row.says_on_s is None else f"{row.says_on_s:.1f}"
-    wrong = f" **{row.violation}**" if row.violation else ""
-    return f"| {row.path} | {row.fault} | {dark} | {row.says} | {on} | {row.needed}{wrong} |"
