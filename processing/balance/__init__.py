@@ -1,7 +1,8 @@
 """Balance of the pendulum, estimated from its swings, and advice on which adjustment weight to turn."""
 
-from processing.balance.advice import Turn, Unreachable, WeightResponses
+from processing.balance.advice import WeightResponses
 from processing.balance.balance import Balance, names_with_units
 from processing.balance.estimate import BalanceEstimator
 from processing.balance.faults import BalanceLimits, Fault, find_faults, implausible, mass_centre_height_m
 from processing.balance.room import Room
+from processing.balance.turn import Doubt, Turn, Unreachable

@@ -5,7 +5,8 @@ from mass, thread and axis, then from the states before and after earlier turns.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from copy import copy
 from itertools import product
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 from processing.arrays import Flags, Floats
 from processing.balance.faults import BalanceLimits
 from processing.balance.room import Room
+from processing.balance.turn import Doubt, Turn, Unreachable
 from processing.balance.weight_response import WeightResponse
 
 _LEAST_SWING_ARCSEC = 10.0
@@ -40,29 +42,12 @@ _STRETCH = 4.0
 """How far the weights together may push the rest position to and fro, relative to the way it has to go."""
 
 
-class Turn(NamedTuple):
-    """The next adjustment: the weight, the number of turns (positive: clockwise) and the reason (`why`).
-
-    `then` is a second part, the other way, which takes the play out of the screw; 0: none. `swing_arcsec` is
-    the largest amplitude with which the spot will stay on the sensor afterwards (inf: not known).
-    """
-
-    weight: str
-    turns: float
-    why: str
-    then: float = 0.0
-    swing_arcsec: float = math.inf
-
-    @property
-    def parts(self) -> tuple[float, ...]:
-        """The turns in sequence."""
-        return (self.turns, self.then) if self.then else (self.turns,)
-
-
-class Unreachable(NamedTuple):
-    """No turn of the weights leads to balance; `why` says what is wrong with them."""
-
-    why: str
+_DOUBT = math.log(1e3)
+"""Evidence for another story than that a turn was made as stated, from which on it is doubted."""
+_SHOWN = 2.0
+"""The same, for a turn to have been made as stated."""
+_DRIFT = 0.1
+"""Change of a state, in limits, that a weight which stands still may show."""
 
 
 class WeightResponses:
@@ -106,6 +91,62 @@ class WeightResponses:
         """Whether turns of one weight can have changed one state into the other."""
         step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
         return self._weights[weight].can_make(_parts(turns), np.nan_to_num(step), np.nan_to_num(u_step))
+
+    def doubt(
+        self, weight: str, turns: float | Sequence[float], before: Floats, after: Floats, u_state: Floats
+    ) -> Doubt | None:
+        """What rather happened than these turns of one weight; None if they explain the change best."""
+        known, parts = self._weights[weight], _parts(turns)
+        step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
+        as_stated = known.log_evidence(parts, step, u_step)
+        still = known.log_evidence([0.0], step, np.hypot(u_step, _DRIFT))
+        # all of it, or only the first of several turns, the search back after it as stated
+        other_ways = [[-part for part in parts], [-parts[0], *parts[1:]]]
+        reversed_way = max(known.log_evidence(way, step, u_step) for way in other_ways)
+        # one that never moved has taught that it has no effect
+        drawn = WeightResponse(known.nominal, known.u_nominal).log_evidence(parts, step, u_step)
+        gain, doubt = max(
+            (still - min(as_stated, drawn), Doubt.STUCK), (reversed_way - as_stated, Doubt.REVERSED)
+        )
+        if gain > _DOUBT:
+            return doubt
+        return None if as_stated - reversed_way > _SHOWN else Doubt.OPEN
+
+    def again(
+        self, weight: str, pairs: Sequence[tuple[Sequence[float], Floats, Floats, Floats]] = ()
+    ) -> None:
+        """Forget what turns of one weight have taught; of these `pairs` the likeliest is learned from.
+
+        A pair: turns, states before and after, standard uncertainty.
+        """
+        known = self._weights[weight]
+        fresh = self._weights[weight] = WeightResponse(known.nominal, known.u_nominal)
+        if pairs:
+            turns = [
+                (_parts(parts), (after - before) / self._scale, math.sqrt(2.0) * u / self._scale)
+                for parts, before, after, u in pairs
+            ]
+            fresh.learn(*max(turns, key=lambda turn: fresh.log_evidence(*turn)))
+
+    def without(self, stuck: Collection[str]) -> "WeightResponses":
+        """The same with the other weights only."""
+        found = copy(self)
+        found._weights = {name: known for name, known in self._weights.items() if name not in stuck}
+        return found
+
+    def can_help(self, state: Floats, room: Room | None = None) -> bool:
+        """Whether a turn of any weight is expected to lead nearer to balance."""
+        wanted = np.nan_to_num(state / self._scale)
+        return any(self._best(name, state, wanted, room).gain > _NEEDED for name in self._weights)
+
+    def test_turn(self, weight: str, state: Floats, room: Room | None, why: str) -> Turn:
+        """The turn of one weight that would be advised, or one as large, which shows whether it moves."""
+        wanted = np.nan_to_num(state / self._scale)
+        best = self._best(weight, state, wanted, room)
+        known = self._weights[weight]
+        shows = abs(sum(best.parts)) > known.largest_play
+        parts = best.parts if shows else self._test(weight, state, wanted, room)
+        return self._turn(weight, parts, state, room, f"{why}; ")
 
     def effect(self, weight: str) -> tuple[Floats, Floats]:
         """Effect of one turn of a weight and its standard uncertainties, in (arcsec, arcsec, m)."""

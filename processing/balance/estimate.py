@@ -36,6 +36,8 @@ _FIRST_SIZE = 4096
 _NEAR = 0.1
 """Distance from a whole multiple of the slow mode's frequency within which a weak line is one of its
 waveform: damping and the noise below it shift it by more than its uncertainty says."""
+_SAME, _SAME_U = 1e-3, 3.0
+"""Halves of a swing agree within this part of amplitude and period, or so many standard uncertainties."""
 _OVERTONE = 1e-3
 """Largest deviation of the waveform from a sine because of friction, as a fraction of the amplitude."""
 
@@ -105,24 +107,35 @@ class BalanceEstimator:
         """One estimate from the samples before `until_ns`; also sets the time of the next one."""
         known = not math.isnan(self._period_s)
         span_s = _WINDOW_PERIODS * self._period_s if known else self._look_s
-        first, last = self._position(until_ns - nanoseconds(span_s)), self._position(until_ns)
-        # use a limited number of samples, which suffices at any frame rate
-        stride = 1 + (last - first) // _MOST_SAMPLES
-        x, y, u_x, u_y = self._columns[:, first:last:stride]
-        modes = None
-        if np.count_nonzero(np.isfinite(x) & np.isfinite(y)) >= _FEWEST_SAMPLES:
-            modes = separate_modes(
-                self._times[first:last:stride], x, y, u_x, u_y, self._period_s, self._fast_period_s
-            )
+        modes = self._modes(until_ns - nanoseconds(span_s), until_ns, self._period_s)
         if modes is None or modes.slow.period_s * _WINDOW_PERIODS > span_s * 1.05:
             self._look_again(until_ns)
             return None
         modes = _without_overtone(modes)
+        if not known:
+            later = self._modes(until_ns - nanoseconds(0.5 * span_s), until_ns, modes.slow.period_s)
+            if later is None or not _is_one_swing(modes, later):
+                # it began within these samples: the push, the pendulum held or at rest are no part of it
+                self._head = self._position(until_ns - nanoseconds(0.5 * span_s))
+                period_s = modes.slow.period_s if later is None else later.slow.period_s
+                self._look_s = max(self._look_s, _WINDOW_PERIODS * period_s)
+                self._next_ns = int(self._times[self._head]) + nanoseconds(self._look_s)
+                return None
         self._period_s = modes.slow.period_s
         self._fast_period_s = modes.fast.period_s if modes.fast is not None else math.nan
         self._next_ns = until_ns + nanoseconds(self._period_s)
         self._head = self._position(until_ns - nanoseconds(1.5 * span_s))
         return self._balance(modes, unit)
+
+    def _modes(self, from_ns: int, until_ns: int, period_s: float) -> TwoModes | None:
+        first, last = self._position(from_ns), self._position(until_ns)
+        # use a limited number of samples, which suffices at any frame rate
+        stride = 1 + (last - first) // _MOST_SAMPLES
+        x, y, u_x, u_y = self._columns[:, first:last:stride]
+        if np.count_nonzero(np.isfinite(x) & np.isfinite(y)) < _FEWEST_SAMPLES:
+            return None
+        times = self._times[first:last:stride]
+        return separate_modes(times, x, y, u_x, u_y, period_s, self._fast_period_s)
 
     def _look_again(self, until_ns: int) -> None:
         """Without an oscillation, try a longer interval of up to a minute, then later intervals."""
@@ -226,6 +239,23 @@ class BalanceEstimator:
         lever = time * np.sqrt(weight)
         shared = 2.0 * _OVERLAP_CORRELATION * float(lever[1:] @ lever[:-1])
         return slope, math.sqrt(max(misfit, 1.0) * (spread + shared)) / spread
+
+
+def _is_one_swing(whole: TwoModes, later: TwoModes) -> bool:
+    """Whether the samples swing as their later half does: its rest position and its period."""
+    size = whole.slow.amplitude
+    for value, u, scale in (
+        (later.rest_x - whole.rest_x, math.hypot(later.u_rest_x, whole.u_rest_x), size),
+        (later.rest_y - whole.rest_y, math.hypot(later.u_rest_y, whole.u_rest_y), size),
+        (
+            later.slow.period_s - whole.slow.period_s,
+            math.hypot(later.slow.u_period_s, whole.slow.u_period_s),
+            whole.slow.period_s,
+        ),
+    ):
+        if abs(value) > max(_SAME_U * u, _SAME * scale):
+            return False
+    return True
 
 
 def _without_overtone(modes: TwoModes) -> TwoModes:

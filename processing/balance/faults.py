@@ -40,8 +40,13 @@ class Fault(NamedTuple):
 
     @property
     def ok(self) -> bool:
-        """Whether the value is within its limit; True also for a value that was not determined."""
+        """Whether nothing is known against it: within its limit, or not determined (`is_known`)."""
         return not abs(self.value) > self.limit
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the value was determined."""
+        return not math.isnan(self.value)
 
 
 def mass_centre_height_m(

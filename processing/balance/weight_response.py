@@ -67,6 +67,17 @@ class WeightResponse:
         """The weight was turned, with no measurement to learn from: only its play is followed."""
         _, self._slack = self._moved([np.asarray(part) for part in parts])
 
+    def log_evidence(self, parts: Sequence[float], step: Floats, u_step: Floats) -> float:
+        """Logarithm of how probable a change (3,) is if these turns made it; NaN: not measured."""
+        moved, _ = self._moved([np.asarray(part) for part in parts])
+        seen, turns = np.isfinite(step), moved[:, None]
+        hand2 = _U_TURN**2 * (turns != 0) + (_U_RELATIVE * turns) ** 2
+        size2 = np.sum(self._mean**2 + self._variance, axis=1, keepdims=True)
+        total = turns**2 * self._variance + u_step**2 + 2.0 * _FLOOR**2 + hand2 * size2
+        left = np.where(seen, step - turns * self._mean, 0.0)
+        log = -0.5 * np.sum(np.where(seen, left**2 / total + np.log(total), 0.0), axis=1)
+        return float(np.logaddexp.reduce(log + np.log(self._weights() + 1e-300)))
+
     def learn(self, parts: Sequence[float], step: Floats, u_step: Floats) -> None:
         """Learn from turns in sequence and the change (3,) of the state they made; NaN: not measured."""
         moved, self._slack = self._moved([np.asarray(part) for part in parts])

@@ -1,5 +1,6 @@
 """The command `rig balance`: measures the balance, advises a turn of a weight, learns from it, repeats."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from rig.presentation import say
 from rig.settings import Configuration
 
 _LOOKS_A_TURN = 5
+_LEAST_SWING_ARCSEC = 10.0
 
 
 def history_path(config: Configuration, stated: Path | None) -> Path:
@@ -65,6 +67,7 @@ def balance_rig(
         return advice_for(stated, balance, session.responses, session.room).markdown
 
     moves = looks = 0
+    swing_arcsec = math.inf
     with (
         Devices(config, history_path(config, path).parent, "rig balance") as devices,
         LooksView(config, rrd, advise, reporter.way) as view,
@@ -74,16 +77,20 @@ def balance_rig(
                 config = config.model_copy(update={"simulation": operator.simulation})
             looks += 1
             try:
-                why = session.take(look(config, devices, _shower(config, reporter), view))
+                why = session.take(look(config, devices, _shower(config, reporter), view, swing_arcsec))
             except DataError as error:
                 why = str(error)
             if why:
                 turn = _after_rejection(session, why, reporter)
                 ended = False
+                # what the starter can do of the hint
+                smaller = 0.5 * min(swing_arcsec, config.session.initial_amplitude_arcsec)
+                swing_arcsec = max(smaller, _LEAST_SWING_ARCSEC)
             else:
                 advice = session.advice()
                 reporter.found(session.faults, session.before, advice)
                 ended, turn = advice is None, advice if isinstance(advice, Turn) else None
+                swing_arcsec = math.inf if turn is None else turn.swing_arcsec
             if operator is None or not follow:
                 stated_turn = _ask(session, devices, reporter)
                 if stated_turn is None:

@@ -1,5 +1,6 @@
 """One measurement of the balance over some periods, and the view that shows all measurements."""
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Self
@@ -11,7 +12,7 @@ from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
 from processing.ticks import nanoseconds, seconds
 from rig.balance.learned_turns import BalanceMeasurement
-from rig.devices import Devices, FrameStream, LightWatch, ask_leave
+from rig.devices import Devices, FrameStream, LightWatch, ask_leave, wait_for_command
 from rig.instrument import Block, camera_settings, frame_policy, optics_of, prepare_kernels
 from rig.presentation import say
 from rig.settings import Configuration
@@ -19,6 +20,7 @@ from rig.view import Viewer, start_view
 
 _UNSEEN = SpotFlag.LOST | SpotFlag.EDGE
 _PAUSE_NS = 2_000_000_000
+_SHORTEST_PULSE_S = 0.01
 
 
 class LooksView:
@@ -75,10 +77,15 @@ class LooksView:
 
 
 def look(
-    config: Configuration, devices: Devices, show: Callable[[Balance], None], view: LooksView
+    config: Configuration,
+    devices: Devices,
+    show: Callable[[Balance], None],
+    view: LooksView,
+    swing_arcsec: float = math.inf,
 ) -> BalanceMeasurement:
     """Measure the balance over some periods; `show` is called with each balance.
 
+    A starter or a magnet that starts the runs starts this swing too, the starter with `swing_arcsec` at most.
     Raises DataError without frames, DeviceError if the laser goes dark or the camera fails.
     """
     if config.lever is None:
@@ -108,13 +115,18 @@ def look(
             pipeline = optics.pipeline(shape)
             view.begin(first, camera.info.full_scale_dn)
             lost = taken = 0
-            end_ns = first.time_ns + nanoseconds(config.balance.seconds)
+            begin_ns = first.time_ns + nanoseconds(_released_after_s(config, devices, swing_arcsec))
+            end_ns = begin_ns + nanoseconds(config.balance.seconds)
+            held = begin_ns > first.time_ns
             while not stream.drained:
                 frames = stream.take(32, 0.1)
                 light.look()
                 if light.alarm:
                     raise DeviceError(light.alarm)
-                if not frames:
+                if held and frames and frames[-1].time_ns >= begin_ns:
+                    wait_for_command(devices.required_control("the magnet").release())
+                    held = False
+                if not frames or held:
                     continue
                 block = pipeline.process(frames)
                 view.block(frames, block)
@@ -131,3 +143,16 @@ def look(
     if found is None and stream.failure is not None:
         raise stream.failure
     return BalanceMeasurement(found, lost / max(taken, 1), shape)
+
+
+def _released_after_s(config: Configuration, devices: Devices, swing_arcsec: float) -> float:
+    """Have the starter push, or the magnet hold, as the runs begin; how long until it must let go."""
+    start = config.start
+    if start.way == "starter":
+        part = min(1.0, swing_arcsec / config.session.initial_amplitude_arcsec)
+        pulse_s = max(part * start.starter_pulse_s, _SHORTEST_PULSE_S)
+        wait_for_command(devices.required_control("the starter").starter_pulse(pulse_s))
+    if start.way != "magnet":
+        return 0.0
+    wait_for_command(devices.required_control("the magnet").hold())
+    return config.phases.rest_window_s

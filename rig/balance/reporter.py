@@ -24,7 +24,7 @@ def print_faults(faults: Sequence[Fault], before: Sequence[Fault]) -> None:
     for name in ("limit", "what it means"):
         table.add_column(name)
     for k, fault in enumerate(faults):
-        row = ["go" if fault.ok else "NO", fault.name, _number(fault)]
+        row = [("go" if fault.ok else "NO") if fault.is_known else "?", fault.name, _number(fault)]
         if before:
             row.append(_number(before[k]))
         table.add_row(*row, f"{fault.limit:g} {fault.unit}".rstrip(), "" if fault.ok else fault.meaning)
@@ -134,7 +134,7 @@ class InJsonLines:
 
 
 def _fault(one: Fault) -> dict[str, Any]:
-    return {**one._asdict(), "ok": one.ok}
+    return {**one._asdict(), "ok": one.ok if one.is_known else None}
 
 
 def _turn(turn: Turn | None) -> dict[str, Any] | None:

@@ -126,7 +126,9 @@ def turn_text(turn: Turn | Unreachable | None, faults: Sequence[Fault]) -> str:
 
 def _verdict(faults: Sequence[Fault]) -> str:
     rest = ", ".join(fault.name for fault in faults if not fault.ok)
-    return f"out of limits: {rest}" if rest else "balanced: within all limits"
+    unknown = ", ".join(fault.name for fault in faults if not fault.is_known)
+    verdict = f"out of limits: {rest}" if rest else "balanced: within all limits"
+    return f"{verdict} that are known; unknown: {unknown}" if unknown and not rest else verdict
 
 
 class Advice(NamedTuple):

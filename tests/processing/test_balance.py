@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from processing.angle import ARCSEC_RAD
 from processing.balance import Balance, BalanceEstimator, BalanceLimits, find_faults, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
@@ -178,3 +179,35 @@ def test_the_waveform_of_a_decay_by_friction_is_no_fast_mode() -> None:
         assert b.transverse == 0.0
         # a fast mode weaker than the harmonic would not be seen beside it
         assert b.u_transverse > 0.9 * 5e-4 * b.amplitude
+
+
+@pytest.mark.parametrize("rest_s", [0.0, 0.3, 1.0, 2.0])
+@pytest.mark.parametrize("shaking", [0.0, 0.05])
+def test_the_first_balance_holds_nothing_of_what_was_before_the_release(
+    rest_s: float, shaking: float
+) -> None:
+    """At rest, tilted by a starter for 0.62 s, then free; on a table that shakes nothing is at rest."""
+    period_s, pulse_s, rate_hz = 4.071, 0.62, 60.0
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, rest_s + 30.0, 1.0 / rate_hz)
+    w = 2.0 * np.pi / period_s
+    tilt = 120.0 / abs(1.0 - np.exp(1j * w * pulse_s))
+    pushed = np.clip(t - rest_s, 0.0, None)
+    free = np.clip(pushed - pulse_s, 0.0, None)
+    y = np.where(
+        free > 0.0,
+        np.exp(-0.002 * free) * tilt * (np.cos(w * free) - np.cos(w * pushed)),
+        tilt * (1.0 - np.cos(w * pushed)),
+    )
+    y += 5.0 + shaking * np.sin(2.0 * np.pi * 1.3 * t) + rng.normal(0.0, 0.003, len(t))
+    x = 3.0 + shaking * rng.standard_normal(len(t)) + rng.normal(0.0, 0.003, len(t))
+    u = np.full(len(t), 0.003 * ARCSEC_RAD)
+    times_ns = np.rint(1e9 * t).astype(np.int64)
+    deflections = Deflections(times_ns, x * ARCSEC_RAD, y * ARCSEC_RAD, u, u, DeflectionUnit.RAD)
+    found = BalanceEstimator().update(deflections)
+    assert found
+    for balance in found:
+        # the damping of this motion is no friction's: 0.01 arcsec stay of it
+        assert abs(balance.rest_y / ARCSEC_RAD - 5.0) < 0.01 + 3.0 * balance.u_rest_y / ARCSEC_RAD
+        assert abs(balance.rest_y / ARCSEC_RAD - 5.0) < 0.05
+        assert abs(balance.period_s - period_s) < 1e-3

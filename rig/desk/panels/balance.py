@@ -20,7 +20,7 @@ from rig.presentation import with_uncertainty
 KEYS = (("m", "balance: measure"),)
 _STRETCHES = (1.0, 5.0, 20.0)
 _WAY_LINES = 40
-_STATE = {True: ("go", "go"), False: ("no", "NO")}
+_STATE = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -214,9 +214,9 @@ def _way(job: Job) -> tuple[list[float | None], list[float | None]]:
 def _table(faults: Sequence[Mapping[str, Any]], before: Sequence[Mapping[str, Any]]) -> str:
     rows = []
     for k, fault in enumerate(faults):
-        style, word = _STATE[bool(fault["ok"])]
+        style, word = _STATE[fault["ok"]]
         was = f"<td class='dim'>{_number(before[k])}</td>" if k < len(before) else ""
-        meaning = "" if fault["ok"] else html.escape(str(fault["meaning"]))
+        meaning = "" if fault["ok"] in (True, None) else html.escape(str(fault["meaning"]))
         rows.append(
             f"<tr><td class='{style}'>{word}</td><th scope='row'>{html.escape(str(fault['name']))}</th>"
             f"<td>{_number(fault)}</td>{was}<td class='dim'>limit {fault['limit']:g}</td></tr>"

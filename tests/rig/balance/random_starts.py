@@ -5,6 +5,7 @@ judges it, learns from it and advises is that of `rig balance`.
 """
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -131,8 +132,14 @@ def distance(state: np.ndarray) -> float:
     return float(np.linalg.norm(state / [LIMITS.rest_arcsec, LIMITS.rest_arcsec, LIMITS.height_m]))
 
 
-def follow(start: Start, seed: int, history: Path, most_turns: int = 15) -> Ended:
-    """Do what is advised until it is to leave it."""
+def follow(
+    start: Start,
+    seed: int,
+    history: Path,
+    most_turns: int = 15,
+    hand: Callable[[int, Turn], Turn] = lambda _number, turn: turn,
+) -> Ended:
+    """Do what is advised until it is to leave it; `hand` says what is done instead of the n-th turn."""
     operator = SimulatedOperator(start.config, seed, start.weights)
     session = LearnedTurns(start.config, history)
     looks = refused = turns = worse = off = 0
@@ -150,7 +157,7 @@ def follow(start: Start, seed: int, history: Path, most_turns: int = 15) -> Ende
         if not isinstance(advice, Turn) or turns >= most_turns:
             break
         before = true_state(operator.simulation)
-        operator.follow(advice)
+        operator.follow(hand(turns, advice))
         session.turned(advice.weight, advice.parts)
         after = true_state(operator.simulation)
         turns += 1

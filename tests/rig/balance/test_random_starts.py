@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.balance import Balance, Turn
+from processing.balance import Balance, Turn, find_faults
 from rig.balance import history
 from rig.balance.learned_turns import BalanceMeasurement, LearnedTurns
-from tests.rig.balance.random_starts import follow, modelled_look, random_start
+from rig.balance.reporter import OnTerminal
+from tests.rig.balance.random_starts import LIMITS, follow, modelled_look, random_start
 from tests.rig.command_line import CONFIGS, rig
 
 SHAPE = (640, 640)
@@ -29,6 +30,40 @@ def test_parallel_weights_are_called_out_of_reach_within_four_looks(tmp_path: Pa
     ended = follow(random_start(3, parallel=True), 3, tmp_path / "history.jsonl")
     assert ended.said_unreachable
     assert ended.looks <= 4
+
+
+def the_other_way(turn: Turn) -> Turn:
+    return turn._replace(turns=-turn.turns, then=-turn.then)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("wrong", [0, 1, 2])
+def test_a_turn_made_the_wrong_way_is_recovered_from(
+    seed: int, wrong: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def hand(number: int, turn: Turn) -> Turn:
+        return the_other_way(turn) if number == wrong else turn
+
+    ended = follow(random_start(seed), seed, tmp_path / "history.jsonl", 25, hand)
+    assert ended.converged, ended
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("weight", ["x", "height"])
+def test_a_weight_that_does_not_move_is_named(
+    seed: int, weight: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def hand(_number: int, turn: Turn) -> Turn:
+        return turn._replace(turns=0.0, then=0.0) if turn.weight == weight else turn
+
+    ended = follow(random_start(seed), seed, tmp_path / "history.jsonl", 25, hand)
+    said = capsys.readouterr().err
+    if not ended.converged:
+        assert f"it looks as if weight {weight} does not move" in said
+        assert ended.said_unreachable
+        assert ended.turns <= 15
 
 
 @pytest.fixture
@@ -116,3 +151,21 @@ def test_no_turn_is_larger_than_a_weak_weight_needs(tmp_path: Path, sound: Balan
     # 84 arcsec a turn by the drawing; a third of it, and the play of the screw
     distance = math.hypot(sound.rest_x, sound.rest_y) / 4.848e-6
     assert abs(turn.turns) < 2 * distance / (0.3 * 84) + 0.6 + 0.75
+
+
+def test_what_was_not_determined_is_unknown_and_no_go(
+    sound: Balance, capsys: pytest.CaptureFixture[str]
+) -> None:
+    faults = find_faults(replace(sound, rotation_rad_per_s=math.nan), (0.0, 1e-6), LIMITS)
+    OnTerminal().found(faults, [], None)
+    lines = capsys.readouterr().out.splitlines()
+    (spin,) = [line for line in lines if " spin" in line]
+    assert spin.startswith("?")
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_the_starter_of_a_live_rig_starts_the_swing_that_is_balanced() -> None:
+    done = rig("balance", CONFIGS / "live.toml", "--set", "simulation.sensor.width_px=160", typed="q\n")
+    assert "no swing was seen" not in done.stderr
+    assert "balanced: within all limits that are known; unknown: spin" in done.stdout
