@@ -27,7 +27,10 @@ from rig.replay.replay import Replay, Replayed
 from rig.replay.screen import ReplayLine, print_changes, print_comparison
 from rig.rerun import Mode, Trouble
 from rig.settings import Configuration, Watched
+from rig.terminal import Terminated
 from rig.view import Viewer, start_view
+
+_LOOK_S = 0.2
 
 
 def speed_of(text: str) -> float:
@@ -87,6 +90,9 @@ def replay_record(
                 events=reader.events() if wants_view else [],
             )
             player.play()
+            if mode == "web" and not player.ended_by_user:
+                say("the page has all of it and stays until q or Ctrl-C; the results follow then")
+                _stay(keys)
         result = replay.finish()
         partial = replay.partial or replay.sought or player.ended_by_user
         run = replace(_analysed(reader, config, result), watched=watched)
@@ -107,6 +113,17 @@ def replay_record(
     if rrd is not None:
         print(f"Rerun file   {rrd}")
     return 1 if run.results.problem and config.lever is not None and not partial else 0
+
+
+def _stay(keys: Keys) -> None:
+    """Wait for the key q, or Ctrl-C, which end no more than the page."""
+    try:
+        while "q" not in keys.pressed(_LOOK_S):
+            pass
+    except Terminated:
+        raise
+    except KeyboardInterrupt:
+        pass
 
 
 def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = ()) -> AnalysedRun:

@@ -3,11 +3,13 @@
 import os
 import subprocess
 import sys
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.acquisition.cameras.usb3vision.backend import wait_until
 from tests.rig.replay.replay_record import make_record
 from tests.rig.view.rrd_contents import measured, scalars
 
@@ -97,3 +99,26 @@ def test_without_a_terminal_there_are_no_keys(record: Path, tmp_path: Path) -> N
     assert abs(values[0]) > 100.0
     assert len(measured(rrd, "/amplitude")[0]) >= 25
     assert len(measured(rrd, "/balance/line_angle")[0]) >= 10
+
+
+@pytest.mark.slow
+def test_the_page_of_a_replay_stays_until_it_is_closed(record: Path) -> None:
+    terminal = Terminal("replay", record, "--view", "web")
+    try:
+        terminal.wait_for("the page has all of it and stays until q or Ctrl-C")
+        address = terminal.wait_for(r"http://127\.0\.0\.1:\d+\S*")[0]
+        asked = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+
+        def is_served() -> bool:
+            try:
+                with asked.open(address, timeout=30) as page:
+                    return bool(page.status == 200)
+            except OSError:
+                return False
+
+        assert wait_until(is_served, LIMIT_S)
+        assert terminal.process.poll() is None
+        terminal.press("q")
+        assert "equal bit for bit" in terminal.end()
+    finally:
+        terminal.close()
