@@ -87,8 +87,8 @@ def test_a_no_go_stops_before_anything_is_recorded_and_force_passes_over_it(tmp_
     said = dict(events_of(tmp_path / "yes" / "run-1.mcap"))
     assert said["preflight"].startswith("no-go: rest position")
     (forced,) = map(json.loads, (tmp_path / "yes" / "audit.jsonl").read_text().splitlines())
-    assert forced["what"] == "preflight forced"
-    assert forced["against"].startswith("rest position")
+    assert forced["what"] == "force"
+    assert forced["why"].startswith("preflight said no-go: rest position")
 
 
 def test_starts_that_are_not_accepted_are_kept_apart(tmp_path: Path) -> None:
