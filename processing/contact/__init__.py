@@ -4,6 +4,7 @@ from processing.contact.adhesion import AdhesiveContact, adhesive_contacts
 from processing.contact.air_drag import ExpectedDrag, bar_of, expected_drag_s
 from processing.contact.decay import decay_path, path_nodes
 from processing.contact.energy_loss import measured_losses, model_losses
+from processing.contact.free_swing import law_harmonics
 from processing.contact.half_swing import (
     relative_curvature,
     scaled_contact,
@@ -37,4 +38,4 @@ from processing.contact.one_half_swing import OneHalfSwing, tabulated_half_swing
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
 from processing.contact.period_law import frequency_drop, period
 from processing.contact.start_values import fit_decay, period_start
-from processing.contact.steady_swing import law_harmonics, moment_loop
+from processing.contact.steady_swing import moment_loop

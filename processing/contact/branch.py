@@ -42,7 +42,7 @@ class Branch(NamedTuple):
 
         What both directions have in common is elastic, what differs is friction.
         """
-        amplitude = np.asarray(np.max(np.abs(phi_rad)))
+        amplitude = np.max(np.abs(phi_rad), axis=-1, keepdims=True)
         known = {**values, "reference": np.ones(())}
         held = self.at_reversal(amplitude, known)
         down = self.resistance(amplitude - phi_rad, held, known)

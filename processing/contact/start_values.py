@@ -9,6 +9,7 @@ from processing.arrays import Floats
 from processing.contact.decay import decay_path, path_nodes
 from processing.contact.period_law import frequency_drop
 from processing.errors import DataError
+from processing.estimate import Estimate
 from processing.least_squares import Loss, Solution, propagate, solve
 from processing.periods import FEWEST_PERIODS, full_periods, mean_period, reference_amplitude
 from processing.swing import TurningPoints
@@ -115,9 +116,14 @@ _B, _P, _C, _D = range(4)
 
 
 def fit_decay(
-    points: TurningPoints, reference: float, mean_period: float, drag: bool, loss: Loss
+    points: TurningPoints,
+    reference: float,
+    mean_period: float,
+    drag: bool,
+    loss: Loss,
+    known: Estimate | None = None,
 ) -> tuple[Solution, Floats]:
-    """Fit ``dx/ds = -(c + b x^p/(p+1) + d x)`` to the amplitudes.
+    """Fit ``dx/ds = -(c + b x^p/(p+1) + d x)`` to the amplitudes, where d may be `known` otherwise.
 
     Returns the solution with columns b, p, c, (d,) first amplitude, in units of the reference and of
     s = 4 t/T, and the fitted amplitudes in the unit of the points. With d the search runs in the
@@ -140,12 +146,12 @@ def fit_decay(
         return out, matrix
 
     def curve(values: Floats) -> tuple[Floats, Floats]:
-        known, matrix = natural(values)
-        b, p, c = known[:3]
+        now, matrix = natural(values)
+        b, p, c = now[:3]
         if not -0.6 < p < 6.0:
             return np.full_like(x, np.nan), np.full((len(x), len(values)), np.nan)
-        d = known[_D] if drag else 0.0
-        path, gradient = decay_path(s, known[-1], b / (p + 1), p, c, d, *nodes)
+        d = now[_D] if drag else 0.0
+        path, gradient = decay_path(s, now[-1], b / (p + 1), p, c, d, *nodes)
         jacobian = np.empty((len(s), len(values)))
         jacobian[:, _B] = gradient[:, 1] / (p + 1)
         jacobian[:, _P] = gradient[:, 2] - gradient[:, 1] * b / (p + 1) ** 2
@@ -157,7 +163,14 @@ def fit_decay(
 
     def model(values: Floats) -> tuple[Floats, Floats]:
         path, jacobian = curve(values)
-        return (path - x) / u, jacobian / u[:, None]
+        residuals, jacobian = (path - x) / u, jacobian / u[:, None]
+        if known is None:
+            return residuals, jacobian
+        now, matrix = natural(values)
+        held = matrix[_D] / known.standard_uncertainty
+        return np.append(residuals, (now[_D] - known.value) / known.standard_uncertainty), np.vstack(
+            [jacobian, held]
+        )
 
     rate = (x[0] - x[-1]) / (s[-1] - s[0])
     # with a rate of exactly zero the derivative by its exponent would vanish
@@ -183,13 +196,14 @@ def fit_decay(
     else:
         raise DataError("the decay has no start from which Eq. 5 reaches the last half-cycle")
     solution = solve(model, start, lower=lower, upper=upper, loss=loss)
-    known, matrix = natural(solution.values)
+    found, matrix = natural(solution.values)
     return (
         replace(
             solution,
-            values=known,
+            values=found,
             covariance=propagate(matrix, solution.covariance),
-            jacobian=solution.jacobian @ np.linalg.inv(matrix),
+            residuals=solution.residuals[: len(x)],
+            jacobian=solution.jacobian[: len(x)] @ np.linalg.inv(matrix),
         ),
         curve(solution.values)[0] * reference,
     )

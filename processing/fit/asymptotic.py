@@ -19,8 +19,9 @@ from processing.contact import (
     relative_curvature,
     stiffness_ratio,
 )
-from processing.contact.laws import AMPLITUDE, PAPER
+from processing.contact.laws import AMPLITUDE, DRAG, PAPER
 from processing.errors import DataError
+from processing.estimate import Estimate
 from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
@@ -45,6 +46,7 @@ def fit_asymptotic(
     loss: Loss = "linear",
     printed_curvature: bool = False,
     exact: FitResult | None = None,
+    known_drag: Estimate | None = None,
 ) -> FitResult:
     """Eq. 5 to the amplitudes, then Eq. 6 to the full periods, each weighted by its uncertainty.
 
@@ -81,12 +83,18 @@ def fit_asymptotic(
     reference = reference_amplitude(points)
     rho = relative_curvature(pendulum) * reference
     mean = mean_period(points)
+    drag_factor = 2 * mean / np.pi**2
+    if known_drag is None and exact is not None and exact.has_drag:
+        known_drag = exact.estimate(DRAG.key)
+    known = None
+    if drag and known_drag is not None:
+        known = Estimate(*(part / drag_factor for part in known_drag))
     periods = full_periods(points)
     if len(periods.where) < FEWEST_PERIODS:
         raise DataError(
             f"{len(periods.where)} full periods between the gaps, and Eq. 6 needs at least {FEWEST_PERIODS}"
         )
-    decay, amplitude_model = fit_decay(points, reference, mean, drag, loss)
+    decay, amplitude_model = fit_decay(points, reference, mean, drag, loss, known)
     period, period_model = fit_period(points, periods, reference, rho, printed_curvature, loss)
     for name, solution in (("Eq. 5", decay), ("Eq. 6", period)):
         if not solution.converged:
@@ -102,7 +110,6 @@ def fit_asymptotic(
     b_factor, gamma_factor = reference ** (1 - p), reference**-n * per_kappa
     names = (*PAPER.names(calibrated=pendulum is not None, drag=drag), AMPLITUDE.key)
     values = [b * b_factor, p, c * reference, n, t0, kappa * gamma_factor]
-    drag_factor = 2 * mean / np.pi**2
     if drag:
         values.append(rest[0] * drag_factor)
     values.append(rest[-1] * reference)
@@ -127,6 +134,9 @@ def fit_asymptotic(
         by_amplitude[:, :k] = decay.jacobian / points.u_amplitude[:, None] @ decay.covariance
         by_time[:, k:] = by_turning_time(period, points, periods) @ period.covariance
         scatter = driven_covariance(by_amplitude, by_time, points, pendulum, exact)
+        if known is not None:
+            of_known = decay.covariance[:, 3] / known.standard_uncertainty
+            scatter[:k, :k] += np.outer(of_known, of_known)
 
     moved = period_by_log_rho(period, points, periods, reference, rho, printed_curvature)
     by_log_rho = to_physical @ np.concatenate([np.zeros(k), moved])
@@ -177,7 +187,13 @@ def _bias(
     reached = int(np.count_nonzero(np.isfinite(amplitude) & np.isfinite(time_s)))
     free = replace(points, amplitude=amplitude * model.reference, time_s=time_s).first(reached)
     try:
-        found = fit_asymptotic(free, pendulum, drag=exact.has_drag, printed_curvature=printed_curvature)
+        found = fit_asymptotic(
+            free,
+            pendulum,
+            drag=exact.has_drag,
+            printed_curvature=printed_curvature,
+            known_drag=exact.estimate(DRAG.key) if exact.has_drag else None,
+        )
     except DataError:
         return None
     return {name: found.estimate(name).value - exact.estimate(name).value for name in found.contact_names}

@@ -21,6 +21,7 @@ from processing.fit.checks import (
     of_limits,
     of_uncertainties,
 )
+from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import AT_REST, GROUND_SEEN, GroundFit, Noise, density_of_step
 from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
@@ -39,6 +40,8 @@ _STEPS = 60
 """Most steps of one alternation; the last search has as many as it needs."""
 _SETTLED = 0.02
 """Change of the parameters, in standard uncertainties, below which the alternation ends."""
+_NEAR = 0.5
+"""Change of the parameters, in standard uncertainties, over which the evidence is taken as linear."""
 _WEAKEST = 10.0
 """Smallest amplitude fitted, in steps of the drive: amplitude and phase do not describe a smaller motion."""
 
@@ -55,12 +58,16 @@ def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Settl
     """Noise and parameters in turn from one start, until both stay; None if it does not converge."""
     columns = start
     noise: Noise | None = None
+    near: ExactModel | None = None
+    moved = np.full(len(start), np.inf)
     for _ in range(_ROUNDS):
-        likeliest = NoiseSearch(model, columns, loss, kind).likeliest()
-        if not np.isfinite(likeliest.deviance):
-            return None
-        here = model.on_ground(columns, _kept(likeliest.noise))
         try:
+            if near is None or not np.all(moved[np.isfinite(moved)] < _NEAR):
+                near = model.about(columns)
+            likeliest = NoiseSearch(near, columns, loss, kind).likeliest()
+            if not np.isfinite(likeliest.deviance):
+                return None
+            here = near.on_ground(columns, _kept(likeliest.noise), likeliest.noise.scale)
             solution = solve(
                 here,
                 columns,
@@ -116,6 +123,7 @@ def fit_exact(
     *,
     law: Law = DEFAULT_LAW,
     drag: bool = False,
+    evidence: Evidence = NO_EVIDENCE,
     loss: Loss = "linear",
     averaged: bool = True,
     near: FitResult | None = None,
@@ -134,6 +142,8 @@ def fit_exact(
         A law of the registry, or another one.
     drag
         Also fit a linear drag, moment ``-m g R drag_s phi'``.
+    evidence
+        What restrains the fit beside the turning points.
     loss
         ``linear``, or a robust loss that reduces the influence of outliers.
     averaged
@@ -161,7 +171,7 @@ def fit_exact(
     kind = Noise(averaged=averaged, limit=np.inf if loss == "linear" else OUTLIER)
     kept = points
     while True:
-        model = ExactModel(kept, pendulum, law=law, drag=drag)
+        model = ExactModel(kept, pendulum, law=law, drag=drag, evidence=evidence)
         found = _best(model, loss, kind, near)
         weakest = _WEAKEST * found.likeliest.noise.step * model.reference
         lost = np.nonzero(kept.amplitude < weakest)[0]
@@ -174,7 +184,7 @@ def fit_exact(
                 "wait for a quieter hour"
             )
         kept = kept.first(int(lost[0]))
-    search = NoiseSearch(model, found.solution.values, loss, kind)
+    search = NoiseSearch(found.model, found.solution.values, loss, kind)
     bounds = search.bounds(found.likeliest)
     half_period_s = 0.5 * mean_period(kept)
     step, reference = found.likeliest.noise.step, model.reference
@@ -208,16 +218,21 @@ def fit_exact_with(
     """
     if like.ground is None:
         raise DataError(f"the {like.method} fit has no noise that another fit could take over")
-    model = ExactModel(points.first(like.half_cycles), pendulum, law=like.law, drag=drag)
-    noise = model.noise_of(like)
+    model = ExactModel(
+        points.first(like.half_cycles), pendulum, law=like.law, drag=drag, evidence=like.evidence
+    )
+    noise, scale = model.noise_of(like), like.ground.measurement_scale
     best: tuple[ExactModel, Solution] | None = None
     for columns in chain(model.start_near(like), model.starts()):
-        for _ in range(3):
-            here = model.on_ground(columns, noise)
-            solution = solve(here, columns, lower=model.lower, upper=model.upper, loss=like.loss)
-            columns = solution.values
-            if noise.at_rest:
-                break
+        try:
+            for _ in range(3):
+                here = model.on_ground(columns, noise, scale).about(columns)
+                solution = solve(here, columns, lower=model.lower, upper=model.upper, loss=like.loss)
+                columns = solution.values
+                if noise.at_rest and like.evidence == NO_EVIDENCE:
+                    break
+        except DataError:
+            continue
         if solution.converged and (best is None or solution.cost < best[1].cost):
             best = here, solution
         if best is not None and 2 * best[1].cost / best[1].dof < _GOOD_CHI2:
@@ -251,15 +266,16 @@ def _result(
     if likeliest is not None and averaged is not None:
         # never smaller: a drive that was seen may still be larger than the likeliest one
         widened *= np.maximum(1.0, _factor(to_physical, averaged, likeliest))
-    white = whiteness(solution.residuals / np.sqrt(max(1.0, chi2_per_dof)))
+    of_points = solution.residuals[: 2 * len(points)]
+    white = whiteness(of_points / np.sqrt(max(1.0, chi2_per_dof)))
     if white.correlated and np.all(np.isfinite(covariance)):
-        factor = _by_correlation(to_physical, solution, white)
+        factor = _by_correlation(to_physical, solution, white, len(points))
         white = replace(white, widened=float(factor.max()))
         widened *= factor
     covariance = covariance * np.outer(widened, widened)
 
     count = len(points)
-    normalised = np.abs(solution.residuals)
+    normalised = np.abs(of_points)
     outlying = (normalised[:count] > OUTLIER) | (normalised[count:] > OUTLIER)
     periods = full_periods(points)
     period_model = time[periods.where + 1] - time[periods.where - 1]
@@ -292,6 +308,7 @@ def _result(
         reading_covariance=propagate(to_physical, _of_reading(model, solution)),
         widened=widened,
         whiteness=white,
+        evidence=model.evidence,
     )
 
 
@@ -305,7 +322,7 @@ def _factor(to_physical: Floats, wider: Floats, covariance: Floats) -> Floats:
 
 def _of_reading(model: ExactModel, solution: Solution) -> Floats:
     """Covariance of the columns if only the measurement of the turning points were uncertain."""
-    residuals, jacobian = model.on_ground(solution.values, AT_REST)(solution.values)
+    residuals, jacobian = model.on_ground(solution.values, AT_REST, model.scale)(solution.values)
     reached = np.isfinite(residuals)
     return np.asarray(covariance_of(jacobian[reached]) * max(1.0, solution.chi2 / solution.dof))
 
@@ -316,8 +333,9 @@ def _mean_of_finite(values: Floats) -> float:
     return float(np.mean(finite)) if len(finite) else float("nan")
 
 
-def _by_correlation(to_physical: Floats, solution: Solution, white: Whiteness) -> Floats:
+def _by_correlation(to_physical: Floats, solution: Solution, white: Whiteness, count: int) -> Floats:
     """By how many times correlated residuals enlarge every standard uncertainty."""
-    residuals = solution.residuals / np.sqrt(solution.chi2 / solution.dof)
-    wider = correlated_covariance(residuals, solution.jacobian, solution.covariance, white.lags)
+    of_points = slice(2 * count)
+    residuals = solution.residuals[of_points] / np.sqrt(solution.chi2 / solution.dof)
+    wider = correlated_covariance(residuals, solution.jacobian[of_points], solution.covariance, white.lags)
     return np.asarray(np.maximum(1.0, _factor(to_physical, wider, solution.covariance)))

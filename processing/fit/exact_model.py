@@ -11,11 +11,28 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import HalfSwings, OneHalfSwing, PendulumOnBall, tabulated_half_swing
 from processing.contact.laws import DEFAULT_LAW, DRAG, Law
+from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import AT_REST, Noise
 from processing.fit.ground_filter import GAINS, drive_filter
 from processing.fit.result import FitResult
 from processing.periods import mean_period
 from processing.swing import TurningPoints
+
+_STEP = 3.0
+"""Step of a derivative of the evidence, in what one column alone is uncertain by."""
+
+
+class _Beside(NamedTuple):
+    """Residuals of the evidence, linear about the columns `at`; `scale` is that of the turning points."""
+
+    at: Floats
+    residuals: Floats
+    jacobian: Floats
+    scale: float = 1.0
+
+    def __call__(self, columns: Floats) -> tuple[Floats, Floats]:
+        jacobian = self.scale * self.jacobian
+        return self.scale * self.residuals + jacobian @ (columns - self.at), jacobian
 
 
 class Filtered(NamedTuple):
@@ -36,6 +53,9 @@ class ExactModel:
     of a Kalman filter: each turning point against the prediction from those before it. Steps are in
     units of `reference`.
 
+    Residuals of the `evidence` follow those of the amplitudes and times. They are linear about the columns at
+    which `about` was last called, and count as they do beside turning points that scatter as stated.
+
     Raises
     ------
     DataError
@@ -49,10 +69,12 @@ class ExactModel:
         *,
         law: Law = DEFAULT_LAW,
         drag: bool = False,
+        evidence: Evidence = NO_EVIDENCE,
     ) -> None:
         self.points = points
         self.pendulum = pendulum
         self.law = law
+        self.evidence = evidence
         self.names = law.fit_names(calibrated=pendulum is not None, drag=drag)
         self.columns = law.columns(points, pendulum, self.names)
         self.reference = self.columns.reference
@@ -66,6 +88,8 @@ class ExactModel:
         self._variance = np.array([self._u, points.u_time_s]) ** 2
         self._noise = AT_REST
         self._gains: Floats | None = None
+        count = len(self.names)
+        self._beside = _Beside(np.zeros(count), np.zeros(0), np.zeros((0, count)))
         # kept for the last parameters: searches begin and end where others have been; copies share them
         self._tabulated: dict[bytes, OneHalfSwing] = {}
         self._swung: dict[bytes, HalfSwings] = {}
@@ -97,6 +121,22 @@ class ExactModel:
 
     def __call__(self, columns: Floats) -> tuple[Floats, Floats]:
         """Residuals divided by their standard uncertainties, and their derivatives by the columns."""
+        residuals, jacobian = self._of_points(columns)
+        if not len(self._beside.residuals):
+            return residuals, jacobian
+        beside = self._beside(columns)
+        return np.concatenate([residuals, beside[0]]), np.concatenate([jacobian, beside[1]])
+
+    @property
+    def scale(self) -> float:
+        """By how many times the turning points scatter more than stated, as `on_ground` was told."""
+        return self._beside.scale
+
+    def beside(self, columns: Floats) -> tuple[Floats, Floats]:
+        """Residuals of the evidence beside turning points that scatter as stated, and their derivatives."""
+        return self._beside._replace(scale=1.0)(columns)
+
+    def _of_points(self, columns: Floats) -> tuple[Floats, Floats]:
         if self._gains is not None:
             found = self.filtered(columns, self._noise, self._gains)
             return found.residuals, found.jacobian
@@ -109,16 +149,48 @@ class ExactModel:
         )
         return residuals, jacobian
 
-    def on_ground(self, columns: Floats, noise: Noise) -> "ExactModel":
+    def on_ground(self, columns: Floats, noise: Noise, scale: float = 1.0) -> "ExactModel":
         """The same model with residuals that allow for the drive, weighted as the filter does at `columns`.
 
         The weights stay: the residuals then depend on the columns by the predictions alone, so that a minimum
-        of their squares is where the predictions are best, and not where the weights are smallest.
+        of their squares is where the predictions are best, and not where the weights are smallest. `scale` is
+        the one by which turning points scatter more than stated, which `noise` does not hold.
         """
         out = copy(self)
         out._noise = noise
         out._gains = None if noise == AT_REST else self.filtered(columns, noise).gains
+        out._beside = self._beside._replace(scale=scale)
         return out
+
+    def about(self, columns: Floats) -> "ExactModel":
+        """The same model with the residuals of the evidence as they are near these columns.
+
+        Raises DataError if the law predicts no waveform there.
+        """
+        out = copy(self)
+        here = self._of_evidence(columns)
+        jacobian = np.zeros((len(here), len(columns)))
+        if len(here):
+            # steps of some uncertainties that the points leave to each column if the others are known
+            size = np.linalg.norm(self._of_points(columns)[1], axis=0)
+            steps = _STEP / np.where(size > 0.0, size, np.inf)
+            # the first amplitude and time are none of the law's parameters
+            of_law = self.columns.physical(columns)[1][:-2].any(axis=0) & (steps > 0.0)
+            for column in np.flatnonzero(of_law).tolist():
+                step = float(steps[column])
+                moved = columns.copy()
+                moved[column] += step
+                jacobian[:, column] = (self._of_evidence(moved) - here) / step
+        out._beside = _Beside(columns.copy(), here, jacobian, self._beside.scale)
+        return out
+
+    def _of_evidence(self, columns: Floats) -> Floats:
+        if self.evidence == NO_EVIDENCE:
+            return np.zeros(0)
+        physical, _ = self.columns.physical(columns)
+        return self.evidence.residuals(
+            self.law, dict(zip(self.names, physical.tolist(), strict=True)), self.pendulum
+        )
 
     def filtered(
         self, columns: Floats, noise: Noise, gains: Floats | None = None, *, with_rho: bool = False
@@ -184,9 +256,10 @@ class ExactModel:
     def by_amplitudes(self, columns: Floats, errors: Floats) -> Floats:
         """Changes (2 points, m) of the residuals where measured amplitudes grow by `errors` (points, m)."""
         relative = errors / self.reference
+        unmoved = np.zeros((len(self._beside.residuals), relative.shape[1]))
         if self._gains is None:
             of_amplitudes = -relative / self._u[:, None]
-            return np.concatenate([of_amplitudes, np.zeros_like(of_amplitudes)])
+            return np.concatenate([of_amplitudes, np.zeros_like(of_amplitudes), unmoved])
         out = copy(self)
         before = self(columns)[0]
         changes = []
@@ -226,6 +299,8 @@ class ExactModel:
     def by_log_rho(self, columns: Floats) -> Floats:
         """Derivative of the fitted columns by ln(R/a), by linearised least squares."""
         both = self.filtered(columns, self._noise, self._gains, with_rho=True).jacobian
+        beside = self._beside(columns)[1]
+        both = np.concatenate([both, np.column_stack([beside, np.zeros(len(beside))])])
         return np.asarray(-np.linalg.lstsq(both[:, :-1], both[:, -1], rcond=1e-12)[0], dtype=np.float64)
 
     @classmethod
@@ -233,9 +308,16 @@ class ExactModel:
         cls, points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult
     ) -> tuple["ExactModel", Floats]:
         """The model of a finished exact fit of these points with its noise, and the fitted columns."""
-        model = cls(points.first(result.half_cycles), pendulum, law=result.law, drag=result.has_drag)
+        model = cls(
+            points.first(result.half_cycles),
+            pendulum,
+            law=result.law,
+            drag=result.has_drag,
+            evidence=result.evidence,
+        )
         columns = model.columns.from_physical({name: result.estimate(name).value for name in model.names})
-        return model.on_ground(columns, model.noise_of(result)), columns
+        scale = 1.0 if result.ground is None else result.ground.measurement_scale
+        return model.on_ground(columns, model.noise_of(result), scale).about(columns), columns
 
     def noise_of(self, result: FitResult) -> Noise:
         """The noise by which a finished fit of the same points weighted its residuals."""

@@ -5,7 +5,7 @@ compared by it, with Schwarz's penalty for each parameter, and by the evidence w
 drive can take up stays in the order of the residuals.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import inf, isfinite, log, pi, sqrt
 
@@ -14,6 +14,7 @@ import numpy as np
 from processing.contact import AMPLITUDE, DRAG, TIME, PendulumOnBall, weight_moment
 from processing.contact.laws import Law
 from processing.errors import DataError
+from processing.fit.evidence import NO_EVIDENCE
 from processing.fit.exact import fit_exact
 from processing.fit.result import FitResult
 from processing.swing import TurningPoints
@@ -148,23 +149,22 @@ def compare_laws(
     pendulum: PendulumOnBall,
     laws: Iterable[Law],
     *,
-    drag: bool = False,
-    known: Sequence[FitResult] = (),
+    like: FitResult | None = None,
 ) -> LawComparison:
     """Fit every law to the same turning points.
 
     Parameters
     ----------
-    drag
-        Fit a linear drag beside each.
-    known
-        Exact fits of these points that have been made.
+    like
+        An exact fit of these points that has been made. Each law has a linear drag if that has one, and the
+        same evidence restrains it; None: neither.
     """
-    made = {fit.law.name: fit for fit in known if fit.has_drag == drag}
+    made = {} if like is None else {like.law.name: like}
+    drag, evidence = (False, NO_EVIDENCE) if like is None else (like.has_drag, like.evidence)
     trials = []
     for law in laws:
         try:
-            fit = made.get(law.name) or fit_exact(points, pendulum, law=law, drag=drag)
+            fit = made.get(law.name) or fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence)
         except DataError as error:
             trials.append(LawTrial(law, None, problem=str(error)))
             continue

@@ -14,7 +14,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.fit.checks import OUTLIER
-from processing.fit.exact_model import ExactModel
+from processing.fit.exact_model import ExactModel, Filtered
 from processing.fit.ground import Noise
 from processing.least_squares import Loss
 
@@ -30,6 +30,7 @@ _WELL_KNOWN = 0.15
 """Relative uncertainty of the step below which it is taken as known."""
 _ONE_SIDED = 2.706
 """Rise of -2 ln L at a bound of 95 %: the square of the normal quantile 1.645."""
+_SAME_SCALE = 1e-3
 _LEAST_SHARE = 1e-13
 """Rounding of sums over thousands of half-cycles, relative to a diagonal of ones: smaller eigenvalues are
 noise."""
@@ -69,6 +70,7 @@ class NoiseSearch:
         self._model, self._columns, self._loss = model, columns, loss
         self._kind = kind
         self._unit = float(np.median(model.u_amplitude))
+        self._beside = model.beside(columns)
         self._highest = float(np.log10(_LARGEST * model.lowest / self._unit))
         self._known: dict[float, LikeliestNoise] = {}
         self._rest = self._at(-np.inf)
@@ -141,7 +143,19 @@ class NoiseSearch:
         found = self._model.filtered(self._columns, replace(self._kind, step=ratio))
         if not np.all(np.isfinite(found.residuals)):
             return LikeliestNoise(self._kind, np.inf)
-        residuals, jacobian = found.residuals, found.jacobian
+        scale2, before = 1.0, 0.0
+        while True:
+            likeliest = self._with_scale(found, ratio, scale2)
+            before, scale2 = scale2, likeliest.noise.scale**2
+            # beside evidence, which does not scatter with the turning points, the scale takes some rounds
+            if not len(self._beside[0]) or abs(scale2 - before) < _SAME_SCALE * scale2:
+                return likeliest
+
+    def _with_scale(self, found: Filtered, ratio: float, weight: float) -> LikeliestNoise:
+        """With the evidence weighted as beside turning points that scatter by the root of `weight`."""
+        beside, beside_by = (np.sqrt(weight) * part for part in self._beside)
+        residuals = np.concatenate([found.residuals, beside])
+        jacobian = np.concatenate([found.jacobian, beside_by])
         linear = self._loss == "linear"
         kept = np.ones(len(residuals), dtype=np.bool_) if linear else np.abs(residuals) < OUTLIER
         # Sums instead of a factorisation: the threads that linear algebra would start for so few columns
@@ -154,11 +168,15 @@ class NoiseSearch:
         share = np.maximum(share, _LEAST_SHARE)
         score = np.einsum("ij,i->j", weighted, residuals) / norm
         left = residuals - jacobian @ ((vectors / share) @ (vectors.T @ score) / norm)
-        chi2 = float(np.sum(left[kept] ** 2)) + OUTLIER**2 * float(np.count_nonzero(~kept))
-        dof = len(left) - len(self._columns)
-        scale2 = max(1.0, chi2 / dof) if linear else 1.0
+        of_points = slice(len(found.residuals))
+        chi2, of_evidence = (
+            float(np.sum(left[part][kept[part]] ** 2)) + OUTLIER**2 * float(np.count_nonzero(~kept[part]))
+            for part in (of_points, slice(len(found.residuals), None))
+        )
+        count = len(found.residuals)
+        scale2 = max(1.0, chi2 / (count - len(self._columns))) if linear else 1.0
         log_information = float(np.sum(np.log(share)) + 2 * np.sum(np.log(norm)))
-        unrestricted = chi2 / scale2 + len(left) * np.log(scale2) + found.log_det
+        unrestricted = chi2 / scale2 + of_evidence / weight + count * np.log(scale2) + found.log_det
         deviance = unrestricted - len(self._columns) * np.log(scale2) + log_information
         scale = float(np.sqrt(scale2))
         noise = replace(self._kind, step=ratio * scale, scale=scale)

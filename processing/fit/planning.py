@@ -6,19 +6,22 @@ the fit comes near to this bound.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf
 
 import numpy as np
 
+from processing.arrays import Floats
 from processing.contact import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, Law, PendulumOnBall
 from processing.errors import DataError
+from processing.estimate import Estimate
 from processing.fit.checks import FEWEST_HALF_CYCLES
+from processing.fit.evidence import Evidence, Waveform
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, step_of_density
 from processing.fit.result import FitResult
 from processing.least_squares import covariance_of
-from processing.swing import TurningPoints
+from processing.swing import HALVES, TurningPoints
 
 _LOST = 10.0
 """A run ends where the ground moves the pendulum in a half-swing by more than the amplitude over this."""
@@ -29,23 +32,38 @@ class Conditions:
     """What makes turning points scatter: their measurement, and the drive.
 
     `u_time_amplitude_s_rad` is the product of a time's uncertainty and its amplitude; `averaged` is that of
-    `Noise`.
+    `Noise`. `of_sine` is the covariance in rad^2 of the harmonics in quadrature of a piece (see `Waveform`),
+    None where they are not used, and `known_drag_s` what is known of the drag beside the run.
     """
 
     u_amplitude_rad: float
     u_time_amplitude_s_rad: float
     ground_rad_per_s2_rthz: float = 0.0
     averaged: bool = True
+    of_sine: Floats | None = field(default=None, compare=False)
+    known_drag_s: Estimate | None = None
 
     @classmethod
     def of(cls, fit: FitResult, points: TurningPoints) -> "Conditions":
         """Those of a run that has been made; its drive is the likeliest one."""
         scale = 1.0 if fit.ground is None else fit.ground.noise.scale
+        waveform = fit.evidence.waveform
         return cls(
             scale * float(np.median(points.u_amplitude)),
             scale * float(np.median(points.u_time_s * points.amplitude)),
             0.0 if fit.ground is None else fit.ground.density_rad_per_s2_rthz.value,
+            of_sine=None if waveform is None else np.median(waveform.covariance, axis=0),
+            known_drag_s=fit.evidence.drag_s,
         )
+
+    def evidence(self, amplitude_rad: Floats) -> Evidence:
+        """What a run through turning points of these amplitudes is restrained by; its values are nought."""
+        if self.of_sine is None:
+            return Evidence(drag_s=self.known_drag_s)
+        middle = amplitude_rad[HALVES // 2 :: HALVES]
+        covariance = np.tile(self.of_sine, (len(middle), 1, 1))
+        nothing = np.zeros((len(middle), len(self.of_sine)))
+        return Evidence(Waveform(middle, nothing, covariance, 1.0), self.known_drag_s)
 
     def on_ground(self, rad_per_s2_rthz: float) -> "Conditions":
         """The same measurement on another ground."""
@@ -98,11 +116,13 @@ def planned_run(
         amplitude,
         np.full(len(amplitude), conditions.u_amplitude_rad),
     )
-    model = ExactModel(points, pendulum, law=law, drag=DRAG.key in values)
+    evidence = conditions.evidence(amplitude)
+    model = ExactModel(points, pendulum, law=law, drag=DRAG.key in values, evidence=evidence)
     columns = model.columns.from_physical(known)
     half_period_s = float(np.diff(time).mean())
     step = step_of_density(conditions.ground_rad_per_s2_rthz, half_period_s) / model.reference
-    jacobian = model.on_ground(columns, Noise(step=step, averaged=conditions.averaged))(columns)[1]
+    noise = Noise(step=step, averaged=conditions.averaged)
+    jacobian = model.about(columns).on_ground(columns, noise)(columns)[1]
     to_physical = model.columns.physical(columns)[1]
     u = np.sqrt(np.diag(to_physical @ covariance_of(jacobian) @ to_physical.T))
     return PlannedRun(

@@ -13,6 +13,7 @@ from processing.contact import ContactParameters
 from processing.contact.laws import AMPLITUDE, DRAG, PAPER, TIME, Law
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
+from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import Ground, GroundFit
 from processing.fit.whiteness import Whiteness
 from processing.fit_method import FitMethod
@@ -92,6 +93,8 @@ class FitResult(FitQuality):
     place_covariance
         Part of the covariance, and of `reading_covariance`, that errors of position fixed on the sensor
         leave; None where none were found.
+    evidence
+        What restrained the fit beside the turning points.
     """
 
     method: FitMethod
@@ -108,6 +111,7 @@ class FitResult(FitQuality):
     reading_covariance: Floats | None = None
     widened: Floats | None = None
     place_covariance: Floats | None = None
+    evidence: Evidence = NO_EVIDENCE
 
     @property
     def dof(self) -> int:

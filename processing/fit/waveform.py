@@ -20,7 +20,7 @@ from processing.swing import ORDERS, HarmonicClass
 
 CONTRADICTED = 1e-4
 """Chance of so large a distance below which the waveform contradicts a law."""
-_OF_PREDICTION = 0.01
+_OF_PREDICTION = 0.001
 """What `law_harmonics` leaves out, of the harmonic."""
 _THIRD, _EVEN = ORDERS.index(3), [ORDERS.index(2), ORDERS.index(4)]
 
@@ -30,7 +30,7 @@ def predicted_harmonics(
 ) -> list[Complexes]:
     """A fitted law's harmonics (rad) in each class."""
     values = dict(zip(fit.names, fit.values.tolist(), strict=True))
-    return [one.mean(lambda a: law_harmonics(fit.law, values, pendulum, a, ORDERS)) for one in classes]
+    return [one.mean(lambda a: law_harmonics(fit.law, values, pendulum, a)) for one in classes]
 
 
 def waveform_chances(

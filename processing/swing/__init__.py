@@ -7,5 +7,13 @@ from processing.swing.known_motion import KnownMotion
 from processing.swing.modes import TwoModes, separate_modes
 from processing.swing.noise import estimate_noise
 from processing.swing.spectrum import ResidualSpectrum, residual_spectrum
-from processing.swing.stacked_swing import ORDERS, HarmonicClass, cycle_harmonics, harmonic_classes
 from processing.swing.swing import Swing, SwingFlag, TurningPoints, turning_points
+from processing.swing.swing_harmonics import (
+    HALVES,
+    ORDERS,
+    HarmonicClass,
+    HarmonicsWatch,
+    SwingHarmonics,
+    SwingTerms,
+    harmonic_classes,
+)

@@ -155,16 +155,16 @@ def _residuals(samples: Deflections, first: Swing, motion: KnownMotion) -> Cycle
     relative = (samples.y[rows, None] - state[CENTRE]) / motion.reference
     shared = np.column_stack([jacobian[:, ~_OWN], by_time * relative ** np.arange(1, _TIMING + 1)])
     weight = samples.u_y[rows] ** -2.0
-    fast = _fast_mode(tau_s[rows], samples.x[rows], own)
+    fast = fast_mode(tau_s[rows], samples.x[rows], own)
     if fast is not None:
         own = np.column_stack([own, fast])
-    left = _without(residual, own, np.sqrt(weight))
+    left = without(residual, own, np.sqrt(weight))
     size = np.abs(left) * np.sqrt(weight)
     far = size > _GATE * max(1.0, MAD_TO_SIGMA * float(np.median(size)))
     return CycleResiduals(samples.y[rows] - left, residual, np.where(far, 0.0, weight), own, shared)
 
 
-def _without(values: Floats, columns: Floats, root_weight: Floats | float = 1.0) -> Floats:
+def without(values: Floats, columns: Floats, root_weight: Floats | float = 1.0) -> Floats:
     """Values (n,) without what the columns (n, q) explain of them."""
     size = np.sqrt(np.sum(columns**2, axis=0))
     scaled = columns / np.where(size > 0.0, size, 1.0)
@@ -174,7 +174,7 @@ def _without(values: Floats, columns: Floats, root_weight: Floats | float = 1.0)
     )
 
 
-def _fast_mode(tau_s: Floats, fast: Floats, own: Floats) -> Floats | None:
+def fast_mode(tau_s: Floats, fast: Floats, own: Floats) -> Floats | None:
     """Cosine and sine of the strongest line in the fast deflection, if it has one, and both times the time.
 
     What of it is seen along the slow axis would scatter the residuals by more than most errors of the sensor.
@@ -182,7 +182,7 @@ def _fast_mode(tau_s: Floats, fast: Floats, own: Floats) -> Floats | None:
     """
     if not np.isfinite(fast).all():
         return None
-    left = _without(fast, own)
+    left = without(fast, own)
     count = 4 * len(tau_s)
     even_s = np.linspace(tau_s[0], tau_s[-1], len(tau_s))
     window = np.hanning(len(tau_s))

@@ -43,7 +43,7 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law]) -> ComparedLaws | None:
     exact, pendulum = run.fits.get(FitMethod.EXACT), run.results.pendulum
     if exact is None or pendulum is None:
         return None
-    compared = compare_laws(run.points, pendulum, laws, drag=exact.has_drag, known=[exact])
+    compared = compare_laws(run.points, pendulum, laws, like=exact)
     free = _without_law(run.points, pendulum, compared)
     remaining = [trial.law.name for trial in compared.remaining]
     values = _values(compared)

@@ -5,7 +5,15 @@ from dataclasses import dataclass
 
 from processing.contact import PendulumOnBall, surface_energy
 from processing.errors import DataError
-from processing.fit import FitMethod, FitResult, fit_asymptotic, fit_exact, with_place_errors
+from processing.fit import (
+    NO_EVIDENCE,
+    Evidence,
+    FitMethod,
+    FitResult,
+    fit_asymptotic,
+    fit_exact,
+    with_place_errors,
+)
 from processing.swing import TurningPoints
 from rig.analysis.contact_results import SurfaceEnergies
 from rig.analysis.settled import loss_of
@@ -26,10 +34,14 @@ def fit_decay(
     pendulum: PendulumOnBall | None,
     settings: FitSettings,
     exact: FitResult | None = None,
+    *,
+    drag: bool = True,
+    evidence: Evidence = NO_EVIDENCE,
 ) -> DecayFits:
     """Asymptotic and exact fit of turning points; a decay that cannot be fitted is said, not raised.
 
-    `exact` is the exact fit of these points where it has been made.
+    `exact` is the exact fit of these points where it has been made; otherwise a `drag` is fitted or not, and
+    `evidence` restrains the fit.
     """
     if pendulum is None:
         return DecayFits(
@@ -38,11 +50,11 @@ def fit_decay(
     loss, printed_curvature = loss_of(settings), settings.printed_055
     try:
         if exact is None:
-            exact = fit_exact(points, pendulum, drag=settings.drag, loss=loss)
+            exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
         asymptotic = fit_asymptotic(
             points,
             pendulum,
-            drag=settings.drag,
+            drag=exact.has_drag,
             loss=loss,
             printed_curvature=printed_curvature,
             exact=exact,

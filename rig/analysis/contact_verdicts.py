@@ -151,9 +151,9 @@ def evaluate(
     drag: Drag | None = None
     determinations: tuple[Determination, ...] = ()
     try:
-        drag = drag_verdict(points, pendulum, loss=exact.loss, without=None if exact.has_drag else exact)
+        drag = drag_verdict(points, pendulum, exact)
         if drag.significant and not exact.has_drag:
-            notes.append("the reported fit leaves that drag out; fit.drag = true reports the fit with it")
+            notes.append("the reported fit leaves that drag out: fit.drag = 'vacuum' asks for it")
     except DataError as error:
         notes.append(f"no drag verdict: {error}")
     try:

@@ -1,7 +1,7 @@
 """What is said about a run's fits beyond their numbers, the same on the terminal and in reports."""
 
 from processing.estimate import Determinacy, Estimate
-from processing.fit import BaseMotion, Drag, FitMethod, Ground
+from processing.fit import BaseMotion, Drag, DragFinding, FitMethod, Ground
 from rig.analysis.headline import headline
 from rig.analysis.results import RunResults
 from rig.presentation import plain, quantity, with_uncertainty
@@ -69,13 +69,20 @@ def _cost(ground: Ground) -> str:
 
 
 def _drag_sentence(drag: Drag) -> str:
-    numbers = (
-        f"{drag.finding.capitalize()}: {quantity('drag_s').text(*drag.drag_s)} s, "
-        f"F = {plain(drag.f_statistic, 3)} (chance {plain(drag.p_value, 2)}), AIC {drag.aic_difference:+.1f}"
-    )
-    if drag.significant:
-        numbers += (
-            f"; fitted with it, b moves by {100 * drag.relative_shift_b:+.2f} % and c by "
-            f"{100 * drag.relative_shift_c:+.2f} %"
-        )
-    return f"{numbers}.".replace("-", "−")
+    """What the data say of a drag, and whose value stands where they say nothing."""
+    shown = quantity("drag_s")
+    by_b, by_c = (f"{100 * shift:+.3g} %" for shift in (drag.relative_shift_b, drag.relative_shift_c))
+    moved = f"with it b moves by {by_b} and c by {by_c}"
+    match drag.finding:
+        case DragFinding.SEEN:
+            said = f"{shown.text(*drag.drag_s)} s; {moved}"
+        case DragFinding.OPEN if drag.known_s is not None:
+            said = (
+                f"it is what is known of the air, {shown.text(*drag.known_s)} s, whose doubt is in every "
+                f"uncertainty; {moved}"
+            )
+        case DragFinding.OPEN:
+            said = f"{shown.text(*drag.drag_s)} s; state what is known of the air (fit.drag)"
+        case _:
+            said = f"{shown.text(*drag.of_data_s)} s, chance {plain(drag.p_value, 2)}"
+    return f"{drag.finding.capitalize()}: {said}.".replace("-", "−")

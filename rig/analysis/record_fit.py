@@ -14,13 +14,15 @@ from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.fit import FitMethod, FitResult, RigQuantities
+from processing.periods import mean_period
 from processing.spot import BeamUse
 from processing.surroundings import Surroundings
-from processing.swing import Swing, TurningPoints
+from processing.swing import Swing, SwingHarmonics, TurningPoints
 from rig.analysis.beam import Beam
 from rig.analysis.contact_laws import DecayFits, fit_decay
 from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import evaluate, fit_results, rig_quantities
+from rig.analysis.fitted_drag import OPEN_DRAG, evidence_of, known_drag
 from rig.analysis.other_instruments import Reduction, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.passing_deflections import PassingDeflections
@@ -30,7 +32,7 @@ from rig.analysis.run_conditions import run_conditions
 from rig.analysis.settled import points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
-from rig.analysis.surroundings import doubts_of, expected_drag, recorded_surroundings
+from rig.analysis.surroundings import doubts_of, recorded_surroundings
 from rig.instrument import (
     earlier_schema,
     inputs_sha256,
@@ -58,6 +60,7 @@ class AnalysedRun:
     fits: Mapping[str, FitResult]
     rig: RigQuantities | None = None
     reduction: Reduction | None = None
+    harmonics: SwingHarmonics | None = None
     lost_spots: int = 0
     earlier_schema: str = ""
     watched: Watched | None = None
@@ -166,10 +169,15 @@ def analyse_swings(
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
         return _reduced(path, swings, config, joined(deflections, unit), air)
     pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
-    settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate)
+    drag, of_air = OPEN_DRAG, None
+    detected = points_in_true_time(swings, clock_rate)
+    if pendulum is not None and len(detected) > 1:
+        drag, of_air = known_drag(config, air, pendulum, mean_period(detected))
+    settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
     points = points_in_true_time(settled.swings, clock_rate)
     if unit is DeflectionUnit.RAD:
-        decay = fit_decay(points, pendulum, config.fit, settled.exact)
+        evidence = evidence_of(drag, settled.harmonics)
+        decay = fit_decay(points, pendulum, config.fit, settled.exact, drag=drag.fitted, evidence=evidence)
     else:
         decay = DecayFits(
             {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
@@ -193,11 +201,10 @@ def analyse_swings(
         exact = decay.fits[FitMethod.EXACT]
         results = evaluate(results, points, pendulum, exact, rig, seed)
         if results.drag is not None:
-            of_air = expected_drag(air, pendulum, exact.mean_period_s.value, config)
             results = replace(results, drag=replace(results.drag, of_air=of_air))
     if errors is not None:
         results = replace(results, notes=(*results.notes, errors.text))
-    return AnalysedRun(path, results, points, decay.fits, rig)
+    return AnalysedRun(path, results, points, decay.fits, rig, harmonics=settled.harmonics)
 
 
 def _reduced(

@@ -10,6 +10,7 @@ from processing.contact import PendulumOnBall
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import (
+    Evidence,
     FitResult,
     PlaceErrors,
     describes_as_well,
@@ -23,7 +24,16 @@ from processing.fit import (
 )
 from processing.least_squares import Loss
 from processing.position_map import PositionMap, PositionMapSearch
-from processing.swing import CycleWatch, KnownMotion, Swing, TurningPoints, turning_points
+from processing.swing import (
+    CycleWatch,
+    HarmonicsWatch,
+    KnownMotion,
+    Swing,
+    SwingHarmonics,
+    TurningPoints,
+    turning_points,
+)
+from rig.analysis.fitted_drag import OPEN_DRAG, FittedDrag, evidence_of
 from rig.settings import FitSettings
 
 
@@ -38,7 +48,8 @@ class Settled(NamedTuple):
 
     `exact` is the fit to them, where one was made, and `doubt` says why they were not measured again.
     `position_map` are the errors of position that were taken off the deflections, where the run shows any;
-    the uncertainties of `exact` then hold what is left of them.
+    the uncertainties of `exact` then hold what is left of them. `harmonics` are those of the swing, for which
+    there have to be deflections in rad.
     """
 
     swings: Sequence[Swing]
@@ -46,6 +57,7 @@ class Settled(NamedTuple):
     exact: FitResult | None = None
     doubt: str = ""
     position_map: PositionMap | None = None
+    harmonics: SwingHarmonics | None = None
 
 
 def settled_swings(
@@ -55,11 +67,12 @@ def settled_swings(
     pendulum: PendulumOnBall | None,
     settings: FitSettings,
     clock_rate: float = 1.0,
+    drag: FittedDrag = OPEN_DRAG,
 ) -> Settled:
     """The half-cycles as they stand once the motion is known from all of them.
 
-    `blocks` are consecutive deflections, in `unit`, in which the swings were detected; they pass once
-    more where the run shows errors of position.
+    `blocks` are consecutive deflections, in `unit`, in which the swings were detected; they pass once for
+    the harmonics of the swing, once for the motion, and again where the run shows errors of position.
 
     They stay as they were detected where the laws cannot be fitted, which need deflections in rad, and where
     the laws describe the second measurement worse than the first; their uncertainties then hold by how much
@@ -67,18 +80,22 @@ def settled_swings(
     """
     if pendulum is None or unit is not DeflectionUnit.RAD:
         return Settled(swings, None)
+    waveform = HarmonicsWatch(swings)
+    for block in blocks:
+        waveform.update(block)
+    harmonics = waveform.found()
     points = points_in_true_time(swings, clock_rate)
-    fit = _Fit(pendulum, settings, clock_rate)
+    fit = _Fit(pendulum, settings, clock_rate, drag.fitted, evidence_of(drag, harmonics))
     try:
         first = fit.of(swings)
         motion = known_motion(first.parameters, pendulum, float(points.amplitude[0]), clock_rate)
     except DataError:
-        return Settled(swings, None)
+        return Settled(swings, None, harmonics=harmonics)
     watch = CycleWatch(swings, motion)
     turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turned), max(turned), watch.cycles)
     again = measured_again(swings, _watched(blocks, watch, search), motion)
-    settled = _settled(swings, again, motion, first, fit)
+    settled = _settled(swings, again, motion, first, fit)._replace(harmonics=harmonics)
     found = search.found()
     if found is None:
         return settled
@@ -89,7 +106,7 @@ def settled_swings(
             "turning points without them no better: they stand uncorrected"
         )
         return settled._replace(doubt="; ".join(filter(None, [settled.doubt, doubt])))
-    return corrected
+    return corrected._replace(harmonics=harmonics)
 
 
 class _Fit(NamedTuple):
@@ -98,12 +115,15 @@ class _Fit(NamedTuple):
     pendulum: PendulumOnBall
     settings: FitSettings
     clock_rate: float
+    drag: bool
+    evidence: Evidence
 
     def of(self, swings: Sequence[Swing], near: FitResult | None = None) -> FitResult:
         return fit_exact(
             points_in_true_time(swings, self.clock_rate),
             self.pendulum,
-            drag=self.settings.drag,
+            drag=self.drag,
+            evidence=self.evidence,
             loss=loss_of(self.settings),
             near=near,
         )

@@ -7,16 +7,12 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
 from processing.contact import PendulumOnBall
-from processing.deflections import DeflectionUnit, joined
 from processing.fit import CONTRADICTED, LawComparison, predicted_harmonics, waveform_chances
-from processing.swing import ORDERS, HarmonicClass, cycle_harmonics, harmonic_classes
-from processing.ticks import seconds
+from processing.swing import ORDERS, HarmonicClass, harmonic_classes
 from rig.analysis.law_results import ComparedLaws, Harmonics, WaveformClass
-from rig.analysis.record_fit import AnalysedRun, clock_rate_of
-from rig.instrument import recorded_configuration
+from rig.analysis.record_fit import AnalysedRun
 from rig.presentation import Cell, Table
 
 _THIRD = ORDERS.index(3)
@@ -26,16 +22,7 @@ def with_waveform(
     values: ComparedLaws, run: AnalysedRun, pendulum: PendulumOnBall, compared: LawComparison
 ) -> ComparedLaws:
     """The laws with what the record's deflections say of them; unchanged where they say nothing."""
-    stored = run.results.turning_points
-    if stored is None:
-        return values
-    with RecordReader(run.record) as reader:
-        if reader.deflection_unit is not DeflectionUnit.RAD:
-            return values
-        deflections = joined(reader.deflection_blocks(), DeflectionUnit.RAD)
-        rate = clock_rate_of(recorded_configuration(reader))
-    time_s = np.asarray(seconds(deflections.times_ns - stored.first_ns) * rate, dtype=np.float64)
-    classes = harmonic_classes(cycle_harmonics(time_s, deflections.y, run.points))
+    classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
     if not classes:
         return values
     predicted = {

@@ -187,7 +187,7 @@ class Recording:
             frames = counts.numbered(taken)
             block = pipeline.process(frames)
             if parts.posterior is not None:
-                parts.posterior.take(block.swings)
+                parts.posterior.take(block.swings, block.deflections)
             entry = counts.entry(frames, block, pipeline)
             clock, clock_steps = (None, []) if anchors is None else anchors.take(counts.last_ns)
             new = [*entry.events, *steps.take(block), *clock_steps, *self._device_events(counts.last_ns)]

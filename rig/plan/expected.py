@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
 from processing.contact import DEFAULT_LAW, PendulumOnBall
+from processing.deflections import slow_deflections
 from processing.errors import ConfigurationError, DataError
-from processing.fit import Conditions, FitMethod
+from processing.fit import Conditions, FitMethod, sine_covariance
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
-from processing.swing import SwingDetector, turning_points
+from processing.swing import HarmonicsWatch, SwingDetector, turning_points
 from processing.ticks import nanoseconds
-from rig.analysis import SessionResults, read_results
+from rig.analysis import SessionResults, known_drag, read_results, stated_surroundings
 from rig.instrument import complete, pendulum_on_ball, sensor_model
 from rig.settings import Configuration, load_configuration
 
@@ -51,10 +52,17 @@ def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> 
     if pendulum is None:
         raise ConfigurationError("rig plan needs [pendulum]: state mass_kg and ball_radius_m")
     contact = config.simulation.contact
-    values = {name: float(getattr(contact, name)) for name in DEFAULT_LAW.names()}
+    drag, _ = known_drag(config, stated_surroundings(config), pendulum, contact.period0_s)
+    values = {name: float(getattr(contact, name)) for name in DEFAULT_LAW.names(drag=drag.fitted)}
     noise_rad = _frame_noise_rad(config) if frame_noise_rad is None else frame_noise_rad
-    u_rad, u_time_s = _of_turning_points(config, noise_rad)
-    conditions = Conditions(u_rad, u_time_s * _AMPLITUDE_RAD, _drive(config, pendulum))
+    u_rad, u_time_s, of_sine = _of_swings(config, noise_rad)
+    conditions = Conditions(
+        u_rad,
+        u_time_s * _AMPLITUDE_RAD,
+        _drive(config, pendulum),
+        of_sine=of_sine,
+        known_drag_s=drag.known_s,
+    )
     return Expected(values, pendulum, conditions, config.session.max_duration_s)
 
 
@@ -78,7 +86,8 @@ def _contact_of(results: Path) -> dict[str, float]:
     for run in found.runs if isinstance(found, SessionResults) else ():
         if FitMethod.EXACT in run.fits:
             parameters = run.fits[FitMethod.EXACT].parameters
-            return {name: parameters[name].value for name in DEFAULT_LAW.names()}
+            known = DEFAULT_LAW.names(drag=True)
+            return {name: parameters[name].value for name in known if name in parameters}
     raise DataError(f"{results}: no run in it has a fit of the contact; name another, or leave --contact out")
 
 
@@ -131,8 +140,9 @@ def _tracked_u_px(sensor: SensorModel, peak_dn: float, sigma_px: float) -> float
     return float(np.nanmedian(found))
 
 
-def _of_turning_points(config: Configuration, noise_rad: float) -> tuple[float, float]:
-    """Uncertainties of amplitude (rad) and time (s) that the swing detector finds at this noise of a frame.
+def _of_swings(config: Configuration, noise_rad: float) -> tuple[float, float, NDArray[np.float64] | None]:
+    """Uncertainties of amplitude (rad) and time (s) that the swing detector finds at this noise of a frame,
+    and the covariance of the harmonics in quadrature.
 
     Air and a wandering beam bend the swing as the simulated rig has them, if it is the camera.
     """
@@ -148,14 +158,17 @@ def _of_turning_points(config: Configuration, noise_rad: float) -> tuple[float, 
         swing_rad += np.fft.irfft(np.append(0.0, waves), len(time_s))
     detector = SwingDetector()
     u_rad = np.full(len(time_s), noise_rad)
-    swings = detector.update(nanoseconds(time_s), swing_rad, u_rad)
-    points = turning_points([*swings, *detector.finish()])
+    seen = slow_deflections(nanoseconds(time_s), swing_rad, u_rad)
+    swings = [*detector.update(seen.times_ns, seen.y, seen.u_y), *detector.finish()]
+    points, waveform = turning_points(swings), HarmonicsWatch(swings)
+    waveform.update(seen)
     if len(points) < _HALF_CYCLES // 2:
         raise ConfigurationError(
             f"{rate_hz:g} frames/s show a swing of {period_s:g} s too seldom: raise camera.frame_rate_hz"
         )
     later = slice(len(points) // 2, None)
-    return float(np.median(points.u_amplitude[later])), float(np.median(points.u_time_s[later]))
+    u_amplitude, u_time = points.u_amplitude[later], points.u_time_s[later]
+    return float(np.median(u_amplitude)), float(np.median(u_time)), sine_covariance(waveform.found())
 
 
 def _slow_density(config: Configuration, at_hz: NDArray[np.float64]) -> NDArray[np.float64]:

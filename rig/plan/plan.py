@@ -31,7 +31,9 @@ class Plan:
 
     def relative(self, run: PlannedRun) -> dict[str, float]:
         """Uncertainty over value, by parameter."""
-        return {name: u / abs(self.values[name]) for name, u in run.u.items()}
+        return {
+            name: u / abs(self.values[name]) if self.values[name] else math.inf for name, u in run.u.items()
+        }
 
 
 def plan_runs(
@@ -89,13 +91,17 @@ def plan_expected(
     return Plan(conditions, values, tuple(runs), tuple(sorted(set(counts))), longest_s)
 
 
+def _share(u: float, value: float) -> str:
+    """An uncertainty over its value, or beside it where that is none: no drag."""
+    return f"{100 * u / abs(value):.2g} %" if value else f"{u:.2g}"
+
+
 def plan_table(plan: Plan) -> Table:
     """A row for every run or series: time of all runs, and the relative uncertainty of every parameter."""
     names = list(plan.runs[0].u)
     rows: list[list[Cell]] = []
     shown = []
     for run, count in product(plan.runs, plan.counts):
-        relative = plan.relative(run)
         first, last = run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD
         times, all_s = 1 / math.sqrt(count), count * run.duration_s
         u = [times * run.u[name] for name in names]
@@ -104,7 +110,7 @@ def plan_table(plan: Plan) -> Table:
         drowned += "" if run.duration_s <= plan.longest_s else " *"
         shown.append(
             [f"{first:g} to {last:g}{drowned}", f"{count}", f"{all_s / 60:.1f}"]
-            + [f"{100 * times * relative[name]:.2g} %" for name in names]
+            + [_share(times * run.u[name], plan.values[name]) for name in names]
         )
     too_long = ""
     if any(run.duration_s > plan.longest_s for run in plan.runs):

@@ -8,9 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
+from processing.deflections import Deflections
 from processing.estimate import Estimate
-from processing.swing import Swing, TurningPoints
-from rig.posterior.messages import FittedModel, FittedParameters
+from processing.swing import HarmonicsWatch, Swing, SwingHarmonics
+from rig.posterior.messages import Fitted, FittedModel, FittedParameters
 from rig.rerun import start_python
 
 
@@ -33,9 +34,9 @@ class FittingProcess:
     def pid(self) -> int:
         return self._process.pid
 
-    def fit(self, points: TurningPoints) -> FittedParameters | None:
+    def fit(self, asked: Fitted) -> FittedParameters | None:
         """Fit, and wait for the answer; None if the process has died."""
-        self._send(points)
+        self._send(asked)
         if self._process.stdout is None:
             return None
         try:
@@ -99,8 +100,8 @@ class LivePosterior:
     ----------
     model
         What is fitted.
-    points_of
-        Turning points of swings, on a true clock.
+    asked_of
+        Turning points of swings and their harmonics, on a true clock, and what restrains their fit.
     in_step
         Frames are made on demand: `take` waits for every fit that is due, whatever its share of a core, so
         that a run that ends by what it knows repeats exactly.
@@ -109,13 +110,14 @@ class LivePosterior:
     def __init__(
         self,
         model: FittedModel,
-        points_of: Callable[[Sequence[Swing]], TurningPoints],
+        asked_of: Callable[[Sequence[Swing], SwingHarmonics], Fitted],
         *,
         in_step: bool = False,
     ) -> None:
-        self._model, self._points_of, self._in_step = model, points_of, in_step
+        self._model, self._asked_of, self._in_step = model, asked_of, in_step
         self._changed = threading.Condition()
         self._swings: list[Swing] = []
+        self._waveform = HarmonicsWatch()
         self._run = 0
         self._due_half_cycles = FIRST_HALF_CYCLES
         self._due_s = 0.0
@@ -145,16 +147,21 @@ class LivePosterior:
         with self._changed:
             self._run += 1
             self._swings = []
+            self._waveform = HarmonicsWatch()
             self._due_half_cycles = FIRST_HALF_CYCLES
             self._latest = NOTHING
 
-    def take(self, swings: Sequence[Swing]) -> None:
-        """Half-cycles that follow."""
+    def take(self, swings: Sequence[Swing], deflections: Deflections) -> None:
+        """Deflections that follow, and the half-cycles that end with them."""
         good = [swing for swing in swings if not swing.flags]
-        if not good or self._over:
+        if self._over:
             return
         with self._changed:
+            self._waveform.update(deflections)
+            self._waveform.add(swings)
             self._swings += good
+            if not good:
+                return
             if len(self._swings) < self._due_half_cycles:
                 return
             if self._thread.ident is None:
@@ -194,8 +201,8 @@ class LivePosterior:
 
     def _fit_with(self, process: FittingProcess) -> None:
         while (asked := self._next()) is not None:
-            run, swings = asked
-            found = process.fit(self._points_of(swings))
+            run, swings, harmonics = asked
+            found = process.fit(self._asked_of(swings, harmonics))
             if found is None:
                 self._end("the process that fits while the run is measured has died")
                 return
@@ -207,8 +214,8 @@ class LivePosterior:
                         self._latest = Posterior(len(swings), found.estimates)
                 self._changed.notify_all()
 
-    def _next(self) -> tuple[int, list[Swing]] | None:
-        """The swings of the next fit once it is due, and the run that they belong to; None at the end."""
+    def _next(self) -> tuple[int, list[Swing], SwingHarmonics] | None:
+        """Run, swings and harmonics of the next fit once it is due; None at the end."""
         with self._changed:
             while not self._over:
                 left_s = 0.0 if self._in_step else self._due_s - time.monotonic()
@@ -217,7 +224,7 @@ class LivePosterior:
                 elif left_s > 0:
                     self._changed.wait(left_s)
                 else:
-                    return self._run, list(self._swings)
+                    return self._run, list(self._swings), self._waveform.found()
         return None
 
     def _end(self, why: str) -> None:

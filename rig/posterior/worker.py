@@ -11,8 +11,7 @@ from contextlib import suppress
 
 from processing.errors import DataError
 from processing.fit import FitResult, fit_exact
-from processing.swing import TurningPoints
-from rig.posterior.messages import FittedModel, FittedParameters
+from rig.posterior.messages import Fitted, FittedModel, FittedParameters
 
 
 def main() -> None:
@@ -28,22 +27,29 @@ def main() -> None:
     with suppress(EOFError, OSError):
         model: FittedModel = pickle.load(incoming)
         while True:
-            points: TurningPoints = pickle.load(incoming)
+            asked: Fitted = pickle.load(incoming)
             if not warm:
                 # the first fit of a process loads its kernels, which says nothing of what a fit costs
-                _fitted(points, model, None)
+                _fitted(asked, model, None)
                 warm = True
-            near, answer = _fitted(points, model, near)
+            near, answer = _fitted(asked, model, near)
             pickle.dump(answer, outgoing)
             outgoing.flush()
 
 
 def _fitted(
-    points: TurningPoints, model: FittedModel, near: FitResult | None
+    asked: Fitted, model: FittedModel, near: FitResult | None
 ) -> tuple[FitResult | None, FittedParameters]:
     began_s = time.process_time()
     try:
-        fit = fit_exact(points, model.pendulum, drag=model.drag, loss=model.loss, near=near)
+        fit = fit_exact(
+            asked.points,
+            model.pendulum,
+            drag=model.drag,
+            evidence=asked.evidence,
+            loss=model.loss,
+            near=near,
+        )
     except DataError as error:
         return near, FittedParameters({}, str(error), time.process_time() - began_s)
     found = {name: fit.estimate(name) for name in fit.contact_names}

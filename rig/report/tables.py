@@ -110,21 +110,22 @@ def work_table(results: RunResults) -> Table:
 
 
 def drag_table(results: RunResults) -> Table:
-    """The comparison of the exact fit with and without a linear drag."""
+    """What the data and the air say of a linear drag, and what it does to b and c."""
     drag = results.drag
     if drag is None:
         return Table("drag", "", (), ())
-    keys = ("f_statistic", "p_value", "aic_difference", "relative_shift_b", "relative_shift_c")
+    keys = ("upper_95_s", "f_statistic", "p_value", "relative_shift_b", "relative_shift_c")
     rows: list[list[Cell]] = [["drag_s", drag.drag_s.value], ["u_drag_s", drag.drag_s.standard_uncertainty]]
+    rows += [["of_data_s", drag.of_data_s.value], ["u_of_data_s", drag.of_data_s.standard_uncertainty]]
     rows += [[key, getattr(drag, key)] for key in keys]
     rows.append(["significant", str(drag.significant)])
     shown = [
         ["linear drag", f"{quantity('drag_s').text(*drag.drag_s)} s"],
+        ["by decay and waveform alone", f"{quantity('drag_s').text(*drag.of_data_s)} s"],
         *_of_air(drag.of_air),
         ["F-test", f"F = {plain(drag.f_statistic, 3)}, chance without drag {plain(drag.p_value, 2)}"],
-        ["AIC with − without", plain(drag.aic_difference, 3)],
     ]
-    if drag.significant:
+    if math.isfinite(drag.relative_shift_b):
         shown += [
             ["b moves by", f"{100 * drag.relative_shift_b:+.2f} %".replace("-", "−")],
             ["c moves by", f"{100 * drag.relative_shift_c:+.2f} %".replace("-", "−")],

@@ -138,7 +138,33 @@ class FitSettings(Section, frozen=True):
     robust: bool = Field(
         default=False, description="use a loss function that is robust to outlying half-cycles"
     )
-    drag: bool = Field(default=False, description="also report the fits with a linear drag term")
+    drag: Literal["air", "open", "vacuum"] = Field(
+        default="air",
+        description="the drag: about what the air exerts; open: nothing is known of it; vacuum: none",
+    )
+    drag_s: float | None = Field(
+        default=None,
+        ge=0,
+        description="measured, in the place of the air's estimate; moment -m g R drag phi'",
+    )
+    u_drag_s: float = Field(default=0.0, ge=0)
+
+    @property
+    def fits_drag(self) -> bool:
+        """Whether a drag is among the parameters."""
+        return self.drag != "vacuum"
+
+    @model_validator(mode="after")
+    def _drag_is_one(self) -> Self:
+        if self.drag_s is None:
+            return self
+        if self.drag != "air":
+            raise ValueError(
+                f"drag_s = {self.drag_s:g} is of the air, and drag = {self.drag!r}: state one of them"
+            )
+        if not self.u_drag_s > 0:
+            raise ValueError(f"drag_s = {self.drag_s:g} needs its standard uncertainty u_drag_s")
+        return self
 
 
 class Configuration(Section, frozen=True):
@@ -177,7 +203,7 @@ class Configuration(Section, frozen=True):
                 f"session.initial_amplitude_arcsec = {self.session.initial_amplitude_arcsec:g}"
             )
         try:
-            stop_conditions(self.session.stop_when, drag=self.fit.drag)
+            stop_conditions(self.session.stop_when, drag=self.fit.fits_drag)
         except ValueError as error:
             raise ValueError(f"session.stop_when: {error}") from None
         return self
@@ -196,7 +222,7 @@ class Configuration(Section, frozen=True):
     @property
     def stop_conditions(self) -> tuple[StopCondition, ...]:
         """Those of `session.stop_when`."""
-        return stop_conditions(self.session.stop_when, drag=self.fit.drag)
+        return stop_conditions(self.session.stop_when, drag=self.fit.fits_drag)
 
     @property
     def deflection_unit(self) -> DeflectionUnit:

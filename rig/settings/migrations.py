@@ -27,7 +27,15 @@ def _without_gone_keys(tree: Tree) -> Tree:
     return reduce(_without, GONE, tree)
 
 
-CONFIGURATION_STEPS: Final[Sequence[Step]] = (_without_gone_keys,)
+def _drag_by_name(tree: Tree) -> Tree:
+    """A drag was fitted or not; that none was is no statement about the air, and today's default holds."""
+    fit = tree.get("fit")
+    if not isinstance(fit, Mapping) or "drag" not in fit:
+        return tree
+    return {**tree, "fit": {**fit, "drag": "open"}} if fit["drag"] is True else _without(tree, "fit.drag")
+
+
+CONFIGURATION_STEPS: Final[Sequence[Step]] = (_without_gone_keys, _drag_by_name)
 """The first makes schema 2 from schema 1, and so on."""
 SCHEMA: Final = 1 + len(CONFIGURATION_STEPS)
 

@@ -60,7 +60,7 @@ def stop_conditions(texts: Sequence[str], *, drag: bool) -> tuple[StopCondition,
     found = tuple(stop_condition(text) for text in texts)
     for text, condition in zip(texts, found, strict=True):
         if condition.parameter == DRAG.key and not drag:
-            raise ValueError(f"{text!r}: the drag is fitted with fit.drag = true only")
+            raise ValueError(f"{text!r}: fit.drag = 'vacuum' fits none")
     return found
 
 

@@ -17,23 +17,24 @@ STEPS = 500
 
 
 @njit(cache=True)
-def _acceleration(x: float, direction: float, law: Floats) -> float:
-    """Eq. 4 with the moments of Eqs. 1 and 3: law = w0^2, b, p, c, n, kappa, R/a."""
+def _acceleration(x: float, v: float, direction: float, law: Floats) -> float:
+    """Eq. 4 with Eqs. 1 and 3 and the air: law = w0^2, b, p, c, n, kappa, R/a, drag, drag32."""
     size = abs(x)
     elastic = law[5] * size ** (law[4] + 1.0) * (0.5 * math.pi - law[6] * size)
-    return law[0] * (-x + math.copysign(elastic, x) - direction * (law[3] + law[1] * size ** law[2]))
+    air = (law[7] + law[8] * math.sqrt(abs(v))) * v
+    return law[0] * (-x + math.copysign(elastic, x) - direction * (law[3] + law[1] * size ** law[2]) - air)
 
 
 @njit(cache=True)
 def _advance(x: float, v: float, direction: float, dt: float, law: Floats) -> tuple[float, float]:
     """One step of Runge and Kutta."""
-    a1 = _acceleration(x, direction, law)
-    a2 = _acceleration(x + 0.5 * dt * v, direction, law)
+    a1 = _acceleration(x, v, direction, law)
     v2 = v + 0.5 * dt * a1
-    a3 = _acceleration(x + 0.5 * dt * v2, direction, law)
+    a2 = _acceleration(x + 0.5 * dt * v, v2, direction, law)
     v3 = v + 0.5 * dt * a2
+    a3 = _acceleration(x + 0.5 * dt * v2, v3, direction, law)
     v4 = v + dt * a3
-    a4 = _acceleration(x + dt * v3, direction, law)
+    a4 = _acceleration(x + dt * v3, v4, direction, law)
     return x + dt * (v + 2 * v2 + 2 * v3 + v4) / 6, v + dt * (a1 + 2 * a2 + 2 * a3 + a4) / 6
 
 
@@ -63,7 +64,7 @@ def _integrate(
                 part = left * min(max(v / (v - new_v), 0.0), 1.0) if v != new_v else left
                 for _ in range(4):
                     mid_x, mid_v = _advance(x, v, direction, part, law)
-                    part = min(max(part - mid_v / _acceleration(mid_x, direction, law), 0.0), left)
+                    part = min(max(part - mid_v / _acceleration(mid_x, mid_v, direction, law), 0.0), left)
                 x, _ = _advance(x, v, direction, part, law)
                 v, direction = 0.0, -direction
                 t, left = t + part, left - part
@@ -105,10 +106,12 @@ def driven_path(
     last_arcsec: float = 2.0,
     frames_per_s: float | None = None,
     steps: int = STEPS,
+    drag32: float = 0.0,
 ) -> tuple[Floats, Floats, Floats]:
     """True turning times (s) and deflections (rad), and the deflections at so many frames a second from 0.
 
-    `q` is the one-sided density of the white angular acceleration in rad/s^2/sqrt(Hz).
+    `q` is the one-sided density of the white angular acceleration in rad/s^2/sqrt(Hz); `drag32` (s^1.5) that
+    of a moment that grows with the 3/2 power of the velocity, ``-m g R drag32 |phi'|^0.5 phi'``.
     """
     kappa = (
         2
@@ -120,6 +123,7 @@ def driven_path(
         [
             (2 * np.pi / parameters.period0_s) ** 2, parameters.b, parameters.p, parameters.c,
             parameters.n, kappa, pendulum.ball_radius_m / pendulum.contact_radius_m,
+            parameters.drag_s, drag32,
         ]
     )  # fmt: skip
     dt, keep, path = 0.5 * parameters.period0_s / steps, 1, np.empty(1)

@@ -1,4 +1,4 @@
-"""The third harmonic tells laws apart, and what distorts the swing does not turn the verdict."""
+"""Harmonics tell laws apart and a drag from friction, and what distorts the swing does not turn either."""
 
 from dataclasses import asdict
 
@@ -6,29 +6,43 @@ import numpy as np
 import pytest
 
 from processing.contact import LAWS, PendulumOnBall, law_harmonics
+from processing.deflections import slow_deflections
 from processing.fit import CONTRADICTED, waveform_chances
-from processing.swing import ORDERS, TurningPoints, cycle_harmonics, harmonic_classes
-from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise
+from processing.swing import ORDERS, HarmonicsWatch, SwingDetector, SwingHarmonics, harmonic_classes
+from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
 
 RATE, FRAMES = 50.0, 12_000
 NOISE = 0.0025 * ARCSEC
 PARAMETERS, PENDULUM = paper_pair("glass_k8")
-MEMORY = {"k": PARAMETERS.b / (1 - PARAMETERS.p), "q": PARAMETERS.p, "c": 0.0}
+MEMORY = {
+    "k": PARAMETERS.b / (1 - PARAMETERS.p),
+    "q": PARAMETERS.p,
+    "c": 0.0,
+    "period0_s": PARAMETERS.period0_s,
+}
 """The backbone that loses what b and p lose."""
 
 
 FALSE_FRIENDS = ("lever", "rows", "leak", "fringes", "strong fringes")
 
 
-def four_minutes(seed: int) -> tuple[np.ndarray, np.ndarray, TurningPoints]:
-    """Four minutes of the paper's law: times, angles, turning points."""
-    time_s, angle_rad, path = driven_path(PARAMETERS, PENDULUM, q=3e-9, seed=seed, frames_per_s=RATE)
-    seconds = np.arange(FRAMES) / RATE
-    inside = time_s < seconds[-1]
-    rng = np.random.default_rng(seed + 1)
-    points = with_noise(time_s[inside], np.abs(angle_rad[inside]), PARAMETERS.period0_s, 0.005, rng)
-    return seconds, path[:FRAMES], points
+def four_minutes(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Four minutes of the paper's law: times and angles."""
+    path = driven_path(PARAMETERS, PENDULUM, q=3e-9, seed=seed, frames_per_s=RATE)[2]
+    return np.arange(FRAMES) / RATE, path[:FRAMES]
+
+
+def measured(seconds: np.ndarray, seen: np.ndarray, seed: int = 1) -> SwingHarmonics:
+    """The harmonics of angles that are seen with noise."""
+    noisy = seen + NOISE * np.random.default_rng(seed + 2).standard_normal(len(seen))
+    samples = slow_deflections(np.rint(1e9 * seconds).astype(np.int64), noisy, np.full(len(seen), NOISE))
+    detector = SwingDetector()
+    swings = [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
+    watch = HarmonicsWatch(swings)
+    for begin in range(0, len(samples), 700):
+        watch.update(samples[begin : begin + 700])
+    return watch.found()
 
 
 def distorted(name: str, seconds: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -44,13 +58,12 @@ def distorted(name: str, seconds: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def swing() -> tuple[np.ndarray, np.ndarray, TurningPoints]:
+def swing() -> tuple[np.ndarray, np.ndarray]:
     return four_minutes(1)
 
 
-def chances(seconds: np.ndarray, seen: np.ndarray, points: TurningPoints, seed: int = 1) -> dict[str, float]:
-    noise = NOISE * np.random.default_rng(seed + 2).standard_normal(len(seen))
-    classes = harmonic_classes(cycle_harmonics(seconds, seen + noise, points))
+def chances(seconds: np.ndarray, seen: np.ndarray) -> dict[str, float]:
+    classes = harmonic_classes(measured(seconds, seen))
     assert classes
     laws = {"paper": asdict(PARAMETERS), "masing": MEMORY}
     return waveform_chances(
@@ -65,7 +78,7 @@ def chances(seconds: np.ndarray, seen: np.ndarray, points: TurningPoints, seed: 
 def harmonics(
     name: str, values: dict[str, float], pendulum: PendulumOnBall, amplitude_rad: np.ndarray
 ) -> np.ndarray:
-    return law_harmonics(LAWS[name], values, pendulum, amplitude_rad, ORDERS)
+    return law_harmonics(LAWS[name], values, pendulum, amplitude_rad)
 
 
 def test_harmonics_are_those_of_the_reference() -> None:
@@ -79,16 +92,14 @@ def test_harmonics_are_those_of_the_reference() -> None:
         np.testing.assert_allclose(np.abs(third) / ARCSEC * 1e3, expected, rtol=0.1)
 
 
-def test_the_waveform_names_the_law(swing: tuple[np.ndarray, np.ndarray, TurningPoints]) -> None:
+def test_the_waveform_names_the_law(swing: tuple[np.ndarray, np.ndarray]) -> None:
     found = chances(*swing)
     assert found["paper"] > 1e-3
     assert found["masing"] < CONTRADICTED
 
 
 @pytest.mark.parametrize("distortion", FALSE_FRIENDS)
-def test_false_friends_do_not_turn_it(
-    swing: tuple[np.ndarray, np.ndarray, TurningPoints], distortion: str
-) -> None:
-    seconds, angle, points = swing
-    found = chances(seconds, distorted(distortion, seconds, angle), points)
+def test_false_friends_do_not_turn_it(swing: tuple[np.ndarray, np.ndarray], distortion: str) -> None:
+    seconds, angle = swing
+    found = chances(seconds, distorted(distortion, seconds, angle))
     assert not (found["paper"] < CONTRADICTED < found["masing"])

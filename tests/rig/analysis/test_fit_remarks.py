@@ -11,26 +11,22 @@ from rig.analysis.contact_results import Fit
 from rig.analysis.fit_remarks import ground_sentence, remarks
 from rig.report.tables import drag_table
 
-_SEEN = Drag(drag_s=Estimate(2e-3, 1e-4), p_value=1e-9, significant=True, text="reworded; without a colon")
-
-
-@pytest.mark.parametrize(
-    ("drag", "finding", "said"),
-    [
-        (_SEEN, DragFinding.SEEN, "a linear drag is in the data"),
-        (
-            replace(_SEEN, drag_s=Estimate(-2e-3, 1e-4), significant=False),
-            DragFinding.NEGATIVE,
-            "the data ask for a negative drag",
-        ),
-        (replace(_SEEN, p_value=0.4, significant=False), DragFinding.UNSEEN, "no linear drag is seen"),
-    ],
+_SEEN = Drag(
+    drag_s=Estimate(2e-3, 1e-4),
+    of_data_s=Estimate(2.1e-3, 1.1e-4),
+    known_s=Estimate(1.5e-3, 1e-3),
+    p_value=1e-9,
+    relative_shift_b=-0.012,
+    relative_shift_c=0.034,
+    finding=DragFinding.SEEN,
 )
-def test_a_drag_is_judged_by_its_numbers(drag: Drag, finding: DragFinding, said: str) -> None:
-    results = RunResults(record="run-1.mcap", drag=drag)
-    assert drag.finding is finding
-    assert remarks(results)[0].startswith(f"{said.capitalize()}: ")
-    assert drag_table(results).shown[-1] == ["verdict", said]
+
+
+@pytest.mark.parametrize("finding", DragFinding)
+def test_a_verdict_on_the_drag_is_said_and_shown(finding: DragFinding) -> None:
+    results = RunResults(record="run-1.mcap", drag=replace(_SEEN, finding=finding))
+    assert remarks(results)[0].startswith(f"{finding.capitalize()}: ")
+    assert drag_table(results).shown[-1] == ["verdict", finding]
 
 
 _DRIVEN = Ground(
@@ -76,15 +72,16 @@ def test_the_bases_acceleration_needs_the_height_of_the_mass_centre() -> None:
 
 
 def test_a_drag_that_is_seen_says_what_it_does_to_the_others() -> None:
-    drag = replace(
-        _SEEN, f_statistic=40.0, aic_difference=-36.0, relative_shift_b=-0.012, relative_shift_c=0.034
-    )
-    text = remarks(RunResults(record="run-1.mcap", drag=drag))[0]
-    assert "b moves by −1.20 % and c by +3.40 %" in text
-    assert "F = 40" in text
-    assert "AIC −36.0" in text
-    unseen = remarks(RunResults(record="run-1.mcap", drag=replace(drag, significant=False)))[0]
-    assert "moves" not in unseen
+    text = remarks(RunResults(record="run-1.mcap", drag=_SEEN))[0]
+    assert "(2.00 ± 0.10) × 10⁻³ s" in text
+    assert "b moves by −1.2 % and c by +3.4 %" in text
+
+
+def test_where_the_data_do_not_tell_the_air_is_named_with_its_doubt() -> None:
+    text = remarks(RunResults(record="run-1.mcap", drag=replace(_SEEN, finding=DragFinding.OPEN)))[0]
+    assert "known of the air, (1.5 ± 1.0) × 10⁻³ s, whose doubt is in every uncertainty" in text
+    unknown = replace(_SEEN, finding=DragFinding.OPEN, known_s=None)
+    assert "fit.drag" in remarks(RunResults(record="run-1.mcap", drag=unknown))[0]
 
 
 def test_what_is_hardly_determined_is_said_and_nothing_of_what_is() -> None:

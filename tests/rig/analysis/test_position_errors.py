@@ -7,8 +7,9 @@ import numpy as np
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.fit import fit_exact, known_motion, measured_again
-from processing.swing import turning_points
+from processing.swing import HarmonicsWatch, turning_points
 from rig.analysis import PositionErrors, RunResults, SessionResults, settled_swings
+from rig.analysis.fitted_drag import OPEN_DRAG, evidence_of
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results_file import read_results, write_results
 from rig.report.drawing import svg
@@ -53,12 +54,16 @@ def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
 def test_without_structure_nothing_changes_bit_for_bit() -> None:
     one = run(nothing, seed=1)
     settled = settled_swings(one.swings, in_blocks(one), DeflectionUnit.RAD, one.pendulum, FitSettings())
-    first = fit_exact(turning_points(one.swings), one.pendulum)
+    waveform = HarmonicsWatch(one.swings)
+    for block in in_blocks(one):
+        waveform.update(block)
+    evidence = evidence_of(OPEN_DRAG, waveform.found())
+    first = fit_exact(turning_points(one.swings), one.pendulum, drag=True, evidence=evidence)
     motion = known_motion(first.parameters, one.pendulum, float(turning_points(one.swings).amplitude[0]))
     again = measured_again(one.swings, [one.deflections], motion)
     assert settled.position_map is None
     assert repr(list(settled.swings)) == repr(again)
-    second = fit_exact(turning_points(again), one.pendulum, near=first)
+    second = fit_exact(turning_points(again), one.pendulum, drag=True, evidence=evidence, near=first)
     assert settled.exact is not None
     assert np.array_equal(settled.exact.values, second.values)
     assert np.array_equal(settled.exact.covariance, second.covariance)

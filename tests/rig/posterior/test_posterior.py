@@ -7,11 +7,13 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 
+import numpy as np
 import pytest
 
+from processing.deflections import slow_deflections
 from processing.fit import fit_exact
-from processing.swing import Swing, TurningPoints, turning_points
-from rig.posterior import FIRST_HALF_CYCLES, FittedModel, LivePosterior, Posterior, following
+from processing.swing import Swing, SwingHarmonics, TurningPoints, turning_points
+from rig.posterior import FIRST_HALF_CYCLES, Fitted, FittedModel, LivePosterior, Posterior, following
 from tests.processing.fit.decays import decay, paper_pair
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8")
@@ -31,14 +33,22 @@ def swings(points: TurningPoints) -> list[Swing]:
 def fed(posterior: LivePosterior, half_cycles: Sequence[Swing]) -> Iterator[Posterior]:
     """What is known after each half-cycle."""
     for swing in half_cycles:
-        posterior.take([swing])
+        posterior.take([swing], NO_SAMPLES)
         yield posterior.latest
+
+
+NO_SAMPLES = slow_deflections(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+
+
+def asked_of(half_cycles: Sequence[Swing], _: SwingHarmonics) -> Fitted:
+    """What is fitted of half-cycles in vacuum."""
+    return Fitted(turning_points(half_cycles))
 
 
 @pytest.fixture
 def in_step() -> Iterator[LivePosterior]:
     """Fits that the half-cycles wait for."""
-    posterior = LivePosterior(FittedModel(PENDULUM), turning_points, in_step=True)
+    posterior = LivePosterior(FittedModel(PENDULUM, drag=False), asked_of, in_step=True)
     yield posterior
     posterior.close()
 
@@ -66,7 +76,7 @@ def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(in_step: LivePosteri
     assert list(fed(in_step, rising))[-1] == Posterior()
     assert in_step.take_remark() == ""
     in_step.begin()
-    in_step.take([Swing(0, 0, 1.0, 1.0, 1.0, 2.0, 1.0, 0.0, 1, flags=1)] * FIRST_HALF_CYCLES)
+    in_step.take([Swing(0, 0, 1.0, 1.0, 1.0, 2.0, 1.0, 0.0, 1, flags=1)] * FIRST_HALF_CYCLES, NO_SAMPLES)
     assert in_step.latest == Posterior()
 
 
@@ -91,15 +101,15 @@ def test_beside_a_measurement_a_fit_waits_for_its_share_of_a_core() -> None:
     """At least 20 times the processor time of the one before; that of 40 half-cycles is above 20 ms."""
     asked_s = []
 
-    def points_of(given: Sequence[Swing]) -> TurningPoints:
+    def asked(given: Sequence[Swing], harmonics: SwingHarmonics) -> Fitted:
         asked_s.append(time.monotonic())
-        return turning_points(given)
+        return asked_of(given, harmonics)
 
-    posterior = LivePosterior(FittedModel(PENDULUM), points_of)
+    posterior = LivePosterior(FittedModel(PENDULUM, drag=False), asked)
     posterior.begin()
     measured, sent = swings(POINTS), 0
     for count in (FIRST_HALF_CYCLES, FIRST_HALF_CYCLES + 2, FIRST_HALF_CYCLES + 4):
-        posterior.take(measured[sent:count])
+        posterior.take(measured[sent:count], NO_SAMPLES)
         sent = count
         while posterior.latest.half_cycles < count:
             time.sleep(0.01)

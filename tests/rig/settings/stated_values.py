@@ -14,12 +14,12 @@ from processing.instruments import DEGREE_RAD
 from processing.spot import Spot
 from processing.surroundings import Surroundings
 from processing.swing import Swing
+from rig.analysis import known_drag
 from rig.analysis.base_acceleration import base_motion
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.record_fit import clock_rate_of
-from rig.analysis.surroundings import expected_drag
 from rig.instrument import (
     height_of,
     nominal_effects,
@@ -59,7 +59,7 @@ def apparatus(config: Configuration) -> Any:
     moved = base_motion(Estimate(1e-8, 1e-9), 2e-8, 4.0, config.pendulum)
     pendulum = pendulum_on_ball(config)
     assert pendulum is not None
-    drag = expected_drag(Surroundings(), pendulum, 4.0, config)
+    drag = known_drag(config, Surroundings(), pendulum, 4.0)
     return repr((pendulum, rig_quantities(config), moved, drag))
 
 

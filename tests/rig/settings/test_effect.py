@@ -49,10 +49,10 @@ def test_a_whole_section_is_read_with_any_of_its_keys() -> None:
 
 
 def test_every_key_without_effect_gets_a_line() -> None:
-    keys = ("lever.arm_m", "session.runs", "fit.drag")
+    keys = ("lever.arm_m", "session.runs", "fit.robust")
     here, there = (Watched(stated(), [f"{key}=1" for key in keys], "try elsewhere") for _ in range(2))
     here.refuse_read()
-    assert not here.config.fit.drag
+    assert not here.config.fit.robust
     assert there.config.session.runs == 1
     with pytest.raises(ConfigurationError) as error:
         here.refuse_unread()

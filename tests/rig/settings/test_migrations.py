@@ -20,7 +20,7 @@ from rig.settings.migrations import GONE, SCHEMA_KEY
 from tests.rig.command_line import CONFIGS, rig
 
 OLDER = Path(__file__).parents[1] / "data" / "older"
-SCHEMAS = {"first": 1, "series": 1, "last_of_schema_1": 1}
+SCHEMAS = {"first": 1, "series": 1, "last_of_schema_1": 1, "last_of_schema_2": 2}
 """Folders of records with the schema of their configuration; of a new schema one is added."""
 
 
@@ -57,11 +57,15 @@ def test_an_older_record_is_read_in_todays_keys(name: str) -> None:
         config = recorded_configuration(reader)
         assert config.pendulum is not None
         assert (config.pendulum.mass_kg, config.camera.driver) == (0.406, "simulated")
-        assert "its configuration is of schema 1, read as 2: without camera." in earlier_schema(reader)
-        assert recorded_configuration(reader, ["fit.drag=true"]).fit.drag
+        said = earlier_schema(reader)
+        assert f"its configuration is of schema {SCHEMAS[name]}, read as {SCHEMA}: without " in said
+        assert "fit.drag" in said
+        # that no drag was fitted said nothing of the air
+        assert config.fit.drag == "air"
+        assert recorded_configuration(reader, ["fit.drag=vacuum"]).fit.drag == "vacuum"
 
 
-@pytest.mark.parametrize("name", ["first", "last_of_schema_1"])
+@pytest.mark.parametrize("name", ["first", "last_of_schema_1", "last_of_schema_2"])
 def test_commands_take_an_older_record(name: str, tmp_path: Path) -> None:
     shutil.copytree(OLDER / name, tmp_path / name)
     record = tmp_path / name / "run-1.mcap"
@@ -69,7 +73,7 @@ def test_commands_take_an_older_record(name: str, tmp_path: Path) -> None:
     before = json.loads((OLDER / name / "results.json").read_text())["runs"][0]
     for command in (["fit"], ["replay"]):
         done = rig(*command, record, "-o", tmp_path / command[0])
-        assert done.stderr.count("its configuration is of schema 1, read as 2") == 1
+        assert done.stderr.count(f"is of schema {SCHEMAS[name]}, read as {SCHEMA}") == 1
         (run,) = json.loads((tmp_path / command[0] / "results.json").read_text())["runs"]
         assert (run["sha256"], run["frames"]) == (before["sha256"], before["frames"])
         assert run["half_cycles"] == before["half_cycles"]
@@ -78,7 +82,7 @@ def test_commands_take_an_older_record(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_older_sessions_and_results_are_read(name: str) -> None:
     tree, note = migrated(read_session(OLDER / name).configuration, "session.json: its configuration")
-    assert "is of schema 1, read as 2" in note
+    assert f"is of schema {SCHEMAS[name]}, read as {SCHEMA}" in note
     assert validate_configuration(tree, "session.json").camera.driver == "simulated"
     (run, *_) = read_results(OLDER / name).runs
     assert run.initial_amplitude is not None
@@ -140,4 +144,4 @@ def test_a_file_says_its_schema_or_is_of_todays(tmp_path: Path, caplog: pytest.L
     below.write_text(f"{SCHEMA_KEY} = 1\n{below.read_text()}")
     with caplog.at_level(logging.WARNING):
         assert load_configuration(above).camera.driver == "usb3vision"
-    assert f"{below} is of schema 1, read as 2: without camera.usb3vision.buffers" in caplog.text
+    assert f"{below} is of schema 1, read as {SCHEMA}: without camera.usb3vision.buffers" in caplog.text

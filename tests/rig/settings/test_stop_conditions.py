@@ -30,7 +30,6 @@ def test_conditions_name_parameters_as_people_write_them() -> None:
         ("u(c)/c < 3", "3 must lie between 0 and 1, 0.03 for 3 %"),
         ("u(c)/c < 0", "0 must lie between 0 and 1"),
         ("u(c)/c < 1.2.3", r"1\.2\.3 is no number"),
-        ("u(drag)/drag < 0.1", "the drag is fitted with fit.drag = true only"),
     ],
 )
 def test_a_wrong_condition_is_one_line(text: str, message: str) -> None:
@@ -42,3 +41,10 @@ def test_a_wrong_condition_is_one_line(text: str, message: str) -> None:
 def test_conditions_are_a_list() -> None:
     with pytest.raises(ConfigurationError, match=r"session\.stop_when = 'u\(c\)/c < 0\.03': should be"):
         load_configuration(CONFIGS / "demo.toml", ["session.stop_when=u(c)/c < 0.03"])
+
+
+def test_a_drag_that_is_not_fitted_ends_no_run() -> None:
+    wanted = ['session.stop_when=["u(drag)/drag < 0.1"]']
+    assert load_configuration(CONFIGS / "demo.toml", wanted).stop_conditions
+    with pytest.raises(ConfigurationError, match=r"session\.stop_when: .*fit\.drag = 'vacuum' fits none"):
+        load_configuration(CONFIGS / "demo.toml", [*wanted, "fit.drag=vacuum"])

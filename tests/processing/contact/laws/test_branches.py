@@ -116,7 +116,7 @@ def test_rolling_with_memory_is_found_and_told_from_the_papers_law() -> None:
     masing = fit_exact(points, PENDULUM, law=LAWS["masing"])
     assert 0.8 < masing.chi2_per_dof < 1.25
     assert max(map(abs, pulls(masing, truth))) < 3.5
-    compared = compare_laws(points, PENDULUM, [LAWS["paper"], LAWS["masing"]], known=[masing])
+    compared = compare_laws(points, PENDULUM, [LAWS["paper"], LAWS["masing"]], like=masing)
     assert [trial.law.name for trial in compared.trials] == ["masing", "paper"]
     assert compared.trials[0].fit is masing
     assert compared.above_best(compared.trials[1]) > 100

@@ -1,0 +1,129 @@
+"""The path of a free swing of any law over some half-swings, by quadrature, at several amplitudes at once.
+
+In units of the weight's moment and of 1/w0, ``phi'' = -phi + m`` with the moment m of contact and air. From
+the turning point at A downwards ``v^2/2 = (A^2 - phi^2)/2 - W`` with the work W done against m, and the next
+turning point is where the kinetic energy vanishes. The substitution ``phi = middle + half cos(theta)``
+between both makes ``dt = half sin(theta) dtheta / v``, which has no singularity. W is taken from the nearer
+end, so that v keeps its digits at both. The moment of the air follows the speed, which is found with the next
+turning point by iteration.
+
+Over the swing the phase is counted evenly; the terms of `swing_terms` describe an oscillation whose amplitude
+and phase change as a square of time, and its harmonics.
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from processing.arrays import Complexes, Floats
+from processing.contact.law import DRAG, Law
+from processing.contact.moments import weight_moment
+from processing.contact.parameters import PendulumOnBall
+from processing.errors import DataError
+from processing.swing import HALVES, SwingTerms
+
+_NODES = 128
+"""Nodes of a half-swing; with these numbers the third harmonic is right within 4e-4 of itself."""
+_ROUNDS = 5
+"""Iterations of the next amplitude and of the air's work: each gains the ratio of moment to weight, 1 %."""
+_AMPLITUDES, _BEYOND = 8, 1.02
+"""Amplitudes at which a law is computed, and how far above the highest wanted the first begins."""
+_SAMPLES = 256
+"""Samples of a swing of `HALVES` half-swings from which its harmonics are taken."""
+
+
+class FreeSwing(NamedTuple):
+    """Deflection (rad), its derivative by the phase ``w0 t``, and that phase, shape (amplitudes, nodes).
+
+    `end` (amplitudes,) is the phase at the last turning point.
+    """
+
+    phi_rad: Floats
+    slope_rad: Floats
+    phase: Floats
+    end: Floats
+
+
+def free_swing(
+    law: Law, values: Mapping[str, float], pendulum: PendulumOnBall, amplitudes_rad: Floats, halves: int
+) -> FreeSwing:
+    """Free swings from turning points at positive `amplitudes_rad` (n,) over so many half-swings.
+
+    `values` are the law's parameters by key in SI units, and ``drag_s`` where there is one.
+
+    Raises
+    ------
+    DataError
+        The pendulum does not reach the last turning point.
+    """
+    edge = np.linspace(0.0, np.pi, _NODES + 1)
+    middle = 0.5 * (edge[:-1] + edge[1:])
+    before, behind = -np.diff(np.cos(edge)), np.cos(edge[:-1]) - np.cos(middle)
+    cos, sin, forward = np.cos(middle), np.sin(middle), middle < 0.5 * np.pi
+    weight, drag = weight_moment(pendulum), values.get(DRAG.key, 0.0) * 2 * np.pi / values["period0_s"]
+    a, begins, side = amplitudes_rad[:, None], np.zeros((len(amplitudes_rad), 1)), 1.0
+    ratio = np.ones_like(a)
+    parts = []
+    for _ in range(halves):
+        following = a * ratio
+        speed = 0.5 * (a + following) * sin
+        for _ in range(_ROUNDS):
+            half = 0.5 * (a + following)
+            phi = 0.5 * (a - following) + half * cos
+            friction, elastic = law.branch_moments(phi, np.full_like(phi, -1.0), values, pendulum)
+            moment = half * ((friction + elastic) / weight + drag * speed)
+            cells = moment * before
+            work = np.cumsum(cells, axis=1) - cells + moment * behind
+            total = np.sum(cells, axis=1, keepdims=True)
+            kinetic = np.where(
+                forward,
+                0.5 * half * (1 - cos) * (a + phi) - work,
+                0.5 * half * (1 + cos) * (following - phi) + total - work,
+            )
+            left = a**2 - 2 * total
+            if not (np.all(left > 0) and np.all(kinetic > 0)):
+                raise DataError("friction holds the pendulum before the end of the swing")
+            speed, following = np.sqrt(2 * kinetic), np.sqrt(left)
+        step = (edge[1] - edge[0]) * half * sin / speed
+        ends = begins + np.cumsum(step, axis=1)
+        parts.append((side * phi, -side * speed, ends - 0.5 * step))
+        ratio = following / a
+        a, begins, side = following, ends[:, -1:], -side
+    phi, slope, phase = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    return FreeSwing(phi, slope, phase, begins[:, 0])
+
+
+def law_harmonics(
+    law: Law, values: Mapping[str, float], pendulum: PendulumOnBall, amplitudes_rad: Floats
+) -> Complexes:
+    """Harmonics (rad) of `ORDERS`, shape (n, orders), of free swings of amplitudes (n,) in their middle.
+
+    In the terms in which `HarmonicsWatch` measures pieces of `HALVES` half-swings. They are computed at a few
+    amplitudes and interpolated.
+
+    Raises
+    ------
+    DataError
+        The pendulum does not swing for so long.
+    """
+    # here, because it would slow down every command
+    from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+    # swings begin above the amplitude of their middle
+    first = np.geomspace(amplitudes_rad.min(), _BEYOND * amplitudes_rad.max(), _AMPLITUDES)
+    swing, projection = free_swing(law, values, pendulum, first, HALVES), _projection()
+    at = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    paths = [
+        CubicHermiteSpline(phase, phi, slope)(end * at) for phi, slope, phase, end in zip(*swing, strict=True)
+    ]
+    middle, harmonics = SwingTerms.harmonics(np.array(paths) @ projection)
+    relative = CubicSpline(np.log(middle), harmonics / middle[:, None])(np.log(amplitudes_rad))
+    return np.asarray(relative * amplitudes_rad[:, None], dtype=np.complex128)
+
+
+@lru_cache(maxsize=1)
+def _projection() -> Floats:
+    x = 2 * (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 1
+    return np.asarray(np.linalg.pinv(SwingTerms.at(x)).T, dtype=np.float64)

@@ -1,0 +1,151 @@
+"""What a fit knows beside the turning points: the waveform of the swing, and what the air is expected to do.
+
+A drag takes energy as friction does that grows with the amplitude, so that turning points hardly tell them
+apart on ground that moves. Within a swing they differ: friction turns over at each turning point and makes
+odd harmonics in quadrature, a drag makes none. Neither a lever that is not straight nor errors of place on
+the sensor make such harmonics, whatever the ground does slowly makes none, and even orders, to which rows
+exposed in turn belong, are left out.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from math import log
+
+import numpy as np
+
+from processing.arrays import Floats
+from processing.contact import DRAG, Law, PendulumOnBall, law_harmonics
+from processing.estimate import Estimate
+from processing.swing import ORDERS, SwingHarmonics
+
+_ODD = [ORDERS.index(order) for order in (3, 5, 7, 9)]
+_NODE = 1.6
+"""Ratio of neighbouring amplitudes at which the harmonics are kept; between them they are interpolated."""
+_FEWEST = 8
+"""Fewest pieces that are a waveform: their scatter is half of what is said of their uncertainty."""
+_STATED = 10.0
+"""How many pieces the stated uncertainties of the samples count for in the covariance of the harmonics."""
+_GATE = 5.0
+"""Standard deviations beyond which a harmonic is one of a disturbed piece."""
+
+
+@dataclass(frozen=True, eq=False)
+class Waveform:
+    """Odd harmonics in quadrature of the swing over a decay, with the covariance that they show.
+
+    Attributes
+    ----------
+    amplitude_rad
+        Amplitudes (n,) of the pieces.
+    sine_rad
+        Their harmonics of orders 3, 5, 7 and 9 (n, 4).
+    covariance
+        Of one piece's harmonics, (n, 4, 4): that of the samples, enlarged to what neighbours scatter. The
+        ground's part is in it, whatever its spectrum.
+    scatter
+        Ratio of the scatter to what the stated uncertainties of the samples say, as standard deviations.
+    """
+
+    amplitude_rad: Floats
+    sine_rad: Floats
+    covariance: Floats
+    scatter: float
+
+    @cached_property
+    def _hats(self) -> Floats:
+        """Weights (n, nodes) of linear interpolation in ln A."""
+        x = np.log(self.amplitude_rad)
+        span = float(x.max() - x.min())
+        nodes = np.linspace(x.min(), x.max(), max(2, round(span / log(_NODE)) + 1))
+        place = (x - nodes[0]) / (nodes[1] - nodes[0])
+        return np.asarray(np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(len(nodes)))))
+
+    @cached_property
+    def _reduction(self) -> Floats:
+        """Matrix (m, 4 n) that reduces the pieces to m independent numbers of unit variance."""
+        count, orders = self.sine_rad.shape
+        weighted = np.einsum("ij,iab->jaib", self._hats, np.linalg.inv(self.covariance))
+        weighted = weighted.reshape(-1, count * orders)
+        columns = np.einsum("ij,ab->iajb", self._hats, np.eye(orders)).reshape(count * orders, -1)
+        normal = weighted @ columns
+        norm = np.sqrt(np.diag(normal))
+        root = np.linalg.cholesky(normal / np.outer(norm, norm) + 1e-12 * np.eye(len(norm)))
+        return np.asarray(np.linalg.solve(root, weighted / norm[:, None]))
+
+    def residuals(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall) -> Floats:
+        """What a law predicts minus what is measured, as independent numbers of unit variance.
+
+        Raises DataError if the pendulum would not swing.
+        """
+        predicted = -law_harmonics(law, values, pendulum, self.amplitude_rad).imag[:, _ODD]
+        distance = predicted - self.sine_rad
+        return np.asarray(self._reduction @ distance.ravel())
+
+
+def sine_covariance(pieces: SwingHarmonics) -> Floats | None:
+    """Covariance (4, 4) of one piece's harmonics as a `Waveform` has it; None for too few pieces."""
+    found = waveform_of(pieces)
+    return None if found is None else np.asarray(np.median(found.covariance, axis=0))
+
+
+def waveform_of(pieces: SwingHarmonics) -> Waveform | None:
+    """The waveform that pieces of a decay show; None for too few of them."""
+    order = np.argsort(-pieces.amplitude)
+    amplitude, sine = pieces.amplitude[order], pieces.sine[order][:, _ODD]
+    stated = pieces.covariance_sine[order][:, _ODD][:, :, _ODD]
+    for _ in range(3):
+        if len(amplitude) < _FEWEST:
+            return None
+        whitening = np.linalg.inv(np.linalg.cholesky(stated))
+        whole = _whole_scatter(amplitude, sine, whitening)
+        left = np.einsum("nab,nb->na", whitening, _left(amplitude, sine))
+        kept = np.all(np.abs(left) < _GATE * np.sqrt(np.diag(whole)), axis=1)
+        if np.all(kept):
+            break
+        amplitude, sine, stated = amplitude[kept], sine[kept], stated[kept]
+    root = np.linalg.inv(whitening)
+    enlarged = root @ whole @ np.swapaxes(root, 1, 2)
+    return Waveform(amplitude, sine, enlarged, float(np.sqrt(np.trace(whole) / len(_ODD))))
+
+
+def _left(amplitude: Floats, sine: Floats) -> Floats:
+    """What a smooth curve over the amplitudes leaves of the harmonics."""
+    x = np.log(amplitude)
+    x = (x - x.mean()) / max(float(np.ptp(x)), 1e-9)
+    terms = amplitude[:, None] * x[:, None] ** np.arange(3)
+    return np.asarray(sine - terms @ np.linalg.lstsq(terms, sine, rcond=None)[0])
+
+
+def _whole_scatter(amplitude: Floats, sine: Floats, whitening: Floats) -> Floats:
+    """Covariance of whitened harmonics (4, 4), from what they scatter, with the stated one as a prior."""
+    left = np.einsum("nab,nb->na", whitening, _left(amplitude, sine))
+    # pieces far off are judged against the others
+    size = 1.4826 * np.median(np.abs(left), axis=0)
+    left = np.clip(left, -_GATE * size, _GATE * size)
+    scatter = left.T @ left
+    return np.asarray((scatter + _STATED * np.eye(len(_ODD))) / (len(amplitude) - 3 + _STATED))
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What restrains a fit beside the turning points.
+
+    `drag_s` is what is known of a linear drag without this decay: its value and standard uncertainty.
+    """
+
+    waveform: Waveform | None = None
+    drag_s: Estimate | None = None
+
+    def residuals(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall | None) -> Floats:
+        """Distances of what the values say from what is known, in standard uncertainties."""
+        parts = []
+        if self.waveform is not None and pendulum is not None:
+            parts.append(self.waveform.residuals(law, values, pendulum))
+        if self.drag_s is not None and DRAG.key in values:
+            value, u = self.drag_s
+            parts.append(np.array([(values[DRAG.key] - value) / u]))
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+
+NO_EVIDENCE = Evidence()

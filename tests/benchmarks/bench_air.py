@@ -1,0 +1,192 @@
+"""Contact or air: coverage of b, p, c, n, gamma and drag, scatter against the bound, and what it costs.
+
+Run as ``python -m tests.benchmarks.bench_air [--quick] [--seeds N] [CASE...]`` from the repository. Decays
+with drag come from the tests' own integration, or from the simulated rig on recorded ground, seen 25 times a
+second with 0.005 arcsec; nothing is known of the drag beforehand. Neither shares a formula with the fit.
+"""
+
+import argparse
+import json
+import sys
+from time import process_time
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.true_path import true_path, true_turning_points
+from processing.arrays import Floats
+from processing.contact.laws import PAPER
+from processing.deflections import DeflectionUnit, slow_deflections
+from processing.errors import RigError
+from processing.fit import FitResult, fit_exact
+from processing.fit.exact_model import ExactModel
+from processing.fit.ground import Noise, density_of_step
+from processing.least_squares import covariance_of
+from processing.swing import SwingDetector, TurningPoints, turning_points
+from rig.analysis import settled_swings
+from rig.settings import FitSettings
+from tests.benchmarks.bench_ground import COVERAGES, GROUND_FILE, recorded, simulated
+from tests.processing.fit.decays import ARCSEC, paper_pair, truth
+from tests.processing.fit.driven import driven_path
+
+NOISE_ARCSEC, FRAMES_PER_S = 0.005, 25.0
+NAMES = PAPER.names(drag=True)
+FLAT = "glass_k8"
+
+
+class Case(NamedTuple):
+    """A drag on a ground; None: the recorded one."""
+
+    drag_s: float
+    q: float | None
+
+    @property
+    def name(self) -> str:
+        return f"drag {1e3 * self.drag_s:g} ms on " + (
+            "recorded ground" if self.q is None else f"q={self.q:g}"
+        )
+
+
+def cases() -> list[Case]:
+    grounds: list[float | None] = [0.0, 1e-9, 8e-9, 3e-8]
+    if GROUND_FILE.exists():
+        grounds.append(None)
+    return [Case(drag_s, q) for q in grounds for drag_s in (0.0, 0.5e-3, 1.7e-3, 3e-3)]
+
+
+def path_of(case: Case, seed: int) -> Floats:
+    """Deflections in rad at every frame."""
+    parameters, pendulum = paper_pair(FLAT, case.drag_s)
+    if case.q is not None:
+        return driven_path(parameters, pendulum, q=case.q, seed=seed, frames_per_s=FRAMES_PER_S)[2]
+    settings = simulated(FLAT, recorded(seed), seed)
+    contact = settings.contact.model_copy(update={"drag_s": case.drag_s})
+    settings = SimulationSettings.model_validate(settings.model_dump() | {"contact": contact.model_dump()})
+    end_s = float(true_turning_points(settings, run=seed).time_s[-1])
+    return true_path(settings, end_s, FRAMES_PER_S, run=seed).y_rad
+
+
+class Fitted(NamedTuple):
+    """The fit of one decay with waveform and drag, and CPU times: of the whole, and of a fit in vacuum."""
+
+    fit: FitResult
+    points: TurningPoints
+    cpu_s: float
+    vacuum_cpu_s: float
+
+
+def fitted(case: Case, seed: int) -> Fitted:
+    """From frames to parameters as a session does it, with nothing known of the air."""
+    path, noise = path_of(case, seed), NOISE_ARCSEC * ARCSEC
+    times_ns = np.rint(np.arange(len(path)) * 1e9 / FRAMES_PER_S).astype(np.int64)
+    seen = path + noise * np.random.default_rng([seed, 78]).standard_normal(len(path))
+    samples = slow_deflections(times_ns, seen, np.full(len(path), noise))
+    detector = SwingDetector()
+    swings = [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
+    pendulum = paper_pair(FLAT)[1]
+    settled = settled_swings(swings, [samples], DeflectionUnit.RAD, pendulum, FitSettings())
+    if settled.exact is None:
+        raise RigError(settled.doubt)
+    points = turning_points(settled.swings)
+    began_s = process_time()
+    again = fit_exact(points, pendulum, drag=True, evidence=settled.exact.evidence)
+    between_s = process_time()
+    fit_exact(points, pendulum)
+    return Fitted(again, points, between_s - began_s, process_time() - between_s)
+
+
+def bound(found: Fitted, case: Case) -> Floats:
+    """Standard deviations of the Cramer-Rao bound of points and waveform together, at the truth."""
+    parameters, pendulum = paper_pair(FLAT, case.drag_s)
+    points = found.points.first(found.fit.half_cycles)
+    model = ExactModel(points, pendulum, drag=True, evidence=found.fit.evidence)
+    known = dict(zip(NAMES, truth(parameters, NAMES), strict=True))
+    known |= {"initial_amplitude_rad": float(points.amplitude[0]), "start_time_s": float(points.time_s[0])}
+    columns = model.columns.from_physical(known)
+    assert found.fit.ground is not None
+    step = found.fit.ground.noise.step
+    if case.q is not None:
+        step = case.q / density_of_step(1.0, float(np.diff(points.time_s).mean()))
+    here = model.about(columns).on_ground(columns, Noise(step / model.reference))
+    jacobian, matrix = here(columns)[1], model.columns.physical(columns)[1]
+    return np.asarray(np.sqrt(np.diag(matrix @ covariance_of(jacobian) @ matrix.T)))[: len(NAMES)]
+
+
+def measure(case: Case, seeds: int) -> dict[str, Any]:
+    """Shares of seeds whose intervals hold the truth, and rms errors in units of u and of the bound."""
+    expected = truth(paper_pair(FLAT, case.drag_s)[0], NAMES)
+    pulls, to_bound, inside, relative, ratio = [], [], [], [], []
+    failed = 0
+    for seed in range(seeds):
+        try:
+            found = fitted(case, seed)
+            least = bound(found, case)
+        except RigError as error:
+            failed += 1
+            print(f"  seed {seed}: {error}")
+            continue
+        error = found.fit.values[: len(NAMES)] - expected
+        pulls.append(error / found.fit.standard_uncertainty[: len(NAMES)])
+        to_bound.append(error / least)
+        relative.append(found.fit.standard_uncertainty[0] / expected[0])
+        ratio.append(found.cpu_s / found.vacuum_cpu_s)
+        both = [[found.fit.interval(name, share) for share in COVERAGES] for name in NAMES]
+        inside.append(
+            [[low <= true <= high for low, high in two] for two, true in zip(both, expected, strict=True)]
+        )
+    shares = np.mean(np.array(inside, dtype=np.float64), axis=0)
+
+    def by_name(values: Floats) -> dict[str, float]:
+        return dict(zip(NAMES, values.tolist(), strict=True))
+
+    return {
+        "case": case.name,
+        "seeds": seeds,
+        "failed": failed,
+        "relative_u_b": float(np.median(relative)),
+        "cpu_over_vacuum": float(np.median(ratio)),
+        "one_u": by_name(shares[:, 0]),
+        "ninety_five": by_name(shares[:, 1]),
+        "rms_pull": by_name(np.sqrt(np.mean(np.square(pulls), axis=0))),
+        "rms_to_bound": by_name(np.sqrt(np.mean(np.square(to_bound), axis=0))),
+    }
+
+
+def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:
+    """All of it; numbers as plain values."""
+    result: dict[str, Any] = {"cases": []}
+    for case in cases():
+        if only and not any(word in case.name for word in only):
+            continue
+        found = measure(case, 3 if quick else seeds)
+        result["cases"].append(found)
+        print(
+            f"{case.name}, {found['seeds']} seeds ({found['failed']} failed), "
+            f"u(b)/b {found['relative_u_b']:.2%}, CPU time {found['cpu_over_vacuum']:.1f} of a fit in vacuum",
+            *(
+                f"  {title:12}" + "".join(f" {name} {value:.2f}" for name, value in found[key].items())
+                for title, key in (
+                    ("within 1 u", "one_u"),
+                    ("within 95 %", "ninety_five"),
+                    ("rms error/u", "rms_pull"),
+                    ("rms/bound", "rms_to_bound"),
+                )
+            ),
+            sep="\n",
+            flush=True,
+        )
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", metavar="CASE", help="parts of names of cases; all without")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--seeds", type=int, default=100)
+    words = parser.parse_args()
+    json.dump(run(words.quick, words.seeds, tuple(words.cases)), sys.stderr, indent=1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""Contact or air: what the waveform and what is known of the air say beside the turning points."""
+
+import numpy as np
+import pytest
+
+from processing.deflections import slow_deflections
+from processing.estimate import Estimate
+from processing.fit import Evidence, fit_exact, waveform_of
+from processing.fit.evidence import Waveform
+from processing.swing import HarmonicsWatch, SwingDetector, SwingHarmonics, TurningPoints, turning_points
+from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.driven import driven_path
+
+RATE, U, DRAG_S = 25.0, 0.005 * ARCSEC, 1.7e-3
+PARAMETERS, PENDULUM = paper_pair("glass_k8", DRAG_S)
+
+
+def seen(q: float, seed: int, stated: float = 1.0) -> tuple[TurningPoints, SwingHarmonics]:
+    """A decay in air as frames show it, with uncertainties that are stated so many times too large."""
+    path = driven_path(PARAMETERS, PENDULUM, q=q, seed=seed, frames_per_s=RATE)[2]
+    noisy = path + U * np.random.default_rng([seed, 3]).standard_normal(len(path))
+    times_ns = np.rint(np.arange(len(path)) * 1e9 / RATE).astype(np.int64)
+    samples = slow_deflections(times_ns, noisy, np.full(len(path), stated * U))
+    detector = SwingDetector()
+    swings = [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
+    watch = HarmonicsWatch(swings)
+    watch.update(samples)
+    return turning_points(swings), watch.found()
+
+
+@pytest.fixture(scope="module")
+def basement() -> tuple[TurningPoints, SwingHarmonics]:
+    return seen(8e-9, 4)
+
+
+def waveform(harmonics: SwingHarmonics) -> Waveform:
+    found = waveform_of(harmonics)
+    assert found is not None
+    return found
+
+
+def test_the_waveform_tells_air_from_contact(basement: tuple[TurningPoints, SwingHarmonics]) -> None:
+    """On moving ground, with nothing known of the air, where turning points alone leave b open."""
+    points, harmonics = basement
+    fit = fit_exact(points, PENDULUM, drag=True, evidence=Evidence(waveform(harmonics)))
+    for name in (*fit.contact_names,):
+        value, u = fit.estimate(name)
+        assert abs(value - getattr(PARAMETERS, name)) < 3.5 * u
+    assert fit.estimate("b").standard_uncertainty < 0.01 * PARAMETERS.b
+    assert fit.estimate("drag_s").standard_uncertainty < 2e-5
+    without = fit_exact(points, PENDULUM)
+    b, u = without.estimate("b")
+    # what is printed where nobody thinks of the air
+    assert abs(b - PARAMETERS.b) > 50 * u
+
+
+def test_the_likelihood_counts_each_part_once(basement: tuple[TurningPoints, SwingHarmonics]) -> None:
+    """A waveform whose harmonics are repeated, half as certain each, is the same evidence."""
+    points, harmonics = basement
+    once = waveform(harmonics)
+    twice = Waveform(
+        np.repeat(once.amplitude_rad, 2),
+        np.repeat(once.sine_rad, 2, axis=0),
+        np.repeat(2 * once.covariance, 2, axis=0),
+        once.scatter,
+    )
+    fits = [fit_exact(points, PENDULUM, drag=True, evidence=Evidence(one)) for one in (once, twice)]
+    for name in fits[0].contact_names:
+        (value, u), (other, u_other) = (fit.estimate(name) for fit in fits)
+        assert other == pytest.approx(value, abs=0.03 * u)
+        assert u_other == pytest.approx(u, rel=0.01)
+
+
+def test_uncertainties_that_are_stated_wrongly_are_those_of_the_scatter() -> None:
+    right, wrong = (waveform(seen(0.0, 2, stated)[1]) for stated in (1.0, 2.5))
+    assert right.scatter == pytest.approx(1.0, abs=0.1)
+    assert wrong.scatter == pytest.approx(0.4, abs=0.1)
+    size = np.sqrt(np.median(wrong.covariance[:, 0, 0]) / np.median(right.covariance[:, 0, 0]))
+    # what is stated counts for ten pieces among ninety
+    assert 0.9 < size < 1.4
+
+
+def test_a_disturbed_piece_is_left_out(basement: tuple[TurningPoints, SwingHarmonics]) -> None:
+    _, harmonics = basement
+    knocked = harmonics.harmonics.copy()
+    knocked[10] += 1j * 50 * U
+    found = waveform(SwingHarmonics(harmonics.amplitude, knocked, harmonics.covariance_sine))
+    assert len(found.amplitude_rad) == len(harmonics) - 1
+
+
+def test_few_pieces_are_no_waveform(basement: tuple[TurningPoints, SwingHarmonics]) -> None:
+    _, whole = basement
+    assert (
+        waveform_of(SwingHarmonics(whole.amplitude[:7], whole.harmonics[:7], whole.covariance_sine[:7]))
+        is None
+    )
+
+
+def test_what_is_known_of_the_air_enters_as_it_is_known(
+    basement: tuple[TurningPoints, SwingHarmonics],
+) -> None:
+    """Turning points alone hardly restrain the drag: the result is what was known, with its doubt in b."""
+    points, _ = basement
+    known = Estimate(1.5e-3, 0.2e-3)
+    fit = fit_exact(points, PENDULUM, drag=True, evidence=Evidence(drag_s=known))
+    value, u = fit.estimate("drag_s")
+    assert value == pytest.approx(known.value, abs=known.standard_uncertainty)
+    assert u < 1.05 * known.standard_uncertainty
+    b, u_b = fit.estimate("b")
+    assert abs(b - PARAMETERS.b) < 3 * u_b
+    assert u_b > 0.02 * PARAMETERS.b
