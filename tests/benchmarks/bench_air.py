@@ -126,9 +126,9 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
             failed += 1
             print(f"  seed {seed}: {error}")
             continue
-        error = found.fit.values[: len(NAMES)] - expected
-        pulls.append(error / found.fit.standard_uncertainty[: len(NAMES)])
-        to_bound.append(error / least)
+        off = found.fit.values[: len(NAMES)] - expected
+        pulls.append(off / found.fit.standard_uncertainty[: len(NAMES)])
+        to_bound.append(off / least)
         relative.append(found.fit.standard_uncertainty[0] / expected[0])
         ratio.append(found.cpu_s / found.vacuum_cpu_s)
         both = [[found.fit.interval(name, share) for share in COVERAGES] for name in NAMES]

@@ -139,8 +139,8 @@ def speed(quick: bool) -> dict[str, float]:
 
     def whole_analysis() -> None:
         fit_asymptotic(dragged, pendulum)
-        drag_verdict(dragged, pendulum)
         found = fit_exact(dragged, pendulum, drag=True)
+        drag_verdict(dragged, pendulum, found)
         identifiability(dragged, pendulum, found)
         monte_carlo(fitted_contact(found), rig, np.random.default_rng(0), draws=10_000)
 

@@ -91,8 +91,8 @@ def false_friends(seeds: int) -> dict[str, Any]:
     for distortion in FALSE_FRIENDS:
         found: Counter[str] = Counter()
         for seed in range(1, seeds + 1):
-            seconds, angle, points = four_minutes(seed)
-            chance = chances(seconds, distorted(distortion, seconds, angle), points, seed)
+            seconds, angle = four_minutes(seed)
+            chance = chances(seconds, distorted(distortion, seconds, angle), seed)
             right, wrong = (chance[name] >= CONTRADICTED for name in ("paper", "masing"))
             words = {(True, False): "named", (False, True): "turned", (True, True): "cannot tell"}
             found[words.get((right, wrong), "contradicts both")] += 1

@@ -22,6 +22,7 @@ from processing.deflections import DeflectionUnit, slow_deflections
 from processing.fit import fit_exact
 from processing.swing import SwingDetector, turning_points
 from rig.analysis import settled_swings
+from rig.analysis.fitted_drag import FittedDrag
 from rig.settings import FitSettings
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
@@ -107,7 +108,7 @@ CASES = (
 def measure(case: Case, seeds: int) -> dict[str, Any]:
     clean = case.clean()
     names = PAPER.names(drag=case.drag)
-    settings = FitSettings(drag=case.drag)
+    settings, drag = FitSettings(), FittedDrag(fitted=case.drag)
     pulls, refused, failed = [], 0, 0
     for seed in range(seeds):
         rng = np.random.default_rng([seed, 15])
@@ -119,7 +120,7 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
         detector = SwingDetector()
         swings = [*detector.update(times_ns, seen, u), *detector.finish()]
         blocks = [slow_deflections(times_ns, seen, u)]
-        settled = settled_swings(swings, blocks, DeflectionUnit.RAD, samples.pendulum, settings)
+        settled = settled_swings(swings, blocks, DeflectionUnit.RAD, samples.pendulum, settings, drag=drag)
         refused += settled.motion is None
         try:
             fit = settled.exact or fit_exact(turning_points(settled.swings), samples.pendulum, drag=case.drag)

@@ -62,8 +62,8 @@ def swing() -> tuple[np.ndarray, np.ndarray]:
     return four_minutes(1)
 
 
-def chances(seconds: np.ndarray, seen: np.ndarray) -> dict[str, float]:
-    classes = harmonic_classes(measured(seconds, seen))
+def chances(seconds: np.ndarray, seen: np.ndarray, seed: int = 1) -> dict[str, float]:
+    classes = harmonic_classes(measured(seconds, seen, seed))
     assert classes
     laws = {"paper": asdict(PARAMETERS), "masing": MEMORY}
     return waveform_chances(
