@@ -15,6 +15,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SPOT, SWING
 from acquisition.record.utc import utc
 from processing.errors import RecordError
+from processing.units import unit_of_name
 from rig.analysis import RESULTS_NAME, JsonObject, RunResults, encoded, read_results, units_of
 from rig.instrument import CONFIGURATION_NAME
 
@@ -73,6 +74,7 @@ def read_run(path: Path, results: RunResults | None) -> ExportedRun:
         )
     found = {} if results is None else encoded(results)
     units = {} if results is None else units_of(results, found)
+    units |= {f"settings.{key}": unit for key in found.get("settings", {}) if (unit := unit_of_name(key))}
     return ExportedRun(path.stem, spots, swings, found, units, provenance, notes, began, ended)
 
 

@@ -39,6 +39,7 @@ def acknowledge_trip(config: Configuration, number: int) -> int:
             say(line.order(f"acknowledge {number} rig light acknowledge"))
             return 0
     with Devices(config, config.session.output, "rig light acknowledge") as devices:
+        _wait_until_heard(devices)
         say(devices.acknowledge(number, "rig light acknowledge"))
     return 0
 
@@ -74,11 +75,7 @@ def _of_the_devices(config: Configuration) -> SafetyNow:
     """With the devices opened, which lights nothing; what the file says where another program has them."""
     try:
         with Devices(config, None, "rig light show") as devices:
-            end_s = time.monotonic() + _HEARD_WITHIN_S
-            while time.monotonic() < end_s and not math.isfinite(devices.safety().light_age_s):
-                if devices.laser_now() is None:
-                    break
-                time.sleep(0.05)
+            _wait_until_heard(devices)
             return devices.safety()
     except DeviceError as error:
         say(str(error), error=True)
@@ -87,3 +84,12 @@ def _of_the_devices(config: Configuration) -> SafetyNow:
         state.read()
     trip = state.trip
     return SafetyNow(trip, "" if trip is None else trip.text)
+
+
+def _wait_until_heard(devices: Devices) -> None:
+    """Until whoever knows of the light has answered, or has had time to."""
+    end_s = time.monotonic() + _HEARD_WITHIN_S
+    while time.monotonic() < end_s and not math.isfinite(devices.safety().light_age_s):
+        if devices.laser_now() is None:
+            break
+        time.sleep(0.05)

@@ -238,7 +238,10 @@ def test_an_interrupted_session_goes_on(folder: Path) -> None:
     assert [run["record"] for run in new] == ["run-1.mcap", "run-3.mcap"]
     assert "report-2.html" in rig("report series"), "a folder's results are the latest ones"
     check_same_run(new[0], old)
-    check_same_fits(new[0]["fits"], old["fits"], was_moved(new[0], old))
+    # its settings did not name a drag, which is now what is known of the air
+    for parameter in PARAMETERS:
+        before, after = old["fits"]["exact"][parameter], new[0]["fits"]["exact"][parameter]
+        assert abs(after["value"] - before["value"]) < 3 * after["standard_uncertainty"], parameter
 
 
 def test_a_calibration_file() -> None:

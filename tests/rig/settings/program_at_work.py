@@ -85,6 +85,8 @@ class _Stubs:
     def darkness(self) -> str:
         return ""
 
+    def compare(self) -> None: ...
+
     def environment(self) -> tuple[float, float, float]:
         return 20.0, 50.0, 1e5
 
