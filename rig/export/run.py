@@ -73,8 +73,10 @@ def read_run(path: Path, results: RunResults | None) -> ExportedRun:
             "run rig fit again"
         )
     found = {} if results is None else encoded(results)
-    units = {} if results is None else units_of(results, found)
-    units |= {f"settings.{key}": unit for key in found.get("settings", {}) if (unit := unit_of_name(key))}
+    units = {}
+    if results is not None:
+        units = units_of(results, found)
+        units |= {f"settings.{key}": unit for key in results.settings if (unit := unit_of_name(key))}
     return ExportedRun(path.stem, spots, swings, found, units, provenance, notes, began, ended)
 
 
