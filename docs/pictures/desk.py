@@ -78,7 +78,7 @@ def photograph(page: Page) -> None:
     half_cycles = "parseInt(document.body.innerText.match(/([0-9]+) half-cycles/)[1])"
     page.wait(f"{half_cycles} > {SHOWN_FROM_HALF_CYCLES}", 400.0)
     save(page, "measure")
-    page.key("x")
+    page.click("Stop")
     page.click("Stop it")
     page.wait_text("report.html", 200.0)
     page.key("6")

@@ -5,6 +5,7 @@ key that opens it. It only ever answers: nothing waits for a reader, and without
 """
 
 from rig.channel.loopback import (
+    CHANNEL_NAME,
     Channel,
     Line,
     NoSession,

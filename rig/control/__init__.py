@@ -1,5 +1,6 @@
 """Serial devices of the rig: controller, laser driver, environment sensor."""
 
+from rig.control.beside import darken_beside
 from rig.control.controller import Controller, Trip
 from rig.control.environment import EnvironmentService
 from rig.control.laser_service import LONGEST_JOB_S, LaserService

@@ -31,6 +31,8 @@ class TripCause(StrEnum):
     OUTPUT = "OUTPUT"
     WATCHDOG = "WATCHDOG"
     POWER = "POWER"
+    PERSON = "PERSON"
+    """Somebody has pressed LIGHT OFF; no board has this cause."""
 
 
 class Holder(StrEnum):

@@ -12,7 +12,7 @@ from acquisition.frame import Frame
 from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError, RigError
 from rig.align import AlignmentFrame, take_look
-from rig.control import LatchedTrip, LightPermit, LightRefused, Stage
+from rig.control import LightPermit, LightRefused, SafetyNow, SafetyState, Stage
 from rig.devices import Devices, LightWatch, find_exposure, watch_latest
 from rig.instrument import complete, optics_of, prepare_kernels
 from rig.settings import Configuration
@@ -53,6 +53,9 @@ class LitCamera:
 
 
 _LOOK_S = 0.1
+_UNSEEN_S = 30.0
+"""For so long the laser stays lit while no browser fetches the picture."""
+_LEFT = f"nobody has looked at the picture for {_UNSEEN_S:g} s"
 _FOCUS_POINTS = 600
 EXPOSE = "expose"
 """A wish for the exposure at which the peak is right."""
@@ -63,10 +66,12 @@ class Aligner:
     """A thread that has camera and laser, and looks at the newest frame, ten times a second.
 
     `look` is the last look (None before the first), `focus` its sharpness over time (seconds, 1/px), `note`
-    what the last wish has led to, `darkness` why the laser is dark, `problem` why it has ended.
+    what the last wish has led to, `darkness` why the laser is dark, `problem` why it has ended. `state` is
+    the latch of a rig that has no file. If nobody looks for a while the laser is switched off.
     """
 
-    def __init__(self, config: Configuration) -> None:
+    def __init__(self, config: Configuration, state: SafetyState | None = None) -> None:
+        self._state = state
         self._config = complete(config)
         self._wishes: queue.Queue[Wish] = queue.Queue()
         self._ended = threading.Event()
@@ -78,7 +83,8 @@ class Aligner:
         self.problem = ""
         self.darkness = ""
         self._devices: Devices | None = None
-        self._relighting = False
+        self._relighting = self._off = self._left = False
+        self._seen_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="align", daemon=True)
 
     def start(self) -> None:
@@ -98,19 +104,29 @@ class Aligner:
         self._thread.join(10.0)
 
     @property
-    def latched(self) -> LatchedTrip | None:
-        """The trip that nobody has acknowledged."""
+    def safety(self) -> SafetyNow | None:
+        """The rig's safety state; None before the devices are open, and after they were closed."""
         devices = self._devices
-        return None if devices is None else devices.permit.latched
+        return None if devices is None else devices.safety()
 
-    def acknowledge(self, number: int) -> str:
-        """Acknowledge a trip and light the laser again; raises DeviceError while an interlock is open."""
+    def looked_at(self) -> None:
+        """A browser has fetched the picture."""
+        self._seen_s = time.monotonic()
+
+    def light_off(self, who: str) -> None:
+        """Dark at once, also before anything was lit; never waits."""
+        self._off = True
+        if (devices := self._devices) is not None:
+            devices.light_off(who)
+
+    def acknowledge(self, number: int, who: str) -> str:
+        """Acknowledge a trip; raises DeviceError while its cause persists. Lights nothing."""
         devices = self._devices
-        if devices is None:
-            return "nothing waits for an acknowledgement"
-        said = devices.acknowledge(number, "desk")
+        return "the live picture has ended" if devices is None else devices.acknowledge(number, who)
+
+    def relight(self) -> None:
+        """Somebody asks for light again."""
         self._relighting = True
-        return said
 
     @property
     def running(self) -> bool:
@@ -125,6 +141,16 @@ class Aligner:
         finally:
             self._devices = None
 
+    def _keep_lit_while_seen(self, devices: Devices) -> None:
+        if self._relighting:
+            self._relighting = self._left = False
+            self._seen_s = time.monotonic()
+            self.note = _lit(devices, asked=True)
+        if not self._left and devices.permit.begun and time.monotonic() - self._seen_s > _UNSEEN_S:
+            self._left = True
+            devices.darken(_LEFT)
+        self.darkness = _LEFT if self._left else devices.darkness()
+
     def _say(self, text: str) -> None:
         self.note = text
 
@@ -132,20 +158,19 @@ class Aligner:
         config = self._config
         begun_s = time.monotonic()
         folder = config.session.output
-        with Devices(config, folder, "the live picture") as devices, devices.camera(config) as opened:
+        task = "the live picture"
+        with Devices(config, folder, task, self._state) as devices, devices.camera(config) as opened:
             self._devices = devices
+            if self._off:
+                devices.light_off("the desk")
             info = opened.info
             self.applied = opened.applied or CameraSettings()
             optics = optics_of(config, info.full_scale_dn)
             # compiled while it is dark: a laser may be lit only while frames are looked at
             prepare_kernels(optics.sensor, self._say)
             camera = LitCamera(opened.camera, info, devices.permit)
-            try:
-                lit = devices.light()
-            except LightRefused as refused:
-                # the picture lives in the dark, until somebody acknowledges and asks for light
-                lit = str(refused)
-            self.note = "; ".join((*opened.notes, lit))
+            self.note = "; ".join((*opened.notes, _lit(devices)))
+            self._seen_s = time.monotonic()
             light = LightWatch(devices)
             tracker = optics.tracker()
             lever = config.lever
@@ -160,10 +185,7 @@ class Aligner:
                         self.focus.append((time.monotonic() - begun_s, look.figures.sharpness_per_px))
                         self.look, self.number = look, self.number + 1
                         light.look()
-                        if self._relighting:
-                            self._relighting = False
-                            self.note = devices.light(asked=True)
-                        self.darkness = devices.darkness()
+                        self._keep_lit_while_seen(devices)
                         if self._ended.is_set() or not self._wishes.empty():
                             break
                     else:
@@ -186,3 +208,11 @@ class Aligner:
                         self.note = str(error)
                     tracker = optics.tracker()
             devices.darken("the live picture is closed")
+
+
+def _lit(devices: Devices, *, asked: bool = False) -> str:
+    """Light; what was done, or why the picture lives in the dark until somebody acknowledges and asks."""
+    try:
+        return devices.light(asked=asked)
+    except LightRefused as refused:
+        return str(refused)

@@ -64,7 +64,10 @@ class Calibrating:
         self.problems.pop(kind, None)
 
     def record(self, kind: str) -> None:
-        """Record what is asked for, by `rig camera record` or `frames`; what was recorded is the answer."""
+        """Record what is asked for, by `rig camera record` or `frames`; what was recorded is the answer.
+
+        May wait until the camera is free.
+        """
         question = self.progress(kind).question
         wanted = None if question is None else question.recording
         if wanted is None:
@@ -80,6 +83,11 @@ class Calibrating:
             values = {} if wanted.exposure_us is None else {"camera.exposure_us": wanted.exposure_us}
         self._recording[kind] = path, self._desk.start(*words, values=values)
 
+    def stop(self, kind: str) -> None:
+        """End the recording, and darken; what was not recorded to its end is no answer."""
+        if kind in self._recording:
+            self._recording[kind][1].end()
+
     def recording(self, kind: str) -> str:
         """What is being recorded, with the last words of the command; empty if nothing is.
 
@@ -91,11 +99,13 @@ class Calibrating:
         if job.status is None:
             return f"records {path} … {job.said[-1] if job.said else ''}"
         del self._recording[kind]
-        if job.status == 0:
+        if job.status == 0 and not job.ending:
             try:
                 self.answer(kind, str(path))
             except RigError as error:
                 self.problems[kind] = str(error)
+        elif job.ending:
+            self.problems[kind] = "the recording was stopped"
         else:
             self.problems[kind] = job.said[-1].removeprefix("rig: ") if job.said else "it was not recorded"
         return ""

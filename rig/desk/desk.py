@@ -9,12 +9,15 @@ from pathlib import Path
 
 from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
-from rig.control import LatchedTrip
+from rig.channel import CHANNEL_NAME, Line
+from rig.control import SafetyState, darken_beside, rig_state_path
 from rig.desk.aligner import Aligner
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Job, start_session
+from rig.desk.safety import Safety
 from rig.desk.sessions import LookingAgain
+from rig.devices import Devices
 from rig.measure import session_folder
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
@@ -41,6 +44,8 @@ class Desk:
         self.kept: dict[str, object] = {}
         self.config = load_configuration(source, overrides)
         self.following = Following(self.config.session.output)
+        self._rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
+        self.safety = Safety(self._rig, self.following, lambda: self.aligner)
         self.aligner: Aligner | None = None
         self.jobs: dict[str, Job] = {}
         self.calibrating = Calibrating(self)
@@ -97,8 +102,9 @@ class Desk:
     def start(self, name: str, *words: str, values: Mapping[str, object] | None = None) -> Job:
         """Start a command of this configuration that ends with the desk; one of a name at a time.
 
-        Raises ConfigurationError where the camera is in use.
+        Raises ConfigurationError where the camera is in use, or a trip is not acknowledged. May wait.
         """
+        self._needs_leave(name)
         self.needs_camera(name)
         self.checked(values)
         before = self.jobs.get(name)
@@ -111,6 +117,7 @@ class Desk:
     def start_session(self, values: Mapping[str, object], *, force: bool = False) -> Path:
         """Start `rig run` with these values; it goes on when the desk ends. Returns the session's folder."""
         with self._lock:
+            self._needs_leave("run")
             self.needs_camera("run")
             config = self.checked(values)
             folder, _ = session_folder(config, self.source, None)
@@ -123,6 +130,7 @@ class Desk:
     def resume_session(self, folder: Path) -> None:
         """Start `rig run --resume`; it goes on when the desk ends."""
         with self._lock:
+            self._needs_leave("run")
             self.needs_camera("run")
             self._session = start_session(["run", "--resume", str(folder)], folder), folder
         self.following.look_now(folder)
@@ -138,10 +146,15 @@ class Desk:
                 raise ConfigurationError(f"rig {who} needs the camera, which rig {name} has; end that first")
         self.end_aligning()
 
+    def _needs_leave(self, who: str) -> None:
+        """Raises ConfigurationError while a trip is latched: nothing is started that would light."""
+        if (trip := self.safety.trip) is not None:
+            raise ConfigurationError(f"rig {who} is not started: {trip.text}; acknowledge it first")
+
     def begin_aligning(self) -> None:
         """Open the camera for the live picture."""
         self.needs_camera("camera align")
-        self.aligner = Aligner(self.checked())
+        self.aligner = Aligner(self.checked(), self.safety.unfiled)
         self.aligner.start()
 
     def end_aligning(self) -> None:
@@ -150,24 +163,65 @@ class Desk:
             self.aligner.close()
             self.aligner = None
 
-    @property
-    def latched(self) -> LatchedTrip | None:
-        """The trip that waits for its acknowledgement, in a session or under the live picture."""
-        of_session = self.following.safety.trip
-        return of_session or (None if self.aligner is None else self.aligner.latched)
+    # -- light ------------------------------------------------------------------
 
-    def acknowledge(self) -> str:
-        """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be."""
-        trip = self.latched
-        if trip is None:
-            return "nothing waits for an acknowledgement"
-        if self.aligner is not None:
-            return self.aligner.acknowledge(trip.number)
-        said = self.following.order(f"acknowledge {trip.number}")
-        with suppress(RigError):
-            # a run that waits in the dark
-            said += f"; {self.following.order('light')}"
-        return said
+    def light_off(self) -> list[str]:
+        """Everything dark, whoever has lit it; returns what failed. Waits for no device, session or command.
+
+        Ports are told off directly, too: a frozen session hears its order only when it goes on, and then
+        stays dark.
+        """
+        who = "the desk"
+        if (aligner := self.aligner) is not None:
+            aligner.light_off(who)
+        problems = darken_beside(self.config.laser, self.config.controller)
+        folders = {self.following.folder}
+        if (begun := self._session) is not None and begun[0].poll() is None:
+            folders.add(begun[1])
+            if self.following.last_folder != begun[1] and not (begun[1] / CHANNEL_NAME).exists():
+                # it hears no order yet; one that was seen before, and is gone, is being fitted
+                begun[0].terminate()
+        for folder in folders - {None}:
+            threading.Thread(target=_order_dark, args=(folder, who), name="light off", daemon=True).start()
+        for job in tuple(self.jobs.values()):
+            if job.running:
+                job.end()
+        return problems
+
+    def acknowledge(self, number: int) -> str:
+        """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be. May wait.
+
+        Lights nothing.
+        """
+        who = "the desk"
+        if (aligner := self.aligner) is not None and aligner.running:
+            return aligner.acknowledge(number, who)
+        if self.following.running:
+            return self.following.order(f"acknowledge {number} {who}")
+        for name, job in self.jobs.items():
+            if job.running:
+                raise ConfigurationError(f"rig {name} has the devices; end it, then acknowledge")
+        with Devices(self.config, self.config.session.output, who, self.safety.unfiled) as devices:
+            return devices.acknowledge(number, who)
+
+    def light(self) -> str:
+        """Light again what waits in the dark; raises RigError if nothing does. May wait."""
+        if (aligner := self.aligner) is not None and aligner.running:
+            aligner.relight()
+            return "light is asked for"
+        return self.following.order("light")
+
+    @property
+    def waits_for_light(self) -> bool:
+        """Whether something that was lit is dark, and may be lit again."""
+        if self.safety.trip is not None:
+            return False
+        if (aligner := self.aligner) is not None:
+            return aligner.running and bool(aligner.darkness)
+        news = self.following.news
+        return bool(news.get("darkness") and (news.get("state") or {}).get("alarm"))
+
+    # -- the session ------------------------------------------------------------
 
     @property
     def session_state(self) -> Started | None:
@@ -194,10 +248,16 @@ class Desk:
     def close(self) -> None:
         """End what ends with the desk; a session goes on."""
         self.following.stop()
+        self.safety.stop()
         self.end_aligning()
         for job in self.jobs.values():
             job.end()
         self.looking_again.close()
+
+
+def _order_dark(folder: Path, who: str) -> None:
+    with suppress(RigError), Line(folder) as line:
+        line.order(f"dark {who}")
 
 
 def _as_set(key: str, value: object) -> str:

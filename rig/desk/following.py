@@ -1,5 +1,6 @@
 """Follows the session that runs on this machine, whoever has started it."""
 
+import math
 import threading
 import time
 from collections import deque
@@ -23,7 +24,8 @@ class Following:
     """A thread that asks the running session for news, and looks for one while there is none.
 
     `news` is what it said last (empty without a session), `events` its events, `folder` where it is and
-    `last_folder` where the last one was; `silent` is True while it is there and does not answer.
+    `last_folder` where the last one was; `silent` is True while it is there and does not answer; `heard_s` is
+    the monotonic time of the last news.
     """
 
     def __init__(self, output: Path) -> None:
@@ -33,6 +35,7 @@ class Following:
         self.folder: Path | None = None
         self.last_folder: Path | None = None
         self.silent = False
+        self.heard_s = -math.inf
         self._line: Line | None = None
         self._pictures: Line | None = None
         self._last_picture: SessionPicture | None = None
@@ -80,19 +83,33 @@ class Following:
         with Line(self.folder) as line:
             return line.order(name)
 
+    @property
+    def last_picture(self) -> SessionPicture | None:
+        """The last frame of the running session that was asked for."""
+        return self._last_picture if self.running else None
+
     def picture(self) -> SessionPicture | None:
-        """The newest frame of the running session, and ask for the next; blocks for a moment."""
+        """The newest frame of the running session, and ask for the next; blocks for a moment.
+
+        Who asks while another one waits for a session that does not answer gets the last frame.
+        """
         folder = self.folder
-        with self._one_picture, suppress(NoSession):
+        if not self._one_picture.acquire(blocking=False):
+            return self.last_picture
+        try:
             if folder is None:
                 self._last_picture = None
                 return None
             if self._pictures is None or self._pictures.folder != folder:
                 self._pictures, self._last_picture = Line(folder), None
             last = self._last_picture
-            self._last_picture = self._pictures.picture(0 if last is None else last.number) or last
+            with suppress(NoSession):
+                self._last_picture = self._pictures.picture(0 if last is None else last.number) or last
             return self._last_picture
-        return self._last_picture
+        except NoSession:
+            return None
+        finally:
+            self._one_picture.release()
 
     def _follow(self) -> None:
         while not self._ended.is_set():
@@ -128,7 +145,7 @@ class Following:
         for event in news["events"]:
             self._heard = max(self._heard, int(event["number"]))
             self.events.append(event)
-        self.news = news
+        self.news, self.heard_s = news, time.monotonic()
 
 
 def doing(state: Mapping[str, Any] | None) -> str:

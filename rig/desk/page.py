@@ -1,26 +1,31 @@
 """The page: head with state and keys, alarms over everything, one panel at a time; and how it looks."""
 
 import html
+import json
 from functools import partial
 
-from nicegui import ui
+from nicegui import run, ui
 from nicegui.events import KeyEventArguments
 
+from rig.control import LatchedTrip
+from rig.desk import safety_bar
 from rig.desk.desk import Desk, Started
 from rig.desk.following import doing
 from rig.desk.panels import PANELS
-from rig.desk.tab import Tab
+from rig.desk.safety import lamps
+from rig.desk.tab import DELIBERATE, Tab
+from rig.instrument import Phase
 from rig.presentation import palette
 
 _LOOK_S = 0.25
 
 
-def build_page(desk: Desk) -> None:
-    """Build the page for one tab of a browser."""
+def build_page(desk: Desk, off_port: int) -> None:
+    """Build the page for one tab of a browser; `off_port` is where LIGHT OFF is heard beside this server."""
     tab = Tab(desk)
-    ui.add_css(STYLE)
-    ui.add_head_html(f"<script>{SCRIPT}</script>")
-    ui.add_body_html(NIGHT)
+    ui.add_css(STYLE + safety_bar.STYLE)
+    ui.add_head_html(f"<script>{SCRIPT}{safety_bar.script(off_port)}</script>")
+    ui.add_body_html(NIGHT + safety_bar.BAR)
     if not desk.somebody_acts:
         desk.take(tab.name)
     ui.context.client.on_delete(lambda: desk.leave(tab.name))
@@ -34,10 +39,39 @@ def build_page(desk: Desk) -> None:
         take = ui.button("Take over", on_click=lambda: desk.take(tab.name)).props("dense outline")
         ui.button("Night", on_click=_night).props('dense flat aria-label="red night theme, key n"')
         ui.button("Keys", on_click=lambda: tab.press("?")).props('dense flat aria-label="keys, key ?"')
+
+    asked: LatchedTrip | None = None
+
+    def ask_leave() -> None:
+        nonlocal asked
+        # what is acknowledged is what is read, also if another trip comes meanwhile
+        asked = desk.safety.trip
+        if asked is not None:
+            trip_text.set_text(asked.text)
+            allow.set_text(f"Acknowledge trip {asked.number}")
+            leave.open()
+
+    async def acknowledged() -> None:
+        leave.close()
+        if (trip := asked) is not None:
+            ui.notify(await run.io_bound(desk.acknowledge, trip.number))
+
+    async def light() -> None:
+        ui.notify(await run.io_bound(desk.light))
+
+    with ui.dialog() as leave, ui.card():
+        trip_text = ui.label().classes("middle")
+        ui.label("Look that nobody is in the beam's way. Acknowledging lights nothing.")
+        with ui.row():
+            allow = ui.button("Acknowledge", on_click=tab.act(acknowledged))
+            allow.props(f'color="negative" {DELIBERATE}')
+            ui.button("Not now", on_click=leave.close).props("outline")
     with ui.element("div").classes("cries"):
         alarm = ui.label().classes("alarm").props('role="alert" aria-live="assertive"')
-        acknowledge = ui.button("Acknowledge: nobody is in the beam's way, light is allowed again (key a)")
+        acknowledge = ui.button("Acknowledge …", on_click=tab.act(ask_leave))
         acknowledge.props('color="negative" size="lg"').classes("full-width")
+        again = ui.button("Light again", on_click=tab.act(light)).props(f'size="lg" {DELIBERATE}')
+        again.classes("full-width")
         instruction = ui.label().classes("instruction").props('role="alert"')
     with ui.tabs().props("dense align=left").classes("full-width") as tabs:
         for number, panel in enumerate(PANELS, start=1):
@@ -61,9 +95,6 @@ def build_page(desk: Desk) -> None:
     for number, panel in enumerate(PANELS, start=1):
         tab.key(str(number), partial(show, panel.name))
     tab.key("n", _night)
-    confirm = tab.act(lambda: ui.notify(desk.acknowledge()))
-    acknowledge.on_click(confirm)
-    tab.key("a", confirm)
     tab.key("?", _keys().open)
 
     def pressed(event: KeyEventArguments) -> None:
@@ -72,10 +103,8 @@ def build_page(desk: Desk) -> None:
 
     # of what is typed into a field nothing is a key
     ui.keyboard(on_key=pressed, repeating=False, ignore=["input", "select", "textarea"])
-    sounding = False
 
     def refresh() -> None:
-        nonlocal sounding
         if not desk.somebody_acts:
             desk.take(tab.name)
         acting.set_text("" if tab.acts else "this tab watches")
@@ -83,17 +112,20 @@ def build_page(desk: Desk) -> None:
         news = desk.following.news
         run_state = news.get("state") or {}
         state.set_text(_state(desk))
-        cry, waits = str(run_state.get("alarm") or ""), desk.latched
-        cry = cry or ("" if waits is None else waits.text)
+        safety = desk.safety.now
+        cry = str(run_state.get("alarm") or "")
+        if safety.trip is not None:
+            cry = safety.trip.text
+            acknowledge.set_text(f"Acknowledge trip {safety.trip.number} …")
         alarm.set_text(cry.upper())
         alarm.set_visibility(bool(cry))
-        acknowledge.set_visibility(bool(waits))
-        asked = str(run_state.get("instruction") or "")
-        instruction.set_text(asked.upper())
-        instruction.set_visibility(bool(asked))
-        if bool(cry) != sounding:
-            sounding = bool(cry)
-            ui.run_javascript(f"window.rigAlarm({str(sounding).lower()})")
+        acknowledge.set_visibility(safety.trip is not None)
+        again.set_visibility(desk.waits_for_light)
+        told = str(run_state.get("instruction") or "")
+        instruction.set_text(told.upper())
+        instruction.set_visibility(bool(told))
+        shown = json.dumps(lamps(safety, _recording(desk)))
+        ui.run_javascript(f"window.rigSafety({shown}, {json.dumps(cry)})")
 
     refresh()
     ui.timer(_LOOK_S, refresh)
@@ -116,6 +148,14 @@ def _state(desk: Desk) -> str:
     return f"rig {', '.join(running)} runs" if running else f"ready · {desk.source.name}"
 
 
+def _recording(desk: Desk) -> str:
+    """What is being recorded; empty if nothing is."""
+    news = desk.following.news
+    if desk.following.running:
+        return str(news.get("run") or "") if (news.get("state") or {}).get("phase") == Phase.MEASURING else ""
+    return next((name for name, job in desk.jobs.items() if job.running and name.startswith("camera")), "")
+
+
 def _night() -> None:
     ui.run_javascript("window.rigNight(!document.documentElement.classList.contains('night'))")
 
@@ -124,7 +164,7 @@ def _keys() -> ui.dialog:
     panels = [
         f"<tr><th>{number}</th><td>{panel.name}</td></tr>" for number, panel in enumerate(PANELS, start=1)
     ]
-    others = [("n", "red night theme"), ("a", "acknowledge an interlock")]
+    others = [("n", "red night theme"), ("F9", "LIGHT OFF")]
     others += [entry for panel in PANELS for entry in panel.keys]
     lines = [f"<tr><th>{html.escape(key)}</th><td>{html.escape(text)}</td></tr>" for key, text in others]
     with ui.dialog() as dialog, ui.card():
@@ -154,6 +194,7 @@ body {{ background: var(--ground); color: var(--ink); font-size: 16px; }}
 .three.even {{ grid-template-columns: repeat(3, minmax(0, 1fr)); }}
 @media (max-width: 900px) {{
   .two, .three, .two.half, .three.even {{ grid-template-columns: minmax(0, 1fr); }} }}
+html.dead .q-tab-panels, html.dead .cries, html.dead .q-header {{ opacity: .35; }}
 .cries {{ position: sticky; top: 40px; z-index: 1000; width: 100%; }}
 .why-none {{ font-size: 20px; text-align: center; width: 80%; }}
 .rows {{ border-collapse: collapse; width: 100%; font-size: 14px; line-height: 1.3;
@@ -190,18 +231,4 @@ window.rigNight = function (on) {
   localStorage.setItem('night', on ? '1' : '');
 };
 window.rigNight(localStorage.getItem('night') === '1');
-window.rigAlarm = function (on) {
-  if (!on) { clearInterval(window.rigBeep); window.rigBeep = null; return; }
-  if (window.rigBeep) return;
-  const beep = function () {
-    const context = window.rigAudio || (window.rigAudio = new AudioContext());
-    // of a page that nobody has touched yet the browser holds the sound back
-    if (context.state === 'suspended') context.resume();
-    const tone = context.createOscillator(), loudness = context.createGain();
-    tone.frequency.value = 880; loudness.gain.value = 0.2;
-    tone.connect(loudness).connect(context.destination);
-    tone.start(); tone.stop(context.currentTime + 0.25);
-  };
-  beep(); window.rigBeep = setInterval(beep, 1000);
-};
 """

@@ -5,6 +5,7 @@ import hmac
 import http
 import secrets
 import socket
+import threading
 import urllib.parse
 import webbrowser
 from http.cookies import CookieError, SimpleCookie
@@ -21,8 +22,10 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
+from rig.desk.off_switch import LOOPBACK, OffSwitch
 from rig.desk.page import build_page
 from rig.desk.panels.live_picture import picture_now
+from rig.desk.safety_bar import DARK
 from rig.desk.sessions import SERVED, served_file
 from rig.presentation import say
 
@@ -42,6 +45,18 @@ def open_desk(source: Path, overrides: tuple[str, ...] = (), *, port: int = 0, b
     address = f"http://{LOOPBACK}:{number}/?key={key}"
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
 
+    def admits(host: str, origin: str, cookie: str) -> bool:
+        return host in switch_hosts and guard.admits(origin, cookie)
+
+    switch = OffSwitch(desk.light_off, admits)
+    switch_hosts = {f"{name}:{switch.port}" for name in (LOOPBACK, "localhost")}
+
+    @app.post(DARK)
+    async def dark() -> Response:
+        # a thread of its own: those of a pool may all be waiting
+        threading.Thread(target=desk.light_off, name="light off", daemon=True).start()
+        return Response(status_code=http.HTTPStatus.OK)
+
     @app.get("/picture")
     async def picture(width: int = 900, height: int = 600, zoom: float = 1.0) -> Response:
         size = (max(16, min(width, _MOST_PX)), max(16, min(height, _MOST_PX)))
@@ -57,22 +72,24 @@ def open_desk(source: Path, overrides: tuple[str, ...] = (), *, port: int = 0, b
 
     @ui.page("/")
     def page() -> None:
-        build_page(desk)
+        build_page(desk, switch.port)
 
     ui.run_with(app, title=f"rig desk {source.name}", dark=True, show_welcome_message=False, tailwind=False)
+    guard = Guard(app, key, number, switch.port)
+    switch.start()
+    desk.safety.start()
     desk.following.start()
     print(address, flush=True)
     say("the desk is at this address, in a browser on this machine; Ctrl-C ends it, sessions go on")
     if browser:
         with contextlib.suppress(webbrowser.Error):
             webbrowser.open(address)
-    settings = uvicorn.Config(
-        Guard(app, key, number), log_level="warning", access_log=False, ws="websockets-sansio"
-    )
+    settings = uvicorn.Config(guard, log_level="warning", access_log=False, ws="websockets-sansio")
     try:
         with contextlib.suppress(KeyboardInterrupt):
             uvicorn.Server(settings).run(sockets=[listening])
     finally:
+        switch.close()
         desk.close()
     return 0
 
@@ -97,10 +114,9 @@ def _listening(port: int) -> socket.socket:
     raise ConfigurationError("no port of this machine is free; close something that listens")
 
 
-LOOPBACK = "127.0.0.1"
 POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; frame-ancestors 'none'"
+    "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'OFF_SWITCH; frame-ancestors 'none'"
 )
 
 
@@ -113,8 +129,11 @@ class Guard:
     socket, which browsers open for anyone.
     """
 
-    def __init__(self, app: ASGIApp, key: str, port: int) -> None:
+    def __init__(self, app: ASGIApp, key: str, port: int, off_port: int | None = None) -> None:
         self._app = app
+        names = () if off_port is None else (LOOPBACK, "localhost")
+        others = [f" http://{name}:{off_port}" for name in names]
+        self._policy = POLICY.replace("OFF_SWITCH", "".join(others)).encode()
         self._key = key
         # browsers keep one set of cookies for all ports of a host
         self._cookie = f"rig_desk_{port}"
@@ -127,7 +146,7 @@ class Guard:
             return
         refused = self._refusal(scope)
         if refused is None:
-            await self._app(scope, receive, _with_policy(send))
+            await self._app(scope, receive, self._with_policy(send))
         elif scope["type"] == "websocket":
             # closed before it was accepted, which the browser sees as 403
             await send({"type": "websocket.close", "code": 1008})
@@ -154,6 +173,20 @@ class Guard:
             return PlainTextResponse("open the address that rig desk has printed", http.HTTPStatus.FORBIDDEN)
         return None
 
+    def admits(self, origin: str, cookie: str) -> bool:
+        """Whether it comes from a page of this desk, in a browser that knows the key."""
+        return origin in self._origins and self._fits(_cookie(cookie, self._cookie))
+
+    def _with_policy(self, send: Send) -> Send:
+        async def passed(message: dict[str, object]) -> None:
+            if message["type"] == "http.response.start":
+                headers = message.setdefault("headers", [])
+                assert isinstance(headers, list)
+                headers += [(b"content-security-policy", self._policy), (b"referrer-policy", b"no-referrer")]
+            await send(message)
+
+        return passed  # type: ignore[return-value]
+
     def _fits(self, key: str) -> bool:
         return hmac.compare_digest(key.encode(), self._key.encode())
 
@@ -164,14 +197,3 @@ def _cookie(header: str, name: str) -> str:
     except CookieError:
         return ""
     return "" if found is None else found.value
-
-
-def _with_policy(send: Send) -> Send:
-    async def passed(message: dict[str, object]) -> None:
-        if message["type"] == "http.response.start":
-            headers = message.setdefault("headers", [])
-            assert isinstance(headers, list)
-            headers += [(b"content-security-policy", POLICY.encode()), (b"referrer-policy", b"no-referrer")]
-        await send(message)
-
-    return passed  # type: ignore[return-value]

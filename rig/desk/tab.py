@@ -9,6 +9,8 @@ from nicegui import context, ui
 from processing.errors import RigError
 from rig.desk.desk import Desk
 
+DELIBERATE = 'data-deliberate="true"'
+"""Property of a button that lights, or allows light: a pointer presses it, or a key that is held on it."""
 Handler = Callable[[], None] | Callable[[], Awaitable[None]]
 
 

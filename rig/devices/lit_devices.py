@@ -43,11 +43,13 @@ class LitDevices:
     again. The trip is the rig's, not a session's: `SafetyState`.
     """
 
-    def __init__(self, config: Configuration, folder: Path | None, task: str) -> None:
+    def __init__(
+        self, config: Configuration, folder: Path | None, task: str, state: SafetyState | None = None
+    ) -> None:
         self._config = config
         self.control: ControlService | None = None
         self.laser: LaserService | None = None
-        self.state = SafetyState(rig_state_path(config.laser, config.controller), task)
+        self.state = state or SafetyState(rig_state_path(config.laser, config.controller), task)
         self._log = AuditLog(folder, config.session.operator, task, self.state)
         self._task = task
         self._was_lit = self._is_lit = self._disagreed = self._asked_before_trip = False
@@ -108,6 +110,19 @@ class LitDevices:
         """A person asks for light again; a trip that comes later outdates it."""
         if self.permit.latched is None:
             self._asked_before_trip = False
+
+    def light_off(self, who: str) -> str:
+        """Dark at once and until it is acknowledged, because a person (`who`, where) wants it so.
+
+        Waits for no device. What is latched already stays as it is.
+        """
+        if self.control is not None and self._config.laser.kind != "none":
+            self.control.laser_off()
+        if self.laser is not None:
+            self.laser.off()
+        if self.permit.latched is None:
+            self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
+        return "the laser is told off"
 
     def acknowledge(self, number: int, who: str) -> str:
         """Clear the trip of this number, because a person (`who`, where) has looked and says so.

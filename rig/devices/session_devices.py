@@ -17,6 +17,7 @@ from rig.control import (
     ControlService,
     EnvironmentService,
     LaserService,
+    SafetyState,
     SimulatedOutputs,
     TripCause,
     make_laser,
@@ -59,11 +60,18 @@ class Devices(LitDevices):
     The configured devices are opened in the order controller, sensor, laser, camera, and closed in reverse
     order, also after an error; closing turns the laser off. Laser and controller stay on between the runs
     of a series. `task` says what they are opened for. What happens to the light and what people do is added
-    to the audit log in `folder`, if that is given. Raises DeviceError where another program has the rig.
+    to the audit log in `folder`, if that is given. `state`: the latch of
+    a rig that has no file (simulated). Raises DeviceError where another program has the rig.
     """
 
-    def __init__(self, config: Configuration, folder: Path | None = None, task: str = "this program") -> None:
-        super().__init__(config, folder, task)
+    def __init__(
+        self,
+        config: Configuration,
+        folder: Path | None = None,
+        task: str = "this program",
+        state: SafetyState | None = None,
+    ) -> None:
+        super().__init__(config, folder, task, state)
         self._folder = folder
         self._closing = ExitStack()
         self._inputs: RigInputs | None = None

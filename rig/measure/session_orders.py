@@ -33,7 +33,13 @@ def orders(devices: Devices) -> Orders:
             raise RigError(f"acknowledge {value!r}: the number of the trip is needed")
         return devices.acknowledge(int(number), by or "desk")
 
-    return {"stop": stop, "acknowledge": acknowledge, "light": lambda _: relight(devices), "brake": brake}
+    return {
+        "stop": stop,
+        "acknowledge": acknowledge,
+        "light": lambda _: relight(devices),
+        "dark": lambda by: devices.light_off(by or "the desk"),
+        "brake": brake,
+    }
 
 
 def relight(devices: Devices) -> str:

@@ -16,6 +16,14 @@ def make_laser(settings: LaserSettings) -> Laser | None:
     return _driver(settings.kind)(settings)
 
 
+def off_line(settings: LaserSettings) -> bytes | None:
+    """The bytes that switch a laser with a port of its own off; None for "none" and "controller"."""
+    if settings.kind not in LASERS:
+        return None
+    driver = _driver(settings.kind)
+    return cast(bytes, driver.off_command.encode("ascii") + driver.terminator)  # type: ignore[attr-defined]
+
+
 def laser_unit(kind: str) -> Literal["w", "a"]:
     """Whether a laser is set in watts or in amperes; one that the controller feeds in watts."""
     return cast(Literal["w", "a"], getattr(_driver(kind), "unit", "w")) if kind in LASERS else "w"

@@ -15,6 +15,7 @@ _FAULTS = {"1": "temperature error", "3": "interlock error", "4": "constant-powe
 class Cobolt(SerialLaser):
     """Mode of constant power, regulated by the laser's own photodiode."""
 
+    off_command = "l0"
     terminator = b"\r"
     step = 1e-5
 
@@ -64,7 +65,7 @@ class Cobolt(SerialLaser):
         return self.ask("@cobasdr?") == "1"
 
     def _switch(self, on: bool) -> None:
-        self._command("l1" if on else "l0")
+        self._command("l1" if on else self.off_command)
 
     def _set(self, value: float) -> float:
         self._command(f"p {rounded_down(value, 5)}")

@@ -16,6 +16,7 @@ _CARRIED_OUT_S = 0.1
 class Ldc500(SerialLaser):
     """Diode driver in the mode of constant current."""
 
+    off_command = "LDON OFF"
     unit = "a"
 
     def identify(self) -> LaserIdentity:
@@ -60,7 +61,7 @@ class Ldc500(SerialLaser):
         return "a scan of its current is going on" if _flag(self.ask("SCAN?")) else ""
 
     def _switch(self, on: bool) -> None:
-        self._command(f"LDON {'ON' if on else 'OFF'}")
+        self._command("LDON ON" if on else self.off_command)
 
     def _set(self, value: float) -> float:
         self._command(f"SILD {rounded_down(value * 1000.0, 3)}")

@@ -21,6 +21,7 @@ _WARMING_UP = 0x100
 class Obis(SerialLaser):
     """Mode of continuous emission at constant power, regulated by the laser's own photodiode."""
 
+    off_command = "SOURce:AM:STATe OFF"
     terminator = b"\r\n"
     step = 1e-5
 
@@ -67,7 +68,7 @@ class Obis(SerialLaser):
         return "" if self.ask("SYSTem:AUTostart?").upper() in ("OFF", "0") else "its autostart is on"
 
     def _switch(self, on: bool) -> None:
-        self._command(f"SOURce:AM:STATe {'ON' if on else 'OFF'}")
+        self._command("SOURce:AM:STATe ON" if on else self.off_command)
 
     def _set(self, value: float) -> float:
         self._command(f"SOURce:POWer:LEVel:IMMediate:AMPLitude {rounded_down(value, 6)}")

@@ -33,6 +33,7 @@ class SerialLaser(ABC):
     """
 
     terminator = b"\n"
+    off_command: str
     unit = "w"
     step = 1e-6
     """Resolution of the device in its unit: a value read back that differs by no more counts as set."""

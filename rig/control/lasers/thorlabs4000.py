@@ -31,6 +31,7 @@ _TRIPS = {
 class Thorlabs4000(SerialLaser):
     """Diode driver in the mode of constant current."""
 
+    off_command = "OUTPut:STATe OFF"
     unit = "a"
 
     def __init__(self, settings: LaserSettings, open_line: Callable[[], SerialLine] | None = None) -> None:
@@ -93,7 +94,7 @@ class Thorlabs4000(SerialLaser):
         return self.ask("OUTPut:PROTection:EXTernal:MODE?").upper().startswith("ENAB")
 
     def _switch(self, on: bool) -> None:
-        self._command(f"OUTPut:STATe {'ON' if on else 'OFF'}")
+        self._command("OUTPut:STATe ON" if on else self.off_command)
 
     def _set(self, value: float) -> float:
         self._command(f"SOURce:CURRent:LEVel:AMPLitude {rounded_down(value, 6)}")

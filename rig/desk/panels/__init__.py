@@ -18,9 +18,9 @@ class Panel(NamedTuple):
 
 PANELS = (
     Panel("Align", align.build, align.KEYS),
-    Panel("Balance", balance.build, balance.KEYS),
-    Panel("Preflight", preflight.build, preflight.KEYS),
-    Panel("Measure", measure.build, measure.KEYS),
-    Panel("Calibrate", calibrate.build, calibrate.KEYS),
+    Panel("Balance", balance.build),
+    Panel("Preflight", preflight.build),
+    Panel("Measure", measure.build),
+    Panel("Calibrate", calibrate.build),
     Panel("Sessions", sessions.build, sessions.KEYS),
 )

@@ -11,13 +11,9 @@ from rig.desk.aligner import EXPOSE, Aligner, Wish
 from rig.desk.desk import Desk
 from rig.desk.panels.fields import as_typed, number_field
 from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet
-from rig.desk.tab import Tab
+from rig.desk.tab import DELIBERATE, Handler, Tab
 
-KEYS = (
-    ("e E", "align: shorter, longer exposure"),
-    ("g G", "align: smaller, larger gain"),
-    ("z", "align: zoom 1, 4, 16"),
-)
+KEYS = (("z", "align: zoom 1, 4, 16"),)
 _SIZE = (800, 540)
 _STEP, _STEP_DB = 1.25, 1.0
 _BARS = 64
@@ -99,7 +95,8 @@ def build(desk: Desk, tab: Tab) -> None:
         with ui.column().classes("box"):
             picture = LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk), mouse)
             with ui.row():
-                begin = ui.button("Live picture", on_click=tab.act(start)).props('color="positive"')
+                begin = ui.button("Live picture", on_click=tab.act(start))
+                begin.props(f'color="positive" {DELIBERATE}')
                 end = ui.button("Stop", on_click=tab.act(stop)).props("outline")
                 ui.button("Zoom", on_click=picture.zoom_on).props('outline aria-label="zoom, key z"')
                 ui.button("Whole sensor", on_click=tab.act(whole)).props("outline")
@@ -113,19 +110,17 @@ def build(desk: Desk, tab: Tab) -> None:
                 exposure.props("hide-bottom-space")
                 ui.button("Set", on_click=tab.act(lambda: typed("exposure_us", exposure))).props("outline")
                 ui.button("Auto", on_click=tab.act(lambda: wish(EXPOSE))).props("outline")
+                _stepper("exposure", lambda: turned(exposure=1 / _STEP), lambda: turned(exposure=_STEP), tab)
             with ui.row().classes("items-center no-wrap"):
                 gain = number_field(desk, "camera.gain_db", "gain / dB", None)
                 gain.props("hide-bottom-space")
                 ui.button("Set", on_click=tab.act(lambda: typed("gain_db", gain))).props("outline")
+                _stepper("gain", lambda: turned(gain_db=-_STEP_DB), lambda: turned(gain_db=_STEP_DB), tab)
             ui.label("histogram").classes("title")
             histogram = ui.html(sanitize=False).classes("full-width")
             ui.label("focus: sharpness, larger is sharper").classes("title")
             focus = ui.html(sanitize=False).classes("full-width")
     tab.key("z", picture.zoom_on)
-    tab.key("e", tab.act(lambda: turned(exposure=1 / _STEP)))
-    tab.key("E", tab.act(lambda: turned(exposure=_STEP)))
-    tab.key("g", tab.act(lambda: turned(gain_db=-_STEP_DB)))
-    tab.key("G", tab.act(lambda: turned(gain_db=_STEP_DB)))
 
     def refresh() -> None:
         now = desk.aligner
@@ -149,6 +144,11 @@ def build(desk: Desk, tab: Tab) -> None:
 
     tab.every(0.3, refresh)
     refresh()
+
+
+def _stepper(what: str, down: Handler, up: Handler, tab: Tab) -> None:
+    for sign, words, do in (("-", "smaller", down), ("+", "larger", up)):
+        ui.button(sign, on_click=tab.act(do)).props(f'outline dense aria-label="{words} {what}"')
 
 
 def _seen(desk: Desk) -> bool:

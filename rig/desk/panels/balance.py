@@ -13,11 +13,10 @@ from rig.balance import HEAD, Learned, history_path, learned
 from rig.desk import drawings
 from rig.desk.desk import Desk
 from rig.desk.jobs import Job
-from rig.desk.tab import Tab, tell
+from rig.desk.tab import DELIBERATE, Tab, tell
 from rig.instrument import WEIGHTS, complete
 from rig.presentation import with_uncertainty
 
-KEYS = (("m", "balance: measure"),)
 _STRETCHES = (1.0, 5.0, 20.0)
 _WAY_LINES = 40
 _STATE = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}
@@ -83,7 +82,7 @@ def build(desk: Desk, tab: Tab) -> None:
         with ui.column().classes("box"):
             with ui.row():
                 begin = ui.button("Measure", on_click=tab.act(measure)).props(
-                    'color="positive" aria-label="measure the balance, key m"'
+                    f'color="positive" aria-label="measure the balance" {DELIBERATE}'
                 )
                 ui.button("End", on_click=tab.act(end)).props("outline")
                 ui.button("Stretch", on_click=stretched).props("outline")
@@ -110,7 +109,6 @@ def build(desk: Desk, tab: Tab) -> None:
             ui.button("Show", on_click=history).props("dense outline")
             ui.button("Forget the last turn", on_click=tab.act(forget)).props("dense outline")
         past = ui.html(sanitize=False).classes("full-width")
-    tab.key("m", tab.act(measure))
 
     def refresh() -> None:
         shown = desk.jobs.get("balance")

@@ -10,11 +10,10 @@ from rig.calibrate import Filing
 from rig.desk import drawings
 from rig.desk.calibrating import FOLDER, Calibrating
 from rig.desk.desk import Desk
-from rig.desk.tab import Tab
+from rig.desk.tab import DELIBERATE, Tab
 from rig.settings import number
 from rig.wizards import KINDS, Progress, Question
 
-KEYS = (("r", "calibrate: record what is asked for"), ("<", "calibrate: one question back"))
 _DAYS = 90.0
 
 
@@ -37,9 +36,12 @@ def build(desk: Desk, tab: Tab) -> None:
         calibrating.back(kind)
         refresh()
 
-    def record() -> None:
-        calibrating.record(kind)
+    async def record() -> None:
+        await run.io_bound(calibrating.record, kind)
         refresh()
+
+    def stop() -> None:
+        calibrating.stop(kind)
 
     async def file() -> None:
         working.set_visibility(True)
@@ -59,6 +61,7 @@ def build(desk: Desk, tab: Tab) -> None:
             title = ui.label().classes("middle")
             asked = ui.column().classes("full-width")
             going = ui.label().classes("dim").props('role="status" aria-live="polite"')
+            stopping = ui.button("Stop recording", on_click=tab.act(stop)).props('color="negative"')
             wrong = ui.label().classes("no").props('role="alert"')
             with ui.row().classes("full-width items-center") as last:
                 by = ui.input("made by", value=desk.config.session.operator).props("dense outlined")
@@ -68,7 +71,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 ui.button("File it", on_click=tab.act(file)).props('color="positive" size="lg"')
                 working = ui.spinner()
                 working.set_visibility(False)
-            ui.button("Back", on_click=tab.act(back)).props('outline aria-label="one question back, key <"')
+            ui.button("Back", on_click=tab.act(back)).props('outline aria-label="one question back"')
             given = ui.html(sanitize=False).classes("full-width")
         with ui.column().classes("box"):
             ui.label("what came out").classes("title")
@@ -83,7 +86,7 @@ def build(desk: Desk, tab: Tab) -> None:
             wanted = question.recording
             what = f"{wanted.frames} frames" if wanted.kind == "frames" else f"{wanted.seconds:g} s"
             ui.button(f"Record {what} now", on_click=tab.act(record)).props(
-                'color="positive" aria-label="record what is asked for, key r"'
+                f'color="positive" aria-label="record what is asked for" {DELIBERATE}'
             )
         for choice in question.choices:
             words = choice.answer + (f": {choice.text}" if choice.text else "")
@@ -115,6 +118,7 @@ def build(desk: Desk, tab: Tab) -> None:
             wrong.set_text(str(error))
             return
         going.set_text(busy)
+        stopping.set_visibility(bool(busy))
         wrong.set_text(calibrating.problems.get(kind, ""))
         now = (kind, calibrating.draft(kind), bool(busy), calibrating.made.get(kind))
         if now == drawn:
@@ -132,8 +136,6 @@ def build(desk: Desk, tab: Tab) -> None:
         given.set_content(_given(calibrating, kind, found))
         result.set_content(_result(calibrating, kind))
 
-    tab.key("r", tab.act(record))
-    tab.key("<", tab.act(back))
     tab.every(0.5, refresh)
     refresh()
 

@@ -76,10 +76,14 @@ def no_frame_yet(following: Following) -> str:
 
 
 def look_now(desk: Desk) -> AlignmentFrame | None:
-    """The newest look; None without one. Of a session's beam nothing is judged here: its state says it."""
-    if desk.aligner is not None:
-        return desk.aligner.look
-    seen, camera = desk.following.picture(), desk.following.news.get("camera") or {}
+    """The newest look that is here; None without one. Never blocks.
+
+    Of a session's beam nothing is judged here: its state says it.
+    """
+    aligner = desk.aligner
+    if aligner is not None:
+        return aligner.look
+    seen, camera = desk.following.last_picture, desk.following.news.get("camera") or {}
     if seen is None or "full_scale_dn" not in camera:
         return None
     full_scale_dn, stated = int(camera["full_scale_dn"]), camera["reference_px"]
@@ -91,7 +95,15 @@ def look_now(desk: Desk) -> AlignmentFrame | None:
 
 
 def picture_now(desk: Desk, width_px: int, height_px: int, zoom: float) -> bytes:
-    """The newest look as PNG of this size, with all that is drawn into it; black without one."""
+    """The newest look as PNG of this size, with all that is drawn into it; black without one. Blocks.
+
+    Whoever asks for it looks: the live picture stays lit.
+    """
+    aligner = desk.aligner
+    if aligner is None:
+        desk.following.picture()
+    else:
+        aligner.looked_at()
     look = look_now(desk)
     shown = np.zeros((height_px, width_px, 3), np.uint8)
     if look is not None:

@@ -14,12 +14,12 @@ from rig.desk.desk import Desk
 from rig.desk.following import doing
 from rig.desk.panels.fields import number_field, stated, text_field
 from rig.desk.panels.live_picture import LivePicture, no_frame_yet
-from rig.desk.tab import Tab
+from rig.desk.tab import DELIBERATE, Tab
 from rig.instrument import Phase
 from rig.measure import estimate_texts
 from rig.presentation import quantity
+from rig.settings import SessionSettings
 
-KEYS = (("s", "measure: start a session"), ("b", "measure: brake on or off"), ("x", "measure: stop"))
 _SIZE = (420, 240)
 _RELEASE = {
     "at once": "recorded from the first frame on, whether it moves or not",
@@ -39,7 +39,16 @@ def build(desk: Desk, tab: Tab) -> None:
                 raise ConfigurationError(str(field.error))
         return stated(fields)
 
+    def ask() -> None:
+        values = judged()
+        desk.checked(values)
+        # what was allowed for one session holds for that one
+        force.set_value(False)
+        what.set_text(_asked(desk.checked(values).session))
+        begin.open()
+
     async def start() -> None:
+        begin.close()
         folder = await run.io_bound(desk.start_session, judged(), force=bool(force.value))
         ui.notify(f"the session begins in {folder}")
 
@@ -55,8 +64,15 @@ def build(desk: Desk, tab: Tab) -> None:
     with ui.dialog() as sure, ui.card():
         ui.label("Stop the session? The record is closed and fitted; nothing is lost.")
         with ui.row():
-            ui.button("Stop it", on_click=lambda: sure.submit(True)).props('color="negative" autofocus')
+            ui.button("Stop it", on_click=lambda: sure.submit(True)).props('color="negative"')
             ui.button("Go on", on_click=lambda: sure.submit(False)).props("outline")
+    with ui.dialog() as begin, ui.card():
+        what = ui.label().classes("middle")
+        ui.label("The laser will be lit. Look that nobody is in the beam's way.")
+        force = ui.checkbox("measure even if preflight says no-go, this session only")
+        with ui.row():
+            ui.button("Start the session", on_click=tab.act(start)).props(f'color="positive" {DELIBERATE}')
+            ui.button("Not now", on_click=begin.close).props("outline")
     with ui.column().classes("full-width box") as before:
         with ui.row().classes("full-width no-wrap"):
             sample = text_field(desk, "session.sample", "sample", session.sample)
@@ -74,10 +90,9 @@ def build(desk: Desk, tab: Tab) -> None:
             )
             longest = number_field(desk, "session.max_duration_s", "at most / s", session.max_duration_s)
         with ui.row().classes("items-center"):
-            ui.button("Start", on_click=tab.act(start)).props(
-                'color="positive" size="lg" aria-label="start a session, key s"'
+            ui.button("Start …", on_click=tab.act(ask)).props(
+                'color="positive" size="lg" aria-label="start a session"'
             )
-            force = ui.checkbox("measure even if preflight says no-go")
             ui.label(f"release: {_RELEASE[desk.config.start.way]}").classes("dim")
         words = ui.html(sanitize=False).classes("full-width dim")
     fields = {
@@ -104,10 +119,10 @@ def build(desk: Desk, tab: Tab) -> None:
                 laser = ui.label().classes("middle")
                 with ui.row():
                     ui.button("Stop", on_click=tab.act(stop)).props(
-                        'color="negative" size="lg" aria-label="stop the session, key x"'
+                        'color="negative" size="lg" aria-label="stop the session"'
                     )
                     brakes = ui.button("Brake", on_click=tab.act(brake)).props(
-                        'outline size="lg" aria-label="brake on or off, key b"'
+                        'outline size="lg" aria-label="brake on or off"'
                     )
             with ui.column().classes("box"):
                 ui.label("what the run has told").classes("title")
@@ -125,9 +140,6 @@ def build(desk: Desk, tab: Tab) -> None:
             with ui.column().classes("box"):
                 ui.label("events").classes("title")
                 events = ui.html(sanitize=False).classes("events").props('role="log" aria-label="events"')
-    tab.key("s", tab.act(start))
-    tab.key("x", tab.act(stop))
-    tab.key("b", tab.act(brake))
 
     def refresh() -> None:
         news = desk.following.news
@@ -159,6 +171,11 @@ def build(desk: Desk, tab: Tab) -> None:
 
     tab.every(0.25, refresh)
     refresh()
+
+
+def _asked(session: SessionSettings) -> str:
+    runs = "one run" if session.runs == 1 else f"{session.runs} runs"
+    return f"Start {runs} of {session.sample or 'a sample that is not named'}?"
 
 
 def _number(value: Any, shape: str, unit: str) -> str:

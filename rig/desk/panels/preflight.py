@@ -10,11 +10,9 @@ from processing.errors import RigError
 from rig.desk import drawings
 from rig.desk.desk import Desk
 from rig.desk.following import doing
-from rig.desk.tab import Tab, tell
+from rig.desk.tab import DELIBERATE, Tab, tell
 from rig.instrument import complete
 from rig.plan import expected_of, plan_expected, plan_table
-
-KEYS = (("p", "preflight: run it"),)
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -41,7 +39,7 @@ def build(desk: Desk, tab: Tab) -> None:
         with ui.column().classes("box"):
             with ui.row().classes("items-center"):
                 button = ui.button("Run preflight", on_click=tab.act(start)).props(
-                    'color="positive" aria-label="run preflight, key p"'
+                    f'color="positive" aria-label="run preflight" {DELIBERATE}'
                 )
                 ending = ui.button("End", on_click=tab.act(end)).props("outline")
                 verdict = ui.label().classes("middle").props('role="status" aria-live="polite"')
@@ -52,7 +50,6 @@ def build(desk: Desk, tab: Tab) -> None:
             working = ui.spinner()
             working.set_visibility(False)
             expected = ui.html(sanitize=False).classes("full-width")
-    tab.key("p", tab.act(start))
 
     def refresh() -> None:
         job = desk.jobs.get("preflight")

@@ -58,7 +58,52 @@ class Page:
             f".find(b => b.offsetParent && b.innerText.trim().toLowerCase().startsWith({words.lower()!r}))"
         )
         self.wait(f"{found} != null")
-        self.ask(f"{found}.click()")
+        if self.ask(f"{found}.dataset.deliberate"):
+            self.point_at(found)
+        else:
+            self.ask(f"{found}.click()")
+
+    def point_at(self, element: str) -> None:
+        """Click an element (an expression) with the mouse, as a person does."""
+        # a dialog that is just opening still moves
+        middle = "[Math.round(r.x + r.width / 2), Math.round(r.y + r.height / 2)]"
+        spot = f"(r => {middle})({element}.getBoundingClientRect())"
+        self.ask(f"{element}.scrollIntoView({{block: 'center'}})")
+        self.wait(
+            "!document.querySelector('[class*=enter-active]') && "
+            f"{element}.contains(document.elementFromPoint(...{spot}))"
+        )
+        x, y = self.ask(spot)
+        for kind in ("mousePressed", "mouseReleased"):
+            self.browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def in_dialog(self) -> None:
+        """Press the button of the open dialog that lights, or allows light."""
+        button = "[...document.querySelectorAll('.q-dialog [data-deliberate]')].at(-1)"
+        self.wait(f"{button} != null")
+        self.point_at(button)
+
+    def acknowledge(self) -> None:
+        """Acknowledge what is latched, again and again while that is refused."""
+        hidden = (
+            "![...document.querySelectorAll('.cries button')].some(b => b.offsetParent && "
+            "b.innerText.startsWith('ACKNOWLEDGE'))"
+        )
+
+        def ask() -> None:
+            self.click("Acknowledge trip")
+            self.in_dialog()
+            self.wait(f"document.querySelector('.q-notification') || {hidden}")
+
+        self.wait_while(hidden, ask)
+
+    def type(self, text: str) -> None:
+        """Type a text wherever the focus is."""
+        for one in text:
+            for kind in ("keyDown", "keyUp"):
+                self.browser.call(
+                    "Input.dispatchKeyEvent", type=kind, key=one, text=one if kind == "keyDown" else ""
+                )
 
     def fill(self, key: str, text: str) -> None:
         """Type into the field of a key of the configuration."""

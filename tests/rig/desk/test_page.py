@@ -118,11 +118,11 @@ def test_bad_input_is_named_at_its_field_and_starts_nothing(shown: Shown, key: s
     assert "session begins" not in page.text()
 
 
-def test_keys_say_what_is_missing_and_an_empty_page_says_what_to_do(shown: Shown) -> None:
+def test_buttons_say_what_is_missing_and_an_empty_page_says_what_to_do(shown: Shown) -> None:
     _, page = shown
     page.key("1")
     page.wait_text("No live picture yet. Press Live picture")
-    page.key("E")
+    page.click("+")
     page.wait_text("there is no live picture: press Live picture first")
     page.click("close")
 
@@ -178,10 +178,10 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         )
         session_news.state({"phase": "release", "instruction": "release by hand now"}, [])
         page.wait_text("RELEASE BY HAND NOW")
-        page.key("b")
+        page.click("Brake")
         page.wait_text("the brake is on")
         page.wait_text("laser on, brake")
-        page.key("b")
+        page.click("Brake")
         page.wait_text("the brake: does not answer; see its cable")
         page.click("close")
         assert taken == ["on"]
@@ -203,12 +203,12 @@ def test_exposure_region_and_focus_are_set_and_seen(shown: Shown) -> None:
     page.wait_text("160 × 640 px")
     page.wait("document.querySelector('[aria-label=\"sharpness over time\"] polyline') !== null")
     for _ in range(4):
-        page.key("E")
+        page.click("+")
     page.wait_text("244.141 us")
     page.wait("!document.body.innerText.includes('saturated\\tnone')")
     pixels = page.browser.picture().reshape(-1, 3)
     assert np.any(np.all(pixels == (213, 94, 0), axis=1)), "saturated pixels are drawn in their colour"
-    page.key("G")
+    page.ask("document.querySelector('[aria-label=\"larger gain\"]').click()")
     page.wait_text("gain 1 dB")
     page.drag(".picture img", (0.45, 0.3), (0.55, 0.7))
     region = page.wait(

@@ -1,0 +1,148 @@
+"""The safety bar at the foot of every page: lamps with their ages, LIGHT OFF, silence.
+
+It is drawn by the page itself, over dialogs too, so that a desk which says nothing any more is seen: what is
+older than two seconds is unknown, never the last value.
+"""
+
+from rig.control import STALE_S
+from rig.presentation import palette
+
+DARK = "/dark"
+"""Where LIGHT OFF is sent to, at both servers."""
+
+BAR = """
+<div id="safety" role="region" aria-label="safety">
+  <button id="light-off" type="button" aria-label="light off, key F9">LIGHT OFF</button>
+  <span class="lamp" id="lamp-laser" role="status" aria-live="polite"></span>
+  <span class="lamp" id="lamp-interlock" role="status" aria-live="polite"></span>
+  <span class="lamp" id="lamp-recording"></span>
+  <span class="lamp" id="lamp-age"></span>
+  <span id="off-said" role="status" aria-live="assertive"></span>
+  <button id="silence" type="button" hidden>Silence</button>
+</div>
+"""
+
+STYLE = f"""
+#safety {{ position: fixed; left: 0; right: 0; bottom: 0; z-index: 20000; display: flex; flex-wrap: wrap;
+  gap: 4px 14px; align-items: center; padding: 5px 10px; background: #000; color: #fff;
+  border-top: 2px solid #fff; font-size: 16px; }}
+#safety button {{ font: inherit; font-weight: 700; padding: 8px 18px; border: 2px solid #fff;
+  border-radius: 4px; background: #333; color: #fff; cursor: pointer; }}
+#safety #light-off {{ background: #c00000; color: #fff; font-size: 20px; }}
+#safety #silence {{ margin-left: auto; }}
+#safety .lamp::before {{ content: ''; display: inline-block; width: 14px; height: 14px; border-radius: 7px;
+  margin-right: 6px; background: #888; }}
+#safety .go::before {{ background: {palette.BLUISH_GREEN}; }}
+#safety .caution::before {{ background: {palette.YELLOW}; }}
+#safety .no::before {{ background: {palette.VERMILLION}; }}
+#safety .unknown {{ color: #bbb; font-style: italic; }}
+#safety .unknown::before {{ background: transparent; border: 2px dashed #bbb; box-sizing: border-box; }}
+.nicegui-content {{ padding-bottom: 64px; }}
+html.night {{ scrollbar-color: #500 #000; }}
+.q-notifications__list--bottom {{ bottom: 64px !important; }}
+@media (max-width: 600px) {{ .nicegui-content {{ padding-bottom: 120px; }}
+  #safety {{ font-size: 14px; gap: 3px 10px; }} #safety #light-off {{ width: 100%; }}
+  .q-notifications__list--bottom {{ bottom: 120px !important; }} }}
+"""
+
+
+def script(off_port: int) -> str:
+    """What the bar does; `off_port` is that of the server beside the event loop."""
+    return _SCRIPT.replace("OFF_PORT", str(off_port)).replace("STALE_S", f"{STALE_S:g}").replace("DARK", DARK)
+
+
+_SCRIPT = """
+(() => {
+  let told = {}, heard = null, silenced = '', cry = '', beep = null, answer = '';
+  const at = id => document.getElementById(id);
+  function draw() {
+    if (!at('safety')) return;
+    const since = heard === null ? Infinity : (performance.now() - heard) / 1000;
+    let oldest = since;
+    for (const name of ['laser', 'interlock', 'recording']) {
+      const lamp = told[name], old = !lamp || lamp.age_s === null ? Infinity : lamp.age_s + since;
+      const known = old <= STALE_S && lamp.kind !== 'unknown', shown = at('lamp-' + name);
+      const text = (name === 'recording' ? 'records ' : name + ' ') + (known ? lamp.text : 'unknown');
+      if (shown.textContent !== text) shown.textContent = text;
+      shown.className = 'lamp ' + (known ? lamp.kind : 'unknown');
+      if (name !== 'recording' && lamp && lamp.age_s !== null) oldest = Math.max(oldest, old);
+    }
+    const dead = since > STALE_S;
+    at('lamp-age').textContent = dead ? 'the desk says nothing' + (heard === null ? '' :
+      ' for ' + since.toFixed(0) + ' s') : told.laser && told.laser.age_s !== null ?
+      oldest.toFixed(1) + ' s old' : 'nothing is heard of the laser';
+    at('lamp-age').className = 'lamp ' + (oldest > STALE_S ? 'unknown' : 'go');
+    document.documentElement.classList.toggle('dead', dead);
+    at('silence').hidden = !cry || silenced === cry;
+    at('off-said').textContent = answer;
+  }
+  window.rigSafety = (now, alarm) => {
+    told = now; heard = performance.now();
+    if (alarm !== cry) { cry = alarm; if (alarm !== silenced) silenced = ''; }
+    sound(cry !== '' && silenced !== cry);
+    draw();
+  };
+  window.rigLightOff = () => {
+    const pressed = new Date().toLocaleTimeString();
+    answer = 'LIGHT OFF is sent'; draw();
+    const other = location.protocol + '//' + location.hostname + ':OFF_PORTDARK';
+    const ask = address => fetch(address, {method: 'POST', credentials: 'include', keepalive: true})
+      .then(got => got.ok ? got.text() : Promise.reject(new Error(got.status)));
+    Promise.any([ask(other), ask('DARK')]).then(
+      said => { answer = 'LIGHT OFF was taken at ' + pressed + (said ? ', BUT ' + said : ''); },
+      () => { answer = 'LIGHT OFF DID NOT REACH THE DESK: turn the key switch'; }).then(draw);
+  };
+  function sound(on) {
+    if (!on) { clearInterval(beep); beep = window.rigBeep = null; return; }
+    if (beep) return;
+    const cryOut = () => {
+      const context = window.rigAudio || (window.rigAudio = new AudioContext());
+      // of a page that nobody has touched yet the browser holds the sound back
+      if (context.state === 'suspended') context.resume();
+      const tone = context.createOscillator(), loudness = context.createGain();
+      tone.frequency.value = 880; loudness.gain.value = 0.2;
+      tone.connect(loudness).connect(context.destination);
+      tone.start(); tone.stop(context.currentTime + 0.25);
+    };
+    cryOut(); beep = window.rigBeep = setInterval(cryOut, 1000);
+  }
+  document.addEventListener('click', event => {
+    const on = event.target.closest('#light-off, #silence');
+    if (on && on.id === 'light-off') window.rigLightOff();
+    if (on && on.id === 'silence') { silenced = cry; sound(false); draw(); }
+  }, true);
+  window.addEventListener('keydown', event => {
+    if (event.key === 'F9') { event.preventDefault(); if (!event.repeat) window.rigLightOff(); }
+  }, true);
+  setInterval(draw, 250);
+
+  // what lights, or allows light, takes a pointer, or a key that is held on the button: nothing that is typed
+  const HOLD_MS = 1000;
+  let holding = null;
+  const deliberate = target => target && target.closest && target.closest('[data-deliberate]');
+  const release = () => { if (holding) { clearTimeout(holding); holding = null; } };
+  for (const name of ['click', 'keydown', 'keyup'])
+    window.addEventListener(name, event => {
+      const button = deliberate(event.target);
+      if (!button) return;
+      if (name === 'click') {
+        if (event.detail > 0 || button.rigHeld) return;
+      } else if (event.key !== 'Enter' && event.key !== ' ') {
+        if (name === 'keydown') release();
+        return;
+      } else if (name === 'keyup') {
+        release();
+      } else if (!event.repeat) {
+        release();
+        holding = setTimeout(() => {
+          button.rigHeld = true;
+          button.click();
+          button.rigHeld = false;
+        }, HOLD_MS);
+      }
+      event.preventDefault(); event.stopImmediatePropagation();
+    }, true);
+  window.addEventListener('blur', release);
+  window.addEventListener('focusout', release, true);
+})();
+"""
