@@ -110,6 +110,11 @@ class LightPermit:
         if (trip := self.latched) is not None:
             self._tripped(trip)
 
+    def found(self, cause: TripCause, why: str) -> None:
+        """Latch what a device says on opening, unless it is latched already: it may be the same trip."""
+        if (trip := self.latched) is None or trip.cause is not cause:
+            self.trip(cause, why)
+
     @property
     def latched(self) -> LatchedTrip | None:
         """The trip that waits for its acknowledgement."""

@@ -93,7 +93,8 @@ class ControlService(DeviceThread):
         self._snapshot = ControlSnapshot()
         self._is_open = False
         self._was_open = False
-        self._interlock_closed, self._tripped, self._was_reset = True, Trip.NONE, False
+        self._tripped, self._was_reset = Trip.NONE, False
+        self._interlock_closed: bool | None = None
         self._heard_s = 0.0
         self._environment_due_s = 0.0
         self._counts_before = (0, 0, 0)
@@ -198,7 +199,7 @@ class ControlService(DeviceThread):
         )
         self._say(f"{identity.serial} is connected, firmware {identity.firmware}")
         if (found := self._controller.found) is not Trip.NONE:
-            self._permit.trip(TripCause(found), _WHY[found])
+            self._permit.found(TripCause(found), _WHY[found])
         elif self._was_reset:
             self._permit.trip(TripCause.POWER, "the controller was reset or had lost its power")
         self._was_reset = False
@@ -261,7 +262,9 @@ class ControlService(DeviceThread):
     def _latch_trips(self, status: ControllerStatus, told: set[str]) -> None:
         """Each trip once, whether the board's line about it came or only its state tells."""
         causes = told | ({str(status.trip)} if status.trip is not self._tripped else set())
-        if self._interlock_closed and not status.interlock_closed:
+        if not status.interlock_closed and self._interlock_closed is None:
+            self._permit.found(TripCause.INTERLOCK, _WHY[Trip.INTERLOCK])
+        elif not status.interlock_closed and self._interlock_closed:
             causes.add(Trip.INTERLOCK)
         self._tripped, self._interlock_closed = status.trip, status.interlock_closed
         for cause in sorted(causes & _WHY.keys()):

@@ -88,3 +88,14 @@ def test_a_trip_latches_lit_or_dark_and_its_number_grows(clock: Clock, lit: bool
     assert permit.refusal == ""
     with pytest.raises(DeviceError, match="nothing is latched"):
         state.acknowledge(2)
+
+
+def test_what_is_found_on_opening_is_latched_once(clock: Clock) -> None:
+    """Who acknowledges opens the devices: the trip must keep the number that was shown."""
+    permit = LightPermit(clock)
+    for _ in range(2):
+        permit.found(TripCause.INTERLOCK, Interlock.CONTROLLER.opened_text)
+    assert permit.latched is not None
+    assert permit.latched.number == 1
+    permit.found(TripCause.OUTPUT, "it stays lit")
+    assert permit.latched.number == 2
