@@ -14,7 +14,8 @@ from rig.control.serial_port import PortLost, SerialLine, SerialPort
 from rig.control.settings import ControllerSettings
 
 _MAKER = "optical-pendulum-rig"
-_PROTOCOL = "1"
+FIRMWARE = "1.2"
+"""The firmware whose lines are understood: `VERSION` of firmware/core.py."""
 _UNKNOWN_COMMAND = -113
 
 
@@ -34,6 +35,17 @@ class Trip(StrEnum):
     INTERLOCK = "INTERLOCK"
     OUTPUT = "OUTPUT"
     """The laser's output did not follow what it was set to."""
+    POWER = "POWER"
+    """The board has started."""
+
+
+@dataclass(frozen=True, slots=True)
+class Latch:
+    """A trip that waits on the board for its acknowledgement; `lit` as the laser was when it came."""
+
+    number: int
+    cause: Trip
+    lit: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +61,8 @@ class ControllerIdentity:
 class ControllerStatus:
     """The board's outputs and inputs in its last reply to a heartbeat.
 
-    `trip` is the reason for which the board switched its outputs off by itself, `errors_waiting` the number
+    `latch` is the trip that waits for its acknowledgement, `readback` whether the pin of the laser's relay is
+    high, `light_seen` whether a photodiode sees light (None without one), `errors_waiting` the number
     of entries in its error queue.
     """
 
@@ -61,8 +74,15 @@ class ControllerStatus:
     starter_on: bool
     clamp_closed: bool
     brake_on: bool
-    trip: Trip
     errors_waiting: int
+    latch: Latch | None = None
+    readback: bool = False
+    light_seen: bool | None = None
+
+    @property
+    def trip(self) -> Trip:
+        """Cause of the latched trip."""
+        return Trip.NONE if self.latch is None else self.latch.cause
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +114,8 @@ class Controller:
         self._line: SerialLine | None = None
         self._link: Link | None = None
         self._limit_w = 0.0
-        self.found = Trip.NONE
-        """What the board had tripped by before this session, which makes it forget."""
+        self.found: Latch | None = None
+        """What was latched on the board before this session."""
 
     def open(self) -> ControllerIdentity:
         """Open the line, check that a rig controller answers, and begin a session with every output off.
@@ -128,12 +148,12 @@ class Controller:
                 f"{link.name}: {identity!r} answers there, not the rig controller;"
                 " check the port in the configuration"
             )
-        if firmware.split(".")[0] != _PROTOCOL:
+        if firmware != FIRMWARE:
             raise DeviceError(
-                f"{link.name}: the controller's firmware is {firmware}, wanted {_PROTOCOL}.x;"
-                " flash the firmware that came with this version"
+                f"{link.name}: the controller's firmware is {firmware}, wanted {FIRMWARE}; flash the one "
+                "that came with this version (docs/controller.md, Flashing)"
             )
-        self.found = _status(link.ask("SYST:STAT?")).trip
+        self.found = _status(link.ask("SYST:STAT?")).latch
         token = secrets.token_hex(8).upper()
         (stored_w,) = _floats(link.ask(f"SYST:SESS {token},{round(self._settings.watchdog_s * 1000)}"), 1)
         self._limit_w = min(stored_w, self._laser_max_w)
@@ -162,6 +182,12 @@ class Controller:
     def status(self) -> ControllerStatus:
         """The board's state, without restarting its watchdog time."""
         return _status(self._ask("SYST:STAT?"))
+
+    def acknowledge(self, number: int) -> None:
+        """Clear the board's latch of this number, after a person said so; `CommandRefused` for another number
+        or while its cause persists.
+        """
+        self._ask(f"SYST:TRIP:ACK {number}")
 
     def environment(self) -> AirReading:
         """Reading of the controller's own sensor; NaN without one."""
@@ -285,11 +311,15 @@ def _floats(values: str, count: int) -> list[float]:
 
 def _status(values: str) -> ControllerStatus:
     fields = values.split(",")
-    if len(fields) != 10:
-        raise DeviceError(f"the controller answered {values!r}; a status of 10 fields was expected")
-    uptime_ms, interlock, laser, power_w, magnet, starter, clamp, brake, trip, errors = fields
+    if len(fields) != 14:
+        raise DeviceError(f"the controller answered {values!r}; a status of 14 fields was expected")
+    uptime_ms, interlock, laser, power_w, magnet, starter, clamp, brake, trip, errors, *latch = fields
+    number, lit, readback, light = latch
     try:
         return ControllerStatus(
+            latch=Latch(int(number), Trip(trip), _is_one(lit)) if number != "0" else None,
+            readback=_is_one(readback),
+            light_seen=None if light == "-" else _is_one(light),
             uptime_ms=int(uptime_ms),
             interlock_closed=_is_one(interlock),
             laser_on=_is_one(laser),
@@ -298,7 +328,6 @@ def _status(values: str) -> ControllerStatus:
             starter_on=_is_one(starter),
             clamp_closed=_is_one(clamp),
             brake_on=_is_one(brake),
-            trip=Trip(trip),
             errors_waiting=int(errors),
         )
     except ValueError:

@@ -13,7 +13,7 @@ from enum import StrEnum
 from typing import TypeVar
 
 from processing.errors import DeviceError
-from rig.control.controller import AirReading, Controller, ControllerIdentity, ControllerStatus, Trip
+from rig.control.controller import AirReading, Controller, ControllerIdentity, ControllerStatus, Latch, Trip
 from rig.control.device_thread import DeviceThread
 from rig.control.light_permit import Interlock, LightPermit, LightRefused
 from rig.control.link import ControllerReset, ReplyTimeout
@@ -31,6 +31,7 @@ T = TypeVar("T")
 _WHY: dict[str, str] = {
     Trip.INTERLOCK: Interlock.CONTROLLER.opened_text,
     Trip.OUTPUT: "the controller's laser output did not follow what it was set to",
+    Trip.POWER: "the controller was reset or had lost its power",
     Trip.WATCHDOG: "the controller heard nothing from its program for too long",
 }
 
@@ -93,7 +94,8 @@ class ControlService(DeviceThread):
         self._snapshot = ControlSnapshot()
         self._is_open = False
         self._was_open = False
-        self._tripped, self._was_reset = Trip.NONE, False
+        self._latch: Latch | None = None
+        self._was_reset = False
         self._interlock_closed: bool | None = None
         self._heard_s = 0.0
         self._environment_due_s = 0.0
@@ -168,6 +170,12 @@ class ControlService(DeviceThread):
         self._offs += 1
         return self.submit(Controller.safe, urgent=True)
 
+    def acknowledge(self) -> "Future[None]":
+        """Clear the latch that the board last told, after a person said so; no other than that is cleared."""
+        status = self._snapshot.status
+        latch = None if status is None else status.latch
+        return self.submit(lambda controller: self._clear(controller, latch))
+
     # -- in the thread --------------------------------------------------------
 
     def _turn(self) -> float:
@@ -185,8 +193,6 @@ class ControlService(DeviceThread):
         identity = self._controller.open()
         self._is_open = True
         self._heard_s = time.monotonic()
-        # a new session of the board begins without a trip
-        self._tripped = Trip.NONE
         self._counts_before = (
             self._snapshot.junk_lines,
             self._snapshot.late_replies,
@@ -198,11 +204,11 @@ class ControlService(DeviceThread):
             self._snapshot, state=ControlState.OPEN, identity=identity, reconnects=reconnects, last_error=""
         )
         self._say(f"{identity.serial} is connected, firmware {identity.firmware}")
-        if (found := self._controller.found) is not Trip.NONE:
-            self._permit.found(TripCause(found), _WHY[found])
+        if (found := self._controller.found) is not None:
+            self._permit.found(TripCause(found.cause), _WHY[found.cause])
         elif self._was_reset:
-            self._permit.trip(TripCause.POWER, "the controller was reset or had lost its power")
-        self._was_reset = False
+            self._permit.trip(TripCause.POWER, _WHY[Trip.POWER])
+        self._latch, self._was_reset = self._controller.found, False
 
     def _light(self, controller: Controller, offs: int) -> None:
         outdated = "it was switched off meanwhile" if self._offs != offs else ""
@@ -213,6 +219,11 @@ class ControlService(DeviceThread):
 
     def _darken(self, controller: Controller) -> None:
         controller.laser_off()
+        self._beat()
+
+    def _clear(self, controller: Controller, latch: Latch | None) -> None:
+        if latch is not None:
+            controller.acknowledge(latch.number)
         self._beat()
 
     def _keep_to_the_permit(self) -> None:
@@ -261,14 +272,15 @@ class ControlService(DeviceThread):
 
     def _latch_trips(self, status: ControllerStatus, told: set[str]) -> None:
         """Each trip once, whether the board's line about it came or only its state tells."""
-        causes = told | ({str(status.trip)} if status.trip is not self._tripped else set())
-        if not status.interlock_closed and self._interlock_closed is None:
-            self._permit.found(TripCause.INTERLOCK, _WHY[Trip.INTERLOCK])
-        elif not status.interlock_closed and self._interlock_closed:
+        causes, latch = set(told), status.latch
+        if latch is not None and (self._latch is None or latch.number != self._latch.number):
+            causes.add(latch.cause)
+        first = self._interlock_closed is None
+        if not status.interlock_closed and self._interlock_closed is not False:
             causes.add(Trip.INTERLOCK)
-        self._tripped, self._interlock_closed = status.trip, status.interlock_closed
+        self._latch, self._interlock_closed = latch, status.interlock_closed
         for cause in sorted(causes & _WHY.keys()):
-            self._permit.trip(TripCause(cause), _WHY[cause])
+            (self._permit.found if first else self._permit.trip)(TripCause(cause), _WHY[cause])
 
     def _guarded(self, call: Callable[[Controller], T]) -> T:
         if not self._is_open:

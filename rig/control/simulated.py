@@ -65,6 +65,7 @@ class SimulatedBoard:
     fault = ""
     serial = "SIMULATED"
     clamp_closed = False
+    latches_at_start = False
     starter_max_ms = 5000
     brake_max_ms = 60000
 
@@ -81,6 +82,7 @@ class SimulatedBoard:
         self._thread: threading.Thread | None = None
         self._reset_done = False
         self._enabled = False
+        self._latch = (0, "NONE")
         self._firmware = Firmware(self)  # type: ignore[no-untyped-call]
 
     def open_line(self) -> SerialLine:
@@ -171,6 +173,26 @@ class SimulatedBoard:
     def interlock_closed(self) -> bool:
         """State of the interlock loop."""
         return self._outputs.interlock_closed()
+
+    def interlock_opened(self) -> bool:
+        """Whether it opened for less than a turn, which is not simulated."""
+        return False
+
+    def button_pressed(self) -> bool:
+        """Its button, which nobody presses."""
+        return False
+
+    def light_seen(self) -> bool | None:
+        """It has no photodiode."""
+        return None
+
+    def stored_latch(self) -> tuple[int, str]:
+        """Number and cause of the last trip, as a reset finds them."""
+        return self._latch
+
+    def store_latch(self, number: int, cause: str) -> None:
+        """Keep them over a reset."""
+        self._latch = (number, cause)
 
     def environment(self) -> tuple[float, float, float]:
         """Temperature in °C, relative humidity in %, pressure in Pa."""

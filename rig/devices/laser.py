@@ -91,7 +91,8 @@ def laser_now(
             return LaserNow(Light.UNKNOWN, age_s=old_s)
         if status.laser_on:
             return LaserNow(Light.ON, status.laser_power_w, age_s=old_s)
-        return LaserNow(Light.DISAGREES if status.trip is Trip.OUTPUT else Light.OFF, age_s=old_s)
+        at_odds = status.readback or status.light_seen or status.trip is Trip.OUTPUT
+        return LaserNow(Light.DISAGREES if at_odds else Light.OFF, age_s=old_s)
     told = laser.snapshot if laser is not None else None
     if told is None or told.state is None:
         return LaserNow(Light.SILENT)

@@ -146,6 +146,9 @@ class LitDevices:
             raise DeviceError(f"trip {number} cannot be acknowledged: {state.excess}")
         if self.permit.spot.disagrees and self.permit.spot.age_s <= STALE_S:
             raise DeviceError(f"trip {number} cannot be acknowledged: {_STILL_SEEN}")
+        if self.control is not None:
+            # the board's own number is another one; what it latched since it last told is refused by it
+            wait_for_command(self.control.acknowledge())
         self.state.acknowledge(number)
         self.audit(Audited.ACKNOWLEDGE, trip.text, number=number, by=who)
         self._log.wait()

@@ -79,7 +79,7 @@ def acknowledge(world: World) -> None:
         return
     right = world.random.random() < 0.7
     number = trip.number if right else trip.number + world.random.choice([-1, 1, 7])
-    with suppress(RigError):
+    with patched_wait(program), suppress(RigError):
         session_orders.orders(program)["acknowledge"](f"{number}")
         acknowledged(world, right)
 
@@ -106,6 +106,7 @@ def type_at_terminal(world: World) -> None:
         typed += [str(trip.number), world.random.choice(TYPED)]
 
     with (
+        patched_wait(program),
         patch.object(leave, "at_terminal", lambda: True),
         patch.object(sys, "stdin", io.StringIO("".join(f"{line}\n" for line in typed))),
         patch.object(leave, "_forget_what_was_typed"),

@@ -8,10 +8,13 @@ a pull-down resistor, so that all outputs are off while the board is in reset):
     GP8 interlock loop to ground, closed = low            GP9 maintenance jumper to ground
     GP10 exposure output of the camera, high while it exposes
     GP11 laser gate: the driver's digital modulation, high lets light out
+    GP12 button to ground that acknowledges a trip
+    GP13 comparator of a photodiode in the laser's stray light, high in light ("photodiode" in limits.json)
     GP16 SDA, GP17 SCL: BME280
 """
 
 import json
+import os
 import select
 import sys
 import time
@@ -22,6 +25,7 @@ from bme280 import Bme280  # type: ignore[import-not-found]
 from pulse import Pulses  # type: ignore[import-not-found]
 
 LIMITS_FILE = "limits.json"
+LATCH_FILE = "latch.json"
 PWM_HZ = 100_000
 
 
@@ -40,9 +44,15 @@ class Board:
         self._clamp = machine.Pin(6, machine.Pin.OUT, value=0)
         self._brake = machine.Pin(7, machine.Pin.OUT, value=0)
         self._interlock = machine.Pin(8, machine.Pin.IN, machine.Pin.PULL_UP)
+        self._opened = False
+        self._interlock.irq(self._note_opening, machine.Pin.IRQ_RISING)
         self._maintenance = machine.Pin(9, machine.Pin.IN, machine.Pin.PULL_UP)
+        self._button = machine.Pin(12, machine.Pin.IN, machine.Pin.PULL_UP)
+        self._light = machine.Pin(13, machine.Pin.IN, machine.Pin.PULL_DOWN)
+        self._has_photodiode = False
         self.serial = machine.unique_id().hex().upper()
         self.clamp_closed = False
+        self.latches_at_start = True
         self.fault = ""
         # without a valid limits.json the limit is 0, so that the laser stays off
         self.laser_max_w = 0.0
@@ -77,6 +87,7 @@ class Board:
             return
         self.laser_max_w, self._full_scale_w = max_w, full_scale_w
         self.starter_max_ms, self.brake_max_ms = starter_max_ms, brake_max_ms
+        self._has_photodiode = limits.get("photodiode") is True
 
     def maintenance(self) -> bool:
         """True if the jumper is set: the program ends, and the board shows MicroPython's prompt."""
@@ -150,6 +161,41 @@ class Board:
     def interlock_closed(self) -> bool:
         """True if the loop pulls the pin low."""
         return not self._interlock.value()
+
+    def _note_opening(self, _: object) -> None:
+        self._opened = True
+
+    def interlock_opened(self) -> bool:
+        """True once after the loop has opened, however short."""
+        opened, self._opened = self._opened, False
+        return opened
+
+    def button_pressed(self) -> bool:
+        """True while the button is held."""
+        return not self._button.value()
+
+    def light_seen(self) -> "bool | None":
+        """Whether the photodiode sees light; None without one."""
+        return bool(self._light.value()) if self._has_photodiode else None
+
+    def stored_latch(self) -> tuple[int, str]:
+        """Number and cause of the last trip, cause NONE once acknowledged; a torn file counts as POWER."""
+        try:
+            with open(LATCH_FILE) as file:
+                number, cause = json.load(file)
+            return int(number), str(cause)
+        except (OSError, ValueError, TypeError):
+            return 0, "POWER"
+
+    def store_latch(self, number: int, cause: str) -> None:
+        """Keep them over a reset: written beside the old file, which is then replaced at once."""
+        try:
+            with open(LATCH_FILE + ".new", "w") as file:
+                json.dump([number, cause], file)
+            os.rename(LATCH_FILE + ".new", LATCH_FILE)
+        except OSError:
+            # a full flash: the start latches POWER in any case
+            self.fault = LATCH_FILE + " cannot be written"
 
     def environment(self) -> tuple[float, float, float]:
         """Degrees Celsius, per cent of relative humidity and Pa; OSError without a sensor."""

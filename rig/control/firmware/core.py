@@ -5,13 +5,17 @@ bytes are accessed through the board object (see `board.py` for its methods). Th
 commands are documented in docs/controller.md.
 """
 
-VERSION = "1.1"
+VERSION = "1.2"
 LINE_MAX = 120
 REPLAY = 8
 ERRORS_MAX = 16
 DEADLINE_MIN_MS = 100
 DEADLINE_MAX_MS = 5000
 PULSE_MAX_US = 1000000
+# a photodiode and a laser's electronics follow within some ms; a finger is slower than a contact that bounces
+LIGHT_MS = 200
+CAUSES = ("NONE", "INTERLOCK", "OUTPUT", "WATCHDOG", "POWER")
+BUTTON_MS = 500
 
 
 def _crc_table() -> list[int]:
@@ -75,7 +79,8 @@ class Firmware:
 
     The laser is on only while a session is open, heartbeats arrive in time and the interlock is closed. As
     soon as one of these conditions fails, every output is put into its safe state, and only a new command
-    switches the laser on again. The power is limited by the value stored on the board.
+    switches the laser on again. The power is limited by the value stored on the board. A trip is latched, lit
+    or dark, over sessions and hosts: light is refused until its number is acknowledged.
     """
 
     def __init__(self, board):  # type: ignore[no-untyped-def]
@@ -83,7 +88,16 @@ class Firmware:
         self.token = ""
         self.deadline_ms = 0
         self.heard_ms = 0
-        self.trip = "NONE"
+        self.number, self.trip = board.stored_latch()
+        if self.trip not in CAUSES:
+            self.trip = "POWER"
+        self._trip_ms = 0
+        self._trip_lit = False
+        self._was_closed = True
+        self._may_press = False
+        self._pressed_ms = -1
+        self._at_odds_ms = -1
+        self._odds_told = False
         self.limit_w = board.laser_max_w
         self.power_w = 0.0
         self.laser = False
@@ -107,6 +121,7 @@ class Firmware:
             ("*IDN?", self._identify),
             ("SYSTem:ERRor?", self._next_error),
             ("SYSTem:STATus?", self._status),
+            ("SYSTem:TRIP?", self._tell_trip),
             ("SYSTem:SESSion", self._open_session),
             ("SYSTem:SAFE", self._safe_now),
             ("*RST", self._safe_now),
@@ -129,6 +144,7 @@ class Firmware:
         for header, action in (
             ("SYSTem:HEARtbeat?", self._heartbeat),
             ("SYSTem:SESSion:END", self._end_session),
+            ("SYSTem:TRIP:ACKnowledge", self._acknowledge),
             ("LASer:STATe", self._set_laser),
             ("LASer:POWer", self._set_power),
             ("LASer:POWer:LIMit", self._set_limit),
@@ -145,6 +161,8 @@ class Firmware:
         if board.fault:
             self._fail(-240, "Hardware error; " + board.fault)
         self._event("BOOT " + VERSION)
+        if board.latches_at_start:
+            self._trip("POWER", 104)
 
     # -- called by the board's loop -------------------------------------------
 
@@ -171,13 +189,20 @@ class Firmware:
         now = board.ticks_ms()
         if self.token and board.ticks_diff(now, self.heard_ms) > self.deadline_ms:
             self._trip("WATCHDOG", 101)
-        if self.laser and not board.interlock_closed():
+        closed = board.interlock_closed()
+        # an opening that was shorter than a turn is told by the pin's interrupt
+        opened = board.interlock_opened()
+        if opened or (self._was_closed and not closed):
             self._trip("INTERLOCK", 102)
+        self._was_closed = closed
         # a pin that does not do what it was set to: wired wrongly, or broken
         disagrees = board.laser_enabled() != self.laser
         if disagrees and not self._disagrees:
             self._trip("OUTPUT", 103)
         self._disagrees = disagrees
+        if self._light_at_odds(now):
+            self._trip("OUTPUT", 103)
+        self._watch_button(now)
         if self.starter and board.ticks_diff(now, self._starter_end_ms) >= 0:
             self.starter = False
             board.set_starter(False)
@@ -185,8 +210,51 @@ class Firmware:
             self.brake = False
             board.set_brake(False)
 
+    def _light_at_odds(self, now: int) -> bool:
+        """Whether a photodiode has just contradicted the laser's state for long enough."""
+        sees = self.board.light_seen()
+        # there is none between pulses; a laser of its own power may light where only the relay is closed
+        due = self.laser and self.power_w > 0.0 and not self.pulse_us[1]
+        if sees is None or (self.laser if sees else not due):
+            self._at_odds_ms, self._odds_told = -1, False
+        elif self._at_odds_ms < 0:
+            self._at_odds_ms = now
+        elif not self._odds_told and self.board.ticks_diff(now, self._at_odds_ms) > LIGHT_MS:
+            self._odds_told = True
+            return True
+        return False
+
+    def _watch_button(self, now: int) -> None:
+        """Acknowledge by the board's button: let go, then held, so that a stuck one does nothing."""
+        if not self.board.button_pressed():
+            self._may_press, self._pressed_ms = True, -1
+        elif self._may_press and self._pressed_ms < 0:
+            self._pressed_ms = now
+        elif self._may_press and self.board.ticks_diff(now, self._pressed_ms) > BUTTON_MS:
+            self._may_press = False
+            if self.trip != "NONE" and not self._cause_persists():
+                self._clear()
+
+    def _cause_persists(self) -> str:
+        if not self.board.interlock_closed():
+            return "interlock open"
+        if self.board.laser_enabled() != self.laser:
+            return "the output does not follow"
+        return "light is seen" if self.board.light_seen() and not self.laser else ""
+
+    def _clear(self) -> None:
+        self.trip = "NONE"
+        self.board.store_latch(self.number, self.trip)
+        self._event("ACK " + str(self.number))
+
     def _trip(self, cause: str, code: int) -> None:
+        lit = self.laser
         self.safe()
+        # a button that is held through a trip does not acknowledge it
+        self._may_press = False
+        self.number += 1
+        self._trip_ms, self._trip_lit = self.board.ticks_ms(), lit
+        self.board.store_latch(self.number, cause)
         if cause == "WATCHDOG":
             self.token = ""
         self.trip = cause
@@ -301,11 +369,27 @@ class Firmware:
         return f'{code},"{text}"'
 
     def _status(self, _: str) -> str:
+        sees = self.board.light_seen()
         return (
             f"{self.board.ticks_ms()},{int(self.board.interlock_closed())},{int(self.laser)},{self.power_w:.7g},"
             f"{int(self.magnet)},{int(self.starter)},{int(self.clamp)},{int(self.brake)},"
-            f"{self.trip},{len(self._errors)}"
+            f"{self.trip},{len(self._errors)},{self._latched()},{int(self._trip_lit)},"
+            f"{int(self.board.laser_enabled())},{'-' if sees is None else int(sees)}"
         )
+
+    def _latched(self) -> int:
+        return 0 if self.trip == "NONE" else self.number
+
+    def _tell_trip(self, _: str) -> str:
+        return f"{self._latched()},{self.trip},{self._trip_ms},{'lit' if self._trip_lit else 'dark'}"
+
+    def _acknowledge(self, argument: str) -> str:
+        if self.trip == "NONE" or argument != str(self.number):
+            raise Refused(-222, f"Data out of range; trip {self._latched()} is latched")
+        if persists := self._cause_persists():
+            raise Refused(-221, "Settings conflict; " + persists)
+        self._clear()
+        return ""
 
     def _heartbeat(self, argument: str) -> str:
         self.heard_ms = self.board.ticks_ms()
@@ -323,7 +407,6 @@ class Firmware:
         self.token = token
         self.deadline_ms = int(deadline_ms)
         self.heard_ms = self.board.ticks_ms()
-        self.trip = "NONE"
         self.power_w = 0.0
         self._apply_pulse(0.0, 0.0)
         self.limit_w = self.board.laser_max_w
@@ -343,7 +426,8 @@ class Firmware:
         if on:
             if not self.board.interlock_closed():
                 raise Refused(-221, "Settings conflict; interlock open")
-            self.trip = "NONE"
+            if self.trip != "NONE":
+                raise Refused(105, f"Latched; trip {self.number}, {self.trip}, is not acknowledged")
         self.laser = on
         self.board.set_laser(on, self.power_w)
         return ""

@@ -44,6 +44,7 @@ class SteppedBoard:
     serial, fault = "TEST0001", ""
     laser_max_w = 0.001
     clamp_closed = False
+    latches_at_start = False
     starter_max_ms, brake_max_ms = 5000, 300
 
     def __init__(self, clock: Clock) -> None:
@@ -56,6 +57,9 @@ class SteppedBoard:
         self.to_host: Callable[[bytes], bytes] = bytes
         self.to_board: Callable[[bytes], bytes] = bytes
         self._heard, self._sent = b"", b""
+        self.pressed = False
+        self.light: bool | None = None
+        self.latch = (0, "NONE")
         self._lit = False
         self._boot()
         self.sent()  # its greeting
@@ -74,6 +78,10 @@ class SteppedBoard:
                 self.sensor_works = False
             case b"p":
                 self.relay_works = self._lit = False
+            case b"k" | b"K":
+                self.pressed = keys == b"k"
+            case b"l" | b"d":
+                self.light = keys == b"l"
             case b"r":
                 self._reset_wanted = True
 
@@ -145,6 +153,21 @@ class SteppedBoard:
 
     def interlock_closed(self) -> bool:
         return self.closed
+
+    def interlock_opened(self) -> bool:
+        return False
+
+    def button_pressed(self) -> bool:
+        return self.pressed
+
+    def light_seen(self) -> bool | None:
+        return self.light
+
+    def stored_latch(self) -> tuple[int, str]:
+        return self.latch
+
+    def store_latch(self, number: int, cause: str) -> None:
+        self.latch = (number, cause)
 
     def environment(self) -> tuple[float, float, float]:
         if not self.sensor_works:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from processing.errors import DeviceError
 from rig.control import controller as controller_module
 from rig.control.controller import AirReading, Controller, InterlockOpen, PowerLimit
+from rig.control.firmware.core import VERSION
 from rig.control.link import CommandRefused, ControllerReset, ReplyTimeout
 from rig.control.protocol import checksum, encode
 from rig.control.serial_port import PortLost
@@ -49,7 +50,7 @@ def opened(board: Board, **changes: object) -> Controller:
 def test_identity_and_stored_limit(board: Board) -> None:
     controller = Controller(settings_for(board.port), MAX_W)
     identity = controller.open()
-    assert (identity.serial, identity.firmware, identity.laser_max_w) == ("TEST0001", "1.1", 0.001)
+    assert (identity.serial, identity.firmware, identity.laser_max_w) == ("TEST0001", VERSION, 0.001)
     controller.close()
 
 
@@ -127,8 +128,16 @@ def test_interlock_is_read_before_enabling_and_trips_while_lit(board: Board) -> 
     with pytest.raises(InterlockOpen, match="interlock is open"):
         controller.laser_on()
     assert board.count("laser", 1) == 0
+    # an opening in the dark is latched, too
     board.press(b"c")
     board.wait_for(controller.interlock_closed, 20.0)
+    with pytest.raises(CommandRefused, match="trip 1, INTERLOCK, is not acknowledged"):
+        controller.laser_on()
+    controller.acknowledge(1)
+    assert controller.next_error()[0] == 102
+    assert [str(event) for event in controller.take_events()] != []
+    while controller.next_error()[0]:
+        pass
     controller.laser_on()
     board.press(b"o")
     board.wait_for(lambda: board.outputs()["laser"][0] == 0, 20.0)
@@ -166,7 +175,7 @@ def test_power_above_the_configured_limit_is_not_even_sent(board: Board) -> None
 def test_typed_by_hand_one_may_ask_but_not_act(board: Board) -> None:
     with board.terminal() as terminal:
         terminal.write(b"*IDN?\r\n")
-        assert terminal.readline() == b"OK optical-pendulum-rig,controller,TEST0001,1.1\r\n"
+        assert terminal.readline() == f"OK optical-pendulum-rig,controller,TEST0001,{VERSION}\r\n".encode()
         terminal.write(b"laser:power:limit?\n")
         assert terminal.readline() == b"OK 0.001\r\n"
         terminal.write(b"LAS:STAT ON\n")
@@ -398,6 +407,7 @@ NUMBERS = st.one_of(
 )
 COMMANDS = st.one_of(
     st.just("LAS:STAT ON"),
+    st.integers(0, 20).map(lambda number: f"SYST:TRIP:ACK {number}"),
     NUMBERS.map(lambda n: f"LAS:POW {n}"),
     NUMBERS.map(lambda n: f"las:power:limit {n}"),
     st.sampled_from(
@@ -443,6 +453,8 @@ def test_no_power_above_the_stored_limit_whatever_is_sent(board: Board) -> None:
         )
         def check(sendings: list[tuple[str, object]]) -> None:
             ask("SYST:SESS A,5000")
+            latched = ask("SYST:TRIP?").split()[2].split(b",")[0].decode()
+            ask(f"SYST:TRIP:ACK {latched}")
             before = len(board.events())
             for kind, what in sendings:
                 if kind == "command":
@@ -464,3 +476,93 @@ def test_no_power_above_the_stored_limit_whatever_is_sent(board: Board) -> None:
     # The property is not empty: it has been lit on the way, also at the limit itself.
     assert board.count("laser", 1) > 10
     assert any(row[1] == "laser" and row[2] == [1, 0.001] for row in board.events())
+
+
+def latched(controller: Controller) -> tuple[int, str, bool]:
+    latch = controller.heartbeat().latch
+    return (0, "NONE", False) if latch is None else (latch.number, latch.cause, latch.lit)
+
+
+def tripped(board: Board, controller: Controller, key: bytes, *, lit: bool) -> None:
+    if lit:
+        controller.laser_on()
+    board.press(key)
+    board.wait_for(lambda: latched(controller)[0] > 0, 20.0)
+
+
+@pytest.mark.parametrize("lit", [True, False])
+def test_a_trip_is_latched_over_sessions_until_its_number_is_acknowledged(board: Board, lit: bool) -> None:
+    controller = opened(board, watchdog_s=5.0)
+    tripped(board, controller, b"o", lit=lit)
+    with pytest.raises(CommandRefused, match="interlock open"):
+        controller.acknowledge(1)
+    board.press(b"c")
+    board.wait_for(controller.interlock_closed, 20.0)
+    controller.close()
+    another = opened(board, watchdog_s=5.0)
+    assert another.found is not None
+    assert (another.found.number, another.found.cause) == (1, "INTERLOCK")
+    assert latched(another) == (1, "INTERLOCK", lit)
+    for number in (0, 2):
+        with pytest.raises(CommandRefused, match="trip 1 is latched"):
+            another.acknowledge(number)
+    with pytest.raises(CommandRefused, match="trip 1, INTERLOCK, is not acknowledged"):
+        another.laser_on()
+    another.acknowledge(1)
+    assert latched(another)[0] == 0
+    assert board.outputs()["laser"][0] == 0
+    another.laser_on()
+    assert board.outputs()["laser"][0] == 1
+    another.close()
+
+
+def test_a_reset_keeps_what_was_latched(board: Board) -> None:
+    controller = opened(board, watchdog_s=5.0)
+    tripped(board, controller, b"o", lit=True)
+    board.press(b"c")
+    board.press(b"r")
+    board.wait_for(lambda: board.count("boot", 1) == 2, 20.0)
+    with pytest.raises(ControllerReset):
+        controller.heartbeat()
+    controller.open()
+    assert controller.found is not None
+    assert controller.found.number >= 1
+    with pytest.raises(CommandRefused, match="is not acknowledged"):
+        controller.laser_on()
+    controller.close()
+
+
+def test_the_boards_button_acknowledges_if_it_is_let_go_and_held(board: Board) -> None:
+    controller = opened(board, watchdog_s=5.0)
+    # one that is stuck does nothing
+    board.press(b"k")
+    tripped(board, controller, b"o", lit=True)
+    board.press(b"c")
+    board.wait_for(controller.interlock_closed, 20.0)
+    begun_ms = controller.heartbeat().uptime_ms
+    board.wait_for(lambda: controller.heartbeat().uptime_ms > begun_ms + 1000, 20.0)
+    assert latched(controller) == (1, "INTERLOCK", True)
+    board.press(b"K")
+    begun_ms = controller.heartbeat().uptime_ms
+    board.wait_for(lambda: controller.heartbeat().uptime_ms > begun_ms + 100, 20.0)
+    board.press(b"k")
+    board.wait_for(lambda: latched(controller)[0] == 0, 20.0)
+    assert board.outputs()["laser"][0] == 0
+    controller.close()
+
+
+def test_light_that_a_photodiode_sees_though_off_is_latched(board: Board) -> None:
+    controller = opened(board, watchdog_s=5.0)
+    board.press(b"d")
+    controller.set_laser_power_w(0.0005)
+    board.press(b"l")
+    board.wait_for(lambda: latched(controller)[1] == "OUTPUT", 20.0)
+    with pytest.raises(CommandRefused, match="light is seen"):
+        controller.acknowledge(latched(controller)[0])
+    board.press(b"d")
+    board.wait_for(lambda: controller.heartbeat().light_seen is False, 20.0)
+    controller.acknowledge(latched(controller)[0])
+    # and none where there should be some
+    tripped(board, controller, b"d", lit=True)
+    assert latched(controller)[1:] == ("OUTPUT", True)
+    controller.close()

@@ -51,7 +51,7 @@ class TestController:
     def test_all_is_well(self, board: SteppedBoard) -> None:
         found = self.checks(board, LaserSettings(kind="controller", power_w=0.001))
         assert all(check.ok for check in found.values())
-        assert found["controller"].reason == "serial TEST0001, firmware 1.1"
+        assert found["controller"].reason == "serial TEST0001, firmware 1.2"
         assert found["interlock"].reason == "closed"
         assert found["controller's sensor"].reason == "20.12 °C, 45.5 %, 1013.2 hPa"
 
@@ -61,7 +61,8 @@ class TestController:
         assert found["controller"].ok
         assert found["interlock"].reason == "open: the laser stays off"
         assert "limits.json" in found["laser power"].remedy
-        assert found["controller errors"].reason == "Hardware error; environment sensor (-240)"
+        # what is open at the start is latched, too
+        assert found["controller errors"].reason == "Tripped; INTERLOCK (102)"
         assert found["controller's sensor"].reason == "no reading"
 
     def test_another_laser_has_another_limit(self, board: SteppedBoard) -> None:

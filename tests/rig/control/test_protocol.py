@@ -79,6 +79,10 @@ class SilentBoard:
     laser_max_w = 0.001
     clamp_closed = False
     fault = ""
+    latches_at_start = False
+
+    def stored_latch(self) -> tuple[int, str]:
+        return 0, "NONE"
 
     def __getattr__(self, name: str) -> object:
         return lambda *_: None

@@ -17,7 +17,7 @@ from rig.control import (
     Trip,
     TripCause,
 )
-from rig.control.controller import ControllerStatus
+from rig.control.controller import ControllerStatus, Latch
 from rig.desk.following import Following
 from rig.measure.preflight import device_checks
 from rig.presentation import plain_values
@@ -27,7 +27,7 @@ def status(**changed: Any) -> ControllerStatus:
     """Of a controller with its interlock closed and nothing switched on."""
     off = dict.fromkeys(("laser_on", "magnet_on", "starter_on", "clamp_closed", "brake_on"), False)
     known: dict[str, Any] = {**off, "uptime_ms": 1, "interlock_closed": True, "laser_power_w": 0.0}
-    return ControllerStatus(**{**known, "trip": Trip.NONE, "errors_waiting": 0, **changed})
+    return ControllerStatus(**{**known, "errors_waiting": 0, **changed})
 
 
 def opened(**changed: Any) -> DevicesNow:
@@ -47,7 +47,7 @@ def test_preflight_judges_the_interlock_whatever_its_words(
 
 @pytest.mark.parametrize("laser", [None, LaserNow(Light.ON, power_w=5e-4), LaserNow(Light.INTERLOCK_OPEN)])
 def test_a_desk_gets_the_same_values(tmp_path: Path, laser: LaserNow | None) -> None:
-    now = DevicesNow(laser, ControlState.OPEN, status(brake_on=True, trip=Trip.WATCHDOG))
+    now = DevicesNow(laser, ControlState.OPEN, status(brake_on=True, latch=Latch(3, Trip.WATCHDOG, lit=True)))
     following = Following(tmp_path)
     trip = LatchedTrip(5, TripCause.INTERLOCK, "the interlock of the laser opened", lit=True)
     safety = SafetyNow(trip, trip.text, Light.OFF, 0.1)

@@ -17,6 +17,7 @@ class Board:
         self.serial = "TEST0001"
         self.fault = ""
         self.clamp_closed = False
+        self.latches_at_start = False
         self.laser_max_w = 0.001
         self.starter_max_ms = 5000
         self.brake_max_ms = 300
@@ -57,6 +58,23 @@ class Board:
 
     def interlock_closed(self):
         return wires.interlock()
+
+    def interlock_opened(self):
+        return False
+
+    def button_pressed(self):
+        return wires.pressed()
+
+    def light_seen(self):
+        light = wires.light()
+        return None if light < 0 else light > 0
+
+    def stored_latch(self):
+        number, _, cause = wires.latch().partition(" ")
+        return int(number), cause
+
+    def store_latch(self, number, cause):
+        wires.storeLatch(str(number) + " " + cause)
 
     def environment(self):
         if not wires.sensor():

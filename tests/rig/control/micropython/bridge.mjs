@@ -6,7 +6,8 @@
 // file. CONTROL_FD takes single bytes: 'o' opens and 'c' closes the interlock, 'x' and 's' take
 // the environment sensor away and give it back, 'r' resets the board (a new interpreter, as after a
 // brown-out), 'h' hangs the loop for 700 ms, 'b' opens the interlock for 20 ms, 'u' makes the relay read closed
-// whatever it was told, 'f' repairs the relay, 'm' marks the moment in LOG_FILE. Every change of an output is a line in LOG_FILE.
+// whatever it was told, 'f' repairs the relay, 'm' marks the moment in LOG_FILE, 'k' presses and 'K' lets go the button,
+// 'l' and 'd' wire a photodiode that sees light or none. Every change of an output is a line in LOG_FILE.
 import * as fs from 'node:fs';
 import * as path from 'node:path';
 import { pathToFileURL } from 'node:url';
@@ -19,7 +20,8 @@ const { loadMicroPython } = await import(pathToFileURL(path.join(packageDir, 'mi
 
 const buffer = Buffer.alloc(4096);
 const sleeper = new Int32Array(new SharedArrayBuffer(4));
-const state = { interlock: true, sensor: true, reset: false, stuck: false, stuckOn: false, mark: false, openTo: 0 };
+const state = { interlock: true, sensor: true, reset: false, stuck: false, stuckOn: false, mark: false, openTo: 0,
+  pressed: false, light: -1, latch: '0 NONE' };
 let quietTurns = 0;
 
 function take(fd) {
@@ -40,6 +42,10 @@ const wires = {
   interlock: () => state.interlock && performance.now() >= state.openTo,
   sensor: () => state.sensor,
   stuck: () => state.stuck,
+  pressed: () => state.pressed,
+  light: () => state.light,
+  latch: () => state.latch,
+  storeLatch: (text) => { state.latch = text; },
   stuckOn: () => state.stuckOn,
   marked: () => {
     const marked = state.mark;
@@ -81,6 +87,8 @@ const wires = {
         if (key === 'u') state.stuckOn = true;
         if (key === 'f') state.stuck = state.stuckOn = false;
         if (key === 'm') state.mark = true;
+        if (key === 'k' || key === 'K') state.pressed = key === 'k';
+        if (key === 'l' || key === 'd') state.light = key === 'l' ? 1 : 0;
       }
     }
     quietTurns += 1;
