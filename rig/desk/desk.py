@@ -202,6 +202,7 @@ class Desk:
             if job.running:
                 raise ConfigurationError(f"rig {name} has the devices; end it, then acknowledge")
         with Devices(self.config, self.config.session.output, who, self.safety.unfiled) as devices:
+            devices.wait_until_heard()
             return devices.acknowledge(number, who)
 
     def light(self) -> str:

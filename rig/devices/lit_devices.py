@@ -31,7 +31,7 @@ from rig.devices.audit import Audited, AuditLog
 from rig.devices.laser import age_s, goes_dark_by_itself, laser_now, light, wait_for_command
 from rig.settings import Configuration
 
-_LOOKS_FOR_S = 3.0
+_LOOKS_FOR_S = _HEARD_WITHIN_S = 3.0
 _STILL_SEEN = "the laser is told off, and the camera still sees its spot"
 _SILENT = (Light.SILENT, Light.CONTROLLER_SILENT)
 
@@ -123,6 +123,12 @@ class LitDevices:
         if self.permit.latched is None:
             self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
         return "the laser is told off"
+
+    def wait_until_heard(self) -> None:
+        """Until whoever knows of light and interlock has answered, or has had time to."""
+        end_s = time.monotonic() + _HEARD_WITHIN_S
+        while time.monotonic() < end_s and self._silent():
+            time.sleep(0.02)
 
     def acknowledge(self, number: int, who: str) -> str:
         """Clear the trip of this number, because a person (`who`, where) has looked and says so.

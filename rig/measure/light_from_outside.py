@@ -1,7 +1,6 @@
 """The commands of `rig light`: a rig's safety state, and its acknowledgement, also while a session runs."""
 
 import math
-import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -12,8 +11,6 @@ from rig.control import SafetyNow, SafetyState, rig_state_path
 from rig.devices import AUDIT_NAME, Devices, check_log
 from rig.presentation import say
 from rig.settings import Configuration
-
-_HEARD_WITHIN_S = 3.0
 
 
 def show_light(config: Configuration) -> int:
@@ -39,7 +36,7 @@ def acknowledge_trip(config: Configuration, number: int) -> int:
             say(line.order(f"acknowledge {number} rig light acknowledge"))
             return 0
     with Devices(config, config.session.output, "rig light acknowledge") as devices:
-        _wait_until_heard(devices)
+        devices.wait_until_heard()
         say(devices.acknowledge(number, "rig light acknowledge"))
     return 0
 
@@ -75,7 +72,7 @@ def _of_the_devices(config: Configuration) -> SafetyNow:
     """With the devices opened, which lights nothing; what the file says where another program has them."""
     try:
         with Devices(config, None, "rig light show") as devices:
-            _wait_until_heard(devices)
+            devices.wait_until_heard()
             return devices.safety()
     except DeviceError as error:
         say(str(error), error=True)
@@ -84,12 +81,3 @@ def _of_the_devices(config: Configuration) -> SafetyNow:
         state.read()
     trip = state.trip
     return SafetyNow(trip, "" if trip is None else trip.text)
-
-
-def _wait_until_heard(devices: Devices) -> None:
-    """Until whoever knows of the light has answered, or has had time to."""
-    end_s = time.monotonic() + _HEARD_WITHIN_S
-    while time.monotonic() < end_s and not math.isfinite(devices.safety().light_age_s):
-        if devices.laser_now() is None:
-            break
-        time.sleep(0.05)

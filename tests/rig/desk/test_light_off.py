@@ -1,5 +1,6 @@
 """LIGHT OFF, and what lights: in a real browser, with a board that is a process of its own."""
 
+import contextlib
 import json
 import os
 import signal
@@ -143,8 +144,12 @@ def test_typed_text_lights_nothing_and_a_held_key_does(rig: Rig) -> None:
         page.ask("new Promise(held => setTimeout(held, 2000))")
 
     # a dialog that closes gives the focus back later, which ends a hold
-    page.wait_while("document.getElementById('lamp-laser').textContent === 'laser on'", hold)
-    board.wait_lit(True)
+    for _ in range(5):
+        hold()
+        with contextlib.suppress(AssertionError):
+            board.wait_lit(True, 10)
+            break
+    assert board.lit
     page.browser.call("Input.dispatchKeyEvent", type="keyUp", key=" ")
 
 
