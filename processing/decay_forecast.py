@@ -1,6 +1,7 @@
 """Forecast of the time at which the amplitude reaches a given value: a fast fit made during the decay."""
 
 import math
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -100,8 +101,17 @@ class _Decay:
         def residuals(parameters: Floats) -> Floats:
             return np.concatenate([(self._times(parameters)[:-1] - self._t) / u_t, self._prior(parameters)])
 
-        start = np.array([self._t[0], math.log(-self.slope * self._grid[0]), _EXPONENT, _LN_DRY_PART])
-        return np.asarray(least_squares(residuals, start, x_scale=[1.0, 0.01, 0.05, 0.5], max_nfev=60).x)
+        ln_k = math.log(-self.slope * self._grid[0])
+        start = np.array([self._t[0], ln_k, _EXPONENT, _LN_DRY_PART])
+        apart = np.array([np.inf, 5.0, 10 * _U_EXPONENT, 10 * _U_LN_DRY_PART])
+        found = least_squares(
+            residuals,
+            start,
+            x_scale=[1.0, 0.01, 0.05, 0.5],
+            bounds=(start - apart, start + apart),
+            max_nfev=60,
+        )
+        return np.asarray(found.x)
 
     def remaining(self, half_period_s: float) -> Forecast:
         """The forecast, averaged over the sizes of the walk by how well each explains the amplitudes."""
@@ -114,28 +124,38 @@ class _Decay:
             columns.append((self._times(moved) - times) / step)
         slopes = np.column_stack(columns)
         paces = self._paces(parameters)
-        # a step of the walk stays in the amplitude, so that in time it grows with the pace
-        walked = self._along(paces**3) / half_period_s
-        walked_here = self._at(self._a, walked)
+        # a step of the walk stays in the amplitude, so that in time it grows with the pace; it is walked
+        # from one amplitude to the next whether the ground let that one fall or rise
+        squares = self._at(self._a, paces**2)
+        steps = 0.5 * (squares[1:] + squares[:-1]) * np.maximum(np.diff(self._t), 0.0) / half_period_s
+        walked = np.concatenate([[0.0], np.cumsum(steps)])
+        to_come = self._along(paces**3) / half_period_s
+        left = float(to_come[-1] - self._at(self._a[-1:], to_come)[0])
         linear = _Linear(
             left=self._t - times[:-1],
             slopes=slopes[:-1],
             final_slope=slopes[-1],
             prior=self._prior(parameters),
             noise=(self._u * self._at(self._a, paces)) ** 2,
-            walk=float(np.median(self._u)) ** 2 * (walked_here - walked_here[0]),
-            walk_left=float(np.median(self._u)) ** 2 * float(walked[-1] - walked_here[-1]),
+            walk=float(np.median(self._u)) ** 2 * walked,
+            walk_left=float(np.median(self._u)) ** 2 * left,
             final_noise=(float(np.median(self._u)) * float(paces[-1])) ** 2,
         )
-        found = np.array([linear.solved(ratio) for ratio in _WALKS])
-        found = found[np.all(np.isfinite(found), axis=1)]
+        # parameters that the decay leaves without meaning have no solution
+        with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
+            found = np.array([linear.solved(ratio) for ratio in _WALKS])
+            return self._averaged(found[np.all(np.isfinite(found), axis=1)], float(times[-1]))
+        return Forecast(math.nan, math.nan)
+
+    @staticmethod
+    def _averaged(found: Floats, final_s: float) -> Forecast:
         if not len(found):
             return Forecast(math.nan, math.nan)
         weight = np.exp(found[:, 2] - found[:, 2].max())
         weight /= weight.sum()
         mean = float(weight @ found[:, 0])
         variance = float(weight @ (found[:, 1] + (found[:, 0] - mean) ** 2))
-        return Forecast(float(times[-1]) + mean, math.sqrt(variance))
+        return Forecast(final_s + mean, math.sqrt(max(variance, 0.0)))
 
 
 class _Linear(NamedTuple):

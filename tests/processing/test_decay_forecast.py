@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from acquisition.simulation.ground_settings import GroundTruth
 from acquisition.simulation.settings import ContactTruth, SimulationSettings
@@ -58,6 +60,22 @@ def test_the_stated_uncertainty_is_that_of_forecasts_on_moving_ground() -> None:
             deviations.append((told.remaining_s - left_s) / u_s)
     # it was three, as long as the ground was left out
     assert 0.7 < math.sqrt(np.mean(np.square(deviations))) < 1.5
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    walk=st.floats(0.0, 1.5),
+    last_arcsec=st.floats(1.9, 6.0),
+    seed=st.integers(0, 1000),
+)
+def test_amplitudes_that_rise_and_fall_have_a_forecast(walk: float, last_arcsec: float, seed: int) -> None:
+    """Near its end a decay in a basement rises as often as it falls."""
+    rng = np.random.default_rng(seed)
+    t = 2.08 * np.arange(200)
+    decay = 7.0 * (last_arcsec / 7.0) ** (t / t[-1])
+    amplitudes = np.abs(decay + walk * np.cumsum(rng.standard_normal(len(t))) * 0.3)
+    found = forecast(t, amplitudes, np.full(len(t), 0.005), 1.8)
+    assert found.u_remaining_s >= 0.0 or math.isnan(found.u_remaining_s)
 
 
 def test_too_little_and_too_late() -> None:
