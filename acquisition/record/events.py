@@ -59,6 +59,8 @@ class EventKind(StrEnum):
     """The swing was pushed within a half-cycle: a draught, a knock."""
     POSTERIOR = "posterior"
     """Parameters are no longer fitted while the run is measured."""
+    WATCHER_FAILED = "watcher failed"
+    """What only watches the run (display, view, live fit, balance) has failed; the record is whole."""
     CLOCK_STEP = "clock step"
     """The computer's clock of the day was set: UTC of the record is that of its beginning."""
 

@@ -54,6 +54,7 @@ def run_conditions(
         *([] if beam is None else [beam.verdict(limits.max_poor_fit_fraction)]),
         *([] if beam is None else [_saturation(beam, frames, limits.max_saturated_fraction)]),
         *_steps(reader.events()),
+        *_watching(reader.events()),
         *_temperature(reader),
         *_ground(ground, half_cycles),
     )
@@ -109,6 +110,15 @@ def _steps(events: Sequence[Event]) -> list[Verdict]:
         )
         for kind, (name, reason, remedy) in _STEPS.items()
     ]
+
+
+def _watching(events: Sequence[Event]) -> list[Verdict]:
+    """A warning: what only watched has failed, which the record does not suffer from."""
+    texts = [event.text for event in events if event.kind == EventKind.WATCHER_FAILED]
+    if not texts:
+        return []
+    remedy = "the record is whole; report this with the program's log"
+    return [Verdict("watching", True, "what only watches failed", remedy, measured=texts[-1], limit="never")]
 
 
 def _temperature(reader: RecordReader) -> list[Verdict]:

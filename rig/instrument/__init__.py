@@ -36,3 +36,4 @@ from rig.instrument.provenance import (
 )
 from rig.instrument.simulated_rig import complete
 from rig.instrument.snapshot import Phase, Snapshot
+from rig.instrument.wall import Wall

@@ -16,12 +16,14 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import SensorModel, Spot, SpotTracker
 from processing.swing import Swing, SwingDetector
 from rig.instrument.configured_camera import shutter_of
+from rig.instrument.wall import Wall
 from rig.settings import Configuration
 
 Samples = ParamSpec("Samples")
 Found = TypeVar("Found")
 
 _MOST_WAITING = 4096
+_BALANCE = "the estimate of the balance"
 
 
 class BesideThread(Generic[Samples, Found]):
@@ -83,6 +85,8 @@ class Pipeline:
         Fit the swings, and estimate the balance, in threads of their own. Their results are the same, but
         come with a later block than the one that completes them, the last ones with `finish` and
         `finish_balance`.
+    wall
+        Behind which the balance is estimated.
     """
 
     def __init__(
@@ -94,6 +98,7 @@ class Pipeline:
         *,
         shutter: Shutter = GLOBAL,
         beside: bool = False,
+        wall: Wall | None = None,
     ) -> None:
         self.tracker = tracker
         self._deflector = Deflector(lever, axes, sensor_shape, shutter)
@@ -103,6 +108,7 @@ class Pipeline:
         self._balances = BesideThread(estimator.update, "balance") if beside else None
         self._detect = (self._swings or self._detector).update
         self._balance = (self._balances or estimator).update
+        self._wall = wall or Wall()
 
     def process(self, frames: Sequence[Frame]) -> Block:
         """Track the spot in some consecutive frames, and continue with `measure`."""
@@ -116,7 +122,8 @@ class Pipeline:
     def detect(self, spots: list[Spot], deflections: Deflections) -> Block:
         """Swings and balances from known deflections (replay without tracking)."""
         swings = self._detect(deflections.times_ns, deflections.y, deflections.u_y)
-        return Block(spots, deflections, swings, self._balance(deflections))
+        balances: list[Balance] = self._wall.past(_BALANCE, [], self._balance, deflections)
+        return Block(spots, deflections, swings, balances)
 
     def finish(self) -> list[Swing]:
         """Swings that are completed by the end of the samples."""
@@ -125,7 +132,7 @@ class Pipeline:
 
     def finish_balance(self) -> list[Balance]:
         """Wait for the balances that are still being estimated, and return them."""
-        return [] if self._balances is None else self._balances.finish()
+        return [] if self._balances is None else self._wall.past(_BALANCE, [], self._balances.finish)
 
 
 class Deflector:
@@ -180,7 +187,9 @@ class Optics:
         """Converts spots to deflections, on a sensor of (ny, nx) pixels."""
         return Deflector(self.lever, self.axes, sensor_shape, self.shutter)
 
-    def pipeline(self, sensor_shape: tuple[int, int], *, beside: bool = False) -> Pipeline:
+    def pipeline(
+        self, sensor_shape: tuple[int, int], *, beside: bool = False, wall: Wall | None = None
+    ) -> Pipeline:
         """A new pipeline from frames to deflections and half-cycles."""
         return Pipeline(
             self.tracker(),
@@ -189,6 +198,7 @@ class Optics:
             sensor_shape,
             shutter=self.shutter,
             beside=beside,
+            wall=wall,
         )
 
     @property

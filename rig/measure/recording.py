@@ -13,7 +13,7 @@ from processing.errors import DeviceError
 from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
-from rig.instrument import Block, Phase, Pipeline, Snapshot
+from rig.instrument import Block, Phase, Pipeline, Snapshot, Wall
 from rig.measure.camera_state import TemperatureWatch, features_json
 from rig.measure.clock_anchors import ClockAnchors
 from rig.measure.end_of_run import EndOfRun, StopRequest
@@ -25,6 +25,7 @@ from rig.measure.step_events import StepEvents
 from rig.posterior import Posterior
 
 _LOST_IMAGE_INTERVAL_S = 1.0
+_LIVE_FIT = "the live fit"
 
 
 class FrameCounts:
@@ -138,6 +139,7 @@ class Recording:
         losses: LossLog,
         recorder: Recorder,
         judge: StartJudge | None,
+        wall: Wall,
     ) -> None:
         self._parts = parts
         self._stream = parts.stream
@@ -146,18 +148,32 @@ class Recording:
         self._losses = losses
         self._recorder = recorder
         self._judge = judge
+        self._wall = wall
 
     def make(self, begun: list[Frame], events: list[Event]) -> str:
         """Record until the run ends; returns why the start was rejected, else an empty text.
 
-        `begun` are the frames with which the record begins, `events` the events before them.
+        `begun` are the frames with which the record begins, `events` the events before them. What is raised
+        here ends the run, and the record says so.
         """
+        parts = self._parts
+        counts = FrameCounts(
+            begun[0], nanoseconds(parts.full_frame_interval_s), keep_windows=parts.keep_windows
+        )
+        try:
+            return self._made(begun, events, counts)
+        except Exception as error:
+            text = f"{type(error).__name__}: {error}"
+            kinds = (EventKind.FAILED, EventKind.STOP)
+            self._recorder.put(Entry(events=[Event(counts.last_ns, kind, text) for kind in kinds]))
+            raise
+
+    def _made(self, begun: list[Frame], events: list[Event], counts: FrameCounts) -> str:
         first, parts, stream, status = begun[0], self._parts, self._stream, self._status
         # frames made on demand wait for both, so that a run of the simulated rig repeats exactly
         pipeline = parts.optics.pipeline(
-            (first.image.shape[0], first.image.shape[1]), beside=stream.policy != "wait"
+            (first.image.shape[0], first.image.shape[1]), beside=stream.policy != "wait", wall=self._wall
         )
-        counts = FrameCounts(first, nanoseconds(parts.full_frame_interval_s), keep_windows=parts.keep_windows)
         end = EndOfRun(parts.end)
         steps = StepEvents(parts.optics.unit)
         # frames made on demand have a clock of their own, which no other one says anything about
@@ -165,7 +181,7 @@ class Recording:
         temperature = None if parts.camera is None else TemperatureWatch(parts.camera)
         status.begin_record()
         if parts.posterior is not None:
-            parts.posterior.begin()
+            self._wall.past(_LIVE_FIT, None, parts.posterior.begin)
         events = [*events, Event(first.time_ns, EventKind.START, "first frame")]
         self._recorder.put(Entry(events=events))
         status.tell_events(counts.start_ns, events)
@@ -187,10 +203,11 @@ class Recording:
             frames = counts.numbered(taken)
             block = pipeline.process(frames)
             if parts.posterior is not None:
-                parts.posterior.take(block.swings, block.deflections)
+                self._wall.past(_LIVE_FIT, None, parts.posterior.take, block.swings, block.deflections)
             entry = counts.entry(frames, block, pipeline)
             clock, clock_steps = (None, []) if anchors is None else anchors.take(counts.last_ns)
-            new = [*entry.events, *steps.take(block), *clock_steps, *self._device_events(counts.last_ns)]
+            stepped: list[Event] = self._wall.past("the watch for steps", [], steps.take, block)
+            new = [*entry.events, *stepped, *clock_steps, *self._device_events(counts.last_ns)]
             self._recorder.put(
                 replace(
                     entry,
@@ -226,12 +243,19 @@ class Recording:
         end_event = Event(counts.last_ns, EventKind.STOP, self._stop.reason)
         if rejected:
             end_event = Event(counts.last_ns, EventKind.REJECTED, f"start not accepted: {rejected}")
+        if self._wall.text:
+            text = f"in all: {self._wall.text}"
+            self._recorder.put(Entry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
         early = [] if rejected or self._stop.early is None else [end_event._replace(kind=self._stop.early)]
         last = [*self._device_events(counts.last_ns), *early, end_event]
         features = {}
         if parts.camera is not None and temperature is not None:
             temperature.close()
-            features = {"camera-features-end.json": features_json(parts.camera)}
+            features = {
+                "camera-features-end.json": self._wall.past(
+                    "the reading of the camera's features", b"", features_json, parts.camera
+                )
+            }
         self._recorder.put(
             Entry(
                 block=empty,

@@ -11,7 +11,7 @@ from dataclasses import replace
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
 from processing.errors import DataError, DeviceError
-from rig.instrument import Phase, Snapshot
+from rig.instrument import Phase, Snapshot, Wall
 from rig.measure.end_of_run import StopRequest
 from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
@@ -40,7 +40,10 @@ class Run:
     def __init__(self, parts: RunParts) -> None:
         self._parts = parts
         self._stream = parts.stream
-        self._status = RunStatus(parts.watchers, parts.devices, parts.optics.unit, parts.environment_period_s)
+        self._wall = Wall()
+        self._status = RunStatus(
+            parts.watchers, parts.devices, parts.optics.unit, parts.environment_period_s, self._wall
+        )
         self._stop = StopRequest(parts.stream)
         self._done = threading.Event()
         self._losses = LossLog(parts.stream, from_start=True)
@@ -65,6 +68,7 @@ class Run:
         """
         usual_turn_s = sys.getswitchinterval()
         sys.setswitchinterval(_TURN_S)
+        show = self._showing(show)
         self._stream.start_camera()
         threading.Thread(target=self._process, name="processing", daemon=True).start()
         interrupt: KeyboardInterrupt | None = None
@@ -129,6 +133,16 @@ class Run:
                 return _show_nothing
         return show
 
+    def _showing(self, show: Callable[[Snapshot], None]) -> Callable[[Snapshot], None]:
+        """The same behind the wall; only a terminal that was closed is told of by OSError."""
+
+        def past(snapshot: Snapshot) -> None:
+            closed = self._wall.past("the display", None, _told_of_os_error, show, snapshot)
+            if closed is not None:
+                raise closed
+
+        return past
+
     def _snapshot_with_stall(self) -> Snapshot:
         """The state of the run; a stalled thread cannot say by itself that it has stalled."""
         stalled = self._stream.permit.stalled
@@ -171,7 +185,7 @@ class Run:
         rejected = ""
         try:
             judge = None if parts.start is None else StartJudge(parts.start)
-            recording = Recording(parts, self._stop, self._status, self._losses, recorder, judge)
+            recording = Recording(parts, self._stop, self._status, self._losses, recorder, judge, self._wall)
             rejected = recording.make(frames, events)
         finally:
             recorder.close()
@@ -221,6 +235,14 @@ class Run:
                 instruction="",
             )
         )
+
+
+def _told_of_os_error(show: Callable[[Snapshot], None], snapshot: Snapshot) -> OSError | None:
+    try:
+        show(snapshot)
+    except OSError as error:
+        return error
+    return None
 
 
 def _show_nothing(_: Snapshot) -> None:

@@ -13,7 +13,7 @@ from processing.deflections import DeflectionUnit
 from processing.swing import Swing
 from processing.ticks import nanoseconds
 from rig.devices import Devices, FrameStream, LightWatch
-from rig.instrument import Block, Snapshot
+from rig.instrument import Block, Snapshot, Wall
 from rig.measure.run_parts import Watcher
 
 
@@ -30,6 +30,8 @@ class RunStatus:
         Unit of the swings' amplitudes; snapshots contain them in arcsec or px.
     environment_period_s
         Time between two recorded readings of the environment.
+    wall
+        Behind which the watchers stand.
     """
 
     def __init__(
@@ -38,8 +40,10 @@ class RunStatus:
         devices: Devices | None,
         unit: DeflectionUnit,
         environment_period_s: float,
+        wall: Wall,
     ) -> None:
         self._watchers = tuple(watchers)
+        self._wall = wall
         self._devices = devices
         self.light = LightWatch(devices)
         self._noticed: list[tuple[EventKind, str]] = []
@@ -68,8 +72,7 @@ class RunStatus:
         self.snapshot = self._with_devices(snapshot)
         if snapshot.instruction and snapshot.instruction != instruction_before:
             self._instructions.append(self.snapshot)
-        for watcher in self._watchers:
-            watcher.snapshot(self.snapshot)
+        self._show(self.snapshot)
 
     def publish(self, snapshot: Snapshot, swings: Sequence[Swing]) -> None:
         """Publish the state during the record, with amplitude and period of the last swing."""
@@ -90,26 +93,29 @@ class RunStatus:
     def tell(self, start_ns: int, frames: Sequence[Frame], block: Block, events: Iterable[Event]) -> None:
         """Pass a block, its events and the state after it to the watchers."""
         for watcher in self._watchers:
-            watcher.block(start_ns, frames, block)
+            self._wall.past(_name(watcher), None, watcher.block, start_ns, frames, block)
         self.tell_events(start_ns, events)
-        for watcher in self._watchers:
-            watcher.snapshot(self.snapshot)
+        self._show(self.snapshot)
 
     def tell_events(self, start_ns: int, events: Iterable[Event]) -> None:
         """Pass events to the watchers."""
         for event in events:
             for watcher in self._watchers:
-                watcher.event(start_ns, event)
+                self._wall.past(_name(watcher), None, watcher.event, start_ns, event)
 
     def end(self, snapshot: Snapshot) -> None:
         """Publish the state after the record, the last one, to the watchers too."""
         self.snapshot = snapshot
+        self._show(snapshot)
+
+    def _show(self, snapshot: Snapshot) -> None:
         for watcher in self._watchers:
-            watcher.snapshot(snapshot)
+            self._wall.past(_name(watcher), None, watcher.snapshot, snapshot)
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of controller, laser and sensors since the last call, as (kind, text)."""
         happened = [] if self._devices is None else self._devices.take_events()
+        happened += [(EventKind.WATCHER_FAILED, text) for text in self._wall.take_news()]
         noticed, self._noticed = self._noticed, []
         return happened + noticed + self.light.look()
 
@@ -133,6 +139,10 @@ class RunStatus:
             devices=self._devices.now(),
             alarm=self.light.alarm or snapshot.alarm,
         )
+
+
+def _name(watcher: Watcher) -> str:
+    return f"watcher {type(watcher).__name__}"
 
 
 _INTERVAL_NS = 1_000_000_000

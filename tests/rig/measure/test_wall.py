@@ -1,0 +1,94 @@
+"""Nothing that only watches can end a run: each of it fails here, and the run comes to its end with a fit."""
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from acquisition.record.events import EventKind
+from acquisition.record.reader import RecordReader
+from processing.balance import BalanceEstimator
+from processing.swing import SwingDetector
+from rig.instrument import Wall
+from rig.measure import measure_session, step_events
+from rig.measure.screen import RunDisplay
+from rig.posterior import LivePosterior
+from rig.settings import load_configuration
+from tests.rig.command_line import CONFIGS, SMALL
+
+WATCHERS = {
+    "watcher RunDisplay": (RunDisplay, "snapshot"),
+    "the display": (RunDisplay, "show"),
+    "the live fit": (LivePosterior, "take"),
+    "the estimate of the balance": (BalanceEstimator, "update"),
+    "the watch for steps": (step_events.StepEvents, "take"),
+}
+
+
+def measured(tmp_path: Path) -> tuple[list[Any], Any]:
+    """Events of a run of twenty seconds, and how the session ended."""
+    stated = {**SMALL, "session.max_duration_s": "20", "preflight.when": '"never"'}
+    stated |= {"session.stop_when": '["u(b)/b < 1e-9"]'}
+    config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in stated.items()])
+    ended = None
+    with contextlib.suppress(SystemExit, ValueError):
+        ended = measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        return list(reader.events()), ended
+
+
+@pytest.mark.parametrize("name", list(WATCHERS))
+def test_what_only_watches_ends_no_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kind, method = WATCHERS[name]
+
+    def fails(*_: object, **__: object) -> None:
+        raise ValueError("an array of the wrong shape")
+
+    monkeypatch.setattr(kind, method, fails)
+    events, _ = measured(tmp_path)
+    assert events[-1].kind == EventKind.STOP
+    assert "time limit" in events[-1].text
+    told = [event.text for event in events if event.kind == EventKind.WATCHER_FAILED]
+    assert f"{name} has failed, the run goes on: ValueError: an array of the wrong shape" in told
+    assert any(text.startswith("in all: ") and name in text for text in told)
+    assert sum("has failed" in text for text in told) == 1
+
+
+def test_an_error_of_what_measures_ends_the_run_and_the_record_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual, calls = SwingDetector.update, 0
+
+    def fails(detector: SwingDetector, *args: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == 5:
+            raise ValueError("no shape fits")
+        return usual(detector, *args)
+
+    monkeypatch.setattr(SwingDetector, "update", fails)
+    events, _ = measured(tmp_path)
+    assert [event.kind for event in events[-2:]] == [EventKind.FAILED, EventKind.STOP]
+    assert "no shape fits" in events[-1].text
+
+
+def test_a_wall_retries_counts_and_leaves_out() -> None:
+    wall = Wall()
+    calls = 0
+
+    def sometimes(fails: bool) -> int:
+        nonlocal calls
+        calls += 1
+        if fails:
+            raise RuntimeError("now and then")
+        return 7
+
+    assert wall.past("it", 0, sometimes, True) == 0
+    assert wall.past("it", 0, sometimes, False) == 7
+    for _ in range(30):
+        wall.past("it", 0, sometimes, True)
+    assert calls == 12
+    assert wall.text == "it 11 times"
+    assert len(wall.take_news()) == 2
+    assert wall.take_news() == []
