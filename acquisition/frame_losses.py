@@ -22,6 +22,8 @@ class FrameLosses:
         They came damaged, and were thrown away.
     while_unplugged
         They would have come while the camera was gone, as far as the time that passed tells.
+    wrong_time
+        Their times fitted neither the camera's rate nor the computer's clock.
     """
 
     by_camera: int = 0
@@ -29,16 +31,20 @@ class FrameLosses:
     by_host: int = 0
     incomplete: int = 0
     while_unplugged: int = 0
+    wrong_time: int = 0
 
     @classmethod
-    def of(cls, status: CameraStatus, *, unqueued: int = 0, while_unplugged: int = 0) -> Self:
-        """From a driver's counts, what our own queue refused, and what the time of a gap tells."""
+    def of(
+        cls, status: CameraStatus, *, unqueued: int = 0, while_unplugged: int = 0, wrong_time: int = 0
+    ) -> Self:
+        """From a driver's counts, what our own queue refused, what the time of a gap tells, wrong times."""
         return cls(
             status.dropped_by_camera,
             status.dropped_by_bus,
             status.dropped_by_host + unqueued,
             status.incomplete,
             while_unplugged,
+            wrong_time,
         )
 
     @property
@@ -50,6 +56,9 @@ class FrameLosses:
         return FrameLosses(*(now - then for now, then in zip(astuple(self), astuple(before), strict=True)))
 
     def __str__(self) -> str:
-        words = ("by the camera", "by the bus", "by this computer", "incomplete", "while unplugged")
+        words = (
+            *("by the camera", "by the bus", "by this computer", "incomplete", "while unplugged"),
+            "without a right time",
+        )
         named = [f"{count} {word}" for count, word in zip(astuple(self), words, strict=True) if count]
         return ", ".join(named) or "none"

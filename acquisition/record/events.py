@@ -59,6 +59,8 @@ class EventKind(StrEnum):
     """The swing was pushed within a half-cycle: a draught, a knock."""
     POSTERIOR = "posterior"
     """Parameters are no longer fitted while the run is measured."""
+    CAMERA_CLOCK = "camera clock"
+    """Its clock has stepped, or frames had wrong times; what was done with them."""
     WATCHER_FAILED = "watcher failed"
     """What only watches the run (display, view, live fit, balance) has failed; the record is whole."""
     CLOCK_STEP = "clock step"
@@ -78,6 +80,7 @@ WARNING_KINDS: Final = frozenset(
         EventKind.LIGHT_STEP,
         EventKind.PUSH,
         EventKind.CLOCK_STEP,
+        EventKind.CAMERA_CLOCK,
     }
 )
 """Kinds that mean missing or disturbed data: warnings in the record's log and in every view."""

@@ -69,6 +69,7 @@ class RecordedLosses(NamedTuple):
     by_host: int
     incomplete: int
     while_unplugged: int
+    wrong_time: int = 0
 
 
 class RecordedWindow(NamedTuple):

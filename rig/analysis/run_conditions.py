@@ -22,6 +22,7 @@ _MOST_LEFT_OUT = 0.2
 _STEPS = {
     EventKind.LASER_DARK: ("light", "the laser went dark", "see the events; interlock, controller, cable"),
     EventKind.REST_STEP: ("rest position", "it stepped", "find what touched the rig; measure again"),
+    EventKind.CAMERA_CLOCK: ("camera's clock", "it stepped, or times were wrong", "rig calibrate clock"),
     EventKind.PUSH: ("draught", "the swing was pushed", "shield the rig from air; keep away from it"),
     EventKind.LIGHT_STEP: ("ambient light", "it stepped", "keep the room dark; shield the sensor"),
 }

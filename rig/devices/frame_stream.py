@@ -12,6 +12,7 @@ from acquisition.record.events import EventKind
 from processing.errors import DeviceError, RigError
 from processing.ticks import S_PER_NS, seconds
 from rig.control import LightPermit, Stage
+from rig.devices.frame_clock import FrameClock
 from rig.devices.host_clock import ClockWatch, wait_for_network_clock
 
 _log = logging.getLogger(__name__)
@@ -123,6 +124,7 @@ class FrameStream:
         self._queue: FrameQueue | None = None
         self._line = FrameLine(time_shift_ns)
         self._clock = ClockWatch()
+        self._times = FrameClock()
         self._thread: threading.Thread | None = None
         self._events: list[tuple[EventKind, str]] = []
         self.ended = ""
@@ -183,7 +185,12 @@ class FrameStream:
         """Frames lost since the start, by cause."""
         unqueued = 0 if self._queue is None else self._queue.dropped
         status = self._counts_before + self._camera.status
-        return FrameLosses.of(status, unqueued=unqueued, while_unplugged=self._line.missing)
+        return FrameLosses.of(
+            status,
+            unqueued=unqueued,
+            while_unplugged=self._line.missing,
+            wrong_time=self._times.rejected + self._times.waiting,
+        )
 
     def __len__(self) -> int:
         return 0 if self._queue is None else len(self._queue)
@@ -194,7 +201,10 @@ class FrameStream:
             step_s = min(self._timeout_s, 0.5)
             try:
                 frame = self._camera.read(step_s)
-                return None if frame is None else self._line.join(frame)[0]
+                if frame is None:
+                    return None
+                for sure in self._sure(frame):
+                    return self._line.join(sure)[0]
             except FrameTimeout:
                 waited_s += step_s
                 if waited_s >= self._timeout_s:
@@ -231,6 +241,7 @@ class FrameStream:
                     self._reconnect(lost)
                     line.begin_again()
                     self._clock.begin_again()
+                    self._times.begin_again()
                     silent_s = 0.0
                     continue
                 if frame is None:
@@ -245,16 +256,26 @@ class FrameStream:
                     )
                     silent_s = 0.0
                 opened_again = False
-                frame, note = line.join(frame)
-                if note:
-                    self._events.append((EventKind.CAMERA_BACK, note))
-                queue.put(frame)
+                for sure in self._sure(frame):
+                    joined, note = line.join(sure)
+                    if note:
+                        self._events.append((EventKind.CAMERA_BACK, note))
+                    queue.put(joined)
         except FrameTimeout as error:
             self._fail(error, f"no frame for {self._timeout_s:g} s: the camera has stalled")
         except Exception as error:
             self._fail(error, f"camera: {error}")
         finally:
             queue.close()
+
+    def _sure(self, frame: Frame) -> list[Frame]:
+        """The frames whose times are sure with this one; times of a source on demand are its own."""
+        if self.policy == "wait":
+            return [frame]
+        frames, note = self._times.take(frame)
+        if note:
+            self._events.append((EventKind.CAMERA_CLOCK, note))
+        return frames
 
     def _reconnect(self, lost: FrameTimeout | CameraLost) -> None:
         deadline_s = time.monotonic() + self._reconnect_s

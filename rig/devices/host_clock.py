@@ -21,6 +21,8 @@ from processing.errors import DeviceError
 _RATE_UNSYNCHRONISED = 50e-6
 """Relative standard uncertainty of a computer's free-running quartz oscillator."""
 _PATIENCE_S = 3.0
+NO_TIME_NS: Final = 1 << 62
+"""Later than any clock, 146 years; sums of times no longer fit."""
 _TIME_ERROR, _UNSYNCHRONISED = 5, 0x40
 
 
@@ -163,6 +165,8 @@ class ClockWatch:
             return
         if frame.device_time_ns < 0:
             self._done = True
+            return
+        if frame.device_time_ns >= NO_TIME_NS:
             return
         seen = self._frames
         seen.append((frame.device_time_ns, frame.host_time_ns))

@@ -1,0 +1,121 @@
+"""A camera's clock that errs: nothing of it ends a run, and every frame keeps a time or is counted."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from acquisition.frame import Frame
+from rig.devices.frame_clock import FrameClock
+
+IMAGE = np.zeros((2, 2), np.uint8)
+RATE_HZ = 25.0
+INTERVAL_NS = round(1e9 / RATE_HZ)
+
+
+def joined(
+    device_ns: list[int], late_ms: list[float] | None = None
+) -> tuple[list[Frame], FrameClock, list[str]]:
+    """Frames that a clock lets through, of times at a steady rate."""
+    clock, frames, notes = FrameClock(), [], []
+    rng = np.random.default_rng(5)
+    for number, time_ns in enumerate(device_ns):
+        host_ns = 10**12 + number * INTERVAL_NS + round(1e6 * abs(rng.normal(1.0, 0.5)))
+        if late_ms is not None:
+            host_ns += round(1e6 * late_ms[number])
+        found = clock.take(Frame(IMAGE, number, time_ns, host_ns))
+        frames += found.frames
+        notes += [found.note] if found.note else []
+    return frames, clock, notes
+
+
+def steady(count: int = 300, first_ns: int = 10**9) -> list[int]:
+    rng = np.random.default_rng(4)
+    return [first_ns + n * INTERVAL_NS + round(2e3 * rng.normal()) for n in range(count)]
+
+
+def off_ns(frames: list[Frame]) -> float:
+    """Largest distance of the times from those of a clock that never erred."""
+    first = frames[0]
+    return max(
+        abs(one.device_time_ns - first.device_time_ns - (one.sequence - first.sequence) * INTERVAL_NS)
+        for one in frames
+    )
+
+
+@pytest.mark.parametrize("wrong", [0, 9 * 10**18, 2**63 + 5, 2**64 - 1, 10**9 + 3, 10**9 + 140 * INTERVAL_NS])
+def test_a_single_wrong_time_is_left_out_and_counted(wrong: int) -> None:
+    times = steady()
+    times[100] = wrong
+    frames, clock, notes = joined(times)
+    assert [one.sequence for one in frames] == [n for n in range(300) if n != 100]
+    assert clock.rejected == 1
+    assert len(notes) == 1
+    assert off_ns(frames) < 20e3
+
+
+@pytest.mark.parametrize("step_ms", [130.0, -130.0, 15.0, -15.0, 60.0, 3.6e6, -900.0])
+def test_a_step_is_found_named_and_taken_off(step_ms: float) -> None:
+    step_ns = round(step_ms * 1e6)
+    times = [t + step_ns * (n >= 120) for n, t in enumerate(steady())]
+    frames, clock, notes = joined(times)
+    assert [one.sequence for one in frames] == list(range(300))
+    assert clock.rejected == 0
+    assert len(notes) == 1
+    told_s = float(notes[0].split("stepped by ")[1].split(" s")[0])
+    assert told_s == pytest.approx(step_ms / 1e3, abs=2e-5)
+    assert "before frame 120" in notes[0]
+    assert off_ns(frames) < 20e3
+
+
+def test_a_counter_of_32_bits_is_unwrapped_and_said_once_after_its_first() -> None:
+    times = [t % 2**32 for t in steady(700)]
+    frames, clock, notes = joined(times)
+    assert [one.sequence for one in frames] == list(range(700))
+    assert clock.wraps >= 4
+    assert len(notes) == 2
+    assert "begins again every 4.295 s" in notes[1]
+    assert off_ns(frames) < 40e3
+
+
+def test_a_first_time_that_is_wrong_moves_the_others() -> None:
+    frames, _, notes = joined([0, *steady()[1:]])
+    assert [one.sequence for one in frames] == list(range(300))
+    assert len(notes) == 1
+    assert off_ns(frames) < 5e6
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    late=st.lists(st.floats(0.0, 2000.0), min_size=1, max_size=5),
+    lost=st.lists(st.integers(20, 280), max_size=20),
+)
+def test_frames_that_are_read_late_or_lost_are_no_fault_of_the_clock(
+    late: list[float], lost: list[int]
+) -> None:
+    """A host that hangs reads what waited at once, when it goes on."""
+    behind = np.zeros(300)
+    for place, late_ms in enumerate(late):
+        at = 40 + 50 * place
+        behind[at:] = np.maximum(behind[at:], late_ms - 40.0 * np.arange(300 - at))
+    times = steady()
+    frames, clock, notes = joined(times, behind.tolist())
+    assert (len(frames), clock.rejected, notes) == (300, 0, [])
+    kept = [(n, t) for n, t in enumerate(times) if n not in lost]
+    again = FrameClock()
+    through = [
+        one for n, t in kept for one in again.take(Frame(IMAGE, n, t, 10**12 + n * INTERVAL_NS)).frames
+    ]
+    assert len(through) == len(kept)
+
+
+def test_a_rate_that_changes_is_no_step() -> None:
+    times = np.cumsum([INTERVAL_NS] * 100 + [2 * INTERVAL_NS] * 100 + [INTERVAL_NS // 2] * 100)
+    clock = FrameClock()
+    frames = [
+        one
+        for n, t in enumerate(times.tolist())
+        for one in clock.take(Frame(IMAGE, n, t, 10**12 + t + 10**6 * (n % 3))).frames
+    ]
+    assert len(frames) == 300
+    assert clock.rejected == 0
