@@ -147,6 +147,8 @@ class Board(SteppedBoard):
     def __init__(self, clock: Clock, world: World) -> None:
         self.world, self.welded, self._power_w = world, False, 0.0
         super().__init__(clock)
+        # as a real one; it has been acknowledged since it got its power
+        self.latches_at_start = True
 
     def set_laser(self, on: bool, power_w: float) -> None:
         super().set_laser(on, power_w)
