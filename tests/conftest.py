@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -95,6 +95,20 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, bool | None, b
             warnings.simplefilter("ignore", ResourceWarning)
             gc.collect()
     return done
+
+
+WRITTEN_WHERE_ONE_WORKS = ("audit.jsonl", "calibrations", "runs")
+"""What the program writes into the current folder, or a folder there, where nothing else is stated."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nothing_is_left_beside_the_tests() -> Iterator[None]:
+    """A test works in a folder of its own: what is left here may be committed, or pass for somebody's log."""
+    root = Path(__file__).resolve().parents[1]
+    before = {name for name in WRITTEN_WHERE_ONE_WORKS if (root / name).exists()}
+    yield
+    left = {name for name in WRITTEN_WHERE_ONE_WORKS if (root / name).exists()} - before
+    assert not left, f"a test has written {', '.join(sorted(left))} into {root}; give it a folder of its own"
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 import os
 import re
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -99,6 +100,11 @@ def rig_state_path(laser: LaserSettings, controller: ControllerSettings) -> Path
     return place / "optical-pendulum-rig" / f"{name}.json"
 
 
+def _unknown(what: str) -> _Stored:
+    why = f"{what}, so that nobody knows what was latched"
+    return _Stored(number=1, latched=_Latched(cause=TripCause.POWER, why=why, lit=True))
+
+
 def _device_at(port: str) -> str:
     # imported here: looking for ports is no part of reading a latch
     from serial.tools import list_ports
@@ -112,7 +118,8 @@ def _device_at(port: str) -> str:
 class SafetyState:
     """The latch of a rig, in its file (None: in memory); a context manager that holds it for one program.
 
-    `trip` may be read, and `latch` called, from any thread. A file that cannot be read counts as latched.
+    `trip` may be read, and `latch` called, from any thread. A file that cannot be read, or was deleted, counts
+    as latched.
     """
 
     def __init__(self, path: Path | None = None, who: str = "") -> None:
@@ -125,7 +132,6 @@ class SafetyState:
     def __enter__(self) -> Self:
         if self.path is not None:
             self._hold(self.path)
-            self.read()
         return self
 
     def __exit__(self, *_error: object) -> None:
@@ -151,16 +157,24 @@ class SafetyState:
         return Path(folder) if folder else None
 
     def read(self) -> None:
-        """Read the file; also without holding it, to show it."""
+        """Read the file; also without holding it, to show it. One that was there, and is gone, is latched."""
         if self.path is None:
             return
         try:
             self._stored = _Stored.model_validate_json(self.path.read_bytes())
         except FileNotFoundError:
-            self._stored = _Stored()
+            was_there = self._is_noted(self.path.with_suffix(".lock"))
+            self._stored = _unknown(f"{self.path} is gone") if was_there else _Stored()
         except (OSError, ValidationError):
-            why = f"{self.path} cannot be read, so that nobody knows what was latched"
-            self._stored = _Stored(number=1, latched=_Latched(cause=TripCause.POWER, why=why, lit=True))
+            self._stored = _unknown(f"{self.path} cannot be read")
+
+    @staticmethod
+    def _is_noted(lock: Path) -> bool:
+        """Whether a program has held the rig, which writes the state before it notes itself."""
+        try:
+            return lock.stat().st_size > 0
+        except OSError:
+            return False
 
     @property
     def trip(self) -> LatchedTrip | None:
@@ -181,12 +195,12 @@ class SafetyState:
         return LatchedTrip(number, cause, why, lit)
 
     def acknowledge(self, number: int) -> None:
-        """Clear the trip of this number; raises DeviceError for another one."""
+        """Clear the trip of this number; raises DeviceError for another one, and where that cannot be kept."""
         trip = self.trip
         if trip is None or trip.number != number:
             latched = "nothing is latched" if trip is None else f"latched is {trip.text}"
             raise DeviceError(f"trip {number} cannot be acknowledged: {latched}")
-        self._put(latched=None)
+        self._put(proven=True, latched=None)
 
     @property
     def left_lit(self) -> bool:
@@ -196,7 +210,7 @@ class SafetyState:
     def lit(self, lit: bool) -> None:
         """Note that light is on which a killed program would leave on; raises DeviceError if it cannot be."""
         if lit != self._stored.lit:
-            self._put(lit=lit)
+            self._put(proven=True, lit=lit)
 
     def note_log(self, log: Path, lines: int, digest: str) -> None:
         """Remember the end of an audit log, so that lines missing there are seen."""
@@ -209,20 +223,26 @@ class SafetyState:
         end = self._stored.logs.get(str(log))
         return None if end is None else (end.lines, end.digest)
 
-    def _put(self, **changed: object) -> None:
+    def _put(self, *, proven: bool = False, **changed: object) -> None:
+        """Change and write it; what must be `proven` holds only once it is written."""
         with self._changing:
-            self._stored = self._stored.model_copy(update=changed)
-            if self.path is None:
-                return
-            try:
-                whole_file.replace(self.path, self._stored.model_dump_json(indent=1).encode())
-            except OSError as error:
-                raise DeviceError(
-                    f"{self.path}: the rig's state cannot be written: {error.strerror or error}"
-                ) from None
+            stored = self._stored.model_copy(update=changed)
+            if not proven:
+                self._stored = stored
+            if self.path is not None:
+                try:
+                    # somebody may have tidied up
+                    self.path.parent.mkdir(parents=True, exist_ok=True)
+                    whole_file.replace(self.path, stored.model_dump_json(indent=1).encode())
+                except OSError as error:
+                    raise DeviceError(
+                        f"{self.path}: the rig's state cannot be written: {error.strerror or error}"
+                    ) from None
+            self._stored = stored
 
     def _hold(self, path: Path) -> None:
         if fcntl is None:
+            self.read()
             return
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -237,6 +257,10 @@ class SafetyState:
             by = held.read(200).decode(errors="replace").partition("\n")[0] or "another program"
             held.close()
             raise DeviceError(f"the rig's devices are in use by {by}: end it first") from None
+        self.read()
+        with suppress(DeviceError):
+            # from now on a file that is missing was there
+            self._put()
         held.truncate(0)
         held.write(f"process {os.getpid()}{self._who and f' ({self._who})'}".encode())
         held.flush()

@@ -45,6 +45,8 @@ class Following:
         self._wake = threading.Event()
 
     def start(self) -> None:
+        """Look for a session once, so that who asks next knows of it; then go on beside."""
+        self._search()
         threading.Thread(target=self._follow, name="following", daemon=True).start()
 
     def stop(self) -> None:

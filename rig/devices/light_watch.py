@@ -38,6 +38,6 @@ class LightWatch:
             self._dark_since_s = now_s
         elif self._devices is not None and not self.alarm and now_s - since_s >= _DARK_FOR_S:
             self.alarm = f"the laser is dark: {why}"
-            self._devices.went_dark(why)
+            self._devices.fell_dark(why)
             return [(EventKind.LASER_DARK, why)]
         return []

@@ -201,6 +201,18 @@ class LitDevices:
             self._is_lit = False
             self.audit(Audited.DARK, why)
 
+    def fell_dark(self, why: str) -> None:
+        """Note that a laser which should be lit is not, and latch it: no later run lights it by itself.
+
+        Whoever switched it off, at its panel or from another program, may be in the beam's way. Of a laser that
+        does not answer nobody knows; it may still be lit, as it should.
+        """
+        laser = self.laser_now()
+        known = laser is not None and laser.light in (Light.OFF, Light.INTERLOCK_OPEN)
+        if known and self.permit.begun and self.permit.latched is None:
+            self.permit.trip(TripCause.WATCHDOG, f"the laser went dark: {why}")
+        self.went_dark(why)
+
     def _open_interlock(self) -> Interlock | None:
         """The interlock that is open now. Never blocks."""
         status = None if self.control is None else self.control.snapshot.status

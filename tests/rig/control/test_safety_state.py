@@ -1,6 +1,7 @@
 """The rig's own state: it outlives programs, is held by one at a time, and in doubt is latched."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -51,8 +52,49 @@ def test_a_file_that_cannot_be_read_counts_as_latched(path: Path, torn: str) -> 
         assert state.trip is None
 
 
+def test_a_file_that_was_deleted_counts_as_latched(path: Path) -> None:
+    with SafetyState(path) as state:
+        assert state.trip is None
+    path.unlink()
+    seen = SafetyState(path)
+    seen.read()
+    with SafetyState(path) as state:
+        for one in (seen, state):
+            assert one.trip is not None
+            assert (one.trip.cause, one.trip.lit) == (TripCause.POWER, True)
+            assert one.trip.why.startswith(f"{path} is gone")
+        state.acknowledge(1)
+    with SafetyState(path) as state:
+        assert state.trip is None
+
+
+def test_what_is_deleted_under_a_program_is_written_again(path: Path) -> None:
+    with SafetyState(path) as state:
+        shutil.rmtree(path.parent)
+        state.latch(TripCause.INTERLOCK, "it opened", lit=True)
+    with SafetyState(path) as state:
+        assert state.trip is not None
+        assert state.trip.why == "it opened"
+
+
+def test_an_acknowledgement_that_cannot_be_kept_is_none(path: Path) -> None:
+    with SafetyState(path) as state:
+        state.latch(TripCause.INTERLOCK, "it opened", lit=True)
+        path.unlink()
+        path.mkdir()
+        with pytest.raises(DeviceError, match="the rig's state cannot be written"):
+            state.acknowledge(1)
+        assert state.trip is not None
+        for _ in range(2):
+            # a second try must not take the first one for done
+            with pytest.raises(DeviceError, match="the rig's state cannot be written"):
+                state.lit(True)
+        path.rmdir()
+
+
 def test_a_trip_holds_even_where_it_cannot_be_written(path: Path) -> None:
     with SafetyState(path) as state:
+        path.unlink()
         path.mkdir()
         with pytest.raises(DeviceError, match="the rig's state cannot be written"):
             state.latch(TripCause.INTERLOCK, "it opened", lit=True)

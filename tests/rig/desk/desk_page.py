@@ -157,10 +157,12 @@ class DeskProcess:
 
     def __init__(self, config: Path, *words: str) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "rig", "desk", str(config), "--no-browser", *words],
+            [sys.executable, "-m", "rig", "desk", str(config.absolute()), "--no-browser", *words],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            # calibrations and their recordings are kept in the current folder
+            cwd=config.parent,
             env={**os.environ, "COLUMNS": "200"},
         )
         assert self._process.stdout is not None

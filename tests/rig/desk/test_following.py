@@ -42,6 +42,19 @@ def until(state: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
+def test_a_session_that_runs_already_is_known_when_it_has_started(tmp_path: Path) -> None:
+    """The desk's first page is built then, and shows the panel of a session."""
+    folder = tmp_path / "session"
+    folder.mkdir()
+    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    follower = Following(tmp_path)
+    with Channel(folder, told, {}):
+        follower.start()
+        assert follower.folder == folder
+        assert follower.news
+    follower.stop()
+
+
 def test_a_session_that_does_not_answer_is_not_given_up(following: Following, tmp_path: Path) -> None:
     folder = tmp_path / "session"
     told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]

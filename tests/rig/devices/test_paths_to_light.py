@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 import rig
 from processing.errors import DeviceError, RigError
 from rig.balance.look import LooksView, look
-from rig.control import LightRefused, TripCause
+from rig.control import LightRefused, Stage, TripCause
+from rig.control.light_permit import LONGEST_PAUSE_S
 from rig.control.simulated import SimulatedBoard
 from rig.desk.aligner import Aligner
-from rig.devices import Devices
+from rig.devices import Devices, LightWatch
 from rig.devices.leave import TypedLeave
 from rig.instrument import complete
 from rig.measure import measure_session, preflight_rig, record_plainly, resume_session
@@ -327,6 +328,38 @@ def test_without_a_controller_the_state_is_the_rigs_and_outlives_the_program(tmp
                 trip = after.permit.latched
                 assert trip is not None
                 assert (trip.number, trip.cause) == (2, TripCause.WATCHDOG)
+    finally:
+        instrument.close()
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("what", ["panel", "stall"])
+def test_what_has_gone_dark_by_itself_is_lit_by_no_later_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    """Somebody switches the laser off at its panel; or frames stall for a while, and go on."""
+    instrument = FakeCobolt()
+    try:
+        config = configuration("cobolt", instrument.port)
+        with Devices(config, tmp_path) as devices:
+            watch = LightWatch(devices)
+            if what == "stall":
+                monkeypatch.setitem(LONGEST_PAUSE_S, Stage.CAMERA, 0.3)
+                monkeypatch.setitem(LONGEST_PAUSE_S, Stage.PROCESSING, 0.3)
+            devices.light()
+            if what == "panel":
+                instrument.light(False)
+            until(lambda: not instrument.on)
+            until(lambda: watch.look() is None or bool(watch.alarm))
+            devices.darken("the run has ended")
+        # another run, series or program
+        with Devices(config, tmp_path) as devices:
+            devices.wait_until_heard()
+            with pytest.raises(LightRefused, match=r"trip 1 \(WATCHDOG\): the laser went dark"):
+                devices.light()
+            devices.acknowledge(1, "test")
+            devices.light(asked=True)
+            assert instrument.on
     finally:
         instrument.close()
 
