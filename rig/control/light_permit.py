@@ -53,14 +53,14 @@ class LightPermit:
     The threads of the devices ask for `refusal` before each heartbeat. The stages report their progress;
     camera and processing are watched from `begin` on, the recorder from its first report until `ended`.
     All methods may be called from any thread; all but `trip`, which writes the rig's file, only set plain
-    values. `tripped` is told of each trip, in the thread that saw it.
+    values. `tripped` is told of each trip, and whether it happened now, in the thread that saw it.
     """
 
     def __init__(
         self,
         clock_s: Callable[[], float] = time.monotonic,
         state: SafetyState | None = None,
-        tripped: Callable[[LatchedTrip], None] = lambda _trip: None,
+        tripped: Callable[[LatchedTrip, bool], None] = lambda _trip, _now: None,
     ) -> None:
         self._clock_s = clock_s
         self._state = state or SafetyState()
@@ -103,17 +103,20 @@ class LightPermit:
         Raises nothing: who has seen it goes on darkening. A state that cannot be written is logged, and holds
         for this program.
         """
+        self._latch(cause, why, now=True)
+
+    def found(self, cause: TripCause, why: str) -> None:
+        """Latch what a device says on opening, unless it is latched already: it may be the same trip."""
+        if (trip := self.latched) is None or trip.cause is not cause:
+            self._latch(cause, why, now=False)
+
+    def _latch(self, cause: TripCause, why: str, now: bool) -> None:
         try:
             self._state.latch(cause, why, self._begun)
         except DeviceError as error:
             _log.error("%s", error)
         if (trip := self.latched) is not None:
-            self._tripped(trip)
-
-    def found(self, cause: TripCause, why: str) -> None:
-        """Latch what a device says on opening, unless it is latched already: it may be the same trip."""
-        if (trip := self.latched) is None or trip.cause is not cause:
-            self.trip(cause, why)
+            self._tripped(trip, now)
 
     @property
     def latched(self) -> LatchedTrip | None:

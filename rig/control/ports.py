@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from serial.tools import list_ports
 
 from processing.errors import DeviceError
-from rig.control.controller import Controller
+from rig.control.controller import Controller, ControllerStatus
 from rig.control.environment import parse_environment
 from rig.control.lasers import LaserSettings, make_laser
 from rig.control.serial_port import LineReader, PortLost, SerialPort
@@ -17,6 +17,8 @@ from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.presentation import Verdict
 
 _SILENT_S = 0.1
+_TRIPPED = range(101, 105)
+"""Errors of the board that tell of trips, which its latch tells better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +58,8 @@ def check_controller(
         status = controller.heartbeat()
         air = controller.environment()
         code, text = controller.next_error()
+        while code in _TRIPPED:
+            code, text = controller.next_error()
     except DeviceError as error:
         return (Verdict("controller", False, str(error), _port_remedy(settings.port)),)
     finally:
@@ -79,6 +83,7 @@ def check_controller(
                 "" if enough else "lower laser.power_w, or laser_max_w in the board's limits.json",
             )
         )
+    checks += _dark_and_allowed(status)
     if code:
         checks.append(
             Verdict("controller errors", False, f"{text} ({code})", "remove the cause, then reset the board")
@@ -95,6 +100,24 @@ def check_controller(
         )
     )
     return tuple(checks)
+
+
+def _dark_and_allowed(status: ControllerStatus) -> Iterator[Verdict]:
+    """What the board sees of the laser's output, which is off, and whether it would light."""
+    seen = [
+        words
+        for on, words in (
+            (status.readback, "the pin of its relay is high"),
+            (status.light_seen, "the photodiode sees light"),
+        )
+        if on
+    ]
+    if seen:
+        remedy = "the laser may be lit: turn its key, then see relay and wiring"
+        yield Verdict("laser output", False, f"it is off, and {' and '.join(seen)}", remedy)
+    if (latch := status.latch) is not None:
+        remedy = "rig light show CONFIG names its trip; look that nobody is in the beam's way, and acknowledge it"
+        yield Verdict("controller's latch", False, f"{latch.cause} is latched: it lights nothing", remedy)
 
 
 def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tuple[Verdict, ...]:

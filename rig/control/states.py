@@ -65,9 +65,9 @@ class Loop(StrEnum):
 class SafetyNow:
     """The safety state of a rig; ages in s, infinite for what was never heard.
 
-    `trip` waits for an acknowledgement, `refusal` is why no light is allowed (empty while it is), `seen`
-    whether the camera's frames show the laser's spot, None where nobody looks at frames. What is older than
-    `STALE_S` is unknown.
+    `trip` waits for an acknowledgement, `refusal` is why no light is allowed (empty while it is),
+    `to_be_asked` whether a person must ask for light before there is any, `seen` whether the camera's frames
+    show the laser's spot, None where nobody looks at frames. What is older than `STALE_S` is unknown.
     """
 
     trip: LatchedTrip | None = None
@@ -78,6 +78,7 @@ class SafetyNow:
     interlock_age_s: float = math.inf
     seen: bool | None = None
     seen_age_s: float = math.inf
+    to_be_asked: bool = False
 
     @classmethod
     def told(cls, values: Mapping[str, Any]) -> "SafetyNow":

@@ -2,7 +2,7 @@
 
 import subprocess
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
@@ -181,8 +181,11 @@ class Desk:
             if self.following.last_folder != begun[1] and not (begun[1] / CHANNEL_NAME).exists():
                 # it hears no order yet; one that was seen before, and is gone, is being fitted
                 begun[0].terminate()
-        for folder in folders - {None}:
-            threading.Thread(target=_order_dark, args=(folder, who), name="light off", daemon=True).start()
+        finds: list[Callable[[], Path | None]] = [lambda folder=folder: folder for folder in folders]  # type: ignore[misc]
+        # also a program with the rig that works in another folder; a disk that hangs holds nothing else up
+        finds.append(lambda: self._rig.folder_of_holder)
+        for find in finds:
+            threading.Thread(target=_order_dark, args=(find, who), name="light off", daemon=True).start()
         for job in tuple(self.jobs.values()):
             if job.running:
                 job.end()
@@ -215,11 +218,15 @@ class Desk:
     @property
     def waits_for_light(self) -> bool:
         """Whether something that was lit is dark, and may be lit again."""
-        if self.safety.trip is not None:
+        now = self.safety.now
+        if now.trip is not None:
             return False
         if (aligner := self.aligner) is not None:
             return aligner.running and bool(aligner.darkness)
         news = self.following.news
+        if self.following.running and now.to_be_asked:
+            # between two runs, too
+            return True
         return bool(news.get("darkness") and (news.get("state") or {}).get("alarm"))
 
     # -- the session ------------------------------------------------------------
@@ -256,9 +263,10 @@ class Desk:
         self.looking_again.close()
 
 
-def _order_dark(folder: Path, who: str) -> None:
-    with suppress(RigError), Line(folder) as line:
-        line.order(f"dark {who}")
+def _order_dark(find: Callable[[], Path | None], who: str) -> None:
+    if (folder := find()) is not None:
+        with suppress(RigError), Line(folder) as line:
+            line.order(f"dark {who}")
 
 
 def _as_set(key: str, value: object) -> str:

@@ -38,6 +38,7 @@ class Audited(StrEnum):
     LIT = "lit"
     DARK = "dark"
     TRIP = "trip"
+    """It has happened now; a latch without it was found when the devices were opened."""
     LATCH = "latch"
     ACKNOWLEDGE = "acknowledge"
     FORCE = "force"

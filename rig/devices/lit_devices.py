@@ -190,7 +190,9 @@ class LitDevices:
             finally:
                 camera.stop()
 
-    def _tripped(self, trip: LatchedTrip) -> None:
+    def _tripped(self, trip: LatchedTrip, now: bool) -> None:
+        if now:
+            self.audit(Audited.TRIP, trip.why, cause=trip.cause, lit=trip.lit)
         self.audit(Audited.LATCH, trip.why, number=trip.number, cause=trip.cause, lit=trip.lit)
         self._asked_before_trip = True
         self.went_dark(trip.text)
@@ -305,6 +307,7 @@ class LitDevices:
             interlock_age_s=oldest_s,
             seen=spot.seen if spot.age_s <= STALE_S else None,
             seen_age_s=spot.age_s,
+            to_be_asked=self.waits_for_asking,
         )
 
     def now(self) -> DevicesNow:

@@ -99,7 +99,8 @@ def build(desk: Desk, tab: Tab) -> None:
                 begin.props(f'color="positive" {DELIBERATE}')
                 end = ui.button("Stop", on_click=tab.act(stop)).props("outline")
                 ui.button("Zoom", on_click=picture.zoom_on).props('outline aria-label="zoom, key z"')
-                ui.button("Whole sensor", on_click=tab.act(whole)).props("outline")
+                # it begins the picture anew, and with it the light
+                ui.button("Whole sensor", on_click=tab.act(whole)).props(f"outline {DELIBERATE}")
                 ui.button("Keep for runs", on_click=tab.act(keep)).props("outline")
             kept = ui.label().classes("dim")
         with ui.column().classes("box"):

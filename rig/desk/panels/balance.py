@@ -98,7 +98,8 @@ def build(desk: Desk, tab: Tab) -> None:
                     .style("min-width: 90px")
                 )
                 turns = ui.input("turns, + clockwise").props('dense outlined data-key="turns"')
-                ui.button("Turned", on_click=tab.act(turned)).props('color="positive"')
+                # the next measurement follows, which lights
+                ui.button("Turned", on_click=tab.act(turned)).props(f'color="positive" {DELIBERATE}')
             wrong = ui.label().classes("no").props('role="alert"')
         with ui.column().classes("box"):
             ui.label("faults").classes("title")

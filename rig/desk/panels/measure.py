@@ -1,6 +1,7 @@
 """Measure: begin a session, watch it at arm's length, brake, stop; what has happened."""
 
 import html
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,7 +9,7 @@ from nicegui import run, ui
 
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
-from rig.control import DevicesNow
+from rig.control import STALE_S, DevicesNow
 from rig.desk import drawings
 from rig.desk.desk import Desk
 from rig.desk.following import doing
@@ -158,8 +159,11 @@ def build(desk: Desk, tab: Tab) -> None:
         left.set_text(_left(run_state))
         progress.set_value(_done(news))
         devices = desk.following.devices
-        laser.set_text(str(news.get("darkness") or "") or _light(devices))
-        laser.classes(remove="go no", add="no" if news.get("darkness") else "go")
+        if old := time.monotonic() - desk.following.heard_s > STALE_S:
+            laser.set_text("unknown: the session does not answer")
+        else:
+            laser.set_text(str(news.get("darkness") or "") or _light(devices))
+        laser.classes(remove="go no", add="no" if old or news.get("darkness") else "go")
         brakes.set_visibility(devices.controller is not None)
         learned.set_content(drawings.table(_estimates(run_state), "parameters so far"))
         swings = [(float(t), float(a)) for t, a in news.get("swings") or []]

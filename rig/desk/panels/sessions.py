@@ -8,7 +8,7 @@ from nicegui import run, ui
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
 from rig.desk.sessions import SERVED, SessionRow, list_sessions
-from rig.desk.tab import Tab
+from rig.desk.tab import DELIBERATE, Tab
 from rig.wizards import next_free
 
 KEYS = (("o", "sessions: open the report"), ("v", "sessions: show in Rerun"))
@@ -20,6 +20,7 @@ def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
     again, output = desk.looking_again, desk.config.session.output
     rows: dict[str, SessionRow] = {}
+    asked: Path | None = None
 
     def chosen(least: int = 1, most: int = 1) -> list[Path]:
         folders = [Path(row["folder"]) for row in table.selected]
@@ -55,21 +56,34 @@ def build(desk: Desk, tab: Tab) -> None:
         page = next_free(output, "comparison", ".html")
         again.start("compare", [*map(str, chosen(2, 20)), "-o", str(page)])
 
-    async def resume() -> None:
-        (folder,) = chosen()
-        row = rows[str(folder)]
+    def ask_resume() -> None:
+        nonlocal asked
+        (asked,) = chosen()
+        row = rows[str(asked)]
         if not row.resumable:
             raise ConfigurationError(
-                f"{folder}: is {row.state}; only what was interrupted goes on here, see rig run --resume"
+                f"{asked}: is {row.state}; only what was interrupted goes on here, see rig run --resume"
             )
-        await run.io_bound(desk.resume_session, folder)
-        ui.notify(f"{folder} goes on; see Measure")
+        what.set_text(f"Make the missing runs of {asked}?")
+        begin.open()
+
+    async def resume() -> None:
+        begin.close()
+        if (folder := asked) is not None:
+            await run.io_bound(desk.resume_session, folder)
+            ui.notify(f"{folder} goes on; see Measure")
 
     def end() -> None:
         for job in again.jobs.values():
             if job.running:
                 job.end()
 
+    with ui.dialog() as begin, ui.card():
+        what = ui.label().classes("middle")
+        ui.label("The laser will be lit. Look that nobody is in the beam's way.")
+        with ui.row():
+            ui.button("Go on with it", on_click=tab.act(resume)).props(f'color="positive" {DELIBERATE}')
+            ui.button("Not now", on_click=begin.close).props("outline")
     with ui.row().classes("items-center"):
         for name, do, words in (
             ("Report", report, "open the report, key o"),
@@ -77,7 +91,7 @@ def build(desk: Desk, tab: Tab) -> None:
             ("Replay", replay, "replay the last run in Rerun, ten times as fast"),
             ("Compare", compare, "compare the marked sessions"),
             ("Fit again", fit, "fit all runs again into a folder of their own"),
-            ("Resume", resume, "make the runs that are missing"),
+            ("Resume …", ask_resume, "make the runs that are missing"),
         ):
             ui.button(name, on_click=tab.act(do)).props(f'outline aria-label="{words}"').tooltip(words)
         ending = ui.button("End it", on_click=tab.act(end)).props("flat")

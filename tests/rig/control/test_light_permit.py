@@ -69,9 +69,9 @@ def test_what_was_withdrawn_never_comes_back(permit: LightPermit) -> None:
 
 @pytest.mark.parametrize("lit", [True, False])
 def test_a_trip_latches_lit_or_dark_and_its_number_grows(clock: Clock, lit: bool) -> None:
-    told: list[LatchedTrip] = []
+    told: list[tuple[LatchedTrip, bool]] = []
     state = SafetyState()
-    permit = LightPermit(clock, state, told.append)
+    permit = LightPermit(clock, state, lambda *said: told.append(said))
     if lit:
         permit.begin()
     permit.trip(TripCause.INTERLOCK, Interlock.CONTROLLER.opened_text)
@@ -79,8 +79,8 @@ def test_a_trip_latches_lit_or_dark_and_its_number_grows(clock: Clock, lit: bool
     assert permit.refusal == "trip 1 (INTERLOCK): the interlock of the controller opened"
     permit.trip(TripCause.OUTPUT, "it stays lit")
     assert told == [
-        LatchedTrip(1, TripCause.INTERLOCK, "the interlock of the controller opened", lit),
-        LatchedTrip(2, TripCause.OUTPUT, "it stays lit", True),
+        (LatchedTrip(1, TripCause.INTERLOCK, "the interlock of the controller opened", lit), True),
+        (LatchedTrip(2, TripCause.OUTPUT, "it stays lit", True), True),
     ]
     with pytest.raises(DeviceError, match="trip 1 cannot be acknowledged: latched is trip 2"):
         state.acknowledge(1)

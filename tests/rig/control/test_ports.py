@@ -62,8 +62,20 @@ class TestController:
         assert found["interlock"].reason == "open: the laser stays off"
         assert "limits.json" in found["laser power"].remedy
         # what is open at the start is latched, too
-        assert found["controller errors"].reason == "Tripped; INTERLOCK (102)"
+        assert found["controller's latch"].reason == "INTERLOCK is latched: it lights nothing"
+        assert found["controller errors"].reason == "Hardware error; environment sensor (-240)"
         assert found["controller's sensor"].reason == "no reading"
+
+    def test_an_output_that_is_stuck_is_named(
+        self, board: SteppedBoard, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(board, "laser_enabled", lambda: True)
+        board.light = True
+        found = self.checks(board, LaserSettings(kind="controller"))
+        assert found["laser output"].reason == (
+            "it is off, and the pin of its relay is high and the photodiode sees light"
+        )
+        assert found["controller's latch"].reason == "OUTPUT is latched: it lights nothing"
 
     def test_another_laser_has_another_limit(self, board: SteppedBoard) -> None:
         assert "laser power" not in self.checks(board, LaserSettings(kind="cobolt", port="x"))

@@ -98,11 +98,18 @@ class Page:
         self.wait_while(hidden, ask)
 
     def type(self, text: str) -> None:
-        """Type a text wherever the focus is."""
+        """Type a text wherever the focus is; `\\r` is the key Enter."""
         for one in text:
+            names = {"\r": ("Enter", "Enter", 13), " ": (" ", "Space", 32)}
+            key, code, number = names.get(one, (one, "", ord(one.upper())))
             for kind in ("keyDown", "keyUp"):
                 self.browser.call(
-                    "Input.dispatchKeyEvent", type=kind, key=one, text=one if kind == "keyDown" else ""
+                    "Input.dispatchKeyEvent",
+                    type=kind,
+                    key=key,
+                    code=code,
+                    windowsVirtualKeyCode=number,
+                    text=one if kind == "keyDown" else "",
                 )
 
     def fill(self, key: str, text: str) -> None:

@@ -122,6 +122,8 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.wait_text("0 sessions are marked; mark one session in the list")
     mark(page, "runs/broken")
     page.click("Resume")
+    page.wait_text("The laser will be lit")
+    page.in_dialog()
     page.wait_text("1 of 1")
     page.wait_text("last session")
     policy = page.ask(

@@ -6,10 +6,13 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from rig.measure.session_file import RunState, SessionFile
+from rig.settings import load_configuration, stored_configuration
 from tests.rig.desk.board_process import BoardProcess, board_process
 from tests.rig.desk.desk_page import DeskProcess, Page, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
@@ -91,8 +94,11 @@ def test_light_off_darkens_a_frozen_session_from_a_watching_tab_with_a_dialog_op
     board.wait_lit(True, 120)
     page.wait("parseFloat(document.getElementById('amplitude').innerText) > 50")
     _, pid = session_of(config)
+    page.wait_text("laser on")
     os.kill(pid, signal.SIGSTOP)
     try:
+        # no last value on the panel either
+        page.wait_text("unknown: the session does not answer")
         with browser.another() as other:
             watching = Page(other)
             watching.browser.call(
@@ -151,6 +157,57 @@ def test_typed_text_lights_nothing_and_a_held_key_does(rig: Rig) -> None:
             break
     assert board.lit
     page.browser.call("Input.dispatchKeyEvent", type="keyUp", key=" ")
+
+
+EVERYTHING = (
+    "[...document.querySelectorAll('button, a, input, textarea, select, [tabindex]')]"
+    ".filter(e => e.offsetParent && !e.disabled && e.tabIndex >= 0 && !e.closest('#safety'))"
+)
+"""Whatever can have the focus in what is seen, but LIGHT OFF."""
+OF_PANEL = f"{EVERYTHING}.filter(e => e.closest('.q-tab-panel'))"
+
+
+def test_text_that_is_typed_at_anything_lights_nothing(rig: Rig) -> None:
+    """On each panel whatever can have the focus gets a text; dialogs that open get the rest of it."""
+    board, _, page, config = rig
+    killed = config.parent / "runs" / "killed"
+    killed.mkdir(parents=True)
+    file = SessionFile.made(killed, config, 1, stored_configuration(load_configuration(config)))
+    file.note(1, "run-1.mcap", RunState.RECORDING)
+    file.close()
+    walked = 0
+    for key in "123456":
+        chosen = f"document.querySelectorAll('.q-tab')[{int(key) - 1}]?.ariaSelected === 'true'"
+        page.wait_while(chosen, partial(page.key, key))
+        if key == "6":
+            page.wait_text("interrupted")
+            box = "[...document.querySelectorAll('.q-table tbody .q-checkbox')][0]"
+            page.ask(f"{box}.click()")
+            page.wait(f"{box}.ariaChecked === 'true'")
+        here = EVERYTHING if key == "1" else OF_PANEL
+        number = 0
+        while number < int(page.ask(f"{here}.length") or 0):
+            page.ask(f"{here}[{number}].focus()")
+            # what is marked stays so, for Resume
+            if not page.ask("document.activeElement.closest('.q-checkbox') !== null"):
+                page.type("a \r")
+            number, walked = number + 1, walked + 1
+            if page.ask("document.querySelector('.q-dialog') !== null"):
+                page.type("glass ball\r ")
+                page.wait_while("document.querySelector('.q-dialog') === null", lambda: escape(page))
+            # a tab that was chosen is left again
+            page.wait_while(chosen, partial(page.key, key))
+            assert board.changes == [], f"panel {key}, {number} of what can have the focus"
+    assert walked > 60
+    assert page.text().count("session begins") == 0
+    assert not list((config.parent / "runs").glob("*/.channel.json"))
+
+
+def escape(page: Page) -> None:
+    for kind in ("keyDown", "keyUp"):
+        page.browser.call(
+            "Input.dispatchKeyEvent", type=kind, key="Escape", code="Escape", windowsVirtualKeyCode=27
+        )
 
 
 def test_a_trip_in_a_calibrations_recording_is_an_alarm_and_the_recording_can_be_stopped(rig: Rig) -> None:

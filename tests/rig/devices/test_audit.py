@@ -49,14 +49,15 @@ def test_a_trip_is_acknowledged_by_its_number_and_that_is_kept(
     await_leave(devices, session_news)
     assert not devices.permit.latched
     lines = lines_of(tmp_path)
-    assert {line["what"] for line in lines[1:-1]} == {"refused"}
-    assert (lines[0]["what"], lines[0]["cause"], lines[0]["number"], lines[0]["lit"]) == (
+    trip, latch, *refused, last = lines
+    assert {line["what"] for line in refused} == {"refused"}
+    assert (trip["what"], trip["cause"], trip["lit"]) == ("trip", "INTERLOCK", False)
+    assert (latch["what"], latch["cause"], latch["number"], latch["lit"]) == (
         "latch",
         "INTERLOCK",
         1,
         False,
     )
-    last = lines[-1]
     assert (last["what"], last["operator"], last["by"], last["task"]) == (
         "acknowledge",
         "Ada",
@@ -90,7 +91,7 @@ def test_an_interlock_is_not_acknowledged_while_it_is_open(
         with pytest.raises(DeviceError, match="trip 7 cannot be acknowledged: latched is trip 1"):
             devices.acknowledge(7, "test")
         assert devices.acknowledge(1, "test").endswith("the interlock of the controller opened: acknowledged")
-    assert [line["what"] for line in lines_of(tmp_path)] == ["latch", "acknowledge"]
+    assert [line["what"] for line in lines_of(tmp_path)] == ["trip", "latch", "acknowledge"]
 
 
 def test_nothing_is_acknowledged_while_the_controller_is_silent(

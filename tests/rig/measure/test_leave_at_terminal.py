@@ -38,14 +38,14 @@ def test_no_key_lights_or_acknowledges(tmp_path: Path) -> None:
             terminal.press(keys)
             if keys.endswith("\n") and keys.strip():
                 terminal.wait_for("nothing is done")
-        assert said(out) == ["lit", "latch", "dark"]
+        assert said(out) == ["lit", "trip", "latch", "dark"]
         terminal.press("1\n")
         terminal.wait_for("acknowledged")
         terminal.wait_for("Type light and Enter")
         for keys in ("1\n", "yes\n"):
             terminal.press(keys)
             terminal.wait_for("nothing is done")
-        assert said(out) == ["lit", "latch", "dark", "acknowledge"]
+        assert said(out) == ["lit", "trip", "latch", "dark", "acknowledge"]
         terminal.press("light\n")
         terminal.wait_for("laser on, 0.9 mW")
         assert said(out)[-1] == "lit"
