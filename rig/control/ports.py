@@ -116,7 +116,7 @@ def _dark_and_allowed(status: ControllerStatus) -> Iterator[Verdict]:
         remedy = "the laser may be lit: turn its key, then see relay and wiring"
         yield Verdict("laser output", False, f"it is off, and {' and '.join(seen)}", remedy)
     if (latch := status.latch) is not None:
-        remedy = "rig light show CONFIG names its trip; look that nobody is in the beam's way, and acknowledge it"
+        remedy = "look that nobody is in the beam's way, then acknowledge what rig light show CONFIG names"
         yield Verdict("controller's latch", False, f"{latch.cause} is latched: it lights nothing", remedy)
 
 

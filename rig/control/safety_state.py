@@ -118,8 +118,8 @@ def _device_at(port: str) -> str:
 class SafetyState:
     """The latch of a rig, in its file (None: in memory); a context manager that holds it for one program.
 
-    `trip` may be read, and `latch` called, from any thread. A file that cannot be read, or was deleted, counts
-    as latched.
+    `trip` may be read, and `latch` called, from any thread. A file that cannot be read, or was deleted,
+    counts as latched.
     """
 
     def __init__(self, path: Path | None = None, who: str = "") -> None:
@@ -195,7 +195,7 @@ class SafetyState:
         return LatchedTrip(number, cause, why, lit)
 
     def acknowledge(self, number: int) -> None:
-        """Clear the trip of this number; raises DeviceError for another one, and where that cannot be kept."""
+        """Clear the trip of this number; raises DeviceError for another one, or where it cannot be kept."""
         trip = self.trip
         if trip is None or trip.number != number:
             latched = "nothing is latched" if trip is None else f"latched is {trip.text}"

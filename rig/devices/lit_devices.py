@@ -206,8 +206,8 @@ class LitDevices:
     def fell_dark(self, why: str) -> None:
         """Note that a laser which should be lit is not, and latch it: no later run lights it by itself.
 
-        Whoever switched it off, at its panel or from another program, may be in the beam's way. Of a laser that
-        does not answer nobody knows; it may still be lit, as it should.
+        Whoever switched it off, at its panel or from another program, may be in the beam's way. Of one that
+        does not answer nobody knows: it may still be lit, as it should.
         """
         laser = self.laser_now()
         known = laser is not None and laser.light in (Light.OFF, Light.INTERLOCK_OPEN)

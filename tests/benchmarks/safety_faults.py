@@ -20,7 +20,8 @@ from tests.benchmarks.safety_row import Row
 from tests.rig.command_line import CONFIGS
 from tests.rig.control.wires import FirmwareBoard
 
-LIT_WITHIN_S, DARK_WITHIN_S, ENDED_WITHIN_S = 90.0, 45.0, 90.0
+LIT_WITHIN_S, DARK_WITHIN_S, ENDED_WITHIN_S = 300.0, 45.0, 300.0
+"""What begins and ends may take long on a machine that is busy otherwise; to be dark may not."""
 LOOKED_AT_FOR_S = 3.0
 """So long after a fault has gone is waited for a light that nobody asked for."""
 
@@ -255,7 +256,7 @@ def _asked(trial: Trial) -> tuple[str, str]:
     heard, seen = trial.log.stat().st_size, len(trial.board.events())
     asking = trial.start("ask")
     try:
-        asking.wait(60.0)
+        asking.wait(ENDED_WITHIN_S)
     except subprocess.TimeoutExpired:
         asking.kill()
         asking.wait()
