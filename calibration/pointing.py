@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.errors import DataError
+from processing.wandering import part_means, u_of_wandering
 
 _FEWEST_SAMPLES = 100
 _LINE_RATIO = 12.0
@@ -42,8 +43,8 @@ class Stability:
     """Stability of one coordinate of a record at rest, in the unit of the record.
 
     `noise` is the standard deviation of one sample without slow changes: the Allan deviation at the interval
-    of the samples. `drift_per_s` is the slope of a straight line; its uncertainty comes from the scatter of
-    the means of sixteen segments, because the noise is not white. `iso11670` is 2 standard deviations of the
+    of the samples. `drift_per_s` is the slope of a straight line; its uncertainty is that of a beam which
+    wanders as what is left of it shows (`processing.wandering`). `iso11670` is 2 standard deviations of the
     whole record, the pointing stability of one axis (ISO 11670:2003: half of the 4 sigma width).
     `claimed_ratio` is the root mean square of the stated uncertainties over `noise`. `lines` are the
     strongest spectral lines, at most ten. `density` (m,) is the one-sided power spectral density, in the
@@ -127,15 +128,12 @@ def stability(
 
 
 def _drift(times_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[float, float]:
-    """Slope of a straight line through the means of segments, and its standard uncertainty."""
-    segments = 16
-    centres = np.array([part.mean() for part in np.array_split(times_s, segments)])
-    means = np.array([part.mean() for part in np.array_split(values, segments)])
-    design = np.column_stack([centres - centres.mean(), np.ones(segments)])
+    """Slope of a straight line through the means of equal parts, and its standard uncertainty."""
+    since_s = times_s - times_s.mean()
+    design = part_means(np.column_stack([since_s, np.ones(len(since_s))]))
+    means = part_means(values)
     solution, *_ = np.linalg.lstsq(design, means, rcond=None)
-    residual = means - design @ solution
-    variance = float(residual @ residual) / (segments - 2)
-    return float(solution[0]), float(np.sqrt(variance / np.sum(design[:, 0] ** 2)))
+    return float(solution[0]), u_of_wandering(design, means - design @ solution)
 
 
 def _spectrum(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from processing.errors import DataError
 from processing.robust import robust_scatter
 from processing.ticks import S_PER_NS, nanoseconds, seconds
+from processing.wandering import FEWEST_PARTS, part_means, u_of_wandering
 
 FRAME_JITTER_LIMIT_S = 15e-6
 """Jitter of the frame times that does not affect the times of turning points; 100 us doubles their error."""
@@ -23,8 +24,6 @@ _ROUNDING_S = S_PER_NS / 12**0.5
 """Standard uncertainty of timestamps that are rounded to 1 ns."""
 _JUMP_WINDOW = 25
 """Number of frames on each side whose medians are compared."""
-_SLOWEST = 8
-"""Number of the slowest variations of the arrivals whose scatter is compared with that of all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +114,8 @@ def relate_clocks(
     -----
     Huber's M-estimate (P. J. Huber, Robust Statistics, 1981) with its asymptotic (sandwich) covariance,
     because some frames arrive much later than the others. If a clock jumps, the segments share one rate and
-    have one offset each. Arrivals that vary slowly (a loaded host delays many frames in a row) leave the rate
-    more uncertain than white noise of the same size: see `_slow_excess`.
+    have one offset each. Arrivals that vary slowly (a loaded host delays many frames in a row, its clock wanders
+    or is slewed) leave the rate more uncertain than white noise of the same size: see `processing.wandering`.
     """
     if not (len(device_ns) == len(host_ns) == len(sequence)):
         raise DataError(
@@ -206,25 +205,14 @@ def _huber(
     inside = np.mean(np.abs(residual) < _HUBER)
     dof = len(values) - design.shape[1]
     # timestamps are integer ns: the uncertainty is not smaller than their rounding allows
-    scale = max(sigma**2 * float(psi @ psi) / dof / inside**2, _ROUNDING_S**2) * _slow_excess(psi)
+    scale = max(sigma**2 * float(psi @ psi) / dof / inside**2, _ROUNDING_S**2)
     covariance = scale * np.linalg.inv(design.T @ design)
+    means = part_means(design)
+    if len(means) >= design.shape[1] + FEWEST_PARTS:
+        # what wanders moves all coefficients; the slope's is told, the others' grows with it
+        u_slope = u_of_wandering(means, part_means(sigma / inside * psi))
+        covariance = covariance * max(1.0, u_slope**2 / covariance[0, 0])
     return solution.astype(np.float64), covariance.astype(np.float64), sigma
-
-
-def _slow_excess(residual: NDArray[np.float64]) -> float:
-    """Variance of slow averages of a line's residuals (n,), over what it would be if they were white; >= 1.
-
-    As the Allan deviation shows it: the rate depends on the slowest variations alone. These are the
-    residuals' discrete cosine transform (its variance is the spectrum) from the third coefficient on, since
-    the line has taken the first two. The eight slowest, sixteen, ... are averaged, and the largest average
-    counts: of white noise it is too large by a quarter of the variance.
-    """
-    from scipy.fft import dct
-
-    power = dct(residual, norm="ortho")[2:] ** 2
-    counts = [_SLOWEST << k for k in range(64) if _SLOWEST << k < len(power)]
-    whole = float(power.mean())
-    return max([1.0, *(float(power[:count].mean()) / whole for count in counts)]) if whole > 0 else 1.0
 
 
 def _frame_period(since_s: NDArray[np.float64], sequence: NDArray[np.int64]) -> tuple[float, float]:

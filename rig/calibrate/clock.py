@@ -13,7 +13,7 @@ from processing.errors import DataError
 from processing.robust import robust_scatter
 from processing.ticks import S_PER_NS, seconds
 from rig.calibrate.filing import Filing, details_of, file_calibration
-from rig.devices import ntp_state
+from rig.devices import U_QUARTZ, ntp_state
 from rig.instrument import recorded_configuration
 
 _PARTS = 24
@@ -52,7 +52,7 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
         notes.append(f"the host's clock is not known to be synchronised with UTC ({ntp.text})")
     values = {
         "camera_rate": relation.rate,
-        "u_camera_rate": math.hypot(relation.u_rate, ntp.u_rate),
+        "u_camera_rate": u_camera_rate(relation, ntp.u_rate),
     }
     details = {
         "drift_ppm": relation.drift_ppm,
@@ -66,6 +66,11 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
     return file_calibration(
         "clock", filing, "camera against host, robust line", values, details, [record], notes, began
     )
+
+
+def u_camera_rate(relation: ClockRelation, u_host_rate: float) -> float:
+    """Relative standard uncertainty of the camera's rate at other times than the record's."""
+    return math.hypot(relation.u_rate, u_host_rate, U_QUARTZ)
 
 
 def off_line(

@@ -20,6 +20,8 @@ from processing.errors import DeviceError
 
 _RATE_UNSYNCHRONISED = 50e-6
 """Relative standard uncertainty of a computer's free-running quartz oscillator."""
+U_QUARTZ: Final = 0.7e-6
+"""Of a quartz that follows the room, 1 ppm up and down in an hour: no record of minutes shows it."""
 _PATIENCE_S = 3.0
 NO_TIME_NS: Final = 1 << 62
 """Later than any clock, 146 years; sums of times no longer fit."""
