@@ -167,7 +167,12 @@ class PluggedCamera(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CameraStatus:
-    """Numbers of frames since `start`: delivered, and lost, by the place of the loss."""
+    """Numbers of frames since `start`: delivered, and lost, by the place of the loss.
+
+    `error_status` are those that the camera or its driver marked as faulty, `incomplete` those of which a
+    part is missing. `wrong_id` are those that came again or too late, with a number that was before: none
+    is missing because of them.
+    """
 
     delivered: int = 0
     dropped_by_camera: int = 0
@@ -175,11 +180,14 @@ class CameraStatus:
     dropped_by_host: int = 0
     incomplete: int = 0
     reconnects: int = 0
+    error_status: int = 0
+    wrong_id: int = 0
 
     @property
     def dropped(self) -> int:
         """Total number of frames lost in camera, bus and host."""
-        return self.dropped_by_camera + self.dropped_by_bus + self.dropped_by_host + self.incomplete
+        elsewhere = self.dropped_by_camera + self.dropped_by_bus + self.dropped_by_host
+        return elsewhere + self.incomplete + self.error_status
 
     def __add__(self, other: "CameraStatus") -> "CameraStatus":
         """Sum of the counts of two parts of a run, before and after a reconnection."""

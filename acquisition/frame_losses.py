@@ -24,6 +24,10 @@ class FrameLosses:
         They would have come while the camera was gone, as far as the time that passed tells.
     wrong_time
         Their times fitted neither the camera's rate nor the computer's clock.
+    error_status
+        The camera or its driver marked them as faulty.
+    wrong_id
+        They came again or too late, with a number that was before; none is missing because of them.
     """
 
     by_camera: int = 0
@@ -32,6 +36,8 @@ class FrameLosses:
     incomplete: int = 0
     while_unplugged: int = 0
     wrong_time: int = 0
+    error_status: int = 0
+    wrong_id: int = 0
 
     @classmethod
     def of(
@@ -45,11 +51,26 @@ class FrameLosses:
             status.incomplete,
             while_unplugged,
             wrong_time,
+            status.error_status,
+            status.wrong_id,
         )
 
     @property
     def total(self) -> int:
-        return sum(astuple(self))
+        """Frames that are missing."""
+        return int(sum(astuple(self))) - self.wrong_id
+
+    @property
+    def came(self) -> int:
+        """Frames that came, in part at least, and were not used."""
+        return self.incomplete + self.wrong_time + self.error_status + self.wrong_id
+
+    @property
+    def came_text(self) -> str:
+        """The same in words, by their reasons."""
+        return str(
+            FrameLosses(0, 0, 0, self.incomplete, 0, self.wrong_time, self.error_status, self.wrong_id)
+        )
 
     def since(self, before: "FrameLosses") -> "FrameLosses":
         """What was lost after `before`."""
@@ -58,7 +79,7 @@ class FrameLosses:
     def __str__(self) -> str:
         words = (
             *("by the camera", "by the bus", "by this computer", "incomplete", "while unplugged"),
-            "without a right time",
+            *("without a right time", "with an error status", "with a number that was before"),
         )
         named = [f"{count} {word}" for count, word in zip(astuple(self), words, strict=True) if count]
         return ", ".join(named) or "none"

@@ -114,8 +114,9 @@ def relate_clocks(
     -----
     Huber's M-estimate (P. J. Huber, Robust Statistics, 1981) with its asymptotic (sandwich) covariance,
     because some frames arrive much later than the others. If a clock jumps, the segments share one rate and
-    have one offset each. Arrivals that vary slowly (a loaded host delays many frames in a row, its clock wanders
-    or is slewed) leave the rate more uncertain than white noise of the same size: see `processing.wandering`.
+    have one offset each. Arrivals that vary slowly (a loaded host delays many frames in a row, its clock
+    wanders or is slewed) leave the rate more uncertain than white noise of the same size: see
+    `processing.wandering`.
     """
     if not (len(device_ns) == len(host_ns) == len(sequence)):
         raise DataError(

@@ -70,6 +70,16 @@ class RecordedLosses(NamedTuple):
     incomplete: int
     while_unplugged: int
     wrong_time: int = 0
+    error_status: int = 0
+    wrong_id: int = 0
+
+
+class RecordedClockStep(NamedTuple):
+    """A step of the camera's clock, taken off the times from this one on; size 0: its clock was given up."""
+
+    time_ns: int
+    step_ns: int
+    u_step_ns: int
 
 
 class RecordedWindow(NamedTuple):
@@ -203,4 +213,5 @@ EVENT = _message("Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), (
 ENVIRONMENT = message_type_of(Environment, f"{PACKAGE}.Environment", "/environment")
 LOSSES = message_type_of(RecordedLosses, f"{PACKAGE}.RecordedLosses", "/losses")
 CLOCK = message_type_of(ClockAnchor, f"{PACKAGE}.ClockAnchor", "/clock")
+CAMERA_STEP = message_type_of(RecordedClockStep, f"{PACKAGE}.RecordedClockStep", "/camera_clock_step")
 CAMERA_TEMPERATURE = message_type_of(CameraTemperature, f"{PACKAGE}.CameraTemperature", "/camera_temperature")

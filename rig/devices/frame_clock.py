@@ -3,10 +3,12 @@
 A frame's time is expected from the one before it: by the frame time that was learned and the numbers between,
 or, of a camera that keeps no rate, by the computer's clock. A frame can arrive late by any time and early by
 none, so that neither clock alone tells a step. What both contradict waits until the next frames tell a single
-wrong time, which is left out and counted, from a step, which is taken off all times that follow.
+wrong time, which is left out and counted, from a step, which is taken off all times that follow. A clock that
+makes no sense any more is given up, and the computer's carries the times on.
 """
 
-from typing import NamedTuple
+import math
+from typing import Final, NamedTuple
 
 from acquisition.frame import Frame
 from processing.ticks import S_PER_NS, seconds
@@ -16,20 +18,38 @@ _LEARNED = 8
 """Frames after which the frame time is known."""
 _ALIKE = 3
 """Frames that agree on a step, until it is believed."""
+_MOST_WAITING = 12
+"""Frames in doubt, after which it is decided, unless their reader is behind; each holds an image."""
 _SMOOTHING = 0.1
+_OF_ARRIVALS = 0.02
+"""Part of a deviation by which the usual delay, and its scatter, follow each frame."""
 _LEAST_NS = 2_000_000.0
 """Smaller disagreements are those of the computer's readings of frames, or of the exposure."""
 _BY_HOST_NS = 60_000_000.0
 """Disagreements with the computer's clock that late readings explain."""
 _REGULAR = 0.2
 """Mean deviation of frame times, of one, up to which a camera keeps a rate."""
+_LEAST_SCATTER_NS = 20_000.0
+_COUNTERS_NS: Final = tuple((1 << 32) * tick_ns for tick_ns in (1, 8, 10, 16, 20, 40, 100, 1000))
+"""After which counters of 32 bits begin again, of usual ticks."""
+
+
+class ClockStep(NamedTuple):
+    """A step of the camera's clock, which is taken off the times after it, and its standard uncertainty.
+
+    A step of 0: the clock was given up, and each time has this uncertainty.
+    """
+
+    step_ns: int
+    u_ns: int
 
 
 class Seen(NamedTuple):
-    """Frames whose times hold, and what is to be said."""
+    """Frames whose times hold, what is to be said, and the step before the first of them."""
 
     frames: list[Frame]
     note: str = ""
+    step: ClockStep | None = None
 
 
 class FrameClock:
@@ -42,7 +62,7 @@ class FrameClock:
         self.rejected = 0
         self.wraps = 0
         self._steps_ns: list[float] = []
-        self._offset_ns = 0
+        self._scatter_ns = _LEAST_NS
         self.begin_again()
 
     def begin_again(self) -> None:
@@ -52,33 +72,34 @@ class FrameClock:
         self._learned = 0
         self._waiting: list[tuple[Frame, float]] = []
         self._offset_ns = 0
+        self._delay_ns = math.nan
+        self._given_up = False
 
     def take(self, frame: Frame) -> Seen:
         """The frames that may go on: none, while a step is in doubt, or several once it is not."""
         if frame.device_time_ns < 0:
             return Seen([frame])
-        if frame.device_time_ns >= NO_TIME_NS:
-            self.rejected += 1
-            told = self.rejected == 1
-            return Seen([], f"frames without a time are left out: {frame.device_time_ns} ns" if told else "")
+        if self._given_up:
+            return Seen([self._carried(frame)])
         moved = frame._replace(device_time_ns=frame.device_time_ns + self._offset_ns)
+        has_time = frame.device_time_ns < NO_TIME_NS
         last = self._last
-        if last is None:
-            return self._joined(moved)
-        off_ns = self._off_ns(moved, last)
-        if off_ns is None:
-            # those that waited were alone
-            self.rejected += len(self._waiting)
-            note = self._about_rejected() if self._waiting else ""
-            self._waiting.clear()
-            return self._joined(moved, note)
-        allowed_ns = max(_LEAST_NS, 10 * self._deviation_ns) if self._regular else _BY_HOST_NS
-        self._waiting = [one for one in self._waiting if abs(one[1] - off_ns) < allowed_ns]
-        before = len(self._waiting)
+        off_ns = math.inf
+        if has_time and last is not None:
+            found_ns = self._off_ns(moved, last)
+            if found_ns is None:
+                return self._confirmed(moved)
+            off_ns = found_ns
+        elif has_time:
+            return self._confirmed(moved)
         self._waiting.append((frame, off_ns))
-        if before + 1 < _ALIKE:
-            return Seen([])
-        return self._stepped(allowed_ns)
+        agreed = [one for one in self._waiting if abs(one[1] - off_ns) < self._allowed_ns]
+        waiting = len(self._waiting)
+        decides = waiting >= _MOST_WAITING and (self._reader_is_up or waiting >= 4 * _MOST_WAITING)
+        if len(agreed) >= _ALIKE and last is not None:
+            step = self._step_of(agreed, last, decides=decides)
+            return Seen([]) if step is None else self._stepped([one for one, _ in agreed], step)
+        return self._give_up() if decides else Seen([])
 
     @property
     def waiting(self) -> int:
@@ -88,6 +109,16 @@ class FrameClock:
     @property
     def _regular(self) -> bool:
         return self._learned >= _LEARNED and self._deviation_ns < _REGULAR * self._interval_ns
+
+    @property
+    def _reader_is_up(self) -> bool:
+        """Whether the newest frame was waited for; a reader that hung takes many at once."""
+        before, newest = self._waiting[-2][0], self._waiting[-1][0]
+        return newest.host_time_ns - before.host_time_ns > 0.5 * self._interval_ns
+
+    @property
+    def _allowed_ns(self) -> float:
+        return max(_LEAST_NS, 10 * self._deviation_ns) if self._regular else _BY_HOST_NS
 
     def _off_ns(self, frame: Frame, last: Frame) -> float | None:
         """How far a time lies from what is expected of it; None where one of the clocks confirms it."""
@@ -99,12 +130,18 @@ class FrameClock:
             # it came when the computer says, or was read late
             return None if 0 < passed_ns <= by_host_ns + _BY_HOST_NS else passed_ns - by_host_ns
         off_ns = passed_ns - by_rate_ns
-        allowed_ns = max(_LEAST_NS, 10 * self._deviation_ns)
         # a camera may change its rate, and lose frames that have no number
-        by_either = abs(off_ns) < allowed_ns or abs(passed_ns - by_host_ns) < 0.5 * abs(off_ns)
+        by_either = abs(off_ns) < self._allowed_ns or abs(passed_ns - by_host_ns) < 0.5 * abs(off_ns)
         return None if passed_ns > 0 and by_either else off_ns
 
-    def _joined(self, frame: Frame, note: str = "") -> Seen:
+    def _confirmed(self, frame: Frame) -> Seen:
+        """One of the clocks confirms the time: those that waited were alone."""
+        note = self._about_rejected() if self._waiting else ""
+        self.rejected += len(self._waiting)
+        self._waiting.clear()
+        return Seen([self._joined(frame)], note)
+
+    def _joined(self, frame: Frame) -> Frame:
         last, self._last = self._last, frame
         if last is not None and frame.sequence > last.sequence:
             each_ns = (frame.device_time_ns - last.device_time_ns) / (frame.sequence - last.sequence)
@@ -112,35 +149,101 @@ class FrameClock:
                 self._deviation_ns += _SMOOTHING * (abs(each_ns - self._interval_ns) - self._deviation_ns)
             self._interval_ns += (_SMOOTHING if self._learned else 1.0) * (each_ns - self._interval_ns)
             self._learned += 1
-        return Seen([frame], note)
+        delay_ns = float(frame.host_time_ns - frame.device_time_ns)
+        if math.isnan(self._delay_ns) or self._learned < _LEARNED:
+            # the first ones may be late
+            self._delay_ns = min(delay_ns, delay_ns if math.isnan(self._delay_ns) else self._delay_ns)
+        else:
+            later_ns = delay_ns - self._delay_ns
+            most_ns = 2 * self._scatter_ns
+            self._delay_ns += _OF_ARRIVALS * min(max(later_ns, -most_ns), most_ns)
+            wider_ns = min(abs(later_ns), most_ns) - self._scatter_ns
+            self._scatter_ns = max(self._scatter_ns + _OF_ARRIVALS * wider_ns, _LEAST_SCATTER_NS)
+        return frame
 
-    def _stepped(self, u_ns: float) -> Seen:
+    def _step_of(self, agreed: list[tuple[Frame, float]], last: Frame, *, decides: bool) -> ClockStep | None:
+        """Size of a step: by the camera's rate where the computer agrees with it, else by the computer.
+
+        Frames without numbers may be missing, which the rate knows nothing of; None while frames that were
+        read late may explain the difference.
+        """
+        by_host_ns = max(
+            frame.device_time_ns + self._offset_ns - (frame.host_time_ns - self._delay_ns)
+            for frame, _ in agreed
+        )
+        if not self._regular:
+            return ClockStep(round(by_host_ns), round(self._scatter_ns))
+        by_rate_ns = sum(off_ns for _, off_ns in agreed) / len(agreed)
+        counters = [-round_ns for round_ns in _COUNTERS_NS if abs(by_rate_ns + round_ns) < self._allowed_ns]
+        if counters:
+            return ClockStep(counters[0], 0)
+        numbers = max(agreed[-1][0].sequence - last.sequence, 1)
+        if abs(by_rate_ns - by_host_ns) < max(3 * _LEAST_NS, 6 * self._scatter_ns):
+            u_ns = self._deviation_ns * (1.0 + _SMOOTHING * numbers) + 1.0
+            return ClockStep(round(by_rate_ns), math.ceil(u_ns))
+        return ClockStep(round(by_host_ns), round(self._scatter_ns)) if decides else None
+
+    def _stepped(self, agreed: list[Frame], step: ClockStep) -> Seen:
         """What waits agrees: the clock has stepped, and goes on from where it would be."""
-        first, last = self._waiting[0][0], self._last
-        assert last is not None
-        step_ns = sum(off_ns for _, off_ns in self._waiting) / len(self._waiting)
-        self._offset_ns -= round(step_ns)
-        waited, self._waiting = self._waiting, []
-        frames = []
-        for frame, _ in waited:
-            moved = frame._replace(device_time_ns=frame.device_time_ns + self._offset_ns)
-            frames += self._joined(moved).frames
-        u_s = S_PER_NS * (self._deviation_ns + 1.0 if self._regular else u_ns)
-        again = step_ns < 0 and any(abs(step_ns - before) < _BY_HOST_NS for before in self._steps_ns)
-        self._steps_ns.append(step_ns)
+        alone = len(self._waiting) - len(agreed)
+        self.rejected += alone
+        self._waiting.clear()
+        self._offset_ns -= step.step_ns
+        moved = [one._replace(device_time_ns=one.device_time_ns + self._offset_ns) for one in agreed]
+        frames = [self._joined(one) for one in moved]
+        again = step.step_ns < 0 and any(abs(step.step_ns - ns) < _BY_HOST_NS for ns in self._steps_ns)
+        self._steps_ns.append(step.step_ns)
         if again:
             self.wraps += 1
-            counter = f"the camera's counter begins again every {-S_PER_NS * step_ns:.4g} s; its times go on"
-            return Seen(frames, counter if self.wraps == 1 else "")
+            counter = (
+                f"the camera's counter begins again every {-seconds(step.step_ns):.4g} s; its times go on"
+            )
+            return Seen(frames, counter if self.wraps == 1 else "", step)
+        u_s = seconds(max(step.u_ns, 1))
+        left_out = f", {alone} frames left out" if alone else ""
         return Seen(
             frames,
-            f"the camera's clock stepped by {seconds(round(step_ns)):+.6g} s (u {u_s:.1g} s) before frame "
-            f"{first.sequence}; its times go on from where they would be",
+            f"the camera's clock stepped by {seconds(step.step_ns):+.6g} s (u {u_s:.1g} s) before frame "
+            f"{agreed[0].sequence}; its times go on from where they would be{left_out}",
+            step,
         )
+
+    def _give_up(self) -> Seen:
+        """No two of the times agree: from here on they are the computer's, at the camera's rate."""
+        self._given_up = True
+        waited, self._waiting = self._waiting, []
+        if math.isnan(self._delay_ns):
+            self._delay_ns = 0.0
+        frames = [self._carried(one) for one, _ in waited]
+        u_ns = round(self._scatter_ns)
+        return Seen(
+            frames,
+            f"the camera's clock is given up from frame {waited[0][0].sequence} on, where it shows "
+            f"{waited[0][0].device_time_ns} ns: times are the computer's, u {seconds(u_ns):.1g} s; restart "
+            "the camera before the next run",
+            ClockStep(0, u_ns),
+        )
+
+    def _carried(self, frame: Frame) -> Frame:
+        """The frame with the time of its arrival less the usual delay, smoothed by the camera's rate."""
+        arrived_ns = frame.host_time_ns - self._delay_ns
+        last = self._last
+        time_ns = arrived_ns
+        if last is not None:
+            numbers = frame.sequence - last.sequence
+            by_rate_ns = last.device_time_ns + numbers * self._interval_ns
+            later_ns = arrived_ns - by_rate_ns
+            if self._learned >= _LEARNED and numbers > 0 and abs(later_ns) < _BY_HOST_NS:
+                most_ns = 2 * self._scatter_ns
+                time_ns = by_rate_ns + _OF_ARRIVALS * min(max(later_ns, -most_ns), most_ns)
+            time_ns = max(time_ns, last.device_time_ns + 1)
+        self._last = frame._replace(device_time_ns=round(time_ns))
+        return self._last
 
     def _about_rejected(self) -> str:
         frame, off_ns = self._waiting[0]
+        off = "no time" if math.isinf(off_ns) else f"{S_PER_NS * off_ns:+.3g} s from what both clocks say"
         return (
             f"{len(self._waiting)} frames left out from frame {frame.sequence} on: the camera's time "
-            f"{frame.device_time_ns} ns is {seconds(round(off_ns)):+.3g} s from what both clocks say"
+            f"{frame.device_time_ns} ns is {off}"
         )

@@ -9,88 +9,16 @@ from acquisition.frame import Frame
 from acquisition.frame_losses import FrameLosses
 from acquisition.frame_queue import FrameQueue, Policy
 from acquisition.record.events import EventKind
+from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError, RigError
-from processing.ticks import S_PER_NS, seconds
 from rig.control import LightPermit, Stage
-from rig.devices.frame_clock import FrameClock
+from rig.devices.frame_clock import FrameClock, Seen
+from rig.devices.frame_line import FrameLine
 from rig.devices.host_clock import ClockWatch, wait_for_network_clock
 
 _log = logging.getLogger(__name__)
 _QUEUE_BYTES = 256 * 1024 * 1024
-_NAMED_AFTER_S = 0.35
-_CLOCK_STEP_NS = 1_000_000_000
-_SMOOTHING = 0.1
-
-
-class FrameLine:
-    """The one place where a frame gets the number and the time that hold from here on.
-
-    `time_shift_ns` moves the camera's timestamps to the middle of the exposure. A camera that is opened again
-    numbers its frames from 0, and its clock may have been reset. The frames after the gap get the numbers
-    that follow from the time elapsed, so that missing frames are counted. A clock that was reset is shifted
-    by a constant, so that it continues consistently with the host's clock; the shift is reported. `missing`
-    is the number of frames missed while the camera was disconnected.
-    """
-
-    def __init__(self, time_shift_ns: int = 0) -> None:
-        self._last: Frame | None = None
-        self._interval_ns = 0.0
-        self._offset = 0
-        self._to_middle_ns = time_shift_ns
-        self._continued_ns = 0
-        self._reopened = False
-        self.missing = 0
-
-    def patience_s(self, without_s: float) -> float:
-        """Time without a frame that is still normal: two frame times and a margin; `without_s` at the start.
-
-        With this margin an interruption is reported within two frame times plus 0.5 s.
-        """
-        return 2 * S_PER_NS * self._interval_ns + _NAMED_AFTER_S if self._interval_ns else without_s
-
-    def begin_again(self) -> None:
-        """The camera was opened again: the next frame is its first."""
-        self._reopened = self._last is not None
-
-    def join(self, frame: Frame) -> tuple[Frame, str]:
-        """The frame with its number and time in this line; a note with the first after a gap."""
-        last, note = self._last, ""
-        middle_ns = frame.device_time_ns
-        if middle_ns >= 0:
-            middle_ns = max(middle_ns + self._to_middle_ns, 0)
-        if self._reopened and last is not None:
-            note = self._find_offsets(frame.sequence, middle_ns, frame.host_time_ns, last)
-            self._reopened = False
-        if middle_ns >= 0:
-            middle_ns += self._continued_ns
-        if self._offset or middle_ns != frame.device_time_ns:
-            frame = frame._replace(sequence=frame.sequence + self._offset, device_time_ns=middle_ns)
-        if last is not None and not note:
-            self._learn_interval(frame, last)
-        self._last = frame
-        return frame, note
-
-    def _learn_interval(self, frame: Frame, last: Frame) -> None:
-        steps, passed_ns = frame.sequence - last.sequence, frame.time_ns - last.time_ns
-        if steps > 0 and passed_ns > 0:
-            now_ns = passed_ns / steps
-            self._interval_ns += (_SMOOTHING if self._interval_ns else 1.0) * (now_ns - self._interval_ns)
-
-    def _find_offsets(self, number: int, middle_ns: int, host_ns: int, last: Frame) -> str:
-        passed_ns = by_host_ns = host_ns - last.host_time_ns
-        self._continued_ns = 0
-        shifted = ""
-        if middle_ns >= 0:
-            passed_ns = middle_ns - last.device_time_ns
-            # simulated time may pass more quickly than the host's, a clock that began again is behind it
-            if passed_ns < by_host_ns - _CLOCK_STEP_NS or passed_ns <= 0:
-                self._continued_ns, passed_ns = by_host_ns - passed_ns, by_host_ns
-                shifted = f"; its clock began again, {self._continued_ns} ns are added to its times"
-        missing = max(round(passed_ns / (self._interval_ns or passed_ns)) - 1, 0)
-        self._offset = last.sequence + 1 + missing - number
-        self.missing += missing
-        passed = f"{seconds(passed_ns):.3f} s without frames, about {missing} of them"
-        return f"opened again after {passed}{shifted}"
+_LOOK_NS = 250_000_000
 
 
 class FrameStream:
@@ -122,11 +50,14 @@ class FrameStream:
         self._stop = threading.Event()
         self._counts_before = CameraStatus()
         self._queue: FrameQueue | None = None
-        self._line = FrameLine(time_shift_ns)
+        self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
         self._clock = ClockWatch()
         self._times = FrameClock()
         self._thread: threading.Thread | None = None
         self._events: list[tuple[EventKind, str]] = []
+        self._steps: list[RecordedClockStep] = []
+        self._at_last_look = FrameLosses()
+        self._look_ns = 0
         self.ended = ""
         self.failure: Exception | None = None
 
@@ -139,12 +70,14 @@ class FrameStream:
 
         Raises FrameTimeout if no frame arrives within the timeout.
         """
-        first = self._first_frame()
-        if first is None:
+        frames = self._first_frames()
+        if not frames:
             return None
+        first = frames[0]
         self.permit.frame_read(first.image)
         self._queue = FrameQueue(_capacity(first, self.policy), self.policy)
-        self._queue.put(first)
+        for frame in frames:
+            self._queue.put(frame)
         self._thread = threading.Thread(target=self._acquire, name="camera", daemon=True)
         self._thread.start()
         return first
@@ -157,6 +90,11 @@ class FrameStream:
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the camera since the last call, as (kind, text)."""
         taken, self._events = self._events, []
+        return taken
+
+    def take_clock_steps(self) -> list[RecordedClockStep]:
+        """Steps of the camera's clock since the last call, which are taken off the times of the frames."""
+        taken, self._steps = self._steps, []
         return taken
 
     def request_stop(self) -> None:
@@ -195,21 +133,21 @@ class FrameStream:
     def __len__(self) -> int:
         return 0 if self._queue is None else len(self._queue)
 
-    def _first_frame(self) -> Frame | None:
+    def _first_frames(self) -> list[Frame]:
         waited_s = 0.0
         while not self._stop.is_set():
             step_s = min(self._timeout_s, 0.5)
             try:
                 frame = self._camera.read(step_s)
                 if frame is None:
-                    return None
-                for sure in self._sure(frame):
-                    return self._line.join(sure)[0]
-            except FrameTimeout:
+                    return []
+                if frames := self._joined(frame):
+                    return frames
+            except FrameTimeout as lost:
                 waited_s += step_s
                 if waited_s >= self._timeout_s:
-                    raise
-        return None
+                    raise self._said_with_reasons(lost) from None
+        return []
 
     def _acquire(self) -> None:
         """Read and hand over, reconnect after an unplugging."""
@@ -227,6 +165,7 @@ class FrameStream:
                     frame = self._camera.read(patience_s)
                 except (FrameTimeout, CameraLost) as lost:
                     if isinstance(lost, FrameTimeout):
+                        lost = self._said_with_reasons(lost)
                         if silent_s == 0.0 and patience_s < self._timeout_s:
                             self._events.append((EventKind.CAMERA_SILENT, str(lost)))
                         silent_s += patience_s
@@ -235,7 +174,7 @@ class FrameStream:
                         # drivers notice an unplugged cable after seconds, or never: one that can be opened
                         # again was there all the time if it stays silent
                         if self.policy == "wait" or opened_again:
-                            raise
+                            raise lost from None
                         opened_again = True
                     self._events.append((EventKind.CAMERA_LOST, str(lost)))
                     self._reconnect(lost)
@@ -256,26 +195,47 @@ class FrameStream:
                     )
                     silent_s = 0.0
                 opened_again = False
-                for sure in self._sure(frame):
-                    joined, note = line.join(sure)
-                    if note:
-                        self._events.append((EventKind.CAMERA_BACK, note))
+                if frame.host_time_ns >= self._look_ns:
+                    self._look_ns = frame.host_time_ns + _LOOK_NS
+                    self._at_last_look = self.losses
+                for joined in self._joined(frame):
                     queue.put(joined)
         except FrameTimeout as error:
-            self._fail(error, f"no frame for {self._timeout_s:g} s: the camera has stalled")
+            unused = self.losses.since(self._at_last_look)
+            why = "the camera has stalled" if not unused.came else f"of those that came {unused.came_text}"
+            self._fail(error, f"no frame for {self._timeout_s:g} s: {why}")
         except Exception as error:
             self._fail(error, f"camera: {error}")
         finally:
             queue.close()
 
-    def _sure(self, frame: Frame) -> list[Frame]:
-        """The frames whose times are sure with this one; times of a source on demand are its own."""
-        if self.policy == "wait":
-            return [frame]
-        frames, note = self._times.take(frame)
-        if note:
-            self._events.append((EventKind.CAMERA_CLOCK, note))
-        return frames
+    def _joined(self, frame: Frame) -> list[Frame]:
+        """The frames whose times are sure with this one, in the line; those made on demand have their own."""
+        seen = Seen([frame]) if self.policy == "wait" else self._times.take(frame)
+        if seen.note:
+            self._events.append((EventKind.CAMERA_CLOCK, seen.note))
+        step, joined = seen.step, []
+        for sure in seen.frames:
+            frame, note = self._line.join(sure)
+            if note:
+                self._events.append((EventKind.CAMERA_BACK, note))
+            for known in (step, self._line.take_step()):
+                if known is not None:
+                    self._steps.append(RecordedClockStep(frame.time_ns, known.step_ns, known.u_ns))
+            step = None
+            joined.append(frame)
+        return joined
+
+    def _said_with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
+        """The same, with the frames that came and could not be used: the trigger is no cause of those."""
+        unused = self.losses.since(self._at_last_look)
+        if not unused.came:
+            return lost
+        name = str(lost).partition(": ")[0]
+        return FrameTimeout(
+            f"{name}: no frame that can be used; of those that came {unused.came_text}; a lower rate or "
+            "size, another port or cable; rig camera show says what it reports"
+        )
 
     def _reconnect(self, lost: FrameTimeout | CameraLost) -> None:
         deadline_s = time.monotonic() + self._reconnect_s

@@ -14,6 +14,7 @@ from typing import NamedTuple
 from acquisition.frame import Frame, Image
 from acquisition.record.events import Event
 from acquisition.record.topics import (
+    CAMERA_STEP,
     CAMERA_TEMPERATURE,
     CLOCK,
     ENVIRONMENT,
@@ -21,6 +22,7 @@ from acquisition.record.topics import (
     CameraTemperature,
     ClockAnchor,
     Environment,
+    RecordedClockStep,
     RecordedLosses,
 )
 from acquisition.record.writer import RecordWriter
@@ -63,6 +65,7 @@ class Entry:
     losses: RecordedLosses | None = None
     clock: ClockAnchor | None = None
     temperature: CameraTemperature | None = None
+    camera_steps: Sequence[RecordedClockStep] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
@@ -235,6 +238,8 @@ class Recorder:
         ):
             if value is not None:
                 writer.write(kind, value, value.time_ns)
+        for step in entry.camera_steps:
+            writer.write(CAMERA_STEP, step, step.time_ns)
         for name, data in entry.attachments.items():
             writer.attach(name, data)
         for event in entry.events:

@@ -216,6 +216,7 @@ class Recording:
                     losses=self._losses.due(counts.last_ns),
                     clock=clock,
                     temperature=None if temperature is None else temperature.take(counts.last_ns),
+                    camera_steps=[one for one in stream.take_clock_steps() if one.time_ns > counts.start_ns],
                 )
             )
             # frames made on demand have no age

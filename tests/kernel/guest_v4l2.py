@@ -183,7 +183,7 @@ def damaged() -> dict[str, Any]:
         control("Inject V4L2_BUF_FLAG_ERROR", 1)
         # Frames that were waiting come first. A gap in the numbers is not enough: on a slow host vivid leaves
         # out frames of its own accord, undamaged.
-        while camera.status.incomplete < count:
+        while camera.status.error_status < count:
             assert len(numbers) < 500, f"{count}. damaged buffer is not counted: {camera.status}"
             frame = camera.read(5.0)
             assert frame is not None
@@ -194,7 +194,7 @@ def damaged() -> dict[str, Any]:
     numbers.append(frame.sequence)
     status = camera.status
     camera.close()
-    return {"numbers": numbers, "incomplete": status.incomplete, "dropped": status.dropped}
+    return {"numbers": numbers, "error_status": status.error_status, "dropped": status.dropped}
 
 
 def stale(reading: str) -> dict[str, Any]:

@@ -92,7 +92,7 @@ def test_buffers_that_the_driver_marks_as_damaged_are_counted_and_not_delivered(
     seen = scenario(results, "damaged")
     numbers = seen["numbers"]
     missing = numbers[-1] + 1 - len(numbers)
-    assert seen["incomplete"] == 5
+    assert seen["error_status"] == 5
     assert seen["dropped"] == missing >= 5
 
 

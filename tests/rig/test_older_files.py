@@ -93,7 +93,9 @@ def check_same_run(new: dict[str, Any], old: dict[str, Any]) -> None:
     for key in ("sha256", "frames", "dropped_frames", "half_cycles"):
         assert new[key] == old[key], key
     # those that are counted since then
-    assert new["losses"] == (old["losses"] and {"wrong_time": 0, **old["losses"]})
+    assert new["losses"] == (
+        old["losses"] and dict.fromkeys(("wrong_time", "error_status", "wrong_id"), 0) | old["losses"]
+    )
     for end in ("initial", "final"):
         # schema 1 had px, too, under the name in arcsec
         before = old[f"{end}_amplitude_arcsec"]

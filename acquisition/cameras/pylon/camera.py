@@ -35,7 +35,8 @@ class PylonCamera:
     """A camera supported by pylon (USB3 Vision, GigE, emulation); pylon acquires and queues the frames.
 
     Missing numbers of blocks are counted as dropped by the bus (pylon does not say which of them found no
-    buffer), damaged frames as incomplete. A camera whose timestamps are all 0 (the emulation) has no clock.
+    buffer); damaged frames have an error status. A camera whose timestamps are all 0 (the emulation) has no
+    clock.
     """
 
     def __init__(self, settings: PylonSettings | None = None) -> None:
@@ -161,7 +162,7 @@ class PylonCamera:
                 self._next = number + 1
                 good = result.GrabSucceeded()
                 self._counts += CameraStatus(
-                    delivered=int(good), dropped_by_bus=skipped, incomplete=int(not good)
+                    delivered=int(good), dropped_by_bus=skipped, error_status=int(not good)
                 )
                 if not good:
                     return None

@@ -47,6 +47,8 @@ _UNLEARNED_AFTER: Final = 6
 # Sizes of block counters that are shorter than the standard's 64 bits, and the largest loss across their end.
 _COUNTERS: Final = (1 << 16, 1 << 32)
 _LARGEST_LOSS: Final = 1000
+# So many frames in a row whose old numbers rise again: the camera counts again, none of them is late.
+_RESTARTED_AFTER: Final = 3
 # So many consecutive frames of a wrong size or format are a wrong setting and not an error of the bus.
 _MOST_MISFITS: Final = 10
 
@@ -82,8 +84,9 @@ class UsbFrameStream:
     beyond them before the next call waits in the camera's memory, and is lost there if that is full.
 
     A frame is delivered only if its leader, all of its bytes and its trailer have arrived and agree with
-    each other and with the expected format. All others are counted: ``incomplete`` if a part of the frame
-    arrived, ``dropped_by_bus`` if block numbers are missing after an error of the bus, ``dropped_by_camera``
+    each other and with the expected format. All others are counted: ``error_status`` if the camera says so
+    in the trailer, ``incomplete`` if a part of the frame arrived, ``wrong_id`` if a block came again or too
+    late, ``dropped_by_bus`` if block numbers are missing after an error of the bus, ``dropped_by_camera``
     if they are missing without one.
     """
 
@@ -115,6 +118,8 @@ class UsbFrameStream:
         self._disturbed = False
         self._trouble_since_s: float | None = None
         self._by_camera = self._by_bus = self._incomplete = 0
+        self._faulty = self._error_status = self._wrong_id = 0
+        self._stale: list[Leader] = []
         self.reading = Reading(self._step, transfers.cancel)
         with suppress(RigError):  # the first step meets it again, and deals with it
             self._fill()
@@ -125,7 +130,9 @@ class UsbFrameStream:
             delivered=self.reading.delivered,
             dropped_by_camera=self._by_camera,
             dropped_by_bus=self._by_bus,
-            incomplete=self._incomplete + self._lost_parts,
+            incomplete=self._incomplete + self._lost_parts - self._faulty,
+            error_status=self._error_status + self._faulty,
+            wrong_id=self._wrong_id,
         )
 
     def _step(self, timeout_s: float) -> Frame | None:
@@ -319,6 +326,7 @@ class UsbFrameStream:
         image_bytes = wanted.pixel_format.byte_count(wanted.width_px, wanted.height_px, leader.x_padding)
         whole = trailer.status == 0 and trailer.valid_bytes >= image_bytes and self._received >= image_bytes
         if trailer.block != leader.block or not whole or not self._fits(leader):
+            self._faulty += trailer.block == leader.block and trailer.status != 0
             self._lose_frame()
             return None
         self._misfits = 0
@@ -348,7 +356,11 @@ class UsbFrameStream:
         if step <= 0 and self._is_stale(leader):
             # sent again, or overtaken by another one, which was when it counted as lost
             logger.warning("%s: block %d came again or too late", self._link.name, leader.block)
+            self._wrong_id += 1
+            self._leader = None
+            self._refuse_restart(leader)
             return None
+        self._stale.clear()
         if step < 0:
             step = next((step + n for n in _COUNTERS if 0 < step + n <= _LARGEST_LOSS), step)
         if not 0 < step <= _LARGEST_GAP:
@@ -358,12 +370,15 @@ class UsbFrameStream:
             step = 1 + self._lost_parts
         missing = step - 1
         incomplete = min(self._lost_parts, missing)
-        self._incomplete += incomplete
+        faulty = min(self._faulty, incomplete)
+        self._incomplete += incomplete - faulty
+        self._error_status += faulty
         if self._disturbed:
             self._by_bus += missing - incomplete
         else:
             self._by_camera += missing - incomplete
         self._lost_parts, self._disturbed, self._trouble_since_s = 0, False, None
+        self._faulty = 0
         self._deviations, self._deviated = self._deviations * self._deviated, False
         self._last_block, self._last_timestamp = leader.block, leader.timestamp
         self._last_sequence += step
@@ -375,6 +390,18 @@ class UsbFrameStream:
         image.flags.writeable = False
         device_time_ns = leader.timestamp if wanted.has_clock else -1
         return Frame(image, self._last_sequence, device_time_ns, host_time_ns)
+
+    def _refuse_restart(self, leader: Leader) -> None:
+        """Raise CameraLost where old block numbers and times rise again: the camera has reset itself."""
+        before = self._stale[-1:]
+        if before and leader.block <= before[0].block:
+            self._stale.clear()
+        self._stale.append(leader)
+        if len(self._stale) >= _RESTARTED_AFTER:
+            raise CameraLost(
+                f"{self._link.name}: its block numbers and its clock have begun again, at {leader.block} "
+                f"after {self._last_block}: it has reset itself; see its supply and its cable"
+            )
 
     def _is_stale(self, leader: Leader) -> bool:
         """Whether a frame whose block number does not rise is an old one, by its time if it has one."""

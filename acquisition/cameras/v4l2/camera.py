@@ -31,7 +31,7 @@ class V4l2Camera:
     Notes
     -----
     If the driver numbers frames, its numbers are used. Gaps count as lost by the host if all buffers were
-    full, else as lost on the bus; frames that the driver marks as damaged count as incomplete. OpenCV
+    full, else as lost on the bus; frames that the driver marks as damaged have an error status. OpenCV
     provides none of this: frames are numbered in order of arrival, and what is lost before is not known.
     """
 
@@ -130,8 +130,7 @@ class _Run:
 
     def __init__(self, source: FrameDevice) -> None:
         self._source = source
-        self._first = -1
-        self._last = -1
+        self._last = self._number = -1
         self._lost = CameraStatus()
         self.reading = Reading(self._step, source.stop)
 
@@ -143,18 +142,18 @@ class _Run:
         raw = self._source.next(timeout_s)
         if raw is None:
             return None
-        if self._first < 0:
-            self._first, self._last = raw.sequence, raw.sequence - 1
-        missing = max(raw.sequence - self._last - 1, 0)
+        # a driver that counts again, without being opened again, says nothing of what is missing between
+        missing = max(raw.sequence - self._last - 1, 0) if self._number >= 0 else 0
         self._last = raw.sequence
+        self._number += 1 + missing
         self._lost += CameraStatus(
             dropped_by_bus=0 if raw.late else missing,
             dropped_by_host=missing if raw.late else 0,
-            incomplete=int(raw.image is None),
+            error_status=int(raw.image is None),
         )
         if raw.image is None:
             return None
-        return Frame(raw.image, raw.sequence - self._first, raw.device_time_ns, raw.host_time_ns)
+        return Frame(raw.image, self._number, raw.device_time_ns, raw.host_time_ns)
 
 
 def _make_source(settings: V4l2Settings) -> FrameDevice:

@@ -115,7 +115,7 @@ def test_failed_buffers_are_counted_and_never_delivered(tmp_path: Path) -> None:
         assert frame is not None
         numbers.append(frame.sequence)
         assert any(np.array_equal(frame.image, image) for image in made)
-    assert camera.status.incomplete == 5
+    assert camera.status.error_status == 5
     assert numbers[-1] - numbers[0] + 1 - len(numbers) == 5
     camera.close()
 

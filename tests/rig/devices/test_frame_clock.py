@@ -23,7 +23,7 @@ def joined(
         host_ns = 10**12 + number * INTERVAL_NS + round(1e6 * abs(rng.normal(1.0, 0.5)))
         if late_ms is not None:
             host_ns += round(1e6 * late_ms[number])
-        found = clock.take(Frame(IMAGE, number, time_ns, host_ns))
+        found = clock.take(Frame(IMAGE.copy(), number, time_ns, host_ns))
         frames += found.frames
         notes += [found.note] if found.note else []
     return frames, clock, notes
@@ -119,3 +119,81 @@ def test_a_rate_that_changes_is_no_step() -> None:
     ]
     assert len(frames) == 300
     assert clock.rejected == 0
+
+
+def carried(times: list[int], host_ns: list[int]) -> tuple[list[Frame], FrameClock, list[str]]:
+    """Frames with numbers that go on whatever is lost, as of a camera that was reset."""
+    clock, frames, notes = FrameClock(), [], []
+    for number, (time_ns, arrived_ns) in enumerate(zip(times, host_ns, strict=True)):
+        found = clock.take(Frame(IMAGE.copy(), number, time_ns, arrived_ns))
+        frames += found.frames
+        notes += [found.note] if found.note else []
+    return frames, clock, notes
+
+
+def arrivals(times: list[int]) -> list[int]:
+    rng = np.random.default_rng(6)
+    return [10**12 + t + round(1e6 * abs(rng.normal(1.0, 0.3))) for t in times]
+
+
+def test_where_frames_without_numbers_are_missing_the_computer_s_clock_says_the_step() -> None:
+    """The camera was reset for 0.98 s: its clock begins again, and its numbers go on by one."""
+    true = [n * INTERVAL_NS + (980_000_000 if n >= 120 else 0) for n in range(300)]
+    shown = [t + 7 * 10**9 if n < 120 else t - true[120] for n, t in enumerate(true)]
+    frames, _, notes = carried(shown, arrivals(true))
+    assert [one.sequence for one in frames] == list(range(300))
+    off = [one.device_time_ns - 7 * 10**9 - t for one, t in zip(frames, true, strict=True)]
+    assert max(map(abs, off)) < 3e6
+    assert len(notes) == 1
+
+
+def test_a_step_while_the_reader_hangs_is_as_exact_as_the_camera_s_rate() -> None:
+    times = [t + 130_000_000 * (n >= 120) for n, t in enumerate(steady())]
+    host = arrivals([n * INTERVAL_NS for n in range(300)])
+    for n in range(118, 134):
+        host[n] = host[134] - 10_000 * (134 - n)
+    frames, _, notes = carried(times, host)
+    assert len(frames) == 300
+    assert len(notes) == 1
+    assert off_ns(frames) < 20e3
+
+
+@pytest.mark.parametrize("shows", ["frozen", "nothing", "anything"])
+def test_a_clock_that_makes_no_sense_any_more_is_given_up_and_the_computer_s_carries_on(shows: str) -> None:
+    rng = np.random.default_rng(8)
+    wrong = {
+        "frozen": [steady()[120]] * 300,
+        "nothing": [2**64 - 1] * 300,
+        "anything": rng.integers(0, 2**62, 300).tolist(),
+    }[shows]
+    times = [t if n < 120 else wrong[n] for n, t in enumerate(steady())]
+    frames, clock, notes = joined(times)
+    assert [one.sequence for one in frames] == list(range(300))
+    assert clock.rejected == 0
+    assert len(notes) == 1
+    first = 121 if shows == "frozen" else 120
+    assert f"is given up from frame {first} on" in notes[0]
+    assert "restart the camera" in notes[0]
+    assert off_ns(frames) < 5e6
+    assert np.diff([one.device_time_ns for one in frames]).min() > 0
+
+
+def test_a_clock_that_never_shows_a_time_is_given_up_at_the_start() -> None:
+    frames, _, notes = joined([2**64 - 1] * 50)
+    assert [one.sequence for one in frames] == list(range(50))
+    assert len(notes) == 1
+    assert off_ns(frames) < 5e6
+
+
+def test_a_step_says_its_size_and_what_is_not_known_of_it() -> None:
+    clock, steps = FrameClock(), []
+    for n, t in enumerate(steady()):
+        shown = (t + 130_000_000 * (n >= 120)) % 2**32
+        step = clock.take(Frame(IMAGE.copy(), n, shown, 10**12 + n * INTERVAL_NS)).step
+        steps += [step] if step is not None else []
+    wraps = [step for step in steps if step.step_ns == -(2**32)]
+    others = [step for step in steps if step.step_ns != -(2**32)]
+    assert len(wraps) == 3
+    assert all(step.u_ns == 0 for step in wraps)
+    assert len(others) == 1
+    assert abs(others[0].step_ns - 130_000_000) < 4 * others[0].u_ns < 100_000

@@ -19,7 +19,8 @@ from acquisition.record.reader import RecordReader
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
-from rig.devices.frame_stream import FrameLine, FrameStream
+from rig.devices.frame_line import FrameLine
+from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import ClockWatch
 from rig.measure.session import simulate_record
 from rig.settings.configuration import load_configuration
@@ -169,6 +170,22 @@ def test_a_clock_that_began_again_is_shifted_and_said_so() -> None:
     assert "began again" in note
     later, note = line.join(Frame(image, 1, 12345 + 10**7, host_ns + 10**7))
     assert (later.sequence, later.device_time_ns - frame.device_time_ns, note) == (210, 10**7, "")
+
+
+def test_a_clock_that_another_one_set_meanwhile_is_shifted_too() -> None:
+    """As by a network's clock, decades ahead of the camera's own."""
+    line = FrameLine(in_real_time=True)
+    image = np.zeros((2, 2), np.uint8)
+    for number in range(10):
+        line.join(Frame(image, number, 10**9 + number * 10**7, 5 * 10**9 + number * 10**7))
+    line.begin_again()
+    frame, note = line.join(Frame(image, 0, 1_700_000_000 * 10**9, 5 * 10**9 + 9 * 10**7 + 10**9))
+    assert (frame.sequence, frame.device_time_ns) == (109, 10**9 + 9 * 10**7 + 10**9)
+    assert "began again" in note
+    step = line.take_step()
+    assert step is not None
+    assert step.step_ns > 1_600_000_000 * 10**9
+    assert line.take_step() is None
 
 
 def test_a_camera_that_is_lost_after_its_first_frame_continues_its_numbers() -> None:

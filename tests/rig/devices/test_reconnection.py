@@ -4,9 +4,11 @@ libaravis has the same test in its own network (tests/acquisition/cameras/aravis
 in test_frame_stream.py.
 """
 
+import struct
 import threading
 import time
 from collections.abc import Callable
+from itertools import pairwise
 
 import pytest
 
@@ -49,13 +51,15 @@ class Run:
         assert self.stream.begin() is not None
         self.frames: list[Frame] = []
         self.kinds: list[str] = []
+        self.texts: list[tuple[str, str]] = []
 
     def until(self, reached: Callable[[], bool]) -> None:
         deadline_s = time.monotonic() + WITHIN_S
         while not reached():
             assert time.monotonic() < deadline_s, (self.kinds, self.stream.ended)
             self.frames += self.stream.take(64, 0.1)
-            self.kinds += [kind for kind, _ in self.stream.take_events()]
+            self.texts += self.stream.take_events()
+            self.kinds = [kind for kind, _ in self.texts]
 
     def close(self) -> None:
         self.stream.close()
@@ -79,6 +83,50 @@ def test_a_run_goes_on_when_its_camera_comes_back(driver: type[Usb3VisionCamera]
     assert run.stream.losses.while_unplugged > 0
     assert numbers[-1] + 1 - len(numbers) == run.stream.losses.total
     assert delivered >= 20
+
+
+def test_a_run_goes_on_when_its_camera_resets_itself_on_the_bus() -> None:
+    """Ids and clock begin again and nothing is plugged in: a few frames are discarded, and counted."""
+    run = Run(Usb3VisionCamera)
+    run.until(lambda: len(run.frames) > 100)
+    run.device.reset()
+    run.until(lambda: "camera back" in run.kinds)
+    before = len(run.frames)
+    run.until(lambda: len(run.frames) > before + 50)
+    steps = run.stream.take_clock_steps()
+    run.close()
+    assert run.stream.failure is None
+    losses = run.stream.losses
+    assert losses.wrong_id == 3
+    numbers = [frame.sequence for frame in run.frames]
+    assert numbers == sorted(set(numbers))
+    assert numbers[-1] + 1 - len(numbers) == losses.total == losses.while_unplugged
+    assert len(steps) == 1
+    assert steps[0].step_ns < -1_000_000_000
+    times = [frame.device_time_ns for frame in run.frames]
+    hosts = [frame.host_time_ns for frame in run.frames]
+    assert all(later > earlier for earlier, later in pairwise(times))
+    # the line follows the computer's clock over the gap
+    assert abs((times[-1] - times[0]) - (hosts[-1] - hosts[0])) < 100_000_000
+
+
+def test_frames_with_an_error_status_alone_are_said_with_their_reason_and_survived() -> None:
+    run = Run(Usb3VisionCamera)
+    run.until(lambda: len(run.frames) > 50)
+    run.device.faults.units = lambda kind, block, data: [
+        data[:16] + struct.pack("<H", 0xA001) + data[18:] if kind == "trailer" else data
+    ]
+    run.until(lambda: "camera silent" in run.kinds)
+    before = len(run.frames)
+    run.device.faults.units = lambda kind, block, data: [data]
+    run.until(lambda: len(run.frames) > before + 20)
+    run.close()
+    assert run.stream.failure is None
+    assert run.stream.losses.error_status > 5
+    said = dict(run.texts)["camera silent"]
+    assert "no frame that can be used; of those that came" in said
+    assert "with an error status" in said
+    assert "trigger" not in said
 
 
 def test_one_that_is_there_and_stays_silent_is_opened_again_once() -> None:

@@ -148,6 +148,9 @@ def test_json_lines_name_each_loss(capsys: pytest.CaptureFixture[str]) -> None:
         "by_host": 1,
         "incomplete": 0,
         "while_unplugged": 0,
+        "wrong_time": 0,
+        "error_status": 0,
+        "wrong_id": 0,
     }
     assert state["estimates"] == {"c": {"value": 1e-8, "standard_uncertainty": None}}
 

@@ -400,6 +400,13 @@ class VisionDevice(Registers):
             self.unplugged = True
             self.changed.notify_all()
 
+    def reset(self) -> None:
+        """Begin with block 0 and the clock anew while frames are sent, and stay on the bus."""
+        with self.changed:
+            self._t0 = self._running_since = self._clock()
+            self._next_frame = 0
+            self.changed.notify_all()
+
     def plug(self) -> None:
         """Put the device on the bus again, in its state after power-up."""
         with self.changed:

@@ -110,7 +110,7 @@ def test_a_damaged_frame_is_counted_and_the_next_ones_are_good(
     # The damaged ones may be missing (a doubled leader harms nothing); a neighbour may go with them,
     # as where the end of one frame can't be told from the beginning of the next.
     assert missing <= {4, 5, 6, 8, 9, 10, 11}
-    assert status.incomplete + status.dropped_by_bus == len(missing)
+    assert status.incomplete + status.error_status + status.dropped_by_bus == len(missing)
     assert status.dropped_by_camera == status.dropped_by_host == 0
 
 
@@ -276,6 +276,53 @@ def test_a_counter_that_begins_again_is_no_loss_of_thousands() -> None:
         frames = read_until(camera, device, 30)
         assert [frame.sequence for frame in frames] == list(range(31))
         assert camera.status.dropped == 0
+
+
+def test_frames_with_an_error_status_are_counted_as_such() -> None:
+    device = patient()
+    device.faults.units = lambda kind, block, data: [
+        data[:16] + struct.pack("<H", 0xA001) + data[18:] if kind == "trailer" and 3 < block < 9 else data
+    ]
+    with streaming(device) as camera:
+        frames = read_until(camera, device, 20)
+        assert [frame.sequence for frame in frames] == [*range(4), *range(9, 21)]
+        assert (camera.status.error_status, camera.status.dropped) == (5, 5)
+
+
+def test_a_block_that_is_sent_twice_is_counted_and_nothing_is_missing() -> None:
+    device = patient()
+    sent: list[bytes] = []
+
+    def again(kind: str, block: int, data: bytes) -> list[bytes]:
+        if block == 5:
+            sent.append(data)
+        return [data, *sent] if kind == "trailer" and block == 5 else [data]
+
+    device.faults.units = again
+    with streaming(device) as camera:
+        frames = read_until(camera, device, 20)
+        assert [frame.sequence for frame in frames] == list(range(21))
+        assert (camera.status.wrong_id, camera.status.dropped) == (1, 0)
+
+
+def test_a_camera_that_has_reset_itself_is_lost_and_says_why() -> None:
+    """Block numbers and clock begin again, and nothing is plugged in: frames are not discarded for ever."""
+    device = patient(first_block=1000)
+
+    def reset(kind: str, block: int, data: bytes) -> list[bytes]:
+        if kind == "payload" or block < 1010:
+            return [data]
+        data = data[:8] + struct.pack("<Q", block - 1010) + data[16:]
+        if kind == "leader":
+            data = data[:20] + struct.pack("<Q", (block - 1010) * 1_000_000 + 5) + data[28:]
+        return [data]
+
+    device.faults.units = reset
+    with streaming(device) as camera:
+        with pytest.raises(CameraLost, match="begun again, at 2 after 1009: it has reset itself"):
+            read_until(camera, device, 1 << 60)
+        assert camera.status.delivered == 10
+        assert camera.status.wrong_id == 3
 
 
 def test_silence_in_the_middle_of_a_frame_is_a_timeout_and_then_a_counted_loss() -> None:
