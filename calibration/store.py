@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 
 from processing.errors import ConfigurationError, RecordError
 
-Kind = Literal["lever", "axes", "sensor", "clock", "shutter", "pointing", "check"]
+Kind = Literal["lever", "axes", "sensor", "clock", "shutter", "air", "pointing", "check"]
 SCHEMA = 1
 
 

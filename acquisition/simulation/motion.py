@@ -45,7 +45,7 @@ def slow_mode(contact: ContactTruth) -> ModeConstants:
         * radius_m**2
         / (contact.mass_kg * contact.gravity_m_per_s2),
         ball_over_contact_radius=contact.ball_radius_m / radius_m,
-        drag_s=contact.drag_s,
+        drag_s=contact.whole_drag_s,
         exact=contact.exact_pendulum,
         rolling=contact.ball_radius_m * w0_rad_per_s**2 / contact.gravity_m_per_s2,
     )

@@ -240,7 +240,7 @@ class Scene:
         if (state.starter, state.brake) != (before.starter, before.brake):
             drag_s = release.brake_drag_s if state.brake else 0.0
             push_rad = release.starter_arcsec * ARCSEC_RAD if state.starter else 0.0
-            self._slow.load(time_s, push_rad, self._settings.contact.drag_s + drag_s)
+            self._slow.load(time_s, push_rad, self._settings.contact.whole_drag_s + drag_s)
             self._fast.load(time_s, 0.0, self._settings.fast.drag_s + drag_s)
         if (state.magnet, state.clamp) != (before.magnet, before.clamp):
             for motion, amplitude_arcsec in (

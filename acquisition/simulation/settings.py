@@ -25,6 +25,8 @@ class ContactTruth(SimulationSection, frozen=True):
     period0_s: float = Field(default=4.071, gt=0, description="period at vanishing amplitude, elasticity off")
     gamma_pa: float = Field(default=28.97e6, ge=0, description="elastic adhesion, Eq. 3")
     drag_s: float = Field(default=0.0, ge=0, description="linear drag; moment -m g R drag_s phi'")
+    vane_area_m2: float = Field(default=0.0, ge=0, lt=10, description="of vanes on the pendulum")
+    vane_drag_s_per_m2: float = Field(default=0.025, ge=0, description="what they add to the drag")
     exact_pendulum: bool = Field(
         default=False,
         description="for amplitudes of degrees: sine of the angle, rolling support of ball_radius_m; "
@@ -41,6 +43,11 @@ class ContactTruth(SimulationSection, frozen=True):
     flat_youngs_modulus_pa: float = Field(default=0.82e11, gt=0)
     flat_poisson_ratio: float = Field(default=0.206, gt=-1, lt=0.5)
     gravity_m_per_s2: float = Field(default=9.80665, gt=0, lt=30)
+
+    @property
+    def whole_drag_s(self) -> float:
+        """The drag of the pendulum and its vanes."""
+        return self.drag_s + self.vane_drag_s_per_m2 * self.vane_area_m2
 
 
 class FastModeTruth(SimulationSection, frozen=True):

@@ -1,7 +1,7 @@
 """Contact of ball and flat: Hertz theory, laws of friction and elasticity, decay, period, half-swing map."""
 
 from processing.contact.adhesion import AdhesiveContact, adhesive_contacts
-from processing.contact.air_drag import ExpectedDrag, bar_of, expected_drag_s
+from processing.contact.air_drag import Bar, ExpectedDrag, bar_of, expected_drag_s, vane_drag_s_per_m2
 from processing.contact.decay import decay_path, path_nodes
 from processing.contact.energy_loss import measured_losses, model_losses
 from processing.contact.free_swing import law_harmonics

@@ -34,6 +34,7 @@ from processing.fit.series import (
 )
 from processing.fit.smoothing import super_smooth
 from processing.fit.uncertainty import Budget, BudgetSource, Propagated, budgets, monte_carlo
+from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes
 from processing.fit.waveform import CONTRADICTED, predicted_harmonics, waveform_chances
 from processing.fit.without_law import FreeMoments, fit_without_law
 from processing.fit_method import FitMethod

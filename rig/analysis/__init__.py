@@ -11,7 +11,7 @@ from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.encoding import JsonObject, units_of
 from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
-from rig.analysis.fitted_drag import evidence_of, known_drag
+from rig.analysis.fitted_drag import FittedDrag, evidence_of, known_drag
 from rig.analysis.headline import budget_of, dominant_text
 from rig.analysis.instrument_results import (
     DampingResults,
@@ -47,7 +47,7 @@ from rig.analysis.screen import print_results
 from rig.analysis.settled import loss_of, points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
-from rig.analysis.surroundings import recorded_surroundings, stated_surroundings
+from rig.analysis.surroundings import expected_drag, recorded_surroundings, stated_surroundings
 from rig.analysis.table_fit import TableColumns, analyse_table
 from rig.analysis.table_screen import fit_envelope_table, fit_trajectory
 from rig.analysis.waveform_results import waveform_table

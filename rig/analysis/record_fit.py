@@ -66,10 +66,15 @@ class AnalysedRun:
     watched: Watched | None = None
 
 
-def analyse_record(path: Path, overrides: Sequence[str] = ()) -> AnalysedRun:
-    """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit."""
+def analyse_record(path: Path, overrides: Sequence[str] = (), *, air_known: bool = True) -> AnalysedRun:
+    """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit.
+
+    Without `air_known` nothing is known of the drag, whatever the record's own configuration states.
+    """
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
+        if not air_known:
+            config = config.model_copy(update={"fit": config.fit.opened})
         watched = Watched(config, overrides, "rig replay takes the recorded motion again")
         # what this reads, the recorded deflections were made with
         optics_of(watched.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])

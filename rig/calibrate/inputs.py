@@ -85,6 +85,51 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
         return LadderSteps(reference, np.full(count, self.in_si(self.u_reference)), *table.T)
 
 
+class VanesOfRun(BaseModel, frozen=True, extra="forbid"):
+    """One run: its record, and the area of the vanes that were on the pendulum, or the pressure."""
+
+    record: Path
+    area_m2: float | None = Field(default=None, ge=0, lt=10)
+    u_area_m2: float = Field(default=0.0, ge=0)
+    pressure_pa: float | None = Field(default=None, gt=0, lt=1e6)
+
+    @model_validator(mode="after")
+    def _either(self) -> Self:
+        if (self.area_m2 is None) == (self.pressure_pa is None):
+            raise ValueError("a run needs either area_m2 or pressure_pa")
+        return self
+
+    @property
+    def needed_pressure(self) -> float:
+        """The pressure, where no area is stated."""
+        assert self.pressure_pa is not None
+        return self.pressure_pa
+
+
+class VaneFile(BaseModel, frozen=True, extra="forbid"):
+    """Runs of one contact with vanes of different areas, all at one place, or at different pressures.
+
+    `area_m2` is the sum over all vanes, one face of each, 0 without; it counts as drag does, so that only its
+    ratios enter the drag of the pendulum itself. Paths of records are relative to the file.
+    """
+
+    run: tuple[VanesOfRun, ...]
+
+    @property
+    def by_pressure(self) -> bool:
+        """Whether pressures are stated in place of areas."""
+        return self.run[0].area_m2 is None
+
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> Self:
+        if len({run.area_m2 is None for run in self.run}) != 1:
+            raise ValueError("state area_m2 of every [[run]], or pressure_pa of every one")
+        exposures = {run.area_m2 if run.area_m2 is not None else run.pressure_pa for run in self.run}
+        if len(exposures) < 2:
+            raise ValueError("runs of two different areas or pressures are needed, better of three")
+        return self
+
+
 class Level(BaseModel, frozen=True, extra="forbid"):
     """Frames of one exposure and one illumination, of which the first two are used."""
 
@@ -108,6 +153,11 @@ def read_ladder(path: Path) -> LadderFile:
 def read_transfer(path: Path) -> TransferFile:
     """Read the file of a photon transfer; raises ConfigurationError, one line with every fault."""
     return _read(path, TransferFile)
+
+
+def read_vanes(path: Path) -> VaneFile:
+    """Read the list of runs in different air; raises ConfigurationError, one line with every fault."""
+    return _read(path, VaneFile)
 
 
 def frames_of(path: Path) -> tuple[list[Image], int]:

@@ -51,7 +51,7 @@ def _of_kind(found: CalibrationFile) -> Iterator[Table]:
         yield _steps(details)
     if "signal_dn" in details:
         yield _transfer(found.values, details)
-    if found.kind in ("axes", "clock", "shutter"):
+    if found.kind in ("axes", "clock", "shutter", "air"):
         yield from (_residual_table(one) for one in _left_over(found))
     if jumps := details.get("jumps"):
         rows = [(jump["frame"], 1e6 * jump["step_s"]) for jump in jumps]
@@ -120,6 +120,16 @@ def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
             details["parts_at_s"],
             _times(1e6, details["off_line_s"]),
             _times(1e6, details["u_off_line_s"]),
+        )
+    if "off_drags_s" in details:
+        vanes = "areas_m2" in details
+        yield Residuals(
+            "drag of each run, with the contact of all",
+            "area of vanes, cm²" if vanes else "pressure, Pa",
+            "off the line, us",
+            _times(1e4, details["areas_m2"]) if vanes else details["pressures_pa"],
+            _times(1e6, details["off_drags_s"]),
+            _times(1e6, details["u_drags_s"]),
         )
     if "of_stretches_s" in details:
         mean_s = details["fitted_row_time_s"]

@@ -60,7 +60,7 @@ command's help; its docstring is that help.
 def register(app: typer.Typer) -> None:
     """Add `rig calibrate`."""
     group = typer.Typer(help="Make a calibration file.", no_args_is_help=True)
-    for made in (lever, axes, sensor, clock, shutter, pointing, check):
+    for made in (lever, axes, sensor, clock, shutter, air, pointing, check):
         group.command()(_command(made))
     app.add_typer(group, name="calibrate")
 
@@ -150,6 +150,32 @@ def shutter(record: AskedRecord, filing: "Filing") -> Path:
     from rig.calibrate import calibrate_shutter
 
     return calibrate_shutter(one_record(record), filing)
+
+
+def air(
+    vanes: Annotated[
+        Path,
+        typer.Argument(
+            help="Runs with their vanes or pressures (TOML file); without it, asked.",
+            show_default=False,
+            callback=there,
+        ),
+    ],
+    filing: "Filing",
+) -> Path:
+    """Measure the drag of the air.
+
+    From runs with vanes of stated areas on the pendulum, or at stated pressures. Without a file it says
+    which vanes to cut and where to put them (with --config for this pendulum), and asks for one run after
+    the other.
+
+    \b
+    Example:
+      rig calibrate air vanes.toml
+    """
+    from rig.calibrate import calibrate_air
+
+    return calibrate_air(vanes, filing)
 
 
 def pointing(record: AskedRecord, filing: "Filing") -> Path:

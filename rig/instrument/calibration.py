@@ -8,7 +8,7 @@ from typing import Any
 
 from calibration import CalibrationFile, Kind, Lever, moved_between, parse_calibration
 from processing.errors import ConfigurationError
-from rig.settings import Configuration, validate_configuration
+from rig.settings import Configuration, FitSettings, validate_configuration
 
 PREFIX = "calibration/"
 _SECTIONS: Mapping[Kind, str] = {
@@ -43,11 +43,30 @@ def fill_from_files(config: Configuration) -> Configuration:
                 "leave one of them out"
             )
         update[section] = values
+    air = config.calibration.air
+    if air is not None:
+        found = parse_calibration(_read(air, "air"), str(air), "air")
+        # open and vacuum are asked for by name, and hold
+        if config.fit.drag == "air":
+            update["fit"] = _with_measured_drag(config, found, air)
     if config.calibration.pointing is not None:
         parse_calibration(_read(config.calibration.pointing, "pointing"), str(config.calibration.pointing))
     for path in config.calibration.checks:
         parse_calibration(_read(path, "checks"), str(path))
     return config.model_copy(update=update)
+
+
+def _with_measured_drag(config: Configuration, found: CalibrationFile, path: Path) -> FitSettings:
+    """The fit with the drag of a calibration; raises ConfigurationError where another one is stated."""
+    stated = config.fit
+    tree = {"camera": {"driver": config.camera.driver}, "fit": stated.model_dump() | found.values}
+    filled = validate_configuration(tree, str(path)).fit
+    if stated.drag_s is not None and stated != filled:
+        raise ConfigurationError(
+            f"fit.drag_s = {stated.drag_s:g} differs from the values in calibration.air = {str(path)!r}; "
+            "leave one of them out"
+        )
+    return filled
 
 
 def _section_values(found: CalibrationFile) -> dict[str, Any]:
@@ -58,7 +77,7 @@ def _section_values(found: CalibrationFile) -> dict[str, Any]:
 
 def calibration_attachments(config: Configuration) -> dict[str, bytes]:
     """Contents of the calibration files in use, by their names in a record."""
-    paths = {kind: getattr(config.calibration, kind) for kind in (*_SECTIONS, "pointing")}
+    paths = {kind: getattr(config.calibration, kind) for kind in (*_SECTIONS, "air", "pointing")}
     found = {f"{PREFIX}{kind}.toml": _read(path) for kind, path in paths.items() if path is not None}
     for number, path in enumerate(config.calibration.checks, 1):
         found[f"{PREFIX}check-{number}.toml"] = _read(path)
@@ -108,6 +127,12 @@ def judge_calibration(
             missing.append(kind)
     if missing:
         warnings.append(f"not calibrated: {', '.join(missing)} (rig calibrate)")
+    data = attachments.get(f"{PREFIX}air.toml")
+    if data is not None:
+        measured = parse_calibration(data, "air.toml", "air")
+        tree["air"] = _entry(measured, data, began)
+        if measured.expired(began):
+            warnings.append(f"the calibration of the air had expired on {measured.valid_until:%Y-%m-%d}")
     data = attachments.get(f"{PREFIX}pointing.toml")
     if data is not None:
         tree["pointing"] = _entry(parse_calibration(data, "pointing.toml", "pointing"), data, began)

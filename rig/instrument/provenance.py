@@ -164,6 +164,11 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
     if not overrides:
         return config
     tree = config.model_dump(mode="json", exclude_none=True)
+    changed = {text.partition("=")[0].strip() for text in overrides}
+    if "fit.drag" in changed and "fit.drag_s" not in changed:
+        # open or vacuum by name is in the place of a value that was measured
+        for key in ("drag_s", "u_drag_s"):
+            tree["fit"].pop(key, None)
     apply_overrides(tree, overrides)
     return validate_configuration(tree, str(reader.path), overrides)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
-from processing.contact import DEFAULT_LAW, PendulumOnBall
+from processing.contact import DEFAULT_LAW, DRAG, PendulumOnBall
 from processing.deflections import slow_deflections
 from processing.errors import ConfigurationError, DataError
 from processing.fit import Conditions, FitMethod, sine_covariance
@@ -53,7 +53,8 @@ def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> 
         raise ConfigurationError("rig plan needs [pendulum]: state mass_kg and ball_radius_m")
     contact = config.simulation.contact
     drag, _ = known_drag(config, stated_surroundings(config), pendulum, contact.period0_s)
-    values = {name: float(getattr(contact, name)) for name in DEFAULT_LAW.names(drag=drag.fitted)}
+    truth = contact.model_dump() | {DRAG.key: contact.whole_drag_s}
+    values = {name: float(truth[name]) for name in DEFAULT_LAW.names(drag=drag.fitted)}
     noise_rad = _frame_noise_rad(config) if frame_noise_rad is None else frame_noise_rad
     u_rad, u_time_s, of_sine = _of_swings(config, noise_rad)
     conditions = Conditions(
@@ -77,7 +78,10 @@ def planned_expectation(
     # a file that cannot be used is refused before the work
     known = None if contact is None else _contact_of(contact)
     expected = expected_of(config, None if noise_arcsec is None else noise_arcsec * ARCSEC_RAD)
-    return expected if known is None else expected._replace(values=known)
+    if known is None:
+        return expected
+    # a drag is planned as it will be fitted, whether or not the earlier fit had one
+    return expected._replace(values={name: known.get(name, own) for name, own in expected.values.items()})
 
 
 def _contact_of(results: Path) -> dict[str, float]:

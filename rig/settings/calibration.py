@@ -16,6 +16,9 @@ class CalibrationSettings(BaseModel, frozen=True, extra="forbid"):
     axes: Path | None = Field(default=None, description="fills [axes]")
     clock: Path | None = Field(default=None, description="fills [timebase]")
     shutter: Path | None = Field(default=None, description="fills [shutter]")
+    air: Path | None = Field(
+        default=None, description="fills fit.drag_s and its uncertainty, as rig calibrate air has measured it"
+    )
     pointing: Path | None = Field(
         default=None, description="result of rig calibrate pointing, stored with the record"
     )

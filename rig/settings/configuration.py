@@ -154,6 +154,11 @@ class FitSettings(Section, frozen=True):
         """Whether a drag is among the parameters."""
         return self.drag != "vacuum"
 
+    @property
+    def opened(self) -> "FitSettings":
+        """The same with nothing known of the air, as its drag is measured."""
+        return self.model_copy(update={"drag": "open", "drag_s": None, "u_drag_s": 0.0})
+
     @model_validator(mode="after")
     def _drag_is_one(self) -> Self:
         if self.drag_s is None:

@@ -9,20 +9,23 @@ from calibration import read_calibration
 from processing.errors import ConfigurationError
 from rig.calibrate import (
     Filing,
+    VanesToCut,
     calibrate_axes,
     calibrate_clock,
     calibrate_pointing,
     calibrate_shutter,
     check_known_angle,
+    vanes_to_cut,
 )
 from rig.settings import Configuration, number
+from rig.wizards.air import air_questions, file_air
 from rig.wizards.calibration import CalibrationWizard, a_record, write_table
 from rig.wizards.lever import file_lever, ladder_questions, ladder_table, lever_questions
 from rig.wizards.question import Choice, Question, RecordedAnswer
 from rig.wizards.sensor import file_sensor, sensor_questions
 
 Values = Mapping[str, Any]
-KINDS = ("lever", "axes", "sensor", "clock", "shutter", "pointing", "check")
+KINDS = ("lever", "axes", "sensor", "clock", "shutter", "air", "pointing", "check")
 
 
 def calibration_wizard(kind: str, config: Configuration | None = None) -> CalibrationWizard:
@@ -50,6 +53,11 @@ def calibration_wizard(kind: str, config: Configuration | None = None) -> Calibr
             "Calibration of a rolling shutter: the time from row to row",
             _shutter,
             _of_record(calibrate_shutter),
+        ),
+        "air": (
+            "Drag of the air, by vanes on the pendulum or at several pressures",
+            partial(air_questions, vanes=_vanes(config)),
+            file_air,
         ),
         "pointing": (
             "Noise and drift of the spot, the pendulum clamped",
@@ -156,6 +164,11 @@ def _lever_file(text: str) -> Path:
 def _file_check(values: Values, filing: Filing) -> Path:
     ladder = write_table(filing.folder, "check-ladder", ladder_table(values, "tilt"))
     return check_known_angle(ladder, values["lever"], filing)
+
+
+def _vanes(config: Configuration | None) -> VanesToCut | None:
+    """For the period of [simulation], which stands for what a rig does not know before its first run."""
+    return None if config is None else vanes_to_cut(config, config.simulation.contact.period0_s)
 
 
 def _full_scale_dn(config: Configuration | None) -> int | None:

@@ -1,0 +1,291 @@
+"""The drag of the air measured: runs of one contact in air that resists differently.
+
+Vanes on the pendulum add to its drag, ``drag = d0 + k area``, or the pressure changes it in a ratio that is
+known better than its size, ``drag = d0 ratio``. The contact is the same in all runs, the period is not:
+vanes have inertia. All runs are fitted together, each with the noise and the waveform of its own fit, and
+with its own period, first amplitude and time. Contact and drag of a single run may lie far along a curved
+valley; what they share is where the valleys meet.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc
+
+from processing.arrays import Floats
+from processing.contact import PendulumOnBall
+from processing.contact.laws import AMPLITUDE, DRAG, PAPER, TIME
+from processing.errors import DataError
+from processing.estimate import Estimate
+from processing.fit.exact_model import ExactModel
+from processing.fit.result import FitResult
+from processing.fit_method import FitMethod
+from processing.least_squares import covariance_of, solve
+from processing.swing import TurningPoints
+
+_OWN = ("period0_s", AMPLITUDE.key, TIME.key)
+_COMMON = tuple(name for name in PAPER.names() if name not in _OWN)
+_AIR = len(_COMMON)
+"""Place of d0 among the parameters of all runs; k follows where there is one."""
+_IMPROBABLE = 0.01
+"""Chance of a scatter below which it is not attributed to chance, and enlarges the uncertainties."""
+
+
+@dataclass(frozen=True, slots=True)
+class VanedRun:
+    """Turning points, their exact fit, and the exposure to the air that is stated, with its uncertainty.
+
+    The exposure is the area of the vanes in m^2, or the ratio of the drag to that wanted.
+    """
+
+    points: TurningPoints
+    fit: FitResult
+    exposure: float
+    u_exposure: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredAir:
+    """The drag without vanes, or at the ratio 1.
+
+    Attributes
+    ----------
+    drag_s, per_exposure
+        d0, and k (by ratios: d0 again).
+    contact
+        The contact's parameters from all runs together.
+    of_runs_s, off_s
+        The drag of each run with the contact of all, and that minus the line.
+    chi2, dof, chance
+        Of what one contact and one line leave beyond fits of each run by itself; where so much is
+        improbable, `enlarged` is the factor by which every uncertainty is.
+    """
+
+    drag_s: Estimate
+    per_exposure: Estimate
+    contact: Mapping[str, Estimate]
+    of_runs_s: tuple[Estimate, ...]
+    off_s: tuple[float, ...]
+    chi2: float
+    dof: int
+    chance: float
+    enlarged: float
+
+
+class _Run(NamedTuple):
+    """A run's model with its noise, its own fit, and by what residuals are divided to be those of noise."""
+
+    stated: VanedRun
+    model: ExactModel
+    columns: Floats
+    size: float
+
+
+class _Together(NamedTuple):
+    """Residuals of all runs, and their derivatives by what the runs share and by what is each run's own."""
+
+    residuals: list[Floats]
+    by_shared: list[Floats]
+    by_own: list[Floats]
+
+
+class _Shared:
+    """The parameters of all runs in the solver's units, in which each is of the size of 1.
+
+    ln b and gamma are those at the reference amplitude; then c, n, p, d0 and k; then for each run T0, first
+    amplitude, first time and, where its exposure is uncertain, by how much that is wrong.
+    """
+
+    def __init__(self, runs: Sequence[_Run], by_ratio: bool) -> None:
+        self.runs, self.by_ratio = runs, by_ratio
+        self.count = _AIR + (1 if by_ratio else 2)
+        fits = [run.stated.fit for run in runs]
+        self.log_r = float(np.mean([np.log(fit.reference_rad) for fit in fits]))
+        self.unsure = [run.stated.u_exposure > 0 for run in runs]
+        self.ends = np.cumsum([self.count, *(len(_OWN) + unsure for unsure in self.unsure)])
+        start = [np.median([self._at_reference(fit)[k] for fit in fits]) for k in range(_AIR)]
+        start += self._line([fit.estimate(DRAG.key).value for fit in fits])
+        self.unit = np.abs(np.array(start))
+        self.unit[self.unit == 0] = 1.0
+        own = []
+        for run in runs:
+            values = [run.stated.fit.estimate(name).value for name in _OWN]
+            u = [run.stated.fit.estimate(name).standard_uncertainty for name in _OWN]
+            own.append((np.array(values), np.array(u)))
+        self.own = own
+        self.start = np.concatenate([np.array(start) / self.unit, np.zeros(int(self.ends[-1]) - self.count)])
+
+    def _at_reference(self, fit: FitResult) -> list[float]:
+        known = {name: fit.estimate(name).value for name in _COMMON}
+        known["b"] = float(np.log(known["b"]) + (known["p"] - 1) * self.log_r)
+        known["gamma_pa"] *= float(np.exp(known["n"] * self.log_r))
+        return [known[name] for name in _COMMON]
+
+    def _line(self, drags: Sequence[float]) -> list[float]:
+        exposure = np.array([run.stated.exposure for run in self.runs])
+        design = exposure[:, None] if self.by_ratio else np.column_stack([np.ones_like(exposure), exposure])
+        found = np.linalg.lstsq(design, np.array(drags), rcond=None)[0]
+        return [float(value) for value in found]
+
+    def contact(self, shared: Floats) -> tuple[Floats, Floats]:
+        """SI values of the contact, and their derivatives by what is shared, in the solver's units."""
+        known = dict(zip(_COMMON, (shared * self.unit)[:_AIR].tolist(), strict=True))
+        place = {name: k for k, name in enumerate(_COMMON)}
+        by = np.zeros((_AIR, self.count))
+        by[:, :_AIR] = np.diag(self.unit[:_AIR])
+        b = float(np.exp(known["b"] + (1 - known["p"]) * self.log_r))
+        scale = float(np.exp(-known["n"] * self.log_r))
+        gamma = known["gamma_pa"] * scale
+        by[place["b"], place["b"]] = b * self.unit[place["b"]]
+        by[place["b"], place["p"]] = -self.log_r * b * self.unit[place["p"]]
+        by[place["gamma_pa"], place["gamma_pa"]] = scale * self.unit[place["gamma_pa"]]
+        by[place["gamma_pa"], place["n"]] = -self.log_r * gamma * self.unit[place["n"]]
+        known |= {"b": b, "gamma_pa": gamma}
+        return np.array([known[name] for name in _COMMON]), by
+
+    def air(self, shared: Floats, run: int, off: float = 0.0) -> tuple[float, Floats, float]:
+        """A run's drag, its derivatives by what is shared, and that by its exposure."""
+        exposure, air = self.runs[run].stated.exposure + off, (shared * self.unit)[_AIR:]
+        by = np.zeros(self.count)
+        by[_AIR:] = np.array([exposure] if self.by_ratio else [1.0, exposure]) * self.unit[_AIR:]
+        drag = float(air @ (by[_AIR:] / self.unit[_AIR:]))
+        return drag, by, float(air[-1])
+
+    def __call__(self, values: Floats) -> tuple[Floats, Floats]:
+        """Residuals of all runs, and their derivatives."""
+        parts, jacobian = [], []
+        for number in range(len(self.runs)):
+            residuals, by = self.of_run(values, number)
+            parts.append(residuals)
+            jacobian.append(by)
+        return np.concatenate(parts), np.concatenate(jacobian)
+
+    def of_run(self, values: Floats, number: int, drag_off_s: float = 0.0) -> tuple[Floats, Floats]:
+        """Of one run, whose drag may lie off the line."""
+        run, shared = self.runs[number], values[: self.count]
+        own = values[self.ends[number] : self.ends[number + 1]]
+        u_exposure = run.stated.u_exposure
+        off = own[-1] * u_exposure if self.unsure[number] else 0.0
+        contact, by_shared = self.contact(shared)
+        drag_s, by_drag, per_exposure = self.air(shared, number, float(off))
+        centre, size = self.own[number]
+        known = dict(zip(_COMMON, contact.tolist(), strict=True)) | {DRAG.key: drag_s + drag_off_s}
+        known |= dict(zip(_OWN, (centre + size * own[: len(_OWN)]).tolist(), strict=True))
+        columns = run.model.columns.from_physical(known)
+        residuals, jacobian = run.model.about(columns)(columns)
+        physical = np.linalg.inv(run.model.columns.physical(columns)[1])
+        by_physical = dict(zip(run.model.names, (jacobian @ physical).T, strict=True))
+        by = np.zeros((len(residuals), len(values)))
+        for name, row in zip(_COMMON, by_shared, strict=True):
+            by[:, : self.count] += np.outer(by_physical[name], row)
+        by[:, : self.count] += np.outer(by_physical[DRAG.key], by_drag)
+        first = int(self.ends[number])
+        for k, name in enumerate(_OWN):
+            by[:, first + k] = by_physical[name] * size[k]
+        residuals, by = residuals / run.size, by / run.size
+        if self.unsure[number]:
+            last = first + len(_OWN)
+            by[:, last] = by_physical[DRAG.key] * per_exposure * u_exposure / run.size
+            prior = np.zeros(len(values))
+            prior[last] = 1.0
+            residuals, by = np.append(residuals, own[-1]), np.vstack([by, prior])
+        return residuals, by
+
+
+def air_of_vanes(
+    runs: Sequence[VanedRun], pendulum: PendulumOnBall, *, by_ratio: bool = False
+) -> MeasuredAir:
+    """The drag of the pendulum itself, from runs with different vanes, or (`by_ratio`) at ratios of drags.
+
+    Raises
+    ------
+    DataError
+        Fewer than two exposures, a fit that is not exact, has no drag or a prior of it, or no convergence.
+    """
+    _check(runs, by_ratio)
+    models = [_of(run, pendulum) for run in runs]
+    shared = _Shared(models, by_ratio)
+    free = np.full(len(shared.start), np.inf)
+    found = solve(partial(_finite, shared), shared.start, lower=-free, upper=free, loss="linear")
+    if not found.converged:
+        raise DataError("the runs have no common contact to which a fit converges; see which of them differs")
+    alone = sum(float(np.sum((run.model(run.columns)[0] / run.size) ** 2)) for run in models)
+    chi2 = max(0.0, 2 * found.cost - alone)
+    dof = len(runs) * (_AIR + 1) - shared.count
+    chance = float(chdtrc(dof, chi2))
+    enlarged = float(np.sqrt(chi2 / dof)) if chance < _IMPROBABLE else 1.0
+    covariance = covariance_of(found.jacobian) * enlarged**2
+    of_shared = covariance[: shared.count, : shared.count]
+    values, by = shared.contact(found.values[: shared.count])
+    u_contact = np.sqrt(np.diag(by @ of_shared @ by.T))
+    air = found.values[_AIR : shared.count] * shared.unit[_AIR:]
+    u_air = np.sqrt(np.diag(of_shared)[_AIR:]) * shared.unit[_AIR:]
+    drags = [_drag_of(shared, found.values, number) for number in range(len(runs))]
+    return MeasuredAir(
+        drag_s=Estimate(float(air[0]), float(u_air[0])),
+        per_exposure=Estimate(float(air[-1]), float(u_air[-1])),
+        contact={
+            name: Estimate(float(value), float(u))
+            for name, value, u in zip(_COMMON, values, u_contact, strict=True)
+        },
+        of_runs_s=tuple(drag for drag, _ in drags),
+        off_s=tuple(off for _, off in drags),
+        chi2=chi2,
+        dof=dof,
+        chance=chance,
+        enlarged=enlarged,
+    )
+
+
+def _check(runs: Sequence[VanedRun], by_ratio: bool) -> None:
+    what = "pressures" if by_ratio else "areas of vanes"
+    if len({run.exposure for run in runs}) < 2:
+        raise DataError(f"the drag is measured at two {what} at least; make runs at three")
+    for number, run in enumerate(runs, 1):
+        if run.fit.method is not FitMethod.EXACT or not run.fit.has_drag:
+            raise DataError(f"run {number} was fitted without a drag")
+        if run.fit.evidence.drag_s is not None:
+            raise DataError(f"run {number} was fitted with what was known of the air: nothing is measured so")
+        if not np.all(np.isfinite(np.diag(run.fit.covariance))):
+            raise DataError(f"run {number} does not determine contact and drag; start higher, or shield it")
+
+
+def _of(run: VanedRun, pendulum: PendulumOnBall) -> _Run:
+    """Residuals count as the run's own uncertainty of the drag has it."""
+    model, columns = ExactModel.of(run.points, pendulum, run.fit)
+    size = max(1.0, run.fit.chi2_per_dof) ** 0.5
+    if run.fit.widened is not None:
+        size *= float(run.fit.widened[run.fit.names.index(DRAG.key)])
+    return _Run(run, model, columns, size)
+
+
+def _finite(shared: _Shared, values: Floats) -> tuple[Floats, Floats]:
+    """As `_Shared` has it; a trial where no pendulum swings is infinitely bad and not an error."""
+    try:
+        return shared(values)
+    except (DataError, np.linalg.LinAlgError):
+        residuals, jacobian = shared(shared.start)
+        return np.full_like(residuals, np.nan), jacobian
+
+
+def _drag_of(shared: _Shared, values: Floats, number: int) -> tuple[Estimate, float]:
+    """The drag of one run with the contact of all, and how far it is off the line; by one step from there."""
+    residuals, by = shared.of_run(values, number)
+    on_line, by_drag, _ = shared.air(values[: shared.count], number)
+    # the derivative by d0 (or by d0's multiple) is that by the run's drag
+    of_drag = _derivative_by_drag(shared, values, number, by_drag)
+    own = by[:, shared.ends[number] : shared.ends[number + 1]]
+    design = np.column_stack([of_drag, own])
+    norm = np.linalg.norm(design, axis=0)
+    covariance = np.linalg.inv((design / norm).T @ (design / norm)) / np.outer(norm, norm)
+    off = float(-(covariance @ (design.T @ residuals))[0])
+    return Estimate(on_line + off, float(np.sqrt(covariance[0, 0]))), off
+
+
+def _derivative_by_drag(shared: _Shared, values: Floats, number: int, by_drag: Floats) -> Floats:
+    step = 1e-3 * float(abs(by_drag[_AIR]) or 1e-3)
+    high, low = (shared.of_run(values, number, sign * step)[0] for sign in (1.0, -1.0))
+    return np.asarray((high - low) / (2 * step))

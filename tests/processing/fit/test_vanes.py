@@ -1,0 +1,96 @@
+"""The drag of the air from runs that share a contact and differ in their vanes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from processing.deflections import slow_deflections
+from processing.errors import DataError
+from processing.estimate import Estimate
+from processing.fit import Evidence, MeasuredAir, VanedRun, air_of_vanes, fit_exact, waveform_of
+from processing.swing import HarmonicsWatch, SwingDetector, turning_points
+from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.driven import driven_path
+
+DRAG_S, PER_M2_S, RATE = 1.7e-3, 0.025, 25.0
+AREAS_M2 = (0.0, 0.07, 0.14)
+PARAMETERS, PENDULUM = paper_pair("glass_k8")
+
+
+def run_of(area_m2: float, seed: int, *, rougher: float = 1.0) -> VanedRun:
+    """Frames of a pendulum in air, integrated, whose vanes make it slower, too."""
+    true = replace(
+        PARAMETERS,
+        drag_s=DRAG_S + PER_M2_S * area_m2,
+        period0_s=PARAMETERS.period0_s * (1 + 0.3 * area_m2),
+        b=rougher * PARAMETERS.b,
+    )
+    path = driven_path(true, PENDULUM, q=3e-9, seed=seed, frames_per_s=RATE, last_arcsec=10)[2]
+    seen = path + 0.005 * ARCSEC * np.random.default_rng([seed, 3]).standard_normal(len(path))
+    times_ns = np.rint(np.arange(len(path)) * 1e9 / RATE).astype(np.int64)
+    samples = slow_deflections(times_ns, seen, np.full(len(path), 0.005 * ARCSEC))
+    detector = SwingDetector()
+    swings = [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
+    watch = HarmonicsWatch(swings)
+    watch.update(samples)
+    points, evidence = turning_points(swings), Evidence(waveform_of(watch.found()))
+    return VanedRun(points, fit_exact(points, PENDULUM, drag=True, evidence=evidence), area_m2)
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[VanedRun]:
+    return [run_of(area, seed) for seed, area in enumerate(AREAS_M2)]
+
+
+@pytest.fixture(scope="module")
+def found(runs: list[VanedRun]) -> MeasuredAir:
+    return air_of_vanes(runs, PENDULUM)
+
+
+def test_the_line_and_the_contact_are_those_of_all_runs(runs: list[VanedRun], found: MeasuredAir) -> None:
+    for (value, u), true in ((found.drag_s, DRAG_S), (found.per_exposure, PER_M2_S)):
+        assert abs(value - true) < 3.5 * u
+        assert u < 0.03 * true
+    for name, (value, u) in found.contact.items():
+        assert abs(value - getattr(PARAMETERS, name)) < 3.5 * u
+    alone = min(run.fit.estimate("drag_s").standard_uncertainty for run in runs)
+    assert 0.4 * alone < found.drag_s.standard_uncertainty < 0.9 * alone
+    assert (found.dof, found.enlarged) == (11, 1.0)
+    for off, of_run in zip(found.off_s, found.of_runs_s, strict=True):
+        assert abs(off) < 3.5 * of_run.standard_uncertainty < 1e-4
+
+
+def test_runs_that_share_no_contact_are_seen(runs: list[VanedRun]) -> None:
+    apart = air_of_vanes([runs[0], run_of(AREAS_M2[-1], 9, rougher=1.1)], PENDULUM)
+    assert apart.chance < 1e-6
+    assert apart.enlarged > 2
+
+
+def test_an_uncertain_area_counts_as_its_drag(runs: list[VanedRun], found: MeasuredAir) -> None:
+    """The larger area alone is uncertain: by as much as its drag, the line has another slope."""
+    unsure = [*runs[:-1], replace(runs[-1], u_exposure=0.02)]
+    u_exact = found.per_exposure.standard_uncertainty
+    u_unsure = air_of_vanes(unsure, PENDULUM).per_exposure.standard_uncertainty
+    two_areas = air_of_vanes(runs[:-1], PENDULUM).per_exposure.standard_uncertainty
+    assert 1.1 * u_exact < u_unsure < 1.1 * two_areas
+
+
+def test_ratios_of_pressures_need_no_line(runs: list[VanedRun], found: MeasuredAir) -> None:
+    ratios = [(DRAG_S + PER_M2_S * area) / DRAG_S for area in AREAS_M2]
+    by_ratio = [replace(run, exposure=ratio) for run, ratio in zip(runs, ratios, strict=True)]
+    measured = air_of_vanes(by_ratio, PENDULUM, by_ratio=True)
+    assert measured.per_exposure == measured.drag_s
+    assert abs(measured.drag_s.value - DRAG_S) < 3.5 * measured.drag_s.standard_uncertainty
+    # a ratio tells the drag from friction, which a line of unknown height does not
+    assert measured.drag_s.standard_uncertainty < 0.7 * found.drag_s.standard_uncertainty
+
+
+def test_what_measures_no_air_is_refused(runs: list[VanedRun]) -> None:
+    vacuum = replace(runs[1], fit=fit_exact(runs[1].points, PENDULUM))
+    known = replace(runs[1], fit=replace(runs[1].fit, evidence=Evidence(drag_s=Estimate(1e-3, 1e-4))))
+    for run, words in ((vacuum, "run 2 was fitted without a drag"), (known, "known of the air")):
+        with pytest.raises(DataError, match=words):
+            air_of_vanes([runs[0], run], PENDULUM)
+    with pytest.raises(DataError, match="two areas"):
+        air_of_vanes([runs[0], runs[0]], PENDULUM)

@@ -1,0 +1,129 @@
+"""`rig calibrate air`: runs with vanes, the file that they make, and a fit that uses it."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from calibration import read_calibration
+from processing.errors import ConfigurationError, DataError
+from rig.analysis import remarks
+from rig.analysis.record_fit import analyse_record
+from rig.calibrate import Filing, calibrate_air, calibration_residuals, vanes_to_cut
+from rig.instrument import complete
+from rig.measure.session import simulate_record
+from rig.settings.configuration import validate_configuration
+from rig.wizards import Draft, answered, calibration_wizard, progress
+
+DRAG_S = 1.7e-3
+
+
+def configuration(area_m2: float, **sections: Any) -> Any:
+    simulation = {
+        "max_duration_s": 130.0,
+        "seed": round(1 + 1000 * area_m2),
+        "contact": {"drag_s": DRAG_S, "vane_area_m2": area_m2},
+        "fast": {"amplitude_arcsec": 0.0},
+        "ground": {"model": "none"},
+        "sensor": {"width_px": 96},
+        "clock": {"frame_rate_hz": 25.0},
+    }
+    record = {"windows": False, "full_frame_interval_s": 1000.0}
+    tree = {"camera": {"driver": "simulated"}, "simulation": simulation, "record": record, **sections}
+    return validate_configuration(tree, "test")
+
+
+@pytest.fixture(scope="module")
+def vanes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run without vanes, one with, and their list."""
+    folder = tmp_path_factory.mktemp("vanes")
+    lines = []
+    for number, area_m2 in enumerate((0.0, 0.1)):
+        record = folder / f"{number}.mcap"
+        assert simulate_record(configuration(area_m2), folder / "none.toml", record) == 0
+        lines += ["[[run]]", f"record = '{record.name}'", f"area_m2 = {area_m2}"]
+    (folder / "vanes.toml").write_text("\n".join(lines))
+    return folder / "vanes.toml"
+
+
+def test_the_drag_is_measured_filed_and_used(vanes: Path, tmp_path: Path) -> None:
+    path = calibrate_air(vanes, Filing(tmp_path / "c", 30, "A. Person"))
+    found = read_calibration(path, "air")
+    drag_s, u_drag_s = found.values["drag_s"], found.values["u_drag_s"]
+    assert abs(drag_s - DRAG_S) < 4 * u_drag_s < 0.5 * DRAG_S
+    assert found.method == "2 runs, 2 areas of vanes"
+    assert [source.name for source in found.sources] == ["vanes.toml", "0.mcap", "1.mcap"]
+    assert any("at three" in note for note in found.notes)
+    (left,) = calibration_residuals(found)
+    assert left.x == [0.0, 1000.0]
+    assert found.details["expected_drag_s"] == pytest.approx(DRAG_S, rel=0.2)
+    stated = configuration(0.0, calibration={"air": str(path)})
+    fit = complete(stated).fit
+    assert (fit.drag_s, fit.u_drag_s) == (drag_s, u_drag_s)
+    assert complete(complete(stated)) == complete(stated), "as a record's configuration is"
+    open_fit = complete(configuration(0.0, calibration={"air": str(path)}, fit={"drag": "open"})).fit
+    assert open_fit.drag_s is None, "open by name holds"
+    other = {"drag_s": 1e-3, "u_drag_s": 1e-5}
+    with pytest.raises(ConfigurationError, match="leave one of them out"):
+        complete(configuration(0.0, calibration={"air": str(path)}, fit=other))
+    measured = [f"fit.drag_s={drag_s}", f"fit.u_drag_s={u_drag_s}"]
+    results = analyse_record(vanes.parent / "0.mcap", measured).results
+    assert results.drag is not None
+    assert results.drag.known_s is not None
+    assert results.drag.known_s.value == drag_s
+    assert results.drag.drag_s.standard_uncertainty < u_drag_s
+    assert any("drag" in line for line in remarks(results))
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ("[[run]]\nrecord = '0.mcap'\narea_m2 = 0.0", "two different areas or pressures"),
+        ("[[run]]\nrecord = '0.mcap'", "either area_m2 or pressure_pa"),
+        (
+            "[[run]]\nrecord = '0.mcap'\narea_m2 = 0.1\n[[run]]\nrecord = '1.mcap'\npressure_pa = 9e4",
+            "area_m2 of every",
+        ),
+        (
+            "[[run]]\nrecord = '0.mcap'\narea_m2 = 0.1\n[[run]]\nrecord = 'no.mcap'\narea_m2 = 0",
+            "no.mcap: no such record",
+        ),
+    ],
+)
+def test_what_cannot_serve_is_said_in_one_line(vanes: Path, tmp_path: Path, lines: str, said: str) -> None:
+    path = vanes.parent / "wrong.toml"
+    path.write_text(lines)
+    with pytest.raises(ConfigurationError) as caught:
+        calibrate_air(path, Filing(tmp_path / "c"))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "c").exists()
+
+
+def test_a_run_too_short_for_the_waveform_is_refused(tmp_path: Path) -> None:
+    config = configuration(0.0)
+    short = config.model_copy(
+        update={"simulation": config.simulation.model_copy(update={"max_duration_s": 40.0})}
+    )
+    assert simulate_record(short, tmp_path / "none.toml", tmp_path / "s.mcap") == 0
+    runs = "".join(f"[[run]]\nrecord = 's.mcap'\narea_m2 = {area}\n" for area in (0.0, 0.1))
+    (tmp_path / "v.toml").write_text(runs)
+    with pytest.raises(DataError, match="too short for the waveform"):
+        calibrate_air(tmp_path / "v.toml", Filing(tmp_path / "c"))
+
+
+def test_vanes_are_advised_and_asked_for() -> None:
+    config = complete(configuration(0.0))
+    advised = vanes_to_cut(config, 4.071)
+    assert advised is not None
+    # half of the paper's pendulum, 0.55 m; what they add follows from Stokes's oscillating wall
+    assert advised.distance_m == pytest.approx(0.27, abs=0.02)
+    assert 0.03 < advised.area_m2 < 0.1
+    wizard = calibration_wizard("air", config)
+    draft = answered(wizard, Draft(), "vanes")
+    question = progress(wizard, draft).question
+    assert question is not None
+    assert advised.text in question.do
+    assert "two runs without vanes" in question.do
+    in_general = progress(calibration_wizard("air"), Draft())
+    assert in_general.question is not None
