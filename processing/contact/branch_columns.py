@@ -81,6 +81,7 @@ class BranchColumns:
         if in_angles and pendulum is None:
             raise DataError("a law with yield angles needs deflections in angles: calibrate the lever")
         self.reference = reference_amplitude(points)
+        self.valley: int | None = None
         self._names = names
         self._own = tuple(p.key for p in parameters if p.key not in (PERIOD, DRAG.key))
         self._drag = DRAG.key in names

@@ -59,6 +59,7 @@ class HalfSwingColumns:
         self.reference = reference_amplitude(points)
         self._names = names
         self._drag = DRAG_PARAMETER.key in names
+        self.valley = _LN_B if self._drag else None
         self._rho = relative_curvature(pendulum) * self.reference
         self._per_gamma = 1.0 if pendulum is None else stiffness_ratio(1.0, pendulum)
         self._in_map = [B, P, C, N, KAPPA, *([DRAG] if self._drag else []), A0]

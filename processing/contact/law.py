@@ -113,12 +113,16 @@ class Columns(Protocol):
     map_by_log_rho
         Derivative of the map's parameters by ln(R/a), which a fit takes as known; 0 if the law does not
         contain it.
+    valley
+        Column along which a friction and a drag take each other's place in the turning points; None where there
+        is none, or where it is not known.
     """
 
     reference: float
     lower: Floats
     upper: Floats
     map_by_log_rho: Floats
+    valley: int | None
 
     def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
         """The map's parameters (the last: the first amplitude), T0 (s) and the time of the first turning

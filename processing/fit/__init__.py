@@ -10,6 +10,8 @@ from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
 from processing.fit.key_comparison import KeyComparison, compare_laboratories
 from processing.fit.law_comparison import LawComparison, compare_laws
+from processing.fit.law_errors import Misfit
+from processing.fit.misfit import misfit_of, with_misfit
 from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
 from processing.fit.reported import (

@@ -34,6 +34,9 @@ from processing.swing import TurningPoints
 
 _GOOD_CHI2 = 1.5
 """Reduced chi-square above which a minimum may be a local one; other start values are tried then."""
+_GOOD_EVIDENCE = 8.0
+"""Mean square of the residuals of the evidence above which it may be a local one, too: a strong drive gives any
+turning points a good chi-square."""
 _ROUNDS = 12
 """Most alternations of noise and parameters; two or three suffice."""
 _STEPS = 60
@@ -105,7 +108,7 @@ def _best(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) ->
             continue
         if best is None or found.likeliest.deviance < best.likeliest.deviance:
             best = found
-        if best.likeliest.noise.scale**2 < _GOOD_CHI2:
+        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and _believed(best):
             break
     if not tried:
         raise DataError("no start from which the half-swing map reaches the last half-cycle")
@@ -115,6 +118,12 @@ def _best(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) ->
             "law describes; see which half-cycles are disturbed, or start higher"
         )
     return best
+
+
+def _believed(found: _Settled) -> bool:
+    """Whether the minimum agrees with the evidence."""
+    beside = found.model.beside(found.solution.values)[0]
+    return float(beside @ beside) <= _GOOD_EVIDENCE * len(beside) + _GOOD_EVIDENCE
 
 
 def fit_exact(

@@ -1,6 +1,7 @@
 """A law's half-swing map as a least-squares model of amplitudes and times, at rest or on moving ground."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from itertools import islice
@@ -11,6 +12,7 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import HalfSwings, OneHalfSwing, PendulumOnBall, tabulated_half_swing
 from processing.contact.laws import DEFAULT_LAW, DRAG, Law
+from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import AT_REST, Noise
 from processing.fit.ground_filter import GAINS, drive_filter
@@ -18,6 +20,10 @@ from processing.fit.result import FitResult
 from processing.periods import mean_period
 from processing.swing import TurningPoints
 
+_DOWN_THE_VALLEY, _PLACES = 6.0, 25
+"""How far down from the largest friction starts are looked for, as a logarithm, and how many are tried."""
+_MUCH_BETTER = 0.25
+"""Chi-square of the evidence, over that where a start lies, for which the start is moved."""
 _STEP = 3.0
 """Step of a derivative of the evidence, in what one column alone is uncertain by."""
 
@@ -33,6 +39,17 @@ class _Beside(NamedTuple):
     def __call__(self, columns: Floats) -> tuple[Floats, Floats]:
         jacobian = self.scale * self.jacobian
         return self.scale * self.residuals + jacobian @ (columns - self.at), jacobian
+
+
+class Errors(NamedTuple):
+    """What a law may be wrong by: functions of the nodes of a half-swing, for relative errors one a column.
+
+    Each takes falling amplitudes in units of the reference and the times in s at which a free decay passes them,
+    counted from the first turning point, and returns an array (nodes, m) of relative changes.
+    """
+
+    of_loss: Callable[[Floats, Floats], Floats]
+    of_duration: Callable[[Floats, Floats], Floats]
 
 
 class Filtered(NamedTuple):
@@ -193,11 +210,18 @@ class ExactModel:
         )
 
     def filtered(
-        self, columns: Floats, noise: Noise, gains: Floats | None = None, *, with_rho: bool = False
+        self,
+        columns: Floats,
+        noise: Noise,
+        gains: Floats | None = None,
+        *,
+        with_rho: bool = False,
+        errors: Errors | None = None,
     ) -> Filtered:
         """The Kalman filter over the half-cycles; with `gains` of an earlier call it uses these.
 
-        `with_rho` adds a column to the Jacobian, the derivatives by ln(R/a).
+        `with_rho` adds a column to the Jacobian, the derivatives by ln(R/a), and `errors` one for each relative
+        error, those of the losses first.
         """
         parameters, matrix = self.columns.map_parameters(columns)
         if with_rho:
@@ -211,6 +235,17 @@ class ExactModel:
             return Filtered(nothing[:, 0], nothing, nothing[:, :2].T, np.nan, gains)
         period0_s = parameters[-2]
         of_map = np.ascontiguousarray(matrix[:-2])
+        loss_by = table.loss_gradient @ of_map
+        duration_by = period0_s * (table.duration_gradient @ of_map) + table.duration[:, None] * matrix[-2]
+        start_by = matrix[[-3, -1]]
+        if errors is not None:
+            ends_s = period0_s * np.cumsum(table.duration)
+            ends_s -= np.interp(-self._x[0], -table.amplitude, ends_s)
+            of_loss = table.loss[:, None] * errors.of_loss(table.amplitude, ends_s)
+            of_duration = period0_s * table.duration[:, None] * errors.of_duration(table.amplitude, ends_s)
+            loss_by = np.column_stack([loss_by, of_loss, np.zeros_like(of_duration)])
+            duration_by = np.column_stack([duration_by, np.zeros_like(of_loss), of_duration])
+            start_by = np.column_stack([start_by, np.zeros((2, loss_by.shape[1] - matrix.shape[1]))])
         innovations, jacobian, state, log_det = drive_filter(
             np.array(
                 [
@@ -218,10 +253,10 @@ class ExactModel:
                     period0_s * table.duration, period0_s * table.duration_slope,
                 ]
             ),
-            table.loss_gradient @ of_map,
-            period0_s * (table.duration_gradient @ of_map) + table.duration[:, None] * matrix[-2],
+            loss_by,
+            duration_by,
             parameters[[-3, -1]],
-            matrix[[-3, -1]],
+            start_by,
             self._index,
             self._measured,
             self._variance * noise.scale**2,
@@ -271,18 +306,42 @@ class ExactModel:
     def starts(self) -> Iterator[Floats]:
         """Start values for which the map reaches the last half-cycle, the most promising first.
 
-        Where none does, the first of each kind: a driven pendulum may swing for longer than any free one.
+        Where none does, the first of each kind: a driven pendulum may swing for longer than any free one. Where
+        the waveform speaks against one, the place along the law's valley of friction and drag that it likes
+        best comes before.
         """
-        usable, others = 0, []
+        usable: list[Floats] = []
+        others: list[Floats] = []
         for attempts in self.columns.starts(self.points):
             inside = [self._inside(attempt) for attempt in attempts]
             reaching = (columns for columns in inside if np.all(np.isfinite(self(columns)[0])))
             for columns in islice(reaching, 1):
-                usable += 1
+                if not usable:
+                    yield from self._by_waveform(columns)
+                usable.append(columns)
                 yield columns
             others += inside[:1]
         if not usable:
             yield from others
+
+    def _by_waveform(self, columns: Floats) -> Iterator[Floats]:
+        """The same with as much friction in the place of drag as the evidence says, if it says otherwise."""
+        valley = self.columns.valley
+        if valley is None or self.evidence.waveform is None:
+            return
+        down = np.linspace(self.upper[valley] - _DOWN_THE_VALLEY, self.upper[valley], _PLACES)
+        found: list[tuple[float, Floats]] = []
+        for place in [float(columns[valley]), *down.tolist()]:
+            moved = columns.copy()
+            moved[valley] = place
+            with suppress(DataError):
+                if np.all(np.isfinite(self(moved)[0])):
+                    found.append((float(np.sum(self._of_evidence(moved) ** 2)), moved))
+        if not found:
+            return
+        best = min(found, key=lambda one: one[0])
+        if found[0][1] is not best[1] and best[0] < _MUCH_BETTER * found[0][0]:
+            yield self._inside(best[1])
 
     def start_near(self, fit: "FitResult | None") -> Iterator[Floats]:
         """The parameters of an earlier fit as a start, where the map then reaches the last half-cycle."""

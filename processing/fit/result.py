@@ -15,6 +15,7 @@ from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import Ground, GroundFit
+from processing.fit.law_errors import Misfit
 from processing.fit.whiteness import Whiteness
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss
@@ -44,6 +45,8 @@ class FitQuality:
         How strongly the ground drove the pendulum; None for a fit that does not ask.
     whiteness
         Test whether the residuals are correlated.
+    misfit
+        How far the law lies from the decay; None for a fit that does not ask.
     outliers
         Indices of half-cycles with a residual of amplitude or time above 5 standard uncertainties.
     warnings
@@ -58,6 +61,7 @@ class FitQuality:
     bias: Mapping[str, float] | None = None
     ground: Ground | None = None
     whiteness: Whiteness | None = None
+    misfit: Misfit | None = None
     outliers: tuple[int, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -93,6 +97,8 @@ class FitResult(FitQuality):
     place_covariance
         Part of the covariance, and of `reading_covariance`, that errors of position fixed on the sensor
         leave; None where none were found.
+    misfit_covariance
+        Part of the covariance that the distance between law and data leaves; None where none is seen.
     evidence
         What restrained the fit beside the turning points.
     """
@@ -111,6 +117,7 @@ class FitResult(FitQuality):
     reading_covariance: Floats | None = None
     widened: Floats | None = None
     place_covariance: Floats | None = None
+    misfit_covariance: Floats | None = None
     evidence: Evidence = NO_EVIDENCE
 
     @property
