@@ -11,14 +11,19 @@ from processing.quantity import Quantity
 class Surroundings:
     """Air and history of a run's contact; NaN for what is neither read nor stated.
 
-    Air: means of what the sensor read during the run, else as stated. Until the run's first frame it is
-    `dwell_s` from when the ball was set on its place, `age_s` from the last cleaning of the surfaces.
+    Air: means of what the sensor read during the run, else as stated; its temperature changed by
+    `temperature_change_k` from the first reading to the last, by a straight line through them. Until the
+    run's first frame it is `dwell_s` from when the ball was set on its place, `age_s` from the last cleaning
+    of the surfaces.
     """
 
     temperature_c: Annotated[float, Quantity("temperature", "temperature")] = nan
     humidity_percent: Annotated[float, Quantity("humidity", "relative humidity")] = nan
     pressure_pa: Annotated[float, Quantity("pressure", "pressure of the air", "hPa")] = nan
     dwell_s: Annotated[float, Quantity("dwell", "dwell of the ball on its place", "h")] = nan
+    temperature_change_k: Annotated[
+        float, Quantity("temperature change", "change of the temperature over the run", "K")
+    ] = nan
     age_s: Annotated[float, Quantity("age", "age of the surfaces since cleaning", "h")] = nan
 
     def known(self) -> dict[str, float]:

@@ -114,8 +114,8 @@ class Columns(Protocol):
         Derivative of the map's parameters by ln(R/a), which a fit takes as known; 0 if the law does not
         contain it.
     valley
-        Column along which a friction and a drag take each other's place in the turning points; None where there
-        is none, or where it is not known.
+        Column along which a friction and a drag take each other's place in the turning points; None where
+        there is none, or where it is not known.
     """
 
     reference: float

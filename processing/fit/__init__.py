@@ -2,6 +2,7 @@
 
 from processing.fit.apparatus import InputQuantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
+from processing.fit.changes import Drifts, changes_of, drifts_of, warnings_of, with_drifts
 from processing.fit.determination import Determination, identifiability, strong_correlations
 from processing.fit.drag import Drag, DragFinding, drag_verdict
 from processing.fit.errors_of_place import PlaceErrors, by_row_time, place_errors, with_place_errors
@@ -10,8 +11,8 @@ from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
 from processing.fit.key_comparison import KeyComparison, compare_laboratories
 from processing.fit.law_comparison import LawComparison, compare_laws
-from processing.fit.law_errors import Misfit
-from processing.fit.misfit import misfit_of, with_misfit
+from processing.fit.law_errors import Change, ChangeKind, Misfit
+from processing.fit.misfit import misfit_of, with_misfit, with_misfit_of
 from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
 from processing.fit.reported import (

@@ -35,8 +35,8 @@ from processing.swing import TurningPoints
 _GOOD_CHI2 = 1.5
 """Reduced chi-square above which a minimum may be a local one; other start values are tried then."""
 _GOOD_EVIDENCE = 8.0
-"""Mean square of the residuals of the evidence above which it may be a local one, too: a strong drive gives any
-turning points a good chi-square."""
+"""Mean square of the residuals of the evidence above which it may be a local one, too: a strong drive gives
+any turning points a good chi-square."""
 _ROUNDS = 12
 """Most alternations of noise and parameters; two or three suffice."""
 _STEPS = 60

@@ -44,8 +44,8 @@ class _Beside(NamedTuple):
 class Errors(NamedTuple):
     """What a law may be wrong by: functions of the nodes of a half-swing, for relative errors one a column.
 
-    Each takes falling amplitudes in units of the reference and the times in s at which a free decay passes them,
-    counted from the first turning point, and returns an array (nodes, m) of relative changes.
+    Each takes falling amplitudes in units of the reference and the times in s at which a free decay passes
+    them, counted from the first turning point, and returns an array (nodes, m) of relative changes.
     """
 
     of_loss: Callable[[Floats, Floats], Floats]
@@ -220,8 +220,8 @@ class ExactModel:
     ) -> Filtered:
         """The Kalman filter over the half-cycles; with `gains` of an earlier call it uses these.
 
-        `with_rho` adds a column to the Jacobian, the derivatives by ln(R/a), and `errors` one for each relative
-        error, those of the losses first.
+        `with_rho` adds a column to the Jacobian, the derivatives by ln(R/a), and `errors` one for each
+        relative error, those of the losses first.
         """
         parameters, matrix = self.columns.map_parameters(columns)
         if with_rho:
@@ -269,6 +269,17 @@ class ExactModel:
         )  # fmt: skip
         return Filtered(innovations.ravel(), jacobian.reshape(2 * count, -1), state, log_det, gains)
 
+    def losses(self, columns: Floats) -> tuple[Floats, Floats]:
+        """Falling amplitudes through the decay, and what a half-swing from each loses, in units of the
+        reference.
+
+        Raises DataError where the law does not swing so far.
+        """
+        table = self._table(self.columns.map_parameters(columns)[0])
+        if table is None:
+            raise DataError("the pendulum would not swing for as long as it did")
+        return table.amplitude, table.loss
+
     def _table(self, parameters: Floats) -> OneHalfSwing | None:
         """One half-swing at all amplitudes of the data; None if it cannot be had for these parameters."""
         if not np.all(np.isfinite(parameters)):
@@ -306,9 +317,9 @@ class ExactModel:
     def starts(self) -> Iterator[Floats]:
         """Start values for which the map reaches the last half-cycle, the most promising first.
 
-        Where none does, the first of each kind: a driven pendulum may swing for longer than any free one. Where
-        the waveform speaks against one, the place along the law's valley of friction and drag that it likes
-        best comes before.
+        Where none does, the first of each kind: a driven pendulum may swing for longer than any free one.
+        Where the waveform speaks against one, the place along the law's valley of friction and drag that it
+        likes best comes before.
         """
         usable: list[Floats] = []
         others: list[Floats] = []

@@ -6,7 +6,7 @@ drive can take up stays in the order of the residuals.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isfinite, log, pi, sqrt
 
 import numpy as np
@@ -16,6 +16,7 @@ from processing.contact.laws import Law
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE
 from processing.fit.exact import fit_exact
+from processing.fit.misfit import misfit_of
 from processing.fit.result import FitResult
 from processing.swing import TurningPoints
 
@@ -68,7 +69,9 @@ def log_evidence(fit: FitResult, pendulum: PendulumOnBall) -> float:
     u = fit.standard_uncertainty
     known = np.isfinite(u) & (u > 0)
     mean, sd = np.array([prior(fit, pendulum, name) for name in fit.names])[known].T
-    posterior = fit.covariance[np.ix_(known, known)] / np.outer(sd, sd)
+    # how far the law lies from the data is in the likelihood, and not in the volume
+    covariance = fit.covariance if fit.misfit_covariance is None else fit.covariance - fit.misfit_covariance
+    posterior = covariance[np.ix_(known, known)] / np.outer(sd, sd)
     distance = (fit.values[known] - mean) / sd
     size = np.sqrt(np.diag(posterior))
     shares = np.maximum(np.linalg.eigvalsh(posterior / np.outer(size, size)), _LEAST_SHARE)
@@ -125,7 +128,9 @@ class LawComparison:
     def describes(self) -> bool:
         """Whether the best law leaves nothing but noise."""
         best = self.trials[0].fit
-        return best is not None and best.whiteness is not None and not best.whiteness.correlated
+        if best is None or best.whiteness is None or best.whiteness.correlated:
+            return False
+        return best.misfit is None or not best.misfit.seen
 
     def text(self, remedy: str = "a higher start or more runs may") -> str:
         """The verdict in words; `remedy` says what would tell the remaining laws apart."""
@@ -177,4 +182,8 @@ def compare_laws(
         deviance, count = fit.ground.unrestricted, len(fit.names)
         bic, aic = deviance + count * log(2 * len(points)), deviance + 2 * count
         trials.append(LawTrial(law, fit, bic, aic, log_evidence(fit, pendulum)))
-    return LawComparison(tuple(sorted(trials, key=lambda trial: trial.bic)))
+    first, *others = sorted(trials, key=lambda trial: trial.bic)
+    if first.fit is not None and first.fit.misfit is None:
+        misfit = misfit_of(points, pendulum, first.fit)
+        first = replace(first, fit=replace(first.fit, misfit=misfit))
+    return LawComparison((first, *others))

@@ -1,10 +1,11 @@
-"""How far a law lies from a decay, as a value."""
+"""What a law does not describe of a decay, as values: how far it lies from it, what changed meanwhile."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Annotated
 
-from processing.quantity import PLAIN
+from processing.quantity import PLAIN, Quantity
 
 MISFIT_SEEN = 10.0
 """Difference of -2 ln L from a law without errors above which they are seen: chance about 0.3 %."""
@@ -17,8 +18,8 @@ class Misfit:
     Attributes
     ----------
     loss, duration, waveform
-        Relative standard deviations of the errors of the law's losses, durations and harmonics; 0 where they are
-        not seen.
+        Relative standard deviations of the errors of the law's losses, durations and harmonics; 0 where they
+        are not seen.
     against_law
         By how much -2 ln L of the law without errors is larger.
     widened
@@ -34,3 +35,40 @@ class Misfit:
     @property
     def seen(self) -> bool:
         return self.against_law > MISFIT_SEEN
+
+
+class ChangeKind(StrEnum):
+    """What was another one from some time on."""
+
+    KNOCK = "knock"
+    FRICTION = "friction"
+    PERIOD = "period"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """One change during a run.
+
+    `time_s` is on the clock of the turning points, `half_cycle` the index of the first one after it. `size`
+    is relative, of a knock to the amplitude whatever its phase; `gain` is by how much -2 ln L is smaller
+    with it.
+    """
+
+    kind: ChangeKind
+    half_cycle: int
+    time_s: Annotated[float, Quantity("", "when it happened", unit="s")]
+    size: float
+    u_size: float
+    gain: float
+
+    @property
+    def text(self) -> str:
+        """In one line."""
+        percent, u = 100 * self.size, 100 * self.u_size
+        what = {
+            ChangeKind.KNOCK: f"a knock moves the swing by {percent:.2g} +- {u:.1g} % of its amplitude",
+            ChangeKind.FRICTION: f"the friction changes by {percent:+.2g} +- {u:.1g} %: the contact slipped "
+            "or was touched",
+            ChangeKind.PERIOD: f"the period changes by {percent:+.2g} +- {u:.1g} %: something shifted",
+        }[self.kind]
+        return f"at half-cycle {self.half_cycle} ({self.time_s:.0f} s on the clock of the data) {what}"

@@ -1,11 +1,11 @@
 """How far a law is from what a decay shows, and what that leaves of its parameters.
 
-A law that is not the pendulum's finds its parameters all the same: the residuals hold what they could not take
-up, the parameters hold the rest. So the law is given room to err. Loss and duration of a half-swing and the
-harmonics of the swing differ from what it says by unknown smooth functions of ln A, relative errors that lie
-about zero as a Gaussian process does. How large they are is estimated by the restricted likelihood, together
-with the drive of the ground: a law that lacks something otherwise calls it a drive. The values stay as fitted;
-their uncertainties grow by what errors of that size do to them.
+A law that is not the pendulum's finds its parameters all the same: the residuals hold what they could not
+take up, the parameters hold the rest. So the law is given room to err. Loss and duration of a half-swing and
+the harmonics of the swing differ from what it says by unknown smooth functions of ln A, relative errors that
+lie about zero as a Gaussian process does. How large they are is estimated by the restricted likelihood,
+together with the drive of the ground: a law that lacks something otherwise calls it a drive. The values stay
+as fitted; their uncertainties grow by what errors of that size do to them.
 
 Of a true law the likeliest size is nought, or not seen, and nothing is widened.
 """
@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import DRAG, PendulumOnBall, law_harmonics
+from processing.contact import PendulumOnBall, law_harmonics
 from processing.errors import DataError
 from processing.fit.exact_model import Errors, ExactModel
 from processing.fit.ground import Noise
@@ -42,7 +42,7 @@ _LEAST = 1e-9
 
 
 class _Linear(NamedTuple):
-    """Residuals, derivatives by the law's columns and by unit errors of each kind, and ln det of the filter."""
+    """Residuals, derivatives by the law's columns and by unit errors of each kind, ln det of the filter."""
 
     residuals: Floats
     jacobian: Floats
@@ -86,6 +86,17 @@ def with_misfit(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fit
     )  # fmt: skip
 
 
+def with_misfit_of(fit: FitResult, exact: FitResult) -> FitResult:
+    """Another fit of the same law to the same points, with what the exact one found of their distance."""
+    if exact.misfit_covariance is None:
+        return fit
+    names = [name for name in fit.names if name in exact.names]
+    own, theirs = ([one.names.index(name) for name in names] for one in (fit, exact))
+    added = np.zeros_like(fit.covariance)
+    added[np.ix_(own, own)] = exact.misfit_covariance[np.ix_(theirs, theirs)]
+    return replace(fit, covariance=fit.covariance + added, misfit_covariance=added)
+
+
 def _warnings(misfit: Misfit, factor: Floats) -> tuple[str, ...]:
     parts = [
         f"its {name} by {100 * size:.2g} %"
@@ -111,12 +122,16 @@ def _misfit(
         return Misfit(against_law=nan), None
     model, columns = ExactModel.of(points, pendulum, fit)
     nodes = _Nodes(points.first(fit.half_cycles).amplitude / model.reference)
-    of_waveform = _by_harmonics(model, columns, nodes)
+    waveform = model.evidence.waveform
+    shapes = None if waveform is None else nodes(waveform.amplitude_rad / model.reference)
+    of_waveform = by_harmonics(model, columns, shapes, nodes.count)
     own = model.noise_of(fit)
     best: _Sizes | None = None
     without = inf
     for step in _drives(own, float(np.median(model.u_amplitude))):
-        here = _linear(model, columns, Noise(step=step, averaged=own.averaged, limit=own.limit), nodes, of_waveform)
+        here = _linear(
+            model, columns, Noise(step=step, averaged=own.averaged, limit=own.limit), nodes, of_waveform
+        )
         if here is None:
             continue
         found = _sized(here)
@@ -154,6 +169,7 @@ class _Nodes:
         apart = np.abs(self._at[:, None] - self._at) / _REACH
         correlation = np.exp(-0.5 * apart**2) + _LEAST * np.eye(count)
         self._root = np.linalg.cholesky(correlation)
+        self.count = count
 
     def __call__(self, amplitude: Floats, _: Floats | None = None) -> Floats:
         """Values (n, m) of m independent unit errors."""
@@ -169,19 +185,19 @@ def _drives(own: Noise, unit: float) -> list[float]:
     return [*(largest * 10.0**_STEPS).tolist(), 0.0]
 
 
-def _by_harmonics(model: ExactModel, columns: Floats, nodes: _Nodes) -> Floats:
-    """Derivatives of the residuals of the evidence by unit relative errors of the law's harmonics."""
+def by_harmonics(model: ExactModel, columns: Floats, shapes: Floats | None, count: int) -> Floats:
+    """Derivatives of the residuals of the evidence by relative errors of the law's harmonics.
+
+    `shapes` (pieces, count) are those errors for the pieces of the waveform; None where there is none.
+    """
     evidence, pendulum = model.evidence, model.pendulum
-    count = nodes(np.ones(1)).shape[1]
-    rows = len(model.beside(columns)[0])
-    out = np.zeros((rows, count))
-    if evidence.waveform is None or pendulum is None:
+    out = np.zeros((len(model.beside(columns)[0]), count))
+    if evidence.waveform is None or pendulum is None or shapes is None:
         return out
     waveform = evidence.waveform
     physical, _ = model.columns.physical(columns)
     values = dict(zip(model.names, physical.tolist(), strict=True))
     predicted = -law_harmonics(model.law, values, pendulum, waveform.amplitude_rad).imag[:, _ODD]
-    shapes = nodes(waveform.amplitude_rad / model.reference)
     # the residuals are linear in what is measured
     nothing = replace(waveform, sine_rad=np.zeros_like(predicted)).residuals(model.law, values, pendulum)
     for column, shape in enumerate(shapes.T):

@@ -1,7 +1,7 @@
 """Reported quantities, computed from the fitted parameters and the rig's input quantities."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import pi
 from typing import Annotated
 
@@ -61,8 +61,10 @@ class FittedContact:
 
     `names` are the six contact parameters and, if fitted, the drag. `dof` is the number of degrees of
     freedom of the covariance. `reading_covariance` is the part of it that remains on ground at rest,
-    `place_covariance` the part of both that errors of position leave; None where they are not known.
-    `by_row_time` are derivatives by the shutter's row time; None where they are not known or not needed.
+    `place_covariance` the part of both that errors of position leave, `misfit_covariance` the part of it that
+    the distance between law and data leaves; None where they are not known.
+    `by_row_time` are derivatives by the shutter's row time; None where they are not known or not needed;
+    `by_drifts` those by what drifts over a run, by the names of `RigQuantities`.
     """
 
     names: tuple[str, ...]
@@ -74,6 +76,8 @@ class FittedContact:
     reading_covariance: Floats | None = None
     by_row_time: Floats | None = None
     place_covariance: Floats | None = None
+    misfit_covariance: Floats | None = None
+    by_drifts: Mapping[str, Floats] = field(default_factory=dict)
 
 
 def fitted_contact(result: FitResult) -> FittedContact:
@@ -84,15 +88,17 @@ def fitted_contact(result: FitResult) -> FittedContact:
         )
     names = result.contact_names
     at = [result.names.index(name) for name in names]
+    within = np.ix_(at, at)
     return FittedContact(
         names,
         result.values[at],
-        result.covariance[np.ix_(at, at)],
+        result.covariance[within],
         float(result.dof),
         result.by_log_rho[at],
         result.reference_rad,
-        None if result.reading_covariance is None else result.reading_covariance[np.ix_(at, at)],
-        place_covariance=None if result.place_covariance is None else result.place_covariance[np.ix_(at, at)],
+        None if result.reading_covariance is None else result.reading_covariance[within],
+        place_covariance=None if result.place_covariance is None else result.place_covariance[within],
+        misfit_covariance=None if result.misfit_covariance is None else result.misfit_covariance[within],
     )
 
 
@@ -139,6 +145,8 @@ def reported_quantities(
     moved = values + found.by_log_rho[:, None] * bent
     if found.by_row_time is not None:
         moved = moved + found.by_row_time[:, None] * (inputs["row_time_s"] - rig.row_time_s.value)
+    for name, slope in found.by_drifts.items():
+        moved = moved + slope[:, None] * inputs[name]
     b, p, c, n, period0, gamma = moved[:6]
     nominal_force = nominal.mass_kg * nominal.gravity_m_per_s2
     out = {

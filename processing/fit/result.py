@@ -15,7 +15,7 @@ from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import Ground, GroundFit
-from processing.fit.law_errors import Misfit
+from processing.fit.law_errors import Change, Misfit
 from processing.fit.whiteness import Whiteness
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss
@@ -47,6 +47,8 @@ class FitQuality:
         Test whether the residuals are correlated.
     misfit
         How far the law lies from the decay; None for a fit that does not ask.
+    changes
+        Events during the run after which something was another one.
     outliers
         Indices of half-cycles with a residual of amplitude or time above 5 standard uncertainties.
     warnings
@@ -62,6 +64,7 @@ class FitQuality:
     ground: Ground | None = None
     whiteness: Whiteness | None = None
     misfit: Misfit | None = None
+    changes: tuple[Change, ...] = ()
     outliers: tuple[int, ...] = ()
     warnings: tuple[str, ...] = ()
 

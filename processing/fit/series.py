@@ -1,9 +1,9 @@
 """Combination of repeated runs of one contact pair, and comparison of series of runs."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
-from math import nan, sqrt
+from math import isfinite, nan, sqrt
 from typing import Annotated
 
 import numpy as np
@@ -140,7 +140,10 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
     if len(results) < 2:
         raise DataError(f"{len(results)} run: a series needs at least 2 to show its scatter")
     names = [name for name in results[0].contact_names if all(name in result.names for result in results)]
-    parameters = {name: combine(name, [result.estimate(name) for result in results]) for name in names}
+    parameters = {
+        name: _with_misfit(combine(name, [_own(result, name) for result in results]), name, results)
+        for name in names
+    }
     runs = [fitted_contact(result) for result in results]
     at = [list(runs[0].names).index(name) for name in names]
     correlation = np.mean(
@@ -161,6 +164,30 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
         float(np.exp(np.mean([np.log(run.reference_rad) for run in runs]))),
     )
     return SeriesResult(parameters, tuple(_disagreements(names, results)), together)
+
+
+def _own(result: FitResult, name: str) -> Estimate:
+    """A parameter without what the distance between law and data adds, which runs have in common."""
+    value, u = result.estimate(name)
+    return Estimate(value, sqrt(max(u**2 - _of_misfit(result, name), 0.0)) if isfinite(u) else u)
+
+
+def _of_misfit(result: FitResult, name: str) -> float:
+    at = result.names.index(name)
+    return 0.0 if result.misfit_covariance is None else float(result.misfit_covariance[at, at])
+
+
+def _with_misfit(found: Combined, name: str, results: Sequence[FitResult]) -> Combined:
+    """The mean of runs, whose law is wrong in all of them alike."""
+    added = float(np.mean([_of_misfit(result, name) for result in results]))
+    if not added > 0:
+        return found
+    factor = sqrt(1 + added / found.standard_uncertainty**2)
+    return replace(
+        found,
+        standard_uncertainty=factor * found.standard_uncertainty,
+        expanded_uncertainty_95=factor * found.expanded_uncertainty_95,
+    )
 
 
 def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[Disagreement]:

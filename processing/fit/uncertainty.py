@@ -18,6 +18,8 @@ FIT = "swings"
 """Name of a type A source: the fit's covariance, or that of a series of runs."""
 GROUND = "ground"
 """Name of that part of the fit's uncertainty which the ground's drive adds to the reading of the swings."""
+MISFIT = "misfit"
+"""Name of that part which the distance between the law and the decay leaves."""
 PLACE = "position_errors"
 """Name of that part which errors of position that are fixed on the sensor leave after their correction."""
 
@@ -134,11 +136,13 @@ def _budget(
     if type_a > 0:
         own = found.names.index(name) if name in found.names else None
         u_own = sqrt(found.covariance[own, own]) if own is not None else float("nan")
-        reading = _reading(found, by_value, type_a)
-        ground = sqrt(type_a**2 - reading**2) if isfinite(type_a) else 0.0
+        misfit = min(_of(found.misfit_covariance, by_value), type_a) if isfinite(type_a) else 0.0
+        described = sqrt(type_a**2 - misfit**2) if misfit else type_a
+        reading = _reading(found, by_value, described)
+        ground = sqrt(described**2 - reading**2) if isfinite(type_a) else 0.0
         place = min(_of(found.place_covariance, by_value), reading) if isfinite(type_a) else 0.0
         own_reading = sqrt(reading**2 - place**2) if place else reading
-        for source, part in ((FIT, own_reading), (GROUND, ground), (PLACE, place)):
+        for source, part in ((FIT, own_reading), (GROUND, ground), (PLACE, place), (MISFIT, misfit)):
             if part > 0:
                 share = part / type_a if isfinite(type_a) else 1.0
                 parts.append((source, "A", u_own * share, float("nan"), part))

@@ -1,7 +1,7 @@
 """Both fits of one decay, from its turning points as they are best known."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from processing.contact import PendulumOnBall, surface_energy
 from processing.errors import DataError
@@ -10,12 +10,18 @@ from processing.fit import (
     Evidence,
     FitMethod,
     FitResult,
+    changes_of,
     fit_asymptotic,
     fit_exact,
+    warnings_of,
+    with_drifts,
+    with_misfit,
+    with_misfit_of,
     with_place_errors,
 )
 from processing.swing import TurningPoints
 from rig.analysis.contact_results import SurfaceEnergies
+from rig.analysis.drifts import BelievedDrifts
 from rig.analysis.settled import loss_of
 from rig.settings import FitSettings
 
@@ -37,6 +43,7 @@ def fit_decay(
     *,
     drag: bool = True,
     evidence: Evidence = NO_EVIDENCE,
+    drifts: BelievedDrifts | None = None,
 ) -> DecayFits:
     """Asymptotic and exact fit of turning points; a decay that cannot be fitted is said, not raised.
 
@@ -59,12 +66,26 @@ def fit_decay(
             printed_curvature=printed_curvature,
             exact=exact,
         )
+        if drifts is not None:
+            exact = with_drifts(points, pendulum, exact, drifts.ageing.u, drifts.period.u)
+        exact = _judged(points, pendulum, exact)
     except DataError as error:
         return DecayFits({}, None, str(error))
     if exact.place_covariance is not None:
         asymptotic = with_place_errors(asymptotic, exact.place_covariance, exact.names)
+    asymptotic = with_misfit_of(asymptotic, exact)
     fits: dict[str, FitResult] = {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}
     return DecayFits(fits, surface_energies(fits, pendulum))
+
+
+def _judged(points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult) -> FitResult:
+    """The fit with what it does not describe: errors of the law, and changes during the run."""
+    described = with_misfit(points, pendulum, exact)
+    explained = 0.0 if described.misfit is None else described.misfit.against_law
+    changes = changes_of(points, pendulum, exact, explained)
+    if not changes:
+        return described
+    return replace(described, changes=changes, warnings=(*described.warnings, *warnings_of(changes)))
 
 
 def surface_energies(fits: Mapping[str, FitResult], pendulum: PendulumOnBall) -> SurfaceEnergies:

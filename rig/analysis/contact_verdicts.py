@@ -33,6 +33,7 @@ from processing.fit import (
     by_row_time,
     drag_verdict,
     draw_fitted,
+    drifts_of,
     fitted_contact,
     identifiability,
     monte_carlo,
@@ -43,6 +44,7 @@ from processing.fit import (
 from processing.swing import TurningPoints
 from rig.analysis.base_acceleration import base_motion
 from rig.analysis.contact_results import Adhesion, AdhesiveSpot, Correlation, Fit, MonteCarlo
+from rig.analysis.drifts import BelievedDrifts, limit_sentence
 from rig.analysis.results import RunResults
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
@@ -168,7 +170,10 @@ def evaluate(
         except DataError as error:
             by_row = None
             notes.append(f"the budget has no line for the shutter's row time: {error}")
-        contact = replace(fitted_contact(exact), by_row_time=by_row)
+        drifts = drifts_of(points, pendulum, exact)
+        by_drifts = {"ageing": drifts.by_ageing, "period_drift": drifts.by_period}
+        contact = replace(fitted_contact(exact), by_row_time=by_row, by_drifts=by_drifts)
+        notes += filter(None, [limit_sentence(drifts, BelievedDrifts(rig.ageing, rig.period_drift), exact)])
         tables = budgets(contact, rig)
         if all(quantity.u == 0 for quantity in rig.inputs().values()):
             notes.append(

@@ -22,6 +22,7 @@ from rig.analysis.beam import Beam
 from rig.analysis.contact_laws import DecayFits, fit_decay
 from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import evaluate, fit_results, rig_quantities
+from rig.analysis.drifts import believed_drifts
 from rig.analysis.fitted_drag import OPEN_DRAG, evidence_of, known_drag
 from rig.analysis.other_instruments import Reduction, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
@@ -182,7 +183,10 @@ def analyse_swings(
     points = points_in_true_time(settled.swings, clock_rate)
     if unit is DeflectionUnit.RAD:
         evidence = evidence_of(drag, settled.harmonics)
-        decay = fit_decay(points, pendulum, config.fit, settled.exact, drag=drag.fitted, evidence=evidence)
+        believed = believed_drifts(config, air) if config.fit.drifts else None
+        decay = fit_decay(
+            points, pendulum, config.fit, settled.exact, drag=drag.fitted, evidence=evidence, drifts=believed
+        )
     else:
         decay = DecayFits(
             {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
@@ -200,7 +204,9 @@ def analyse_swings(
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
     )
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
-    rig = rig_quantities(config, deflections.fast_ratio(), rest_rad)
+    rig, believed = rig_quantities(config, deflections.fast_ratio(), rest_rad), believed_drifts(config, air)
+    if rig is not None and not config.fit.drifts:
+        rig = replace(rig, ageing=believed.ageing, period_drift=believed.period)
     if decay.fits and pendulum is not None:
         seed = int(results.sha256[:12], 16)
         exact = decay.fits[FitMethod.EXACT]

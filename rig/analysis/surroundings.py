@@ -17,6 +17,8 @@ from rig.settings import Configuration
 
 _AIR = ("temperature_c", "humidity_percent", "pressure_pa")
 _USUAL = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
+_FEWEST = 4
+"""Fewest readings that show a change."""
 _SINCE = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
 
 
@@ -45,6 +47,9 @@ def _read(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]
     for name in _AIR:
         read = table[name][np.isfinite(table[name])] if len(table) else np.empty(0)
         found[name] = float(np.mean(read)) if len(read) else stated.get(name, nan)
+        if name == "temperature_c" and len(read) >= _FEWEST:
+            at = np.linspace(-0.5, 0.5, len(read))
+            found["temperature_change_k"] = float(np.polyfit(at, read, 1)[0])
     return found
 
 

@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 
 from processing.errors import DataError
-from processing.fit import FitResult, fit_exact
+from processing.fit import FitResult, fit_exact, with_misfit
 from rig.posterior.messages import Fitted, FittedModel, FittedParameters
 
 
@@ -50,7 +50,8 @@ def _fitted(
             loss=model.loss,
             near=near,
         )
+        described = with_misfit(asked.points, model.pendulum, fit)
     except DataError as error:
         return near, FittedParameters({}, str(error), time.process_time() - began_s)
-    found = {name: fit.estimate(name) for name in fit.contact_names}
+    found = {name: described.estimate(name) for name in fit.contact_names}
     return fit, FittedParameters(found, "", time.process_time() - began_s)

@@ -102,6 +102,7 @@ def law_parameters() -> Mapping[str, "Parameter"]:
 SOURCES: Final[Mapping[str, str]] = {
     "swings": "swings (fit)",
     "ground": "motion of the ground",
+    "misfit": "law against decay",
     "position_errors": "errors of position (map)",
     "mass_kg": "mass",
     "ball_radius_m": "ball radius R",
@@ -109,6 +110,8 @@ SOURCES: Final[Mapping[str, str]] = {
     "arm_m": "lever arm",
     "pitch_m": "pixel pitch",
     "clock": "clock",
+    "ageing": "ageing of the contact",
+    "period_drift": "drift of the period (temperature)",
     "row_time_s": "row time of the shutter",
     "flat_youngs_modulus_pa": "E of the flat",
     "flat_poisson_ratio": "ν of the flat",

@@ -106,6 +106,12 @@ class PendulumSettings(Section, frozen=True):
     width_m: float | None = Field(
         default=None, gt=0, lt=10, description="along that axis; both left out: as its inertia says"
     )
+    expansion_per_k: float = Field(
+        default=1.15e-5,
+        ge=0,
+        lt=1e-3,
+        description="of its body, by which the period grows; of steel if left out",
+    )
     gravity_m_per_s2: float = Field(default=STANDARD_GRAVITY_M_PER_S2, gt=0, lt=30)
     u_gravity_m_per_s2: float = Field(default=0.0, ge=0)
 
@@ -148,6 +154,19 @@ class FitSettings(Section, frozen=True):
         description="measured, in the place of the air's estimate; moment -m g R drag phi'",
     )
     u_drag_s: float = Field(default=0.0, ge=0)
+    u_ageing: float = Field(
+        default=0.01,
+        ge=0,
+        lt=1,
+        description="by how much the contact's friction may change over a run, as a fraction of it",
+    )
+    u_temperature_change_k: float = Field(
+        default=1.0, ge=0, lt=100, description="over a run, where no sensor has read it"
+    )
+    drifts: bool = Field(
+        default=False,
+        description="fit drifts of the contact's friction and of the period; else the budget has them",
+    )
 
     @property
     def fits_drag(self) -> bool:

@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 STEPS = 400
 """Steps a half-swing."""
 RELAXATIONS_S = np.geomspace(0.02, 2000.0, 11)
-"""Times of the elements whose sum creeps with the logarithm of time: five a thousandfold are smooth to 1 %."""
+"""Times of the elements whose sum creeps with the logarithm of time: few are enough to be smooth."""
 
 
 class World(NamedTuple):
@@ -71,7 +71,9 @@ def _derivative(y: Floats, t: float, direction: float, law: Floats, world: Float
 
 
 @njit(cache=True)
-def _advance(y: Floats, t: float, direction: float, dt: float, law: Floats, world: Floats, out: Floats) -> None:
+def _advance(
+    y: Floats, t: float, direction: float, dt: float, law: Floats, world: Floats, out: Floats
+) -> None:
     """One step of Runge and Kutta."""
     n = len(y)
     k1, k2, k3, k4 = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
