@@ -1,7 +1,6 @@
 """Executes one run in several threads, from the first attempt at a start to the closed record."""
 
 import logging
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from acquisition.record.events import Event, EventKind
 from processing.errors import DataError, DeviceError
 from rig.instrument import Phase, Snapshot, Wall
 from rig.measure.end_of_run import StopRequest
+from rig.measure.interpreter import ready_for_frames
 from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
 from rig.measure.run_parts import RunOutcome, RunParts
@@ -26,9 +26,6 @@ _PATIENCE_S = 60.0
 """For so long nothing may move before what hangs is abandoned; a slow disk gets its time."""
 _LITTLE_PATIENCE_S = 2.0
 """The same after a second interrupt."""
-_TURN_S = 0.0005
-"""After so long a thread passes Python's lock on. Each numerical kernel lays it down, and would wait Python's
-5 ms to get it back from a busy thread: a loop over many small kernels would hold frames up for seconds."""
 
 
 class Run:
@@ -66,9 +63,10 @@ class Run:
         frames come on demand. What hangs while the run is ended is abandoned after a time, and sooner after
         a second interrupt. If the terminal was closed (`show` raises OSError), the run continues without it.
         """
-        usual_turn_s = sys.getswitchinterval()
-        sys.setswitchinterval(_TURN_S)
-        show = self._showing(show)
+        with ready_for_frames():
+            return self._executed(self._showing(show), interval_s)
+
+    def _executed(self, show: Callable[[Snapshot], None], interval_s: float) -> RunOutcome:
         self._stream.start_camera()
         threading.Thread(target=self._process, name="processing", daemon=True).start()
         interrupt: KeyboardInterrupt | None = None
@@ -86,7 +84,6 @@ class Run:
             # also after an interrupt or an error in the loop, so that the record is complete
             self.request_stop("the program has failed", EventKind.FAILED)
             hangs = self._end(show)
-            sys.setswitchinterval(usual_turn_s)
         return RunOutcome(
             self.snapshot, self.snapshot.half_cycles, self._stop.failure, interrupt, stopped, hangs
         )

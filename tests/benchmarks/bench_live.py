@@ -30,7 +30,7 @@ from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
 from rig.measure.run_parts import RunParts
 from rig.settings import Configuration, validate_configuration
-from tests.benchmarks.bench_pipeline import MemoryCamera, drawn_frames
+from tests.benchmarks.memory_camera import MemoryCamera, drawn_frames
 from tests.rig.balance.cases import follow_advice
 
 _SENSOR = SensorModel(39.2, 7.0, 255)

@@ -8,7 +8,6 @@ import resource
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,9 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
-from acquisition.frame import Frame
-from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
+from acquisition.camera import CameraSettings
 from calibration.axes import Axes
 from calibration.light_lever import Lever
 from processing.spot import SensorModel
@@ -33,84 +30,9 @@ from rig.measure.recorder import Entry, Recorder
 from rig.measure.run import Run
 from rig.measure.run_parts import RunParts, Watcher
 from rig.settings import validate_configuration
+from tests.benchmarks.memory_camera import MemoryCamera, drawn_frames
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-class MemoryCamera:
-    """Frames that were drawn beforehand, handed out at a fixed rate by the host's clock."""
-
-    def __init__(
-        self, frames: list[np.ndarray[Any, Any]], full_scale_dn: int, rate_hz: float, duration_s: float
-    ) -> None:
-        self._frames = frames
-        self._full_scale_dn = full_scale_dn
-        self._period_ns = round(1e9 / rate_hz)
-        self._count = round(duration_s * rate_hz)
-        self._next = 0
-        self._start_ns = 0
-        self._stopped = threading.Event()
-
-    def open(self) -> CameraInfo:
-        ny, nx = self._frames[0].shape
-        return CameraInfo("memory", "", "", "", nx, ny, self._full_scale_dn, True)
-
-    def configure(self, settings: CameraSettings) -> CameraSettings:
-        return settings
-
-    def start(self) -> None:
-        self._start_ns = time.monotonic_ns()
-        self._next = 0
-
-    def read(self, timeout_s: float) -> Frame | None:
-        if self._next >= self._count or self._stopped.is_set():
-            return None
-        due_ns = self._start_ns + self._next * self._period_ns
-        wait_ns = due_ns - time.monotonic_ns()
-        if wait_ns > 0:
-            time.sleep(wait_ns * 1e-9)
-        # there and back through the drawn swing, so that the spot never jumps
-        turn = 2 * len(self._frames) - 2
-        place = self._next % turn
-        image = self._frames[place if place < len(self._frames) else turn - place]
-        frame = Frame(image, self._next, due_ns, max(due_ns, time.monotonic_ns()))
-        self._next += 1
-        return frame
-
-    def stop(self) -> None:
-        self._stopped.set()
-
-    def close(self) -> None:
-        self._stopped.set()
-
-    @property
-    def status(self) -> CameraStatus:
-        return CameraStatus(delivered=self._next)
-
-
-def drawn_frames(
-    width: int, height: int, bits: Literal[8, 12], rate_hz: float, count: int
-) -> list[np.ndarray[Any, Any]]:
-    """Half a swing across the sensor, drawn by the simulated rig."""
-    settings = SimulationSettings(
-        sensor=SensorTruth(width_px=width, height_px=height, bit_depth=bits),
-        optics=OpticsTruth(arm_m=1.0 * height / 640),
-    )
-    settings = settings.model_copy(
-        update={"clock": settings.clock.model_copy(update={"frame_rate_hz": rate_hz})}
-    )
-    from acquisition.cameras.simulated import SimulatedCamera
-
-    camera = SimulatedCamera(settings)
-    camera.open()
-    camera.start()
-    frames = []
-    for _ in range(count):
-        frame = camera.read(5.0)
-        assert frame is not None
-        frames.append(frame.image)
-    camera.close()
-    return frames
 
 
 def real_time(
@@ -125,8 +47,9 @@ def real_time(
 ) -> dict[str, Any]:
     """One run in real time: frames lost, latency from frame to record, share of one core.
 
-    The latency runs from the moment the camera hands a frame over to the end of the recorder's write
-    call for it; the kernels are ready before the first frame, as they are in ``rig run``.
+    The latency runs from the moment when a frame is due to the end of the recorder's write call for it; part
+    of it is `taken`, the time until the camera's thread has the frame. The kernels are ready before the
+    first frame, as they are in ``rig run``.
     """
     frames = drawn_frames(width, height, bits, rate_hz, round(min(2.0 * rate_hz, 600)))
     full_scale_dn = 2**bits - 1
@@ -136,7 +59,7 @@ def real_time(
     def timed(self: Recorder, entry: Entry) -> None:
         original(self, entry)
         now_ns = time.monotonic_ns()
-        latencies_ms.extend((now_ns - host_ns) * 1e-6 for host_ns in entry.host_times_ns)
+        latencies_ms.extend((now_ns - due_ns) * 1e-6 for due_ns in entry.device_times_ns)
 
     with tempfile.TemporaryDirectory() as folder:
         camera = MemoryCamera(frames, full_scale_dn, rate_hz, duration_s)
@@ -171,12 +94,17 @@ def real_time(
         finally:
             Recorder._write = original  # type: ignore[method-assign]
         elapsed_s = time.monotonic() - began_s
+        if outcome.failure is not None:
+            raise outcome.failure
         after = resource.getrusage(resource.RUSAGE_SELF)
         size = (Path(folder) / "run.mcap").stat().st_size
     busy_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    taken_ms = np.array(camera.late_ns) * 1e-6
     return {
         "frames": outcome.snapshot.frames,
         "dropped": outcome.snapshot.dropped_frames,
+        "taken_p99_ms": float(np.percentile(taken_ms, 99)),
+        "taken_max_ms": float(np.max(taken_ms)),
         "latency_p50_ms": float(np.percentile(latencies_ms, 50)),
         "latency_p99_ms": float(np.percentile(latencies_ms, 99)),
         "latency_max_ms": float(np.max(latencies_ms)),
