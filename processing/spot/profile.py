@@ -29,6 +29,8 @@ from processing.spot.spot import Image
 
 REACH = 4.5
 """Half-width of the fitted window in standard deviations of the Gaussian that fits the beam best."""
+_DETERMINED = 1e-10
+"""Combinations of knots that the grid sees less than this, of the best seen one, have no value."""
 _PER_SIGMA = 8.0
 """Knots of the learned profile in a standard deviation: what is finer is noise, unless the spot is small."""
 ROUNDS = 3
@@ -322,5 +324,6 @@ def _to_spline(size: int, sigma_px: float) -> Floats:
     near = (4.0 + distance**2 * (3.0 * distance - 6.0)) / 6.0
     far = np.maximum(2.0 - distance, 0.0) ** 3 / 6.0
     coarse = np.where(distance < 1.0, near, far)
-    smooth = coarse @ np.linalg.solve(coarse.T @ coarse, coarse.T)
+    # a knot that lies between the same two grid points as another is not determined: its part is left out
+    smooth = coarse @ np.linalg.pinv(coarse, rcond=_DETERMINED)
     return np.asarray(np.linalg.solve(unit, smooth))

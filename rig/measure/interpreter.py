@@ -1,4 +1,4 @@
-"""How Python behaves while frames arrive: its lock is passed on soon, and no search for garbage takes long."""
+"""How Python behaves while frames arrive: its lock is passed on soon, no search for garbage takes long."""
 
 import gc
 import sys

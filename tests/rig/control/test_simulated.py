@@ -12,6 +12,7 @@ import pytest
 
 from rig.control.controller import AirReading, InterlockOpen, PowerLimit
 from rig.control.environment import EnvironmentService
+from rig.control.light_permit import LightRefused
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings, EnvironmentSettings, SerialFaults
 from rig.control.simulated import SimulatedOutputs, simulated_controller
@@ -63,7 +64,8 @@ def test_simulated_rig_is_driven_through_the_real_protocol() -> None:
         until(lambda: service.snapshot.environment == AirReading(20.0, 45.0, 101325.0))
         rig.closed = False
         until(lambda: rig.last("laser") == 0.0)
-        with pytest.raises(InterlockOpen):
+        # by the board, or by the permit once it has heard
+        with pytest.raises((InterlockOpen, LightRefused)):
             service.laser_on().result(5.0)
     assert rig.last("laser") == 0.0
 

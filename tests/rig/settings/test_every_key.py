@@ -47,6 +47,8 @@ OBSERVED: dict[str, Callable[[Configuration], Any]] = {
     "materials": stated.apparatus,
     "balance": stated.balance,
     "instrument": stated.instrument,
+    "fit.drag_s": stated.apparatus,
+    "fit.u_drag_s": stated.apparatus,
 }
 """Sections and keys whose change must show."""
 
@@ -78,6 +80,7 @@ STATED: dict[str, Any] = {
     },
     "materials": {"mine": {"youngs_modulus_pa": 2e11, "poisson_ratio": 0.3}},
     "balance": {"inertia_kg_m2": 0.01, "gamma_pa": 1e7},
+    "fit": {"drag_s": 1e-3, "u_drag_s": 2e-4},
     "instrument": {
         "mass_kg": 0.2,
         "support_radius_m": 2.5e-3,
