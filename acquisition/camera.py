@@ -1,7 +1,9 @@
 """Interface of every camera driver."""
 
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
+from operator import add, attrgetter
 from typing import Final, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 from pydantic import BaseModel, Field, field_validator
@@ -191,12 +193,17 @@ class CameraStatus:
 
     def __add__(self, other: "CameraStatus") -> "CameraStatus":
         """Sum of the counts of two parts of a run, before and after a reconnection."""
-        return CameraStatus(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+        return CameraStatus(*map(add, _counts(self), _counts(other)))
 
     def to_begin_with(self, *, lost: bool) -> "CameraStatus":
         """Counts at the next `start`: these and one reconnection after a loss of the camera, else none."""
         return replace(self, reconnects=self.reconnects + 1) if lost else CameraStatus()
 
+
+_counts: Callable[[CameraStatus], tuple[int, ...]] = attrgetter(
+    *(field.name for field in fields(CameraStatus))
+)
+"""All counts; they are added with every block of frames, for which `astuple` copies too deeply."""
 
 CLOCK_STATES: Final = ("PtpStatus", "GevIEEE1588Status")
 """Features with the state of the clock by the Precision Time Protocol: "Slave" follows the network's."""

@@ -1,6 +1,8 @@
 """Numbers of lost frames by the place of the loss."""
 
-from dataclasses import astuple, dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from operator import attrgetter, sub
 from typing import Self
 
 from acquisition.camera import CameraStatus
@@ -58,7 +60,7 @@ class FrameLosses:
     @property
     def total(self) -> int:
         """Frames that are missing."""
-        return int(sum(astuple(self))) - self.wrong_id
+        return sum(_counts(self)) - self.wrong_id
 
     @property
     def came(self) -> int:
@@ -74,12 +76,16 @@ class FrameLosses:
 
     def since(self, before: "FrameLosses") -> "FrameLosses":
         """What was lost after `before`."""
-        return FrameLosses(*(now - then for now, then in zip(astuple(self), astuple(before), strict=True)))
+        return FrameLosses(*map(sub, _counts(self), _counts(before)))
 
     def __str__(self) -> str:
         words = (
             *("by the camera", "by the bus", "by this computer", "incomplete", "while unplugged"),
             *("without a right time", "with an error status", "with a number that was before"),
         )
-        named = [f"{count} {word}" for count, word in zip(astuple(self), words, strict=True) if count]
+        named = [f"{count} {word}" for count, word in zip(_counts(self), words, strict=True) if count]
         return ", ".join(named) or "none"
+
+
+_counts: Callable[[FrameLosses], tuple[int, ...]] = attrgetter(*(field.name for field in fields(FrameLosses)))
+"""All counts; they are taken with every block of frames, for which `astuple` copies too deeply."""

@@ -83,7 +83,7 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
 
     def square(self) -> Self:
         """The same lever without skew, for the fast axis, which is across the tilt of the sensor."""
-        return self.model_copy(update={"skew": 0.0})
+        return self.model_copy(update={"skew": 0.0}) if self.skew else self
 
     def _tangent(self, displacement_px: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """t = tan(2 phi), and the derivative of the displacement by t divided by that at the reference."""

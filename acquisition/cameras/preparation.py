@@ -109,6 +109,10 @@ class GenicamFeatures(NamedFeatures):
         rates_hz = (float(self.read(name) or 0) for name in RESULTING_RATES)
         return next(filter(None, rates_hz), None)
 
+    def stated_rate(self) -> float | None:
+        """Frames per second that may come, with a trigger too; None if the camera says nothing of it."""
+        return min(filter(None, (self.number("frame_rate_hz"), self.possible_rate())), default=None)
+
     def free_rate(self, possible_hz: float | None) -> float | None:
         """Frames per second without a trigger."""
         return min(filter(None, (self.number("frame_rate_hz"), possible_hz)), default=None)

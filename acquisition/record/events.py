@@ -33,6 +33,8 @@ class EventKind(StrEnum):
     """The record can no longer be written."""
     SLOW_DISK = "slow disk"
     """A write took seconds; frames waited in memory, and those that could not are counted as lost."""
+    BACKLOG = "backlog"
+    """Frames wait in memory for the processor, which is late, and have been caught up with."""
     REST = "rest"
     WARM_UP = "warm-up"
     PREFLIGHT = "preflight"
@@ -76,6 +78,7 @@ WARNING_KINDS: Final = frozenset(
         EventKind.CAMERA_LOST,
         EventKind.RECORD,
         EventKind.SLOW_DISK,
+        EventKind.BACKLOG,
         EventKind.REST_STEP,
         EventKind.LIGHT_STEP,
         EventKind.PUSH,

@@ -10,6 +10,9 @@ from processing.spot.spot import SpotFlag
 _ANOTHER_FRAMES = 64
 """Fewer frames in a row with another model are frames that the chosen one missed: a choice takes longer."""
 
+_FLAGS, _MODELS = tuple(SpotFlag), tuple(SpotModel)
+_BITS = np.array(_FLAGS, dtype=np.int64)
+
 
 class BeamUse:
     """Counts the spots of a run as they pass, some frames at a time.
@@ -60,14 +63,13 @@ class BeamUse:
         """Numbers and flags of the next frames, arrays of one length."""
         numbers, marks = np.asarray(sequences, dtype=np.int64), np.asarray(flags, dtype=np.int64)
         self.frames += len(marks)
-        for flag in SpotFlag:
-            self.flags[flag] += _with(marks, flag)
+        _count(self.flags, marks)
         found = (marks & SpotFlag.LOST) == 0
         numbers, marks = numbers[found], marks[found]
         models = np.where(marks & SpotFlag.LEARNED, 2, np.where(marks & SpotFlag.MULTIPLE, 1, 0))
         starts = np.flatnonzero(np.diff(models, prepend=-1))
         for start, count in zip(starts.tolist(), np.diff(starts, append=len(models)).tolist(), strict=True):
-            self._stretch(list(SpotModel)[models[start]], int(numbers[start]), marks[start : start + count])
+            self._stretch(_MODELS[models[start]], int(numbers[start]), marks[start : start + count])
 
     def _stretch(self, model: SpotModel, number: int, marks: Ints) -> None:
         """Some spots in a row that were fitted with the same model."""
@@ -96,9 +98,12 @@ class BeamUse:
         self.judged_frames += len(marks)
         poor = marks[(marks & SpotFlag.POOR_FIT) != 0]
         self.poor_frames += len(poor)
-        for flag in SpotFlag:
-            self.poor_with[flag] += _with(poor, flag)
+        _count(self.poor_with, poor)
 
 
-def _with(marks: Ints, flag: SpotFlag) -> int:
-    return int(np.count_nonzero(marks & flag))
+def _count(flags: dict[SpotFlag, int], marks: Ints) -> None:
+    """Add how many of the spots have each flag."""
+    if len(marks):
+        found = np.count_nonzero(marks[:, None] & _BITS, axis=0)
+        for flag, count in zip(_FLAGS, found.tolist(), strict=True):
+            flags[flag] += count

@@ -130,7 +130,9 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
             asked_hz = None if config.camera.trigger else config.camera.frame_rate_hz
             yield check_frames(arrivals, status, asked_hz, on_demand=config.on_demand)
             if config.camera.driver == "usb3vision" and frame_bytes:
-                yield from check_usb_memory(frame_bytes)
+                settings = cast(Usb3VisionSettings, config.camera.driver_settings())
+                frames = settings.frames_ahead(camera.applied.frame_rate_hz, frame_bytes)
+                yield from check_usb_memory(frame_bytes, frames)
     except FrameTimeout as error:
         yield Verdict("frames", False, str(error), "is it triggered from outside? see its cable and power")
     except RigError as error:
@@ -220,7 +222,6 @@ def _read(path: Path) -> str:
 
 _USBFS_MEMORY = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
 _SLOW = (UsbSpeed.LOW, UsbSpeed.FULL, UsbSpeed.HIGH)
-_BUFFERED_FRAMES = 8
 
 
 def check_usb_camera(camera: FoundCamera) -> tuple[Verdict, ...]:
@@ -257,19 +258,19 @@ def check_usb_cameras(serial: str | None) -> Iterator[Verdict]:
             yield from check_usb_camera(camera)
 
 
-def check_usb_memory(frame_bytes: int, memory: Path = _USBFS_MEMORY) -> tuple[Verdict, ...]:
-    """Check that Linux allows enough memory for the USB transfers of several frames at the same time."""
+def check_usb_memory(frame_bytes: int, frames: int, memory: Path = _USBFS_MEMORY) -> tuple[Verdict, ...]:
+    """Check that Linux has memory for the USB transfers of so many frames, which use half of it at most."""
     if sys.platform != "linux" or not memory.is_file():
         return ()
     limit_mb = int(memory.read_text())
-    wanted_mb = -(-_BUFFERED_FRAMES * frame_bytes // 2**20)
+    wanted_mb = -(-2 * frames * frame_bytes // 2**20)
     # 0 means no limit
     enough = limit_mb == 0 or limit_mb >= wanted_mb
     return (
         Verdict(
             "USB buffer memory",
             enough,
-            f"{limit_mb} MB for all USB devices, {wanted_mb} MB hold {_BUFFERED_FRAMES} frames",
-            "" if enough else f"echo {2 * wanted_mb} | sudo tee {memory}",
+            f"{limit_mb} MB for all USB devices, {frames} frames ahead need {wanted_mb} MB",
+            "" if enough else f"echo {wanted_mb} | sudo tee {memory}",
         ),
     )

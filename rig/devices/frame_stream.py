@@ -12,12 +12,12 @@ from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError, RigError
 from rig.control import LightPermit, Stage
+from rig.devices.backlog import Backlog, most_waiting
 from rig.devices.frame_clock import FrameClock, Seen
 from rig.devices.frame_line import FrameLine
 from rig.devices.host_clock import ClockWatch, wait_for_network_clock
 
 _log = logging.getLogger(__name__)
-_QUEUE_BYTES = 256 * 1024 * 1024
 _LOOK_NS = 250_000_000
 
 
@@ -50,6 +50,7 @@ class FrameStream:
         self._stop = threading.Event()
         self._counts_before = CameraStatus()
         self._queue: FrameQueue | None = None
+        self._backlog: Backlog | None = None
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
         self._clock = ClockWatch()
         self._times = FrameClock()
@@ -75,7 +76,10 @@ class FrameStream:
             return None
         first = frames[0]
         self.permit.frame_read(first.image)
-        self._queue = FrameQueue(_capacity(first, self.policy), self.policy)
+        capacity = most_waiting(first, self.policy)
+        self._queue = FrameQueue(capacity, self.policy)
+        # what is made on demand waits for whoever takes it
+        self._backlog = None if self.policy == "wait" else Backlog(capacity, first.image.nbytes)
         for frame in frames:
             self._queue.put(frame)
         self._thread = threading.Thread(target=self._acquire, name="camera", daemon=True)
@@ -85,7 +89,11 @@ class FrameStream:
     def take(self, at_most: int, timeout_s: float) -> list[Frame]:
         """Up to `at_most` frames in order; empty after the timeout, and if drained."""
         self.permit.moved(Stage.PROCESSING)
-        return [] if self._queue is None else self._queue.take(at_most, timeout_s)
+        if self._queue is None:
+            return []
+        if self._backlog is not None and (said := self._backlog.see(len(self._queue))):
+            self._events.append((EventKind.BACKLOG, said))
+        return self._queue.take(at_most, timeout_s)
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the camera since the last call, as (kind, text)."""
@@ -263,11 +271,3 @@ class FrameStream:
             self.ended = reason
         if not isinstance(error, RigError):
             _log.error("%s", reason, exc_info=error)
-
-
-def _capacity(frame: Frame, policy: Policy) -> int:
-    """Length of the queue for a bounded amount of memory: at least a few frames, at most about 1000.
-
-    Frames on demand are not lost while the queue is full; a short one keeps them in the processor's cache.
-    """
-    return max(8, min(64 if policy == "wait" else 1024, _QUEUE_BYTES // max(frame.image.nbytes, 1)))

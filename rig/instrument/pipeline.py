@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, ParamSpec, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,36 +12,42 @@ from numpy.typing import NDArray
 from acquisition.frame import Frame
 from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections
 from processing.balance import Balance, BalanceEstimator
-from processing.deflections import Deflections, DeflectionUnit
+from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.spot import SensorModel, Spot, SpotTracker
 from processing.swing import Swing, SwingDetector
 from rig.instrument.configured_camera import shutter_of
 from rig.instrument.wall import Wall
 from rig.settings import Configuration
 
-Samples = ParamSpec("Samples")
 Found = TypeVar("Found")
 
 _MOST_WAITING = 4096
+_GATHERED_NS = 50_000_000
+"""Samples that are handed to another thread together: at 1000 frames/s each frame would wake two threads."""
 _BALANCE = "the estimate of the balance"
 
 
-class BesideThread(Generic[Samples, Found]):
+class BesideThread(Generic[Found]):
     """Calls `estimate` in a thread of its own, in order, and gives out its estimates when they are ready.
 
     Beside the frames, because one estimate takes as long as many of them. They are the same estimates as
-    without the thread. `estimate` is the `update` of a detector or estimator; an error in it is raised by a
-    later call. Only when thousands of blocks wait does `update` wait too.
+    without the thread. `estimate` is the `update` of a detector or estimator, whose estimates do not depend
+    on how the samples are divided; an error in it is raised by a later call. Only when thousands of calls
+    wait does `update` wait too.
     """
 
-    def __init__(self, estimate: Callable[Samples, list[Found]], name: str) -> None:
+    def __init__(self, estimate: Callable[[Deflections], list[Found]], name: str) -> None:
         self._estimate = estimate
         self._executor = ThreadPoolExecutor(1, thread_name_prefix=name)
+        self._gathered: list[Deflections] = []
         self._asked: deque[Future[list[Found]]] = deque()
 
-    def update(self, *samples: Samples.args, **named: Samples.kwargs) -> list[Found]:
+    def update(self, samples: Deflections) -> list[Found]:
         """Add samples; returns the estimates that have become ready since the last call."""
-        self._asked.append(self._executor.submit(self._estimate, *samples, **named))
+        if len(samples):
+            self._gathered.append(samples)
+            if samples.times_ns[-1] - self._gathered[0].times_ns[0] >= _GATHERED_NS:
+                self._hand_over()
         found: list[Found] = []
         while self._asked and (self._asked[0].done() or len(self._asked) > _MOST_WAITING):
             found += self._asked.popleft().result()
@@ -49,9 +55,15 @@ class BesideThread(Generic[Samples, Found]):
 
     def finish(self) -> list[Found]:
         """Wait for the estimates that are still being made, and return them."""
+        self._hand_over()
         found = [one for asked in self._asked for one in asked.result()]
         self._asked.clear()
         return found
+
+    def _hand_over(self) -> None:
+        if self._gathered:
+            samples, self._gathered = joined(self._gathered, self._gathered[0].unit), []
+            self._asked.append(self._executor.submit(self._estimate, samples))
 
 
 class Block(NamedTuple):
@@ -104,9 +116,9 @@ class Pipeline:
         self._deflector = Deflector(lever, axes, sensor_shape, shutter)
         self._detector = SwingDetector()
         estimator = BalanceEstimator()
-        self._swings = BesideThread(self._detector.update, "swings") if beside else None
+        self._swings = BesideThread(self._swings_in, "swings") if beside else None
         self._balances = BesideThread(estimator.update, "balance") if beside else None
-        self._detect = (self._swings or self._detector).update
+        self._detect = self._swings_in if self._swings is None else self._swings.update
         self._balance = (self._balances or estimator).update
         self._wall = wall or Wall()
 
@@ -121,9 +133,12 @@ class Pipeline:
 
     def detect(self, spots: list[Spot], deflections: Deflections) -> Block:
         """Swings and balances from known deflections (replay without tracking)."""
-        swings = self._detect(deflections.times_ns, deflections.y, deflections.u_y)
+        swings = self._detect(deflections)
         balances: list[Balance] = self._wall.past(_BALANCE, [], self._balance, deflections)
         return Block(spots, deflections, swings, balances)
+
+    def _swings_in(self, samples: Deflections) -> list[Swing]:
+        return self._detector.update(samples.times_ns, samples.y, samples.u_y)
 
     def finish(self) -> list[Swing]:
         """Swings that are completed by the end of the samples."""

@@ -11,17 +11,18 @@ _TURN_S = 0.0005
 
 
 @contextmanager
-def ready_for_frames() -> Iterator[None]:
+def ready_for_frames(*, live: bool) -> Iterator[None]:
     """Within this context threads wait for one another only shortly.
 
-    What is there when it begins is left out of every later search for unreachable objects: those of the
-    libraries are so many that one search stops all threads for some tenths of a second, in which the buffers
-    of a camera run over.
+    For a `live` camera, what is there when it begins is left out of every later search for unreachable
+    objects: those of the libraries are so many that one search stops all threads for some tenths of a
+    second, in which the buffers of a camera run over. Frames made on demand would wait.
     """
     usual_turn_s = sys.getswitchinterval()
     sys.setswitchinterval(_TURN_S)
-    gc.collect()
-    gc.freeze()
+    if live:
+        gc.collect()
+        gc.freeze()
     try:
         yield
     finally:

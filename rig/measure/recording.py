@@ -126,6 +126,8 @@ class FrameCounts:
 _BLOCK_FRAMES = 64
 _BLOCK_NS = 2_000_000_000
 """A block is no longer than this, so that with a slow camera a run ends when it should."""
+_PUBLISHED_NS = 10_000_000
+"""More often nobody looks at the state of the run."""
 
 
 class Recording:
@@ -185,7 +187,7 @@ class Recording:
         events = [*events, Event(first.time_ns, EventKind.START, "first frame")]
         self._recorder.put(Entry(events=events))
         status.tell_events(counts.start_ns, events)
-        rejected = ""
+        rejected, published_ns = "", 0
         # frames from a source on demand are all processed; those of a live camera only until the stop
         while begun or not (stream.drained or (self._stop and stream.policy != "wait")):
             waiting = begun or stream.take(_BLOCK_FRAMES, 0.1)
@@ -221,7 +223,9 @@ class Recording:
             )
             # frames made on demand have no age
             age_s = math.nan if stream.policy == "wait" else seconds(taken_ns - taken[0].host_time_ns)
-            self._publish(Phase.MEASURING, counts, block.swings, age_s)
+            if block.swings or stream.policy == "wait" or taken_ns - published_ns > _PUBLISHED_NS:
+                published_ns = taken_ns
+                self._publish(Phase.MEASURING, counts, block.swings, age_s)
             status.tell(counts.start_ns, frames, block, new)
             if self._recorder.error is not None:
                 raise self._recorder.error

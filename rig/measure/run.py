@@ -63,7 +63,7 @@ class Run:
         frames come on demand. What hangs while the run is ended is abandoned after a time, and sooner after
         a second interrupt. If the terminal was closed (`show` raises OSError), the run continues without it.
         """
-        with ready_for_frames():
+        with ready_for_frames(live=self._stream.policy != "wait"):
             return self._executed(self._showing(show), interval_s)
 
     def _executed(self, show: Callable[[Snapshot], None], interval_s: float) -> RunOutcome:

@@ -27,13 +27,13 @@ from acquisition.cameras.aravis.library import (
 )
 from acquisition.cameras.aravis.parting import Parting, nothing
 from acquisition.cameras.aravis.settings import AravisSettings
+from acquisition.cameras.kept_frames import kept_frames
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
 
 _POLL_US: Final = 50_000
-_MOST_BYTES: Final = 256 * 1024 * 1024
 # libaravis takes 6 s to notice the loss of a GigE camera, and may not monitor a USB camera at all: after a
 # silence of this length a register is read
 _ASK_AFTER_S: Final = 1.0
@@ -160,7 +160,8 @@ class AravisCamera:
             features.run_on()
             stream = camera.create_stream(None, None)
             payload = camera.get_payload()
-            for _ in range(min(self._settings.buffers, max(_MOST_BYTES // payload, 2))):
+            count = kept_frames(self._settings.buffers, features.stated_rate(), payload, 64, 4096)
+            for _ in range(count):
                 stream.push_buffer(library.aravis.Buffer.new_allocate(payload))
             self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
             self._buffers = BufferReader(

@@ -22,6 +22,7 @@ from acquisition.camera import (
 )
 from acquisition.cameras import wiring
 from acquisition.cameras.colour_plane import plane_of
+from acquisition.cameras.kept_frames import kept_frames
 from acquisition.cameras.pixel_formats import Format
 from acquisition.cameras.pylon.features import PylonFeatures
 from acquisition.cameras.pylon.settings import PylonSettings
@@ -74,7 +75,6 @@ class PylonCamera:
             camera = pylon.InstantCamera(factory.CreateDevice(device))
             camera.Open()
             self._camera = camera
-            camera.MaxNumBuffer.Value = self._settings.buffers
             features = self._features = PylonFeatures(camera, self._name)
             pixel_format = features.choose_usable_format()
             self._emulated = device.GetDeviceClass() == "BaslerCamEmu"
@@ -122,6 +122,10 @@ class PylonCamera:
             self._started = True
             self._seen = (features.present_format(), features.plane)
             self._tick_ns = 0.0 if self._emulated else features.tick_ns()
+            frame_bytes = int(features.node("PayloadSize").Value)
+            camera.MaxNumBuffer.Value = kept_frames(
+                self._settings.buffers, features.stated_rate(), frame_bytes, 64, 4096
+            )
             camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
 
     def read(self, timeout_s: float) -> Frame | None:

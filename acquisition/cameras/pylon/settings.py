@@ -7,4 +7,9 @@ class PylonSettings(BaseModel, frozen=True, extra="forbid"):
     """Choice of the camera."""
 
     serial: str | None = Field(default=None, description="needed only where several are plugged in")
-    buffers: int = Field(default=64, ge=2, le=4096, description="frames kept for a reader that is late")
+    buffers: int | None = Field(
+        default=None,
+        ge=2,
+        le=4096,
+        description="frames kept for a reader that is late; None: 100 ms of them, 64 at least",
+    )

@@ -137,7 +137,9 @@ class Usb3VisionCamera:
             session.registers.enable(True)
             self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
             self._stream = None
-            self._stream = UsbFrameStream(self._transfers(session.link), plan, expected, session.link)
+            ahead = self._settings.frames_ahead(features.stated_rate(), expected.image_bytes)
+            transfers = self._transfers(session.link, ahead)
+            self._stream = UsbFrameStream(transfers, plan, expected, session.link)
             self._camera_runs = True
             try:
                 features.execute("AcquisitionStart")
@@ -145,9 +147,9 @@ class Usb3VisionCamera:
                 self.stop()
                 raise
 
-    def _transfers(self, link: UsbLink) -> Transfers:
+    def _transfers(self, link: UsbLink, frames_ahead: int) -> Transfers:
         if self._settings.reading == "auto" and LibusbTransfers.suits(link):
-            return LibusbTransfers(link, self._settings.transfers)
+            return LibusbTransfers(link, frames_ahead)
         return BlockingTransfers(link)
 
     def read(self, timeout_s: float) -> Frame | None:

@@ -20,6 +20,7 @@ from acquisition.camera import (
     without_wires,
 )
 from acquisition.cameras.colour_plane import in_plane_px, in_sensor_px
+from acquisition.cameras.kept_frames import kept_frames
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import find_device, refusal
 from acquisition.cameras.v4l2.layouts import LAYOUTS, choose, image_bytes, possible, to_image
@@ -27,6 +28,7 @@ from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.cameras.v4l2.source import RawFrame
 from processing.errors import DeviceError
 
+_FEWEST_BUFFERS, _MOST_BUFFERS = 4, 32
 _EXPOSURE_STEP_US = 100.0  # the kernel's unit of V4L2_CID_EXPOSURE_ABSOLUTE
 
 
@@ -104,7 +106,7 @@ class LinuxSource:
     def start(self) -> None:
         """Map the buffers, give them all to the driver, start the stream."""
         try:
-            count = kernel.request_buffers(self._device, self._settings.buffers)
+            count = kernel.request_buffers(self._device, self._wanted_buffers())
             for index in range(count):
                 offset, length = kernel.buffer_place(self._device, index)
                 self._maps.append(
@@ -117,6 +119,12 @@ class LinuxSource:
         except OSError as error:
             self.stop()
             raise self._failure(error) from None
+
+    def _wanted_buffers(self) -> int:
+        rate_hz = kernel.get_rate_hz(self._device)
+        known_hz = rate_hz if math.isfinite(rate_hz) else None
+        frame_bytes = image_bytes(self._layout)
+        return kept_frames(self._settings.buffers, known_hz, frame_bytes, _FEWEST_BUFFERS, _MOST_BUFFERS)
 
     def next(self, timeout_s: float) -> RawFrame | None:
         """The next frame, copied; its buffer is returned to the driver immediately.

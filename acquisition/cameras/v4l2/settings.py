@@ -16,4 +16,9 @@ class V4l2Settings(BaseModel, frozen=True, extra="forbid"):
         default="auto", description="kernel: calls of Linux, which count losses; opencv: on all systems"
     )
     gain: int | None = Field(default=None, description="in the camera's own steps, which are not decibels")
-    buffers: int = Field(default=4, ge=2, le=32, description="buffers of the driver")
+    buffers: int | None = Field(
+        default=None,
+        ge=2,
+        le=32,
+        description="frames kept for a reader that is late; None: 100 ms of them, 4 at least",
+    )

@@ -237,9 +237,12 @@ def test_a_feature_that_can_not_be_read_says_why() -> None:
 def test_usb_memory_is_compared_with_the_frames(tmp_path: Path) -> None:
     limit = tmp_path / "usbfs_memory_mb"
     limit.write_text("16\n")
-    (small,) = check_usb_memory(640 * 480, limit)
+    (small,) = check_usb_memory(640 * 480, 27, limit)
     assert small.ok
-    (large,) = check_usb_memory(5_000_000, limit)
+    (fast,) = check_usb_memory(640 * 480, 51, limit)
+    assert not fast.ok
+    assert "51 frames ahead need 30 MB" in fast.reason
+    (large,) = check_usb_memory(5_000_000, 4, limit)
     assert not large.ok
     assert "tee" in large.remedy
 

@@ -7,7 +7,7 @@ import pytest
 
 from calibration.axes import Axes
 from processing.balance import Balance, BalanceEstimator
-from processing.deflections import Deflections, DeflectionUnit
+from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import DataError
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import SwingDetector
@@ -46,6 +46,22 @@ def test_the_same_swings_and_balances_as_in_line() -> None:
     beside = [balance for block in found for balance in block.balances] + pipeline.finish_balance()
     assert [repr(balance) for balance in beside] == [repr(balance) for balance in in_line]
     assert [*(swing for block in found for swing in block.swings), *pipeline.finish()] == swings
+
+
+def test_frames_that_come_one_by_one_are_gathered_and_give_the_same() -> None:
+    whole = joined(swinging(20.0), DeflectionUnit.RAD)
+    estimator, asked = BalanceEstimator(), []
+
+    def estimate(samples: Deflections) -> list[Balance]:
+        asked.append(len(samples))
+        return estimator.update(samples)
+
+    in_line = BalanceEstimator().update(whole)
+    beside = BesideThread(estimate, "balance")
+    found = [one for k in range(len(whole)) for one in beside.update(whole[k : k + 1])] + beside.finish()
+    assert [repr(balance) for balance in found] == [repr(balance) for balance in in_line]
+    assert sum(asked) == len(whole)
+    assert len(asked) < len(whole) / 5
 
 
 def test_samples_are_taken_while_an_estimate_is_being_made() -> None:

@@ -91,7 +91,9 @@ def test_with_reads_under_way_only_the_first_frames_are_lost(
     device = VisionDevice(frames_inside=100_000)
     quirk(device.faults)
     device._update()
-    monkeypatch.setattr(Usb3VisionCamera, "_transfers", lambda self, link: EagerTransfers(device, 3, 0.0005))
+    monkeypatch.setattr(
+        Usb3VisionCamera, "_transfers", lambda self, link, ahead: EagerTransfers(device, 3, 0.0005)
+    )
     frames, status = frames_of(device)
     numbers = [frame.sequence for frame in frames]
     assert numbers[10:] == list(range(numbers[10], numbers[10] + COUNT - 10))

@@ -120,7 +120,9 @@ def test_with_reads_under_way_damage_spreads_no_further_than_they_reach(
 ) -> None:
     device = patient()
     device.faults.units = on_blocks({10, 40, 41}, kind, damage)
-    monkeypatch.setattr(Usb3VisionCamera, "_transfers", lambda self, link: EagerTransfers(device, 3, 0.0005))
+    monkeypatch.setattr(
+        Usb3VisionCamera, "_transfers", lambda self, link, ahead: EagerTransfers(device, 3, 0.0005)
+    )
     with streaming(device) as camera:
         frames = read_until(camera, device, 100)
         status = camera.status

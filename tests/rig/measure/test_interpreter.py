@@ -1,0 +1,32 @@
+"""What Python does while frames arrive, and that it does as before afterwards."""
+
+import gc
+import sys
+
+import pytest
+
+from rig.measure.interpreter import ready_for_frames
+
+
+def test_libraries_are_left_out_of_searches_while_a_camera_is_live() -> None:
+    usual_turn_s = sys.getswitchinterval()
+    libraries = len(gc.get_objects())
+    with ready_for_frames(live=True):
+        assert gc.get_freeze_count() > 0.9 * libraries
+        assert len(gc.get_objects()) < 0.1 * libraries
+        assert sys.getswitchinterval() < usual_turn_s
+    assert gc.get_freeze_count() == 0
+    assert sys.getswitchinterval() == usual_turn_s
+
+
+def test_frames_on_demand_pay_for_no_search() -> None:
+    with ready_for_frames(live=False):
+        assert gc.get_freeze_count() == 0
+
+
+def test_all_is_as_before_after_an_error() -> None:
+    usual_turn_s = sys.getswitchinterval()
+    with pytest.raises(ValueError, match="ended"), ready_for_frames(live=True):
+        raise ValueError("ended")
+    assert gc.get_freeze_count() == 0
+    assert sys.getswitchinterval() == usual_turn_s
