@@ -46,8 +46,8 @@ class Backlog:
                 memory_mb = self._capacity * self._frame_mb
                 return (
                     f"{waiting} frames wait for the processor, {waiting * self._frame_mb:.0f} of "
-                    f"{memory_mb:.0f} MB; what finds the memory full is lost and counted: end other programs, "
-                    "or set a lower camera.frame_rate_hz or a smaller region"
+                    f"{memory_mb:.0f} MB; what finds it full is lost and counted: end other programs, or "
+                    "set a lower camera.frame_rate_hz or a smaller region"
                 )
         elif self._most and waiting <= 0.1 * _LATE * self._capacity:
             most, self._most = self._most, 0
