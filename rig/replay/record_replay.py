@@ -157,7 +157,7 @@ def _view(
     def close() -> None:
         counts = view.close()
         if counts.dropped and not counts.troubles & {Trouble.FILE_ENDED, Trouble.LIVE_ENDED}:
-            say(f"view: {counts.dropped} messages were dropped, because the viewer was too slow")
+            say(f"view: {counts.dropped} values are not in it: they came faster than they could be drawn")
 
     stack.callback(close)
     return view

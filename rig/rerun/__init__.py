@@ -22,6 +22,7 @@ from rig.rerun.messages import (
     State,
     Swings,
     Trouble,
+    is_drawn,
     rows,
     size_bytes,
 )

@@ -27,6 +27,7 @@ from rig.rerun.messages import (
     Setup,
     State,
     Swings,
+    is_drawn,
 )
 
 DRAWN_RATE_HZ = 100.0
@@ -35,8 +36,6 @@ JPEG_QUALITY = 90
 SAMPLES_GAP, POINTS_GAP = 1.0, 4.0
 """Periods of the slow mode without a value after which a curve is broken: that of the samples, and those of
 half-cycles and balance, which have a value at least every period."""
-_DRAWN_FROM = 0.5
-"""Relative uncertainty from which on a parameter is drawn."""
 LEVELS = {
     "debug": rr.TextLogLevel.DEBUG,
     "info": rr.TextLogLevel.INFO,
@@ -175,7 +174,7 @@ class Drawing:
         at = np.array([message.time_s])
         for number, (key, label) in enumerate(self._setup.parameters.items()):
             value, u = message.numbers.get(key, (np.nan, np.nan))
-            if u <= _DRAWN_FROM * abs(value):
+            if is_drawn(value, u):
                 path, colour = f"{layout.PARAMETERS_ROOT}/{key}", palette.SEQUENCE[number]
                 self._gather_uncertain(
                     message.run, path, at, np.array([value]), np.array([u]), label, colour, gap_periods=np.inf

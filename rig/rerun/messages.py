@@ -88,6 +88,15 @@ class Estimates(NamedTuple):
     numbers: Mapping[str, tuple[float, float]]
 
 
+_DRAWN_FROM = 0.5
+"""Relative uncertainty from which on a parameter is drawn."""
+
+
+def is_drawn(value: float, u: float) -> bool:
+    """Whether a parameter is known well enough to be drawn: the first values would hide all later ones."""
+    return u <= _DRAWN_FROM * abs(value)
+
+
 class Picture(NamedTuple):
     """One camera image (ny, nx) in DN and the position of the spot in it (NaN if it was lost)."""
 

@@ -53,7 +53,7 @@ from rig.rerun import (
     Trouble,
 )
 from rig.view.feed import Feed
-from rig.view.state_text import state_text
+from rig.view.state_text import empty_panels, state_text
 from rig.view.viewer_program import ViewerProgram
 
 logger = logging.getLogger(__name__)
@@ -176,6 +176,7 @@ class Viewer:
         self._advise = advise
         self._parameters = {key: _in_panel(key) for key in parameters}
         self._estimated_from = 0
+        self._balanced = False
         self._next_image_s = 0.0
         self._next_state_s = 0.0
         self._shown_phase: Phase | None = None
@@ -233,6 +234,7 @@ class Viewer:
         if block.swings:
             self.swings(block.swings, start_ns)
         for balance in block.balances:
+            self._balanced = True
             time_s = seconds(balance.time_ns - start_ns)
             self.balance(time_s, balance_numbers(balance), advice=self._advise(balance))
         now_s = time.monotonic()
@@ -266,7 +268,10 @@ class Viewer:
             return
         self._shown_phase = snapshot.phase
         self._next_state_s = now_s + _STATE_INTERVAL_S
-        self.state(state_text(snapshot, self._unit), time_s=snapshot.elapsed_s)
+        with_lever = self._unit is DeflectionUnit.RAD
+        empty = empty_panels(snapshot, self._parameters, balanced=self._balanced, with_lever=with_lever)
+        at = time.strftime("%H:%M:%S")
+        self.state(state_text(snapshot, self._unit, at, empty), time_s=snapshot.elapsed_s)
         counts = {"dropped_frames": snapshot.dropped_frames, "lost_spots": snapshot.lost_spots}
         self.losses(snapshot.elapsed_s, counts)
 

@@ -65,12 +65,13 @@ class ScriptedCamera:
         self._silences = silences
         self.status = lost_by or CameraStatus()
         self.asked_s: list[float] = []
+        self.shape = (2, 2)
 
     def read(self, timeout_s: float) -> Frame | None:
         if self._frames:
             self._frames -= 1
             number = 1000 - self._frames
-            return Frame(np.zeros((2, 2), np.uint8), number, round(number / RATE_HZ * 1e9), number)
+            return Frame(np.zeros(self.shape, np.uint8), number, round(number / RATE_HZ * 1e9), number)
         if self._silences:
             self._silences -= 1
             self.asked_s.append(timeout_s)
@@ -103,6 +104,7 @@ def test_a_silence_is_named_within_two_frame_times_and_half_a_second() -> None:
 def test_losses_are_told_apart() -> None:
     lost_by = CameraStatus(dropped_by_camera=1, dropped_by_bus=2, dropped_by_host=3, incomplete=4)
     camera = ScriptedCamera(frames=1500, silences=0, lost_by=lost_by)
+    camera.shape = (600, 600)  # 540 MB in all
     stream = scripted(camera)
     deadline_s = time.monotonic() + 30
     while not stream.ended and time.monotonic() < deadline_s:
@@ -237,7 +239,7 @@ def test_what_a_stalled_consumer_leaves_is_the_hosts_loss_and_nothing_is_missing
     device = VisionDevice(frames_inside=100_000)
     camera = Usb3VisionCamera(backend=InProcessBackend(device))
     camera.open()
-    asked = CameraSettings(width_px=32, height_px=32, frame_rate_hz=1000.0, exposure_us=20.0)
+    asked = CameraSettings(width_px=640, height_px=480, frame_rate_hz=1000.0, exposure_us=20.0)
     camera.configure(asked)
     before = threading.active_count()
     stream = FrameStream(camera, asked)
