@@ -205,8 +205,10 @@ def _thinned_path(path: Sequence[Deflections]) -> dict[str, list[float | None]]:
     if not path:
         return {"x": [], "y": []}
     step = max(1, math.ceil(sum(map(len, path)) / _PATH_POINTS))
-    x = np.concatenate([one.shown_x for one in path])[::step]
-    y = np.concatenate([one.shown_y for one in path])[::step]
+    # at a thousand frames a second these are thousands of single ones: their unit is divided by once
+    size = path[0].unit.shown_size
+    x = np.concatenate([one.x for one in path])[::step] / size
+    y = np.concatenate([one.y for one in path])[::step] / size
     return {"x": _or_none(x), "y": _or_none(y)}
 
 

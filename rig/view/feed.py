@@ -110,6 +110,9 @@ class DroppingQueue:
 logger = logging.getLogger(__name__)
 
 BATCH_BYTES = 4 << 20
+SMALL_BYTES, GATHER_S = 64 << 10, 0.05
+"""After a smaller batch the next one is gathered for so long: frames come one by one, and each would be
+packed, sent and answered by itself, for which all threads of the measurement wait in turn."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 LONG_LIFE_S = 60.0
 START_LIMIT_S = 60.0
@@ -225,6 +228,8 @@ class Feed:
                     self.queue.count_lost(batch)
                 if drawn is None:
                     return False
+                if sum(map(size_bytes, batch)) < SMALL_BYTES:
+                    self._hurry.wait(GATHER_S)
             elif not worker.running:
                 return False
             elif self.queue.closed and self.queue.empty:

@@ -31,8 +31,10 @@ from rig.measure.run import Run
 from rig.measure.run_parts import RunParts, Watcher
 from rig.settings import validate_configuration
 from tests.benchmarks.memory_camera import MemoryCamera, drawn_frames
+from tests.benchmarks.process_camera import ProcessCamera
 
 ROOT = Path(__file__).resolve().parents[2]
+_BEGIN_S = 0.5
 
 
 def real_time(
@@ -42,6 +44,7 @@ def real_time(
     rate_hz: float,
     duration_s: float,
     *,
+    of: type[MemoryCamera] | type[ProcessCamera] = MemoryCamera,
     watchers: Sequence[Watcher] = (),
     show: Callable[[Snapshot], None] = lambda _: None,
 ) -> dict[str, Any]:
@@ -49,20 +52,24 @@ def real_time(
 
     The latency runs from the moment when a frame is due to the end of the recorder's write call for it; part
     of it is `taken`, the time until the camera's thread has the frame. The kernels are ready before the
-    first frame, as they are in ``rig run``.
+    first frame, as they are in ``rig run``. The frames of the first `_BEGIN_S` wait until the record has been
+    created and is on the disk, and are told apart.
     """
     frames = drawn_frames(width, height, bits, rate_hz, round(min(2.0 * rate_hz, 600)))
     full_scale_dn = 2**bits - 1
     latencies_ms: list[float] = []
+    begin_ms: list[float] = []
     original = Recorder._write
 
     def timed(self: Recorder, entry: Entry) -> None:
         original(self, entry)
         now_ns = time.monotonic_ns()
-        latencies_ms.extend((now_ns - due_ns) * 1e-6 for due_ns in entry.device_times_ns)
+        for number, due_ns in zip(entry.sequences, entry.device_times_ns, strict=True):
+            into = begin_ms if number < _BEGIN_S * rate_hz else latencies_ms
+            into.append((now_ns - due_ns) * 1e-6)
 
     with tempfile.TemporaryDirectory() as folder:
-        camera = MemoryCamera(frames, full_scale_dn, rate_hz, duration_s)
+        camera = of(frames, full_scale_dn, rate_hz, duration_s)
         opened = OpenCamera(camera, camera.open(), ())
         sensor = SensorModel(10_000.0 / full_scale_dn, 7.0, full_scale_dn)
         prepare_kernels(sensor, print)
@@ -98,6 +105,7 @@ def real_time(
             raise outcome.failure
         after = resource.getrusage(resource.RUSAGE_SELF)
         size = (Path(folder) / "run.mcap").stat().st_size
+    camera.close()
     busy_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     taken_ms = np.array(camera.late_ns) * 1e-6
     return {
@@ -108,6 +116,7 @@ def real_time(
         "latency_p50_ms": float(np.percentile(latencies_ms, 50)),
         "latency_p99_ms": float(np.percentile(latencies_ms, 99)),
         "latency_max_ms": float(np.max(latencies_ms)),
+        "begin_max_ms": float(np.max(begin_ms)),
         "cores": busy_s / elapsed_s,
         "record_mb_per_s": size / elapsed_s / 1e6,
     }
