@@ -1,0 +1,124 @@
+"""What one process of the stress of kernels does: several threads call kernels that none has called before.
+
+``python -m tests.benchmarks.stressed_kernels small|real THREADS SEED``. Ends with status 0 if all values are
+those of Python; a crash shows itself by the signal that ended the process.
+"""
+
+import faulthandler
+import math
+import sys
+import threading
+from collections.abc import Callable
+
+import numpy as np
+
+from processing.arrays import Floats
+from processing.kernel import kernel
+
+
+@kernel
+def _square(x: float) -> float:
+    return x * x
+
+
+@kernel
+def _sum_of_squares(values: Floats) -> float:
+    total = 0.0
+    for value in values:
+        total += _square(value)
+    return total
+
+
+@kernel(fastmath=True)
+def _mean(values: Floats) -> float:
+    total = 0.0
+    for value in values:
+        total += value
+    return total / len(values)
+
+
+@kernel
+def _scatter(values: Floats) -> float:
+    mean = _mean(values)
+    return math.sqrt(max(_sum_of_squares(values) / len(values) - mean * mean, 0.0))
+
+
+@kernel
+def _turned(values: Floats, out: Floats) -> float:
+    for k in range(len(values)):
+        out[len(values) - 1 - k] = values[k]
+    return _scatter(out)
+
+
+@kernel
+def _levels(image: np.ndarray[tuple[int, int], np.dtype[np.uint8]], level: int) -> int:
+    count = 0
+    for row in image:
+        for value in row:
+            if value > level:
+                count += 1
+    return count
+
+
+def _small(random: np.random.Generator) -> list[Callable[[], None]]:
+    values, image = random.normal(size=1000), random.integers(0, 255, (64, 48), dtype=np.uint8)
+
+    def near(found: float, wanted: float) -> None:
+        assert math.isclose(found, wanted, rel_tol=1e-9, abs_tol=1e-12), (found, wanted)
+
+    calls: list[Callable[[], None]] = [
+        lambda: near(_sum_of_squares(values), float(np.sum(values**2))),
+        lambda: near(_mean(values), float(np.mean(values))),
+        lambda: near(_scatter(values), float(np.std(values))),
+        lambda: near(_turned(values, np.zeros(1000)), float(np.std(values))),
+        lambda: near(
+            _scatter(values.astype(np.float32)), float(np.std(values.astype(np.float32).astype(float)))
+        ),
+        lambda: near(_levels(image, 100), int(np.count_nonzero(image > 100))),
+        lambda: near(_levels(image.astype(np.uint16), 100), int(np.count_nonzero(image > 100))),
+    ]
+    return calls
+
+
+def _real(_: np.random.Generator) -> list[Callable[[], None]]:
+    from processing import swing as swings
+    from processing.spot import SensorModel
+    from rig.instrument.kernels import compile_tracker
+
+    def follow(full_scale_dn: float) -> None:
+        gain_e_per_dn = 10_000.0 / full_scale_dn
+        compile_tracker(SensorModel(gain_e_per_dn, read_noise_e=7.0, full_scale_dn=full_scale_dn))
+
+    return [swings.compile_kernels, lambda: follow(255.0), lambda: follow(4095.0)]
+
+
+def main() -> int:
+    """Call everything in every thread, each in an order of its own."""
+    which, threads, seed = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+    faulthandler.enable()
+    random = np.random.default_rng(seed)
+    calls = _small(random) if which == "small" else _real(random)
+    together = threading.Barrier(threads)
+    failures: list[BaseException] = []
+
+    def work(order: list[int]) -> None:
+        together.wait()
+        try:
+            for k in order:
+                calls[k]()
+        except BaseException as error:
+            failures.append(error)
+
+    orders = [random.permutation(len(calls)).tolist() for _ in range(threads)]
+    working = [threading.Thread(target=work, args=(order,)) for order in orders]
+    for thread in working:
+        thread.start()
+    for thread in working:
+        thread.join()
+    for failure in failures:
+        print(f"{type(failure).__name__}: {failure}", file=sys.stderr)
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
