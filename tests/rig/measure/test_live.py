@@ -117,7 +117,8 @@ def test_runs_of_other_rates_end_and_count_every_frame(rate_hz: int, made: Made)
     assert run.state == ("complete", "time limit of 20 s reached")
     with RecordReader(run.record) as reader:
         sequences, losses = reader.spots()["sequence"], reader.losses()
-    assert sequences[-1] == pytest.approx(20 * rate_hz, abs=2)
+    # the run ends with a block of frames, which are many where they had to wait
+    assert 20 * rate_hz - 2 <= sequences[-1] < 20 * rate_hz + 64
     # a busy machine may lose some; none is missing without being counted
     lost = 0 if losses is None else losses.total
     assert sequences[-1] + 1 - len(sequences) == pytest.approx(lost, abs=1)
