@@ -3,6 +3,7 @@
 Measured against reading in a thread; decision 28 has what came of it.
 """
 
+import contextlib
 import os
 import struct
 import subprocess
@@ -76,7 +77,8 @@ class ProcessCamera:
             return None
         slot, number, due_ns, taken_ns, self._lost = _HEAD.unpack(head)
         image = np.array(self._ring[slot])
-        process.stdin.write(b"t")
+        with contextlib.suppress(BrokenPipeError):  # after its last frame it has ended
+            process.stdin.write(b"t")
         self.late_ns.append(taken_ns - due_ns)
         self.taken_ns.append(time.monotonic_ns() - due_ns)
         self._delivered += 1

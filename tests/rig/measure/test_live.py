@@ -119,9 +119,9 @@ def test_runs_of_other_rates_end_and_count_every_frame(rate_hz: int, made: Made)
         sequences, losses = reader.spots()["sequence"], reader.losses()
     # the run ends with a block of frames, which are many where they had to wait
     assert 20 * rate_hz - 2 <= sequences[-1] < 20 * rate_hz + 64
-    # a busy machine may lose some; none is missing without being counted
+    # a busy machine may lose some, after the last one too; none is missing without being counted
     lost = 0 if losses is None else losses.total
-    assert sequences[-1] + 1 - len(sequences) == pytest.approx(lost, abs=1)
+    assert 0 <= sequences[-1] + 1 - len(sequences) <= lost
     assert len(sequences) > rate_hz
 
 
