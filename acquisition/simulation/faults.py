@@ -13,6 +13,16 @@ class FaultSettings(BaseModel, frozen=True, extra="forbid"):
     camera_replugged_at_s: float | None = Field(default=None, ge=0, description="None: never")
     frames_stalled_at_s: float | None = Field(default=None, ge=0, description="no frames from then on")
     frames_stalled_duration_s: float = Field(default=2.0, gt=0)
+    clock_zero_at_s: float | None = Field(
+        default=None, ge=0, description="in real time, one frame has the time 0"
+    )
+    clock_steps_at_s: float | None = Field(
+        default=None, ge=0, description="in real time, the camera's clock steps"
+    )
+    clock_step_s: float = Field(default=0.13, description="by so much, forward")
+    clock_bits: int | None = Field(
+        default=None, ge=32, le=62, description="of its counter of ns, which begins again at 0 beyond them"
+    )
     vibration_burst_at_s: float | None = Field(default=None, ge=0)
     vibration_burst_duration_s: float = Field(default=3.0, gt=0)
     vibration_burst_arcsec: float = Field(default=2.0, gt=0, description="largest amplitude, both axes")

@@ -208,7 +208,18 @@ class RunReader:
         self._last_host_ns = host_ns
         self._next = frame + 1
         self._delivered += 1
-        return Frame(image, frame - self._numbered_from, int(plan.device_time_ns[row]), host_ns)
+        device_ns = int(plan.device_time_ns[row])
+        if self._settings.real_time:
+            device_ns = self._by_faulty_clock(frame, device_ns)
+        return Frame(image, frame - self._numbered_from, device_ns, host_ns)
+
+    def _by_faulty_clock(self, frame: int, device_ns: int) -> int:
+        faults = self._faults
+        if frame >= _frame_at(faults.clock_steps_at_s, self._rate_hz):
+            device_ns += nanoseconds(faults.clock_step_s)
+        if faults.clock_bits is not None:
+            device_ns %= 1 << faults.clock_bits
+        return 0 if frame == _frame_at(faults.clock_zero_at_s, self._rate_hz) else device_ns
 
 
 def _frame_at(time_s: float | None, rate_hz: float) -> float:

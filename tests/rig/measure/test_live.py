@@ -12,6 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
 from acquisition.record.events import EventKind, end_of
@@ -56,6 +57,8 @@ RUNS: Mapping[str, dict[str, str]] = {
     "10/s": LIVE | LASTING_20_S | {"camera.frame_rate_hz": "10"},
     "200/s": LIVE | LASTING_20_S | {"camera.frame_rate_hz": "200"},
     "faults": LIVE | LASTING_20_S | FAULTS,
+    "clock": LIVE | LASTING_20_S | {"faults.clock_zero_at_s": "5", "faults.clock_steps_at_s": "10"},
+    "32 bits": LIVE | LASTING_20_S | {"faults.clock_bits": "32"},
 }
 
 
@@ -140,3 +143,20 @@ def test_faults_are_survived_or_named(made: Made) -> None:
     end = end_of(events)
     assert end is not None
     assert end.kind == EventKind.STOP
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("clock", ["time 0 ns", "stepped by +0.1"]), ("32 bits", ["begins again every 4.295 s"])],
+)
+def test_a_faulty_clock_is_named_and_its_times_go_on(name: str, said: list[str], made: Made) -> None:
+    run = made[name].result()
+    assert "Traceback" not in run.screen
+    assert run.state == ("complete", "time limit of 20 s reached")
+    with RecordReader(run.record) as reader:
+        spots, events = reader.spots(), reader.events()
+    told = " ".join(event.text for event in events if event.kind == EventKind.CAMERA_CLOCK)
+    assert all(words in told for words in said), told
+    # no step is left in the times: between frames lie 40 ms each
+    frame_times_s = np.diff(spots["time_ns"]) / np.diff(spots["sequence"]) * 1e-9
+    assert np.all(np.abs(frame_times_s - 0.04) < 0.02)
