@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from acquisition.frame import Frame
 from acquisition.record.events import Event
 from processing.balance import Balance
-from processing.deflections import DeflectionUnit
+from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.spot import Spot, SpotFlag
@@ -59,6 +59,8 @@ from rig.view.viewer_program import ViewerProgram
 logger = logging.getLogger(__name__)
 
 _STATE_INTERVAL_S = 0.5
+_GATHERED_NS = 50_000_000
+"""Samples of a run that are passed on together."""
 _FULL_BYTES = 1 << 20
 """With less than this a disk is called full."""
 
@@ -177,6 +179,9 @@ class Viewer:
         self._parameters = {key: _in_panel(key) for key in parameters}
         self._estimated_from = 0
         self._balanced = False
+        self._start_ns = 0
+        self._gathered: list[Deflections] = []
+        self._flags: list[int] = []
         self._next_image_s = 0.0
         self._next_state_s = 0.0
         self._shown_phase: Phase | None = None
@@ -228,9 +233,16 @@ class Viewer:
     def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
         """Deflections, swings, balance and now and then an image."""
         found = block.deflections
+        if start_ns != self._start_ns:
+            self._send_gathered()
+            self._start_ns = start_ns
         if len(found):
-            flags = [spot.flags for spot in block.spots]
-            self.samples(seconds(found.times_ns - start_ns), found.shown_x, found.shown_y, flags)
+            self._gathered.append(found)
+            self._flags += [spot.flags for spot in block.spots]
+            if found.times_ns[-1] - self._gathered[0].times_ns[0] >= _GATHERED_NS:
+                self._send_gathered()
+        else:
+            self._send_gathered()
         if block.swings:
             self.swings(block.swings, start_ns)
         for balance in block.balances:
@@ -242,6 +254,12 @@ class Viewer:
             self._next_image_s = now_s + self._image_interval_s
             self.picture(start_ns, frames[-1], block.spots[-1])
 
+    def _send_gathered(self) -> None:
+        if self._gathered:
+            found, flags = joined(self._gathered, self._unit), self._flags
+            self._gathered, self._flags = [], []
+            self.samples(seconds(found.times_ns - self._start_ns), found.shown_x, found.shown_y, flags)
+
     def picture(self, start_ns: int, frame: Frame, spot: Spot) -> None:
         """A whole frame and the spot in it."""
         lost = bool(spot.flags & SpotFlag.LOST)
@@ -250,6 +268,7 @@ class Viewer:
 
     def jump(self, time_s: float) -> None:
         """Continue at another time; curves are interrupted there."""
+        self._send_gathered()
         self.samples(time_s, math.nan, math.nan, 0)
         self.log(time_s, "info", f"restarted at {time_s:.1f} s")
 
@@ -385,6 +404,7 @@ class Viewer:
 
     def close(self, timeout_s: float = 30.0) -> ViewCounts:
         """Send the queued data, complete the file and end the workers; kill them after `timeout_s`."""
+        self._send_gathered()
         deadline_s = time.monotonic() + timeout_s
         for feed in self._feeds:
             feed.close()
