@@ -341,13 +341,12 @@ def test_what_has_gone_dark_by_itself_is_lit_by_no_later_run(
     instrument = FakeCobolt()
     try:
         config = configuration("cobolt", instrument.port)
-        with Devices(config, tmp_path) as devices:
+        with Devices(config, tmp_path) as devices, monkeypatch.context() as stalls:
             watch = LightWatch(devices)
-            if what == "stall":
-                monkeypatch.setitem(LONGEST_PAUSE_S, Stage.CAMERA, 0.3)
-                monkeypatch.setitem(LONGEST_PAUSE_S, Stage.PROCESSING, 0.3)
             devices.light()
-            if what == "panel":
+            if what == "stall":
+                stalls.setitem(LONGEST_PAUSE_S, Stage.CAMERA, 0.0)
+            else:
                 instrument.light(False)
             until(lambda: not instrument.on)
             until(lambda: watch.look() is None or bool(watch.alarm))
