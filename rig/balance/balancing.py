@@ -11,6 +11,7 @@ from rig.balance.learned_turns import LearnedTurns
 from rig.balance.look import LooksView, look
 from rig.balance.reporter import OnTerminal, Reporter
 from rig.balance.simulated_operator import SimulatedOperator
+from rig.channel import light_told
 from rig.devices import Audited, Devices
 from rig.instrument import WEIGHTS, advice_for, complete, height_of
 from rig.presentation import say
@@ -68,8 +69,10 @@ def balance_rig(
 
     moves = looks = 0
     swing_arcsec = math.inf
+    folder = history_path(config, path).parent
     with (
-        Devices(config, history_path(config, path).parent, "rig balance") as devices,
+        Devices(config, folder, "rig balance") as devices,
+        light_told(devices, config, folder),
         LooksView(config, rrd, advise, reporter.way) as view,
     ):
         while True:

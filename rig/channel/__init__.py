@@ -14,4 +14,5 @@ from rig.channel.loopback import (
     SessionPicture,
     running_sessions,
 )
+from rig.channel.of_commands import devices_now, light_told
 from rig.channel.session_news import SessionNews

@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from processing.errors import RigError
+from rig.channel import Line, NoSession, SessionBusy
 from rig.control import LatchedTrip, Light, Loop, SafetyNow, SafetyState
 from rig.desk.aligner import Aligner
 from rig.desk.following import Following
@@ -26,10 +27,13 @@ class Safety:
         self._rig, self._following, self._aligner = rig, following, aligner
         self.unfiled = rig if rig.path is None else None
         self._ended = threading.Event()
+        self._of_command: tuple[SafetyNow, float] | None = None
 
     def start(self) -> None:
-        """Begin to read."""
+        """Begin to read, and to ask."""
         threading.Thread(target=self._read, name="rig's state", daemon=True).start()
+        if self.unfiled is None:
+            threading.Thread(target=self._ask, name="who has the rig", daemon=True).start()
 
     def stop(self) -> None:
         """Read no more."""
@@ -43,9 +47,13 @@ class Safety:
         if own is not None:
             return own
         following = self._following
-        if not following.running or not following.news:
+        if following.running and following.news:
+            told, heard_s = following.safety, following.heard_s
+        elif (of_command := self._of_command) is not None:
+            told, heard_s = of_command
+        else:
             return SafetyNow(trip=self._rig.trip)
-        told, since_s = following.safety, time.monotonic() - following.heard_s
+        since_s = time.monotonic() - heard_s
         return replace(
             told,
             trip=told.trip or (None if self.unfiled is not None else self._rig.trip),
@@ -71,6 +79,22 @@ class Safety:
             elif latched is not None:
                 self._rig.latch(latched.cause, latched.why, latched.lit)
                 latched = None
+
+    def _ask(self) -> None:
+        """Ask the command that has the rig, and is no session, how its light stands."""
+        while not self._ended.wait(_READ_S):
+            folder = None if self._following.running else self._rig.folder_of_holder
+            try:
+                if folder is None:
+                    self._of_command = None
+                    continue
+                with Line(folder) as line:
+                    self._of_command = SafetyNow.told(line.news()["safety"]), time.monotonic()
+            except SessionBusy:
+                # what it said last grows older
+                continue
+            except (NoSession, KeyError, ValueError):
+                self._of_command = None
 
 
 _KINDS = {Light.ON: "caution", Light.OFF: "go", Light.INTERLOCK_OPEN: "no", Light.DISAGREES: "no"}

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 
 from processing.errors import ConfigurationError, DataError
+from rig.channel import light_told
 from rig.devices import Devices, ask_leave
 from rig.instrument import complete
 from rig.measure.run_setup import RunPlan, measure_run
@@ -29,7 +30,11 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
     }
     record.parent.mkdir(parents=True, exist_ok=True)
     config = complete(config.model_copy(update=updates))
-    with Devices(config, record.parent, "a recording for a calibration") as devices:
+    folder = record.parent
+    with (
+        Devices(config, folder, "a recording for a calibration") as devices,
+        light_told(devices, config, folder),
+    ):
         ask_leave(devices)
         outcome = measure_run(RunPlan(config, source, record, record.stem, fitted=False), devices)
     if outcome.failure is not None:

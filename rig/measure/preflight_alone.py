@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from processing.errors import DataError, DeviceError
+from rig.channel import light_told
 from rig.devices import Devices, FrameStream, LightWatch, ask_leave
 from rig.instrument import (
     Snapshot,
@@ -33,7 +34,11 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     config = complete(config.model_copy(update={"preflight": preflight}))
     check_materials(config)
     folder = config.session.output
-    with Devices(config, folder, "rig preflight") as devices, devices.camera(config) as camera:
+    with (
+        Devices(config, folder, "rig preflight") as devices,
+        light_told(devices, config, folder),
+        devices.camera(config) as camera,
+    ):
         optics = optics_of(config, camera.info.full_scale_dn)
         phases = PhasesBeforeRecord(config, devices, camera, optics, _place(config))
         stream = FrameStream(

@@ -16,7 +16,7 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.channel import Channel, SessionNews
+from rig.channel import Channel, SessionNews, devices_now
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
@@ -24,7 +24,7 @@ from rig.measure.notices import Notices, announced
 from rig.measure.phases import NoGo
 from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import RunState, SessionFile, withdraw_unrecorded
-from rig.measure.session_orders import await_leave, devices_now, orders
+from rig.measure.session_orders import await_leave, orders
 from rig.presentation import failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
 from rig.terminal import Terminated

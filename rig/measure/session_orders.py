@@ -2,8 +2,6 @@
 
 import _thread
 import time
-from dataclasses import asdict
-from typing import Any
 
 from processing.errors import RigError
 from rig.channel import Orders, SessionNews
@@ -53,15 +51,6 @@ def relight(devices: Devices) -> str:
         return devices.light(asked=True) or "the laser is lit already"
     devices.ask_for_light()
     return "the next run lights the laser"
-
-
-def devices_now(devices: Devices) -> dict[str, Any]:
-    """State of laser, controller and interlock as plain values; never blocks."""
-    return {
-        "devices": asdict(devices.now()),
-        "darkness": devices.darkness(),
-        "safety": asdict(devices.safety()),
-    }
 
 
 def await_leave(devices: Devices, session_news: SessionNews) -> None:

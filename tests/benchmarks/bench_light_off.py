@@ -71,7 +71,7 @@ def _series(
             took_ms.append(_clicked(page, board, folder / "runs", bool(frozen), busy))
             print(f"  {took_ms[-1]:.0f} ms", flush=True)
             if frozen is None:
-                _lit_again(page)
+                _lit_again(page, board)
             else:
                 _ordered_again(folder / "runs")
             board.wait_lit(True, 120)
@@ -80,7 +80,7 @@ def _series(
     return took_ms
 
 
-def _lit_again(page: Page) -> None:
+def _lit_again(page: Page, board: BoardProcess) -> None:
     """As a person does it; the simulated camera sees light whatever the board does, so with a new picture."""
     page.wait_text("LIGHT OFF WAS PRESSED")
     page.click("Stop")
@@ -88,7 +88,12 @@ def _lit_again(page: Page) -> None:
     page.click("Live picture")
     page.wait_text("nearest edge")
     page.acknowledge()
-    page.click("Light again")
+    again = "[...document.querySelectorAll('.cries button')].find(b => b.innerText === 'LIGHT AGAIN')"
+    while not board.lit:
+        # what moves just then is missed
+        if page.ask(f"{again}?.offsetParent != null"):
+            page.point_at(again)
+        time.sleep(1.0)
 
 
 def _ordered_again(runs: Path) -> None:

@@ -1,0 +1,35 @@
+"""Laser, controller and safety of whoever has the devices, told through a channel; dark by its order."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rig.channel.loopback import Channel
+from rig.channel.session_news import SessionNews
+from rig.devices import Devices
+from rig.settings import Configuration
+
+
+def devices_now(devices: Devices) -> dict[str, Any]:
+    """State of laser, controller and interlock as plain values; never blocks."""
+    return {
+        "devices": asdict(devices.now()),
+        "darkness": devices.darkness(),
+        "safety": asdict(devices.safety()),
+    }
+
+
+@contextmanager
+def light_told(devices: Devices, config: Configuration, folder: Path) -> Iterator[None]:
+    """While a command that is no session has the devices: the desk shows its light, and can darken it.
+
+    `folder` is the one that the devices were opened with, which the rig's lock names.
+    """
+    with suppress(OSError):
+        # without it nobody watches
+        folder.mkdir(parents=True, exist_ok=True)
+    orders = {"dark": lambda by: devices.light_off(by or "the desk")}
+    with Channel(folder, SessionNews(config), orders, lambda: devices_now(devices)):
+        yield
