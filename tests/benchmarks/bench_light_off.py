@@ -87,10 +87,12 @@ def _lit_again(page: Page, board: BoardProcess) -> None:
     page.wait_text("No live picture yet")
     page.click("Live picture")
     page.wait_text("nearest edge")
-    page.acknowledge()
     again = "[...document.querySelectorAll('.cries button')].find(b => b.innerText === 'LIGHT AGAIN')"
+    end_s = time.monotonic() + 300.0
     while not board.lit:
-        # what moves just then is missed
+        assert time.monotonic() < end_s, page.text()
+        # also a trip that comes meanwhile; what moves just when it is clicked is missed
+        page.acknowledge()
         if page.ask(f"{again}?.offsetParent != null"):
             page.point_at(again)
         time.sleep(1.0)

@@ -21,6 +21,8 @@ SERIAL = """
 [controller]
 kind = "serial"
 port = "PORT"
+# a program that a busy machine holds up for longer than usual is no trip of its own
+watchdog_s = 5.0
 [environment_sensor]
 kind = "none"
 [laser]

@@ -10,6 +10,9 @@ from tests.rig.desk.desk_page import DeskProcess, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 INTERLOCK = """
+[controller]
+# a program that a busy machine holds up for longer than usual is no trip of its own
+watchdog_s = 5.0
 [laser]
 kind = "controller"
 max_power_w = 0.001

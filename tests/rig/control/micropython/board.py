@@ -60,7 +60,7 @@ class Board:
         return wires.interlock()
 
     def interlock_opened(self):
-        return False
+        return wires.opened()
 
     def button_pressed(self):
         return wires.pressed()

@@ -21,7 +21,7 @@ const { loadMicroPython } = await import(pathToFileURL(path.join(packageDir, 'mi
 const buffer = Buffer.alloc(4096);
 const sleeper = new Int32Array(new SharedArrayBuffer(4));
 const state = { interlock: true, sensor: true, reset: false, stuck: false, stuckOn: false, mark: false, openTo: 0,
-  pressed: false, light: -1, latch: '0 NONE' };
+  opened: false, pressed: false, light: -1, latch: '0 NONE' };
 let quietTurns = 0;
 
 function take(fd) {
@@ -40,6 +40,12 @@ function sleep(ms) {
 
 const wires = {
   interlock: () => state.interlock && performance.now() >= state.openTo,
+  // as the interrupt of the pin, which sees an opening that the loop is too slow for
+  opened: () => {
+    const opened = state.opened;
+    state.opened = false;
+    return opened;
+  },
   sensor: () => state.sensor,
   stuck: () => state.stuck,
   pressed: () => state.pressed,
@@ -77,6 +83,7 @@ const wires = {
       for (const byte of take(controlFd)) {
         const key = String.fromCharCode(byte);
         if (key === 'o') state.interlock = false;
+        if (key === 'o' || key === 'b') state.opened = true;
         if (key === 'c') state.interlock = true;
         if (key === 'x') state.sensor = false;
         if (key === 's') state.sensor = true;
