@@ -16,7 +16,7 @@ from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame_losses import FrameLosses
 from processing.errors import DeviceError, RigError
 from processing.ticks import seconds
-from rig.control import LatchedTrip, check_controller, check_environment, check_laser
+from rig.control import SafetyState, check_controller, check_environment, check_laser
 from rig.devices.session_devices import Devices
 from rig.instrument import check_materials, complete
 from rig.presentation import Verdict, print_json_line, print_verdicts
@@ -48,7 +48,7 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
     devices = Devices(config)
     try:
         with devices.state as state:
-            yield check_trip(state.trip)
+            yield check_trip(state)
             yield from check_controller(devices.make_controller(), config.controller, config.laser)
             yield from check_laser(config.laser, config.controller)
     except DeviceError as error:
@@ -62,8 +62,12 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
     yield check_governor(_read(_GOVERNOR), os.cpu_count() or 1)
 
 
-def check_trip(trip: LatchedTrip | None) -> Verdict:
+def check_trip(state: SafetyState) -> Verdict:
     """Check that no trip waits for its acknowledgement."""
+    trip = state.trip
+    if trip is None and state.left_lit:
+        remedy = "look at the laser, then rig light show CONFIG: it latches the trip, and names it"
+        return Verdict("permit of light", False, "a program was killed that had lit the laser", remedy)
     if trip is None:
         return Verdict("permit of light", True, "no trip is latched")
     remedy = f"look that nobody is in the beam's way, then rig light acknowledge CONFIG {trip.number}"

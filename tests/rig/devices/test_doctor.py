@@ -3,7 +3,8 @@
 import pytest
 
 from acquisition.camera import CameraStatus
-from rig.devices.doctor import check_frames, check_settings
+from rig.control import SafetyState, TripCause
+from rig.devices.doctor import check_frames, check_settings, check_trip
 from rig.instrument import complete
 from rig.settings import Configuration, validate_configuration
 
@@ -57,3 +58,14 @@ def test_what_is_not_stated_is_not_called_stated() -> None:
         "sensor's noise": "the simulated rig's own",
     }
     assert settings_of({"camera": {"driver": "usb3vision"}})["sensor's noise"].startswith("not stated")
+
+
+def test_a_trip_and_a_laser_that_was_left_lit_are_named() -> None:
+    state = SafetyState()
+    assert check_trip(state).ok
+    state.lit(True)
+    assert "was killed that had lit the laser" in check_trip(state).reason
+    state.latch(TripCause.INTERLOCK, "the interlock of the laser opened", lit=True)
+    found = check_trip(state)
+    assert (found.ok, found.reason) == (False, "trip 1 (INTERLOCK): the interlock of the laser opened")
+    assert "rig light acknowledge CONFIG 1" in found.remedy
