@@ -2,7 +2,8 @@
 
 import subprocess
 import threading
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
@@ -22,6 +23,7 @@ from rig.measure import session_folder
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
+_PRESSES_KEPT = 64
 
 
 class Started(StrEnum):
@@ -52,6 +54,8 @@ class Desk:
         self.looking_again = LookingAgain()
         self._session: tuple[subprocess.Popen[bytes], Path] | None = None
         self._acting = ""
+        self._pressing = threading.Lock()
+        self._pressed: deque[str] = deque(maxlen=_PRESSES_KEPT)
         self._lock = threading.Lock()
 
     # -- who may act -----------------------------------------------------------
@@ -165,31 +169,41 @@ class Desk:
 
     # -- light ------------------------------------------------------------------
 
-    def light_off(self) -> list[str]:
+    def light_off(self, press: str = "") -> list[str]:
         """Everything dark, whoever has lit it; returns what failed. Waits for no device, session or command.
 
         Ports are told off directly, too: a frozen session hears its order only when it goes on, and then
-        stays dark.
+        stays dark. The same `press` comes by two ways: the later one must not darken what a person has
+        acknowledged and lit again meanwhile.
         """
+        with self._pressing:
+            if press and press in self._pressed:
+                return []
+            self._pressed.append(press)
         who = "the desk"
         if (aligner := self.aligner) is not None:
             aligner.light_off(who)
         problems = darken_beside(self.config.laser, self.config.controller)
-        folders = {self.following.folder}
+        folders = {folder.absolute() for folder in (self.following.folder,) if folder is not None}
         if (begun := self._session) is not None and begun[0].poll() is None:
-            folders.add(begun[1])
+            folders.add(begun[1].absolute())
             if self.following.last_folder != begun[1] and not (begun[1] / CHANNEL_NAME).exists():
                 # it hears no order yet; one that was seen before, and is gone, is being fitted
                 begun[0].terminate()
-        finds: list[Callable[[], Path | None]] = [lambda folder=folder: folder for folder in folders]  # type: ignore[misc]
-        # also a program with the rig that works in another folder; a disk that hangs holds nothing else up
-        finds.append(lambda: self._rig.folder_of_holder)
-        for find in finds:
-            threading.Thread(target=_order_dark, args=(find, who), name="light off", daemon=True).start()
+        for folder in folders:
+            threading.Thread(target=_order_dark, args=(folder, who), name="light off", daemon=True).start()
+        # in a thread of its own: a disk that hangs holds nothing else up
+        threading.Thread(target=self._holder_dark, args=(folders, who), name="light off", daemon=True).start()
         for job in tuple(self.jobs.values()):
             if job.running:
                 job.end()
         return problems
+
+    def _holder_dark(self, told: Collection[Path], who: str) -> None:
+        """Also the program that has the rig and works in another folder."""
+        folder = self._rig.folder_of_holder
+        if folder is not None and folder not in told:
+            _order_dark(folder, who)
 
     def acknowledge(self, number: int) -> str:
         """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be. May wait.
@@ -263,10 +277,9 @@ class Desk:
         self.looking_again.close()
 
 
-def _order_dark(find: Callable[[], Path | None], who: str) -> None:
-    if (folder := find()) is not None:
-        with suppress(RigError), Line(folder) as line:
-            line.order(f"dark {who}")
+def _order_dark(folder: Path, who: str) -> None:
+    with suppress(RigError), Line(folder) as line:
+        line.order(f"dark {who}")
 
 
 def _as_set(key: str, value: object) -> str:

@@ -6,6 +6,7 @@ The desk's own server answers `/dark`, too; this one also does when that loop is
 import http
 import http.server
 import threading
+import urllib.parse
 from collections.abc import Callable
 from typing import Any
 
@@ -15,9 +16,12 @@ LOOPBACK = "127.0.0.1"
 
 
 class OffSwitch:
-    """Serves while it is open; `admits` judges host, origin and cookie of who asks, `off` switches off."""
+    """Serves while it is open; `admits` judges host, origin and cookie of who asks, `off` switches off.
 
-    def __init__(self, off: Callable[[], list[str]], admits: Callable[[str, str, str], bool]) -> None:
+    `off` is given the name of the press.
+    """
+
+    def __init__(self, off: Callable[[str], list[str]], admits: Callable[[str, str, str], bool]) -> None:
         self._server = _Server(off, admits)
         self.port = int(self._server.server_address[1])
 
@@ -35,7 +39,7 @@ class _Server(http.server.ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
 
-    def __init__(self, off: Callable[[], list[str]], admits: Callable[[str, str, str], bool]) -> None:
+    def __init__(self, off: Callable[[str], list[str]], admits: Callable[[str, str, str], bool]) -> None:
         super().__init__((LOOPBACK, 0), _Handler)
         self.off, self.admits = off, admits
 
@@ -50,10 +54,11 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         origin = self.headers.get("Origin", "")
         host, cookie = self.headers.get("Host", ""), self.headers.get("Cookie", "")
-        if self.path != DARK or not self.server.admits(host, origin, cookie):
+        asked = urllib.parse.urlsplit(self.path)
+        if asked.path != DARK or not self.server.admits(host, origin, cookie):
             self.send_error(http.HTTPStatus.FORBIDDEN)
             return
-        answer = "; ".join(self.server.off()).encode()
+        answer = "; ".join(self.server.off(urllib.parse.unquote(asked.query))).encode()
         self.send_response(http.HTTPStatus.OK)
         self.send_header("Content-Type", "text/plain; charset=utf-8")
         self.send_header("Content-Length", str(len(answer)))

@@ -85,10 +85,11 @@ _SCRIPT = """
   window.rigLightOff = () => {
     const pressed = new Date().toLocaleTimeString();
     answer = 'LIGHT OFF is sent'; draw();
-    const other = location.protocol + '//' + location.hostname + ':OFF_PORTDARK';
+    const press = '?' + Math.random().toString(36).slice(2) + Date.now();
+    const other = location.protocol + '//' + location.hostname + ':OFF_PORTDARK' + press;
     const ask = address => fetch(address, {method: 'POST', credentials: 'include', keepalive: true})
       .then(got => got.ok ? got.text() : Promise.reject(new Error(got.status)));
-    Promise.any([ask(other), ask('DARK')]).then(
+    Promise.any([ask(other), ask('DARK' + press)]).then(
       said => { answer = 'LIGHT OFF was taken at ' + pressed + (said ? ', BUT ' + said : ''); },
       () => { answer = 'LIGHT OFF DID NOT REACH THE DESK: turn the key switch'; }).then(draw);
   };

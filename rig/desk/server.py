@@ -12,7 +12,7 @@ from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 
 import uvicorn
-from fastapi import FastAPI
+from fastapi import FastAPI, Request
 from fastapi.responses import FileResponse
 from nicegui import ui
 from starlette.concurrency import run_in_threadpool
@@ -52,9 +52,10 @@ def open_desk(source: Path, overrides: tuple[str, ...] = (), *, port: int = 0, b
     switch_hosts = {f"{name}:{switch.port}" for name in (LOOPBACK, "localhost")}
 
     @app.post(DARK)
-    async def dark() -> Response:
+    async def dark(request: Request) -> Response:
         # a thread of its own: those of a pool may all be waiting
-        threading.Thread(target=desk.light_off, name="light off", daemon=True).start()
+        press = urllib.parse.unquote(request.url.query)
+        threading.Thread(target=desk.light_off, args=(press,), name="light off", daemon=True).start()
         return Response(status_code=http.HTTPStatus.OK)
 
     @app.get("/picture")

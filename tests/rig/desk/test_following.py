@@ -13,6 +13,7 @@ from processing.errors import RigError
 from rig.channel import Channel, SessionNews
 from rig.channel import loopback as line
 from rig.channel.loopback import CHANNEL_NAME
+from rig.desk.desk import Desk
 from rig.desk.following import Following
 from rig.settings import Configuration
 
@@ -97,3 +98,26 @@ def test_a_session_that_was_killed_is_given_up_although_its_file_is_there(
     until(lambda: not following.running)
     with pytest.raises(RigError, match="no session runs"):
         following.order("stop")
+
+
+def test_a_press_of_light_off_that_comes_by_two_ways_darkens_once(tmp_path: Path) -> None:
+    """The later one may come when somebody has acknowledged already."""
+    config = tmp_path / "rig.toml"
+    config.write_text(
+        f'[camera]\ndriver = "simulated"\n[session]\noutput = "{(tmp_path / "runs").as_posix()}"\n'
+    )
+    folder = tmp_path / "runs" / "session"
+    folder.mkdir(parents=True)
+    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    dark: list[str] = []
+    desk = Desk(config)
+    with Channel(folder, told, {"dark": lambda by: dark.append(by) or "dark"}):  # type: ignore[func-returns-value]
+        desk.following.start()
+        for press in ("one", "one", "two"):
+            assert desk.light_off(press) == []
+        until(lambda: len(dark) == 2)
+        desk.light_off("one")
+        desk.light_off("three")
+        until(lambda: len(dark) == 3)
+        assert dark == ["the desk"] * 3
+    desk.close()

@@ -20,8 +20,10 @@ power_w = 0.0009
 when_dark = "wait"
 [preflight]
 when = "never"
+"""
+OPENS = """
 [faults]
-interlock_opens_at_s = 8.0
+interlock_opens_at_s = {}
 interlock_open_for_s = 1.5
 """
 
@@ -31,7 +33,7 @@ interlock_open_for_s = 1.5
 def test_an_interlock_that_opens_under_the_live_picture_cries_until_it_is_acknowledged(
     desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
 ) -> None:
-    config = desk_configuration(INTERLOCK.replace("8.0", "4.0"))
+    config = desk_configuration(INTERLOCK + OPENS.format(4.0))
     with desk_page(browser, config) as (_, page):
         page.click("Live picture")
         page.wait_text("THE INTERLOCK OF THE CONTROLLER OPENED")
@@ -63,7 +65,8 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
         page.click("Run preflight")
         page.wait_text("saturation")
         page.wait("/NO-GO|GO/.test(document.body.innerText)")
-        # measure
+        # measure; only now, so that the interlock opens in the session however long all that has taken
+        config.write_text(config.read_text("utf-8") + OPENS.format(8.0), encoding="utf-8")
         page.key("4")
         page.fill("session.sample", 'steel "on" K8 – µ')
         page.wait("![...document.querySelectorAll('button')].some(b => b.disabled && b.innerText == 'START')")
