@@ -25,8 +25,12 @@ def devices_now(devices: Devices) -> dict[str, Any]:
 def light_told(devices: Devices, config: Configuration, folder: Path) -> Iterator[None]:
     """While a command that is no session has the devices: the desk shows its light, and can darken it.
 
-    `folder` is the one that the devices were opened with, which the rig's lock names.
+    `folder` is the one that the devices were opened with, which the rig's lock names. A rig without one
+    (simulated) is not found by it, and tells nothing.
     """
+    if devices.state.path is None:
+        yield
+        return
     with suppress(OSError):
         # without it nobody watches
         folder.mkdir(parents=True, exist_ok=True)

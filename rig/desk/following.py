@@ -121,6 +121,8 @@ class Following:
                 self._ask(self._line)
             self._wake.wait(_LOOK_S if self._line is not None else _SEARCH_S)
             self._wake.clear()
+        if self._line is not None:
+            self._line.close()
 
     def _search(self) -> None:
         for folder in running_sessions(self._output)[:1]:

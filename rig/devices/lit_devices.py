@@ -1,6 +1,7 @@
 """Controller and laser of a rig, and the one way to light: who may, who darkens it, what is known of it."""
 
 import math
+import threading
 import time
 from concurrent.futures import CancelledError
 from contextlib import suppress
@@ -52,6 +53,7 @@ class LitDevices:
         self.state = state or SafetyState(rig_state_path(config.laser, config.controller), task)
         self._log = AuditLog(folder, config.session.operator, task, self.state)
         self._task = task
+        self._lighting = threading.Lock()
         self._was_lit = self._is_lit = self._disagreed = self._asked_before_trip = False
         self.permit = LightPermit(state=self.state, tripped=self._tripped)
 
@@ -70,6 +72,11 @@ class LitDevices:
                 f"the laser stays off: {trip.text}; look that nobody is in the beam's way, then acknowledge "
                 f"it: rig light acknowledge CONFIG {trip.number}, or at the desk"
             )
+        # by a run and by an order at once, the second finds it lit
+        with self._lighting:
+            return self._lit(asked)
+
+    def _lit(self, asked: bool) -> str:
         kind = self._config.laser.kind
         if asked:
             self.ask_for_light()
