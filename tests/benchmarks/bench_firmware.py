@@ -21,11 +21,12 @@ _TURN_MS = 20
 class _Board(SteppedBoard):
     """Its outputs are looked at as they change, and not remembered."""
 
+    latches_at_start = True
+
     def __init__(self, clock: Clock) -> None:
         self.welded = False
         self.power_w = 0.0
         super().__init__(clock)
-        self.latches_at_start = True
 
     def ticks_ms(self) -> int:
         return (_PERIOD - 1_060_000 + self.clock.now_ns // 1_000_000) % _PERIOD
