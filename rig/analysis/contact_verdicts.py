@@ -59,12 +59,13 @@ TABLE4_AMPLITUDE_ARCSEC = 3.1
 
 
 def rig_quantities(
-    config: Configuration, fast_ratio: float = 0.0, rest_rad: float = 0.0
+    config: Configuration, fast_ratio: float = 0.0, rest_rad: float = 0.0, u_clock: float = 0.0
 ) -> RigQuantities | None:
     """The apparatus with its standard uncertainties; None without [pendulum].
 
     `fast_ratio` is the fast mode's amplitude over the slow one's, `rest_rad` the mean tilt at rest from the
-    lever's reference (see `RigQuantities`).
+    lever's reference (see `RigQuantities`), `u_clock` what the run itself shows of its clock's rate, where
+    that is more than its calibration says.
     """
     pendulum, lever = config.pendulum, config.lever
     if pendulum is None:
@@ -92,7 +93,7 @@ def rig_quantities(
             lever.pixel_pitch_m, lever.u_pixel_pitch_m, dof=lever.pixel_pitch_dof or math.inf
         ),
         gravity_m_per_s2=InputQuantity(pendulum.gravity_m_per_s2, pendulum.u_gravity_m_per_s2),
-        clock=InputQuantity(timebase.camera_rate, timebase.u_camera_rate),
+        clock=InputQuantity(timebase.camera_rate, max(timebase.u_camera_rate, u_clock)),
         slow_angle_rad=InputQuantity(axes.slow_angle_rad, axes.u_slow_angle_rad),
         non_orthogonality_rad=InputQuantity(axes.non_orthogonality_rad, axes.u_non_orthogonality_rad),
         fast_ratio=fast_ratio,

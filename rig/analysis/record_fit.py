@@ -29,6 +29,7 @@ from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
+from rig.analysis.run_clock import run_clock
 from rig.analysis.run_conditions import run_conditions
 from rig.analysis.settled import points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
@@ -114,6 +115,8 @@ def analyse_run(
     blocks: Iterable[Deflections],
     unit: DeflectionUnit,
     beam: BeamUse,
+    *,
+    replayed: bool = False,
 ) -> AnalysedRun:
     """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it.
 
@@ -121,7 +124,9 @@ def analyse_run(
     have passed.
     """
     deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
-    run = analyse_swings(reader.path, swings, config, deflections, surroundings)
+    clock = run_clock(reader, config, replayed=replayed)
+    u_clock = 0.0 if clock is None else clock.u_rate
+    run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.results.warnings, *doubts, *reader.doubts(), *doubts_of(surroundings)]
@@ -137,6 +142,7 @@ def analyse_run(
         inputs_sha256=inputs_sha256(reader),
         ended=None if end is None else end.text,
         surroundings=surroundings,
+        clock=clock,
     )
     return replace(run, results=results, lost_spots=deflections.lost_spots)
 
@@ -156,6 +162,7 @@ def with_dropped_frames(
         None if exact is None else exact.ground,
         results.half_cycles,
         results.beam,
+        results.clock,
     )
     return replace(run, results=replace(results, conditions=conditions))
 
@@ -166,10 +173,12 @@ def analyse_swings(
     config: Configuration,
     deflections: PassingDeflections,
     air: Surroundings,
+    u_clock: float = 0.0,
 ) -> AnalysedRun:
     """Reduce the half-cycles of one run, or of one decay of a table, as its kind of pendulum asks.
 
-    `path` is the file that they come from, `deflections` and `air` what it holds beside them.
+    `path` is the file that they come from, `deflections` and `air` what it holds beside them, `u_clock` what
+    the second of its times is uncertain by, relative.
     """
     unit = deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
@@ -204,7 +213,8 @@ def analyse_swings(
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
     )
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
-    rig, believed = rig_quantities(config, deflections.fast_ratio(), rest_rad), believed_drifts(config, air)
+    rig = rig_quantities(config, deflections.fast_ratio(), rest_rad, u_clock)
+    believed = believed_drifts(config, air)
     if rig is not None and not config.fit.drifts:
         rig = replace(rig, ageing=believed.ageing, period_drift=believed.period)
     if decay.fits and pendulum is not None:

@@ -21,6 +21,7 @@ from rig.analysis.contact_results import Adhesion, Fit, MonteCarlo, SurfaceEnerg
 from rig.analysis.encoding import Beside, Entries, JsonObject, Kept, Pendulum, Section
 from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
 from rig.analysis.law_results import ComparedLaws
+from rig.analysis.run_clock import RunClock
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.presentation import Verdict
@@ -46,6 +47,7 @@ class RunResults:
     is seen and the spot's radius calculated after Hertz.
     `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px of a record without a
     lever; those in arcsec are not determined then. `ended` is why the run ended, as its record says.
+    `clock` is the camera's against the computer's; None of frames made on demand, and in older files.
     `surroundings` are the air and the contact's history, which `conditions` judges beside light, losses and
     what else the record shows. What follows from a
     fit (`pendulum` to `notes`) is empty where there is none.
@@ -90,6 +92,7 @@ class RunResults:
     laws: ComparedLaws | None = None
     ended: str | None = None
     surroundings: Surroundings | None = None
+    clock: Annotated[RunClock | None, Kept] = None
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.

@@ -12,6 +12,7 @@ from acquisition.record.topics import ENVIRONMENT
 from processing.fit import Ground
 from processing.spot import SpotFlag
 from rig.analysis.beam import Beam
+from rig.analysis.run_clock import RunClock, clock_verdict
 from rig.presentation import Verdict
 from rig.settings import PreflightSettings
 
@@ -22,7 +23,6 @@ _MOST_LEFT_OUT = 0.2
 _STEPS = {
     EventKind.LASER_DARK: ("light", "the laser went dark", "see the events; interlock, controller, cable"),
     EventKind.REST_STEP: ("rest position", "it stepped", "find what touched the rig; measure again"),
-    EventKind.CAMERA_CLOCK: ("camera's clock", "it stepped, or times were wrong", "rig calibrate clock"),
     EventKind.PUSH: ("draught", "the swing was pushed", "shield the rig from air; keep away from it"),
     EventKind.LIGHT_STEP: ("ambient light", "it stepped", "keep the room dark; shield the sensor"),
 }
@@ -37,6 +37,7 @@ def run_conditions(
     ground: Ground | None = None,
     half_cycles: int = 0,
     beam: Beam | None = None,
+    clock: RunClock | None = None,
 ) -> tuple[Verdict, ...]:
     """One verdict for each condition; a record of a version that knew less has fewer events to go by.
 
@@ -55,6 +56,7 @@ def run_conditions(
         *([] if beam is None else [beam.verdict(limits.max_poor_fit_fraction)]),
         *([] if beam is None else [_saturation(beam, frames, limits.max_saturated_fraction)]),
         *_steps(reader.events()),
+        *([] if clock is None else [clock_verdict(clock)]),
         *_watching(reader.events()),
         *_temperature(reader),
         *_ground(ground, half_cycles),

@@ -5,10 +5,19 @@ from rig.devices.audit import AUDIT_NAME, Audited, check_log
 from rig.devices.camera_features import feature_lines
 from rig.devices.doctor import examine
 from rig.devices.frame_stream import FrameStream
-from rig.devices.host_clock import MOST_PPM, U_QUARTZ, kernel_clock, ntp_state, wrong_rate
+from rig.devices.host_clock import (
+    MOST_PPM,
+    U_FREE_RUNNING,
+    U_QUARTZ,
+    U_SYNCHRONISED,
+    kernel_clock,
+    ntp_state,
+    wrong_rate,
+)
 from rig.devices.laser import STAYS_LIT, WIRE_IT, goes_dark_by_itself, wait_for_command
 from rig.devices.latest_frames import watch_latest
 from rig.devices.leave import TypedLeave, ask_leave, at_terminal
 from rig.devices.light_watch import LightWatch
 from rig.devices.picture import PictureFigures, find_exposure
+from rig.devices.recorded_times import MendedTimes, mended_times
 from rig.devices.session_devices import Devices, OpenCamera

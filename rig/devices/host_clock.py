@@ -18,8 +18,10 @@ from acquisition.frame import Frame
 from calibration import ClockRelation
 from processing.errors import DeviceError
 
-_RATE_UNSYNCHRONISED = 50e-6
+U_FREE_RUNNING: Final = 50e-6
 """Relative standard uncertainty of a computer's free-running quartz oscillator."""
+U_SYNCHRONISED: Final = 1e-6
+"""Of one that follows a time server which states no better."""
 U_QUARTZ: Final = 0.7e-6
 """Of a quartz that follows the room, 1 ppm up and down in an hour: no record of minutes shows it."""
 _PATIENCE_S = 3.0
@@ -81,7 +83,7 @@ def ntp_state() -> HostClock:
         locked = fields.get("Leap status") == "Normal"
         # "0.012 ppm": chrony's estimate of the error of the rate
         skew = fields.get("Skew", "").split()
-        u_rate = float(skew[0]) * 1e-6 if locked and skew else _RATE_UNSYNCHRONISED
+        u_rate = float(skew[0]) * 1e-6 if locked and skew else U_FREE_RUNNING
         shown = ("Reference ID", "Stratum", "System time", "Frequency", "Skew", "Leap status")
         text = "chrony: " + "; ".join(f"{name} {fields[name]}" for name in shown if name in fields)
         return HostClock(locked, text, u_rate)
@@ -89,9 +91,9 @@ def ntp_state() -> HostClock:
     if answer:
         locked = answer == "yes"
         return HostClock(
-            locked, f"systemd: NTPSynchronized={answer}", 1e-6 if locked else _RATE_UNSYNCHRONISED
+            locked, f"systemd: NTPSynchronized={answer}", U_SYNCHRONISED if locked else U_FREE_RUNNING
         )
-    return HostClock(False, "neither chrony nor systemd answers", _RATE_UNSYNCHRONISED)
+    return HostClock(False, "neither chrony nor systemd answers", U_FREE_RUNNING)
 
 
 def _ask(*command: str) -> str:

@@ -93,6 +93,8 @@ def replay_record(
             if mode == "web" and not player.ended_by_user:
                 say("the page has all of it and stays until q or Ctrl-C; the results follow then")
                 _stay(keys)
+        for remark in replay.clock_remarks:
+            say(remark)
         result = replay.finish()
         partial = replay.partial or replay.sought or player.ended_by_user
         run = replace(_analysed(reader, config, result), watched=watched)
@@ -140,7 +142,9 @@ def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = 
 
 
 def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> AnalysedRun:
-    run = analyse_run(reader, config, result.swings, result.deflections, config.deflection_unit, result.beam)
+    run = analyse_run(
+        reader, config, result.swings, result.deflections, config.deflection_unit, result.beam, replayed=True
+    )
     return with_dropped_frames(run, result.dropped_frames, reader, config)
 
 

@@ -206,6 +206,15 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
         )
     jitter_us = relation.frame_jitter_s * 1e6
     ok = jitter_us <= limits.max_clock_jitter_us
+    if ok and not on_demand and 3.0 * relation.u_drift_ppm > MOST_PPM:
+        return Verdict(
+            "clock",
+            True,
+            "unknown: these frames came too irregularly, or too few of them, to tell the clock's rate",
+            measured=f"jitter {jitter_us:.1f} us, rate unknown ({rate})",
+            limit=limit,
+            made=False,
+        )
     return Verdict(
         "clock",
         ok,

@@ -207,6 +207,22 @@ def test_a_clock_that_counts_in_another_unit_is_no_go(faster: float) -> None:
     assert "ppm" not in made.measured
 
 
+def test_a_clock_whose_rate_cannot_be_judged_is_unknown_and_not_go() -> None:
+    """Frames that a busy computer read all at once, or seconds late."""
+    rng = np.random.default_rng(3)
+    late_ns = np.cumsum(np.rint(2e8 * rng.standard_normal(60) ** 2).astype(np.int64)) // 2
+    late = [
+        frame._replace(host_time_ns=frame.host_time_ns + int(ns))
+        for frame, ns in zip(frames(60), late_ns, strict=True)
+    ]
+    verdict = frame_checks.clock(late, LIMITS)
+    assert verdict.ok
+    assert not verdict.made
+    assert "rate unknown" in verdict.measured
+    assert verdict.reason.startswith("unknown: ")
+    assert "go" not in verdict.said.split(",")[0]
+
+
 def test_frame_rate_and_losses() -> None:
     assert_go(frame_checks.frame_rate(frames(500), 100.0, LIMITS))
     slow = frame_checks.frame_rate(frames(500, 80.0), 100.0, LIMITS)
