@@ -1,0 +1,55 @@
+"""A live run whose camera's clock errs in every way at once comes to its end, and says what was done."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.record.events import EventKind
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import CAMERA_STEP, RecordedClockStep
+from rig.analysis import analyse_record
+from rig.measure import measure_session
+from rig.settings import load_configuration
+from tests.rig.command_line import CONFIGS, SMALL
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+
+
+def test_wrong_times_steps_and_a_short_counter_cost_one_frame(tmp_path: Path) -> None:
+    words = {
+        **SMALL,
+        "simulation.real_time": "true",
+        "session.max_duration_s": "18",
+        "preflight.when": '"never"',
+        "faults.clock_zero_at_s": "6",
+        "faults.clock_steps_at_s": "11",
+        "faults.clock_bits": "32",
+    }
+    config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in words.items()])
+    measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
+    record = tmp_path / "out" / "run-1.mcap"
+    with RecordReader(record) as reader:
+        events, losses, spots = reader.events(), reader.losses(), reader.spots()
+        steps = reader.values(CAMERA_STEP.topic, RecordedClockStep)
+    assert "time limit" in events[-1].text
+    said = [event.text for event in events if event.kind == EventKind.CAMERA_CLOCK]
+    assert any("the camera's time 0 ns is" in text for text in said)
+    assert any("stepped by +0.13" in text for text in said)
+    assert any("begins again every 4.295 s" in text for text in said)
+    assert losses is not None
+    assert losses.wrong_time == 1
+    times_s = spots["time_ns"] * 1e-9
+    assert np.diff(times_s).min() > 0
+    # what is left of the steps is less than a hundredth of a frame time
+    line = np.polyval(np.polyfit(spots["sequence"], times_s, 1), spots["sequence"])
+    assert np.abs(times_s - line).max() < 3e-4
+    sizes = sorted(step.step_ns for step in steps)
+    assert sizes[:-1] == [-(2**32)] * (len(sizes) - 1)
+    assert abs(sizes[-1] - 130_000_000) < 200_000
+    results = analyse_record(record).results
+    assert results.clock is not None
+    assert (results.clock.steps, results.clock.left_in) == (len(steps), 0)
+    verdict = next(one for one in results.conditions if one.name == "camera's clock")
+    assert verdict.ok
+    assert "taken off" in verdict.reason
