@@ -80,8 +80,8 @@ class FrameLine:
         if middle_ns >= 0:
             passed_ns = middle_ns - last.device_time_ns
             # a clock that began again is behind, or anywhere where another one sets it
-            ahead = self._in_real_time and passed_ns > by_host_ns + _CLOCK_STEP_NS
-            if ahead or passed_ns < by_host_ns - _CLOCK_STEP_NS or passed_ns <= 0:
+            differs = self._in_real_time and abs(passed_ns - by_host_ns) > _CLOCK_STEP_NS
+            if differs or passed_ns <= 0:
                 self._continued_ns, passed_ns = by_host_ns - passed_ns, by_host_ns
                 self._step = ClockStep(-self._continued_ns, _U_BY_HOST_NS)
                 shifted = f"; its clock began again, {self._continued_ns} ns are added to its times"

@@ -26,7 +26,8 @@ _log = logging.getLogger(__name__)
 
 
 class FilesCamera:
-    """A `Camera` that plays recorded frames from the first to the last; each `start` begins at the first.
+    """A `Camera` that plays recorded frames from the first to the last; each `start` begins at the first,
+    or, after the loss of the disk or share that they lie on, where it was; their numbers then go on.
 
     A frame that cannot be read is skipped, counted in ``status.incomplete``, logged, and leaves a gap in the
     sequence. Frames may have different sizes. The timestamps serve as the camera's clock. Exposure, gain and
@@ -42,9 +43,11 @@ class FilesCamera:
         self._stopped: threading.Event | None = None
         self._lock = threading.Lock()
         self._next = 0
+        self._was_lost = False
         self._delivered = 0
         self._incomplete = 0
         self._dropped_earlier = 0
+        self._reconnects = 0
         self._dtype: np.dtype[Any] | None = None
         self._first_label = ""
 
@@ -104,8 +107,11 @@ class FilesCamera:
         info = self._must_be_open()
         if self._stopped is not None and not self._stopped.is_set():
             raise DeviceError(f"{info.serial}: is running already; stop it first")
-        self._next = 0
-        self._delivered = self._incomplete = self._dropped_earlier = 0
+        if self._was_lost:
+            self._reconnects += 1
+        else:
+            self._next = self._delivered = self._incomplete = self._dropped_earlier = self._reconnects = 0
+        self._was_lost = False
         self._stopped = threading.Event()
 
     def read(self, timeout_s: float) -> Frame | None:
@@ -134,6 +140,7 @@ class FilesCamera:
                     _log.warning("%s: skipped: %s", source.label(index), error)
                     continue
                 except OSError as error:
+                    self._next, self._was_lost = index, True
                     raise CameraLost(
                         f"{self._settings.path}: is no longer available: {error.strerror}"
                     ) from None
@@ -163,6 +170,7 @@ class FilesCamera:
             delivered=self._delivered,
             dropped_by_camera=self._dropped_earlier,
             incomplete=self._incomplete,
+            reconnects=self._reconnects,
         )
 
     def _must_be_open(self) -> CameraInfo:

@@ -7,14 +7,21 @@ in test_frame_stream.py.
 import struct
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
-from acquisition.camera import CameraLost, CameraSettings, FrameTimeout
+from acquisition.camera import CameraInfo, CameraLost, CameraSettings, FrameTimeout
+from acquisition.cameras.files.camera import FilesCamera
+from acquisition.cameras.files.settings import FilesSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.frame import Frame
+from acquisition.frame_losses import FrameLosses
 from processing.errors import DeviceError
 from rig.devices.frame_stream import FrameStream
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
@@ -164,3 +171,93 @@ def test_one_that_does_not_come_back_is_named() -> None:
     run.close()
     assert isinstance(run.stream.failure, DeviceError)
     assert "plug it in again; it was not to be opened again within 1 s" in str(run.stream.failure)
+
+
+def test_frames_of_a_share_that_was_gone_go_on_where_they_were(tmp_path: Path) -> None:
+    share = tmp_path / "share"
+    share.mkdir()
+    count = 200
+    for number in range(count):
+        assert cv2.imwrite(str(share / f"{number:04}.png"), np.full((8, 8), number, np.uint8))
+    camera = FilesCamera(FilesSettings(path=share, frame_rate_hz=50.0))
+    camera.open()
+    camera.configure(CameraSettings())
+    stream = FrameStream(camera, CameraSettings(), policy="wait")
+    stream.start_camera()
+    assert stream.begin() is not None
+    frames, kinds = [], []
+    gone = tmp_path / "gone"
+    deadline_s = time.monotonic() + WITHIN_S
+    while not stream.drained:
+        assert time.monotonic() < deadline_s, (kinds, stream.ended)
+        frames += stream.take(8, 0.1)
+        kinds += [kind for kind, _ in stream.take_events()]
+        if len(frames) > 40 and not kinds and not gone.exists():
+            share.rename(gone)
+        if "camera lost" in kinds and gone.exists():
+            gone.rename(share)
+    kinds += [kind for kind, _ in stream.take_events()]
+    stream.close()
+    assert stream.failure is None
+    assert kinds == ["camera lost", "camera back"]
+    assert [frame.sequence for frame in frames] == list(range(count))
+    assert [int(frame.image[0, 0]) for frame in frames] == list(range(count))
+    assert {later - earlier for earlier, later in pairwise(frame.device_time_ns for frame in frames)} == {
+        20_000_000
+    }
+    assert stream.losses == FrameLosses()
+
+
+def test_an_emulated_camera_of_pylon_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The emulation has no cable: what stands for it refuses to read and to open meanwhile."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        pytest.importorskip("pypylon.pylon", reason="pypylon is not installed (optional extra 'pylon')")
+    from acquisition.cameras.pylon.camera import PylonCamera
+
+    monkeypatch.setenv("PYLON_CAMEMU", "1")
+
+    class Pulled(PylonCamera):
+        is_pulled = False
+
+        def open(self) -> CameraInfo:
+            if self.is_pulled:
+                raise DeviceError("pylon camera: there is none")
+            return super().open()
+
+        def read(self, timeout_s: float) -> Frame | None:
+            if self.is_pulled:
+                self._was_lost = True
+                raise CameraLost("pylon camera: is no longer connected; plug it in again")
+            return super().read(timeout_s)
+
+    camera = Pulled()
+    asked = CameraSettings(width_px=64, height_px=48, frame_rate_hz=100.0)
+    camera.open()
+    camera.configure(asked)
+    stream = FrameStream(camera, asked)
+    stream.start_camera()
+    assert stream.begin() is not None
+    frames: list[Frame] = []
+    kinds: list[str] = []
+
+    def until(reached: Callable[[], bool]) -> None:
+        deadline_s = time.monotonic() + WITHIN_S
+        while not reached():
+            assert time.monotonic() < deadline_s, (kinds, stream.ended)
+            frames.extend(stream.take(64, 0.1))
+            kinds.extend(kind for kind, _ in stream.take_events())
+
+    until(lambda: len(frames) > 20)
+    camera.is_pulled = True
+    until(lambda: "camera lost" in kinds)
+    before = len(frames)
+    camera.is_pulled = False
+    until(lambda: "camera back" in kinds and len(frames) > before + 20)
+    stream.close()
+    camera.close()
+    assert stream.failure is None
+    numbers = [frame.sequence for frame in frames]
+    assert numbers == sorted(set(numbers))
+    assert camera.status.reconnects == 1
+    assert numbers[-1] + 1 - len(numbers) == stream.losses.total
