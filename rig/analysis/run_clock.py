@@ -23,6 +23,7 @@ _U_UNKNOWN = 100e-6 / math.sqrt(3.0)
 """Of a quartz within its usual tolerance, 100 ppm, whose rate nothing shows."""
 _MOST_STEP_S = 1e-3
 """Turning points are timed to some 0.1 ms: a step that is known less well is seen in them."""
+_LIMIT = f"steps known to {_MOST_STEP_S:g} s"
 _FIELDS = ("sequence", "device_time_ns", "host_time_ns")
 
 
@@ -51,7 +52,9 @@ class RunClock:
         """The clock in one line."""
         known = math.isfinite(self.drift_ppm)
         rate = f"{self.drift_ppm:+.2f} ± {self.u_drift_ppm:.2f} ppm" if known else "rate unknown"
-        stepped = f", {self.steps} steps, the largest {self.largest_step_s:+.4g} s" if self.steps else ""
+        stepped = (
+            f", stepped {self.steps} times, by at most {self.largest_step_s:+.4g} s" if self.steps else ""
+        )
         return f"{rate}, second within {1e6 * self.u_rate:.2g} ppm{stepped}"
 
 
@@ -116,10 +119,12 @@ def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float)
 def clock_verdict(clock: RunClock) -> Verdict:
     """Steps that were taken off are a warning while they are known to a part of what turning points are."""
     if clock.left_in:
-        reason = f"{clock.left_in} steps are in its times"
-        return Verdict("camera's clock", False, reason, "rig replay takes them off", measured=clock.text)
+        reason = f"it stepped {clock.left_in} times, and its times hold that"
+        remedy = "rig replay takes it off"
+        return Verdict("camera's clock", False, reason, remedy, measured=clock.text, limit=_LIMIT)
     if not clock.steps:
-        return Verdict("camera's clock", True, measured=clock.text)
-    known = f"its steps were taken off, known to {clock.u_steps_s:.1g} s"
+        return Verdict("camera's clock", True, measured=clock.text, limit=_LIMIT)
+    known = f"it was taken off its times, known to {clock.u_steps_s:.1g} s"
     remedy = "network clock, supply, cable of the camera; rig calibrate clock"
-    return Verdict("camera's clock", clock.u_steps_s <= _MOST_STEP_S, known, remedy, measured=clock.text)
+    ok = clock.u_steps_s <= _MOST_STEP_S
+    return Verdict("camera's clock", ok, known, remedy, measured=clock.text, limit=_LIMIT)

@@ -228,7 +228,8 @@ class FrameStream:
             if note:
                 self._events.append((EventKind.CAMERA_BACK, note))
             for known in (step, self._line.take_step()):
-                if known is not None:
+                # a counter's new round is known exactly, and no step of the clock
+                if known is not None and known.u_ns:
                     self._steps.append(RecordedClockStep(frame.time_ns, known.step_ns, known.u_ns))
             step = None
             joined.append(frame)

@@ -44,12 +44,11 @@ def test_wrong_times_steps_and_a_short_counter_cost_one_frame(tmp_path: Path) ->
     # what is left of the steps is less than a hundredth of a frame time
     line = np.polyval(np.polyfit(spots["sequence"], times_s, 1), spots["sequence"])
     assert np.abs(times_s - line).max() < 3e-4
-    sizes = sorted(step.step_ns for step in steps)
-    assert sizes[:-1] == [-(2**32)] * (len(sizes) - 1)
-    assert abs(sizes[-1] - 130_000_000) < 200_000
+    assert len(steps) == 1
+    assert abs(steps[0].step_ns - 130_000_000) < 200_000
     results = analyse_record(record).results
     assert results.clock is not None
-    assert (results.clock.steps, results.clock.left_in) == (len(steps), 0)
+    assert (results.clock.steps, results.clock.left_in) == (1, 0)
     verdict = next(one for one in results.conditions if one.name == "camera's clock")
     assert verdict.ok
-    assert "taken off" in verdict.reason
+    assert verdict.reason.startswith("it was taken off its times")

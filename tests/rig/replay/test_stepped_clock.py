@@ -1,15 +1,21 @@
 """A record whose camera's clock stepped, as earlier versions wrote them, is mended by its replay."""
 
+import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.frame import Frame
-from rig.analysis import AnalysedRun, analyse_record
+from acquisition.record.reader import RecordReader
+from rig.analysis.contact_verdicts import rig_quantities
+from rig.analysis.run_clock import RunClock, clock_verdict, run_clock
+from rig.instrument import recorded_configuration
 from rig.measure import simulate_record
-from rig.replay.record_replay import analyse_replayed
+from rig.replay.replay import Replay
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, SMALL
 
@@ -42,29 +48,65 @@ def recorded(folder: Path, step_ns: int, monkeypatch: pytest.MonkeyPatch) -> Pat
     return record
 
 
-def of_clock(run: AnalysedRun) -> tuple[int, int, bool]:
-    clock = run.results.clock
-    assert clock is not None
-    verdict = next(one for one in run.results.conditions if one.name == "camera's clock")
-    return clock.steps, clock.left_in, verdict.ok
+class Judged(NamedTuple):
+    """The clock of a record, and the times of its turning points in a replay."""
+
+    fitted: RunClock
+    replayed: RunClock
+    turns_s: NDArray[np.float64]
+    remarks: tuple[str, ...]
+
+
+def judged(record: Path) -> Judged:
+    with RecordReader(record) as reader:
+        config = recorded_configuration(reader, LIVE)
+        fitted, replayed = (run_clock(reader, config, replayed=mended) for mended in (False, True))
+        assert fitted is not None
+        assert replayed is not None
+        replay = Replay(reader, config, retrack=False)
+        while replay.advance(math.inf, 1000) is not None:
+            pass
+        swings = replay.finish().swings
+    times_ns = np.array([swing.turn_time_ns for swing in swings])
+    return Judged(fitted, replayed, (times_ns - times_ns[0]) * 1e-9, replay.clock_remarks)
 
 
 def test_a_recorded_step_is_named_by_the_fit_and_taken_off_by_the_replay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = recorded(tmp_path / "whole", 0, monkeypatch)
-    stepped = recorded(tmp_path / "stepped", STEP_NS, monkeypatch)
-    assert of_clock(analyse_record(whole, LIVE)) == (0, 0, True)
-    assert of_clock(analyse_record(stepped, LIVE)) == (0, 1, False)
+    whole = judged(recorded(tmp_path / "whole", 0, monkeypatch))
+    stepped = judged(recorded(tmp_path / "stepped", STEP_NS, monkeypatch))
+    assert (whole.fitted.steps, whole.fitted.left_in, whole.remarks) == (0, 0, ())
+    assert clock_verdict(whole.fitted).ok
+    assert (stepped.fitted.steps, stepped.fitted.left_in) == (0, 1)
+    assert not clock_verdict(stepped.fitted).ok
+    assert "rig replay takes it off" in clock_verdict(stepped.fitted).line
+    assert (stepped.replayed.steps, stepped.replayed.left_in) == (1, 0)
+    assert clock_verdict(stepped.replayed).ok
+    assert stepped.replayed.largest_step_s == pytest.approx(STEP_NS * 1e-9, abs=5e-5)
+    assert stepped.replayed.u_steps_s < 1e-4
+    assert len(stepped.remarks) == 1
+    assert "stepped by +0.13 s" in stepped.remarks[0]
+    assert "at 30." in stepped.remarks[0]
+    assert len(stepped.turns_s) == len(whole.turns_s) > 20
+    np.testing.assert_allclose(stepped.turns_s, whole.turns_s, rtol=0, atol=1e-4)
 
-    expected = analyse_replayed(whole, retrack=False, overrides=LIVE)
-    mended = analyse_replayed(stepped, retrack=False, overrides=LIVE)
-    assert of_clock(mended) == (1, 0, True)
-    assert mended.results.clock is not None
-    assert mended.results.clock.largest_step_s == pytest.approx(STEP_NS * 1e-9, abs=5e-5)
-    assert mended.results.clock.u_steps_s < 1e-4
-    assert len(mended.points) == len(expected.points) > 20
-    np.testing.assert_allclose(mended.points.time_s, expected.points.time_s, rtol=0, atol=1e-4)
-    # an assumed rate is a line of the budget
-    lines = mended.results.budget["period0_s"].sources if "period0_s" in mended.results.budget else ()
-    assert not lines or any("clock" in line.source for line in lines)
+
+def test_an_assumed_rate_is_as_uncertain_as_its_clocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = recorded(tmp_path / "run", 0, monkeypatch)
+    with RecordReader(record) as reader:
+        calibrated = [*LIVE, "timebase.camera_rate=1.0", "timebase.u_camera_rate=2e-6"]
+        contradicted = [*LIVE, "timebase.camera_rate=1.001", "timebase.u_camera_rate=2e-6"]
+        u_assumed, u_calibrated, u_contradicted = (
+            clock.u_rate
+            for words in (LIVE, calibrated, contradicted)
+            if (clock := run_clock(reader, recorded_configuration(reader, words))) is not None
+        )
+        assert run_clock(reader, recorded_configuration(reader)) is None
+        assert rig_quantities(recorded_configuration(reader, LIVE), u_clock=u_assumed).clock.u == u_assumed
+    # of a computer that follows no time server
+    assert u_assumed == pytest.approx(50e-6, rel=0.1)
+    assert u_calibrated == pytest.approx(2e-6, rel=0.01)
+    assert u_contradicted == pytest.approx(1e-3, rel=0.1)
