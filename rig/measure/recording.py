@@ -9,6 +9,7 @@ import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
+from acquisition.record.topics import ClockAnchor
 from processing.errors import DeviceError
 from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.swing import Swing
@@ -26,6 +27,8 @@ from rig.posterior import Posterior
 
 _LOST_IMAGE_INTERVAL_S = 1.0
 _LIVE_FIT = "the live fit"
+_ANCHORS = "the reading of the computer's clocks"
+_TEMPERATURE = "the camera's temperature"
 
 
 class FrameCounts:
@@ -207,7 +210,10 @@ class Recording:
             if parts.posterior is not None:
                 self._wall.past(_LIVE_FIT, None, parts.posterior.take, block.swings, block.deflections)
             entry = counts.entry(frames, block, pipeline)
-            clock, clock_steps = (None, []) if anchors is None else anchors.take(counts.last_ns)
+            nothing: tuple[ClockAnchor | None, list[Event]] = (None, [])
+            clock, clock_steps = nothing
+            if anchors is not None:
+                clock, clock_steps = self._wall.past(_ANCHORS, nothing, anchors.take, counts.last_ns)
             stepped: list[Event] = self._wall.past("the watch for steps", [], steps.take, block)
             new = [*entry.events, *stepped, *clock_steps, *self._device_events(counts.last_ns)]
             self._recorder.put(
@@ -217,7 +223,9 @@ class Recording:
                     environment=status.environment(counts.last_ns),
                     losses=self._losses.due(counts.last_ns),
                     clock=clock,
-                    temperature=None if temperature is None else temperature.take(counts.last_ns),
+                    temperature=None
+                    if temperature is None
+                    else self._wall.past(_TEMPERATURE, None, temperature.take, counts.last_ns),
                     camera_steps=[one for one in stream.take_clock_steps() if one.time_ns > counts.start_ns],
                 )
             )
@@ -255,7 +263,7 @@ class Recording:
         last = [*self._device_events(counts.last_ns), *early, end_event]
         features = {}
         if parts.camera is not None and temperature is not None:
-            temperature.close()
+            self._wall.past(_TEMPERATURE, None, temperature.close)
             features = {
                 "camera-features-end.json": self._wall.past(
                     "the reading of the camera's features", b"", features_json, parts.camera
@@ -285,7 +293,10 @@ class Recording:
 
     @property
     def _known(self) -> Posterior:
-        return Posterior() if self._parts.posterior is None else self._parts.posterior.latest
+        posterior = self._parts.posterior
+        if posterior is None:
+            return Posterior()
+        return self._wall.past(_LIVE_FIT, Posterior(), lambda: posterior.latest)
 
     def _device_events(self, time_ns: int) -> list[Event]:
         """Events of camera, disk, controller, laser and sensors since the last call."""
@@ -293,7 +304,8 @@ class Recording:
         for paused_s in self._recorder.take_pauses():
             text = f"did not answer for {paused_s:.1f} s; frames waited in memory meanwhile"
             happened.append((EventKind.SLOW_DISK, text))
-        if self._parts.posterior is not None and (remark := self._parts.posterior.take_remark()):
+        posterior = self._parts.posterior
+        if posterior is not None and (remark := self._wall.past(_LIVE_FIT, "", posterior.take_remark)):
             happened.append((EventKind.POSTERIOR, remark))
         return [Event(time_ns, kind, text) for kind, text in happened]
 
