@@ -21,10 +21,14 @@ from processing.estimate import WELL_DETERMINED, Determinacy
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
-from processing.least_squares import solve
+from processing.least_squares import Solution, solve
 from processing.quantity import OF, Quantity
 from processing.swing import TurningPoints
 
+_SURELY_PARABOLIC = 0.01
+"""Relative standard uncertainty up to which chi2 is taken as a parabola, without a look at its profile."""
+_ALIKE = 0.15
+"""Part of a half-width by which the ends of both intervals may differ where value and uncertainty stand."""
 _NAMED = Quantity("", "", unit=OF + "name")
 
 STRONG_CORRELATION = 0.99
@@ -187,12 +191,12 @@ def profile_likelihood(
         for _ in range(15):
             start = held.follow(at(sign * low), free, at(sign * z))
             start = np.clip(start, low_end + 1e-9, high_end - 1e-9)
-            if not np.all(np.isfinite(held.at(at(sign * z))(start)[0])):
+            solution = _refitted(refitted, held.at(at(sign * z)), start)
+            if solution is None:
                 z = 0.5 * (low + z)
                 if z - low < 1e-6 * z:
                     return float("nan")
                 continue
-            solution = refitted(held.at(at(sign * z)), start, max_evaluations=40)
             root = float(np.sqrt(max(2 * (solution.cost - lowest_cost), 0.0) / scale))
             trace.append((at(sign * z), root**2))
             if abs(root - target) < 0.01 * target:
@@ -223,6 +227,18 @@ def profile_likelihood(
     return Profile(lower, upper, np.array(trace))
 
 
+def _refitted(
+    refit: Callable[..., Solution], model: Callable[[Floats], tuple[Floats, Floats]], start: Floats
+) -> Solution | None:
+    """The other parameters fitted again; None where the law has no value to begin with."""
+    if not np.all(np.isfinite(model(start)[0])):
+        return None
+    try:
+        return refit(model, start, max_evaluations=40)
+    except DataError:
+        return None
+
+
 def identifiability(
     points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult
 ) -> tuple[Determination, ...]:
@@ -235,11 +251,16 @@ def _determination(
 ) -> Determination:
     value, u = result.estimate(name)
     verdict = Determinacy.INTERVAL
-    if u <= WELL_DETERMINED * abs(value):
-        verdict = Determinacy.DETERMINED
-        lower, upper = result.interval(name)
-    else:
+    lower, upper = result.interval(name)
+    by_profile = not u <= _SURELY_PARABOLIC * abs(value)
+    if by_profile:
         found = profile_likelihood(points, pendulum, result, name)
+        limits, half = np.array([found.lower, found.upper]), 0.5 * (upper - lower)
+        if u <= WELL_DETERMINED * abs(value) and np.all(np.abs(limits - (lower, upper)) < _ALIKE * half):
+            by_profile = False
+    if not by_profile:
+        verdict = Determinacy.DETERMINED
+    else:
         lower, upper = found.lower, found.upper
         not_negative = result.law.parameter(name).lower == 0
         if np.isnan(lower) and np.isnan(upper):
@@ -263,7 +284,7 @@ def _determination(
         standard_uncertainty=u,
         lower_95=lower,
         upper_95=upper,
-        profile_likelihood=verdict is not Determinacy.DETERMINED,
+        profile_likelihood=by_profile,
         text=texts[verdict],
     )
 

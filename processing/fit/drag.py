@@ -2,14 +2,17 @@
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from math import inf, nan
+from math import inf, isnan, nan, sqrt
+from typing import NamedTuple
 
+import numpy as np
 from scipy.special import fdtrc, stdtrit
 
 from processing.contact import ExpectedDrag, PendulumOnBall
 from processing.contact.laws import DRAG
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
+from processing.fit.determination import profile_likelihood
 from processing.fit.exact import fit_exact, fit_exact_with
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
@@ -17,8 +20,10 @@ from processing.swing import TurningPoints
 
 SIGNIFICANT = 0.003
 """Significance level of the test: the two-sided probability of three standard deviations."""
-_LEAST = 1e-3
-"""Information of the data over that of what is known, below which the data say nothing."""
+_ALIKE = 0.2
+"""Difference of two tests of the drag, by curvature and by likelihood, above which chi2 is no parabola."""
+_TWO_SIDED = 0.90
+"""Coverage of an interval whose upper end is a bound of 95 %."""
 
 
 class DragFinding(StrEnum):
@@ -41,13 +46,14 @@ class Drag:
     drag_s
         As the reported fit has it, with what is known of it; of a fit in vacuum, what the data say.
     of_data_s
-        What decay and waveform say alone; not determined where they say nothing.
+        What decay and waveform say alone, with an uncertainty that agrees with the test where chi2 is no
+        parabola: infinite where the decay is as well described without a drag.
     known_s
         What was known of it otherwise: the air's estimate, or a measured value; None where it was left open.
     upper_95_s
         Bound of 95 % by the data alone; infinite where they set none.
     f_statistic, p_value
-        Square of `of_data_s` over its uncertainty, and its probability if there is no drag.
+        Rise of chi2 where the drag is left out, over the scatter, and its probability if there is no drag.
     relative_shift_b, relative_shift_c
         Relative change of b and c from a fit without drag to one with it.
     of_air
@@ -87,46 +93,86 @@ def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fi
     """
     if fit.method is not FitMethod.EXACT:
         raise DataError("the drag verdict is of an exact fit")
+    of_waveform, known_s = replace(fit.evidence, drag_s=None), fit.evidence.drag_s
     if fit.has_drag:
-        with_drag, without = fit, fit_exact_with(points, pendulum, fit, drag=False)
+        like = replace(fit, evidence=of_waveform)
+        alone = fit if known_s is None else fit_exact_with(points, pendulum, like, drag=True)
+        before, after = fit_exact_with(points, pendulum, like, drag=False), fit
     else:
-        of_waveform = replace(fit.evidence, drag_s=None)
-        with_drag = fit_exact(points, pendulum, drag=True, evidence=of_waveform, loss=fit.loss, near=fit)
-        without = fit
-    drag_s, known_s = with_drag.estimate(DRAG.key), with_drag.evidence.drag_s
-    of_data = _without(drag_s, known_s)
-    value, u = of_data
-    f_statistic = (value / u) ** 2 if u < inf else 0.0
-    p_value = float(fdtrc(1, with_drag.dof, f_statistic))
-    upper_95 = max(0.0, value) + float(stdtrit(with_drag.dof, 0.95)) * u if u < inf else inf
-    before, after = without.parameters, with_drag.parameters
+        # the noise of a fit in vacuum may be what it lacks
+        alone = fit_exact(points, pendulum, drag=True, evidence=of_waveform, loss=fit.loss, near=fit)
+        before, after, like = fit, alone, alone
+    without = before if fit.has_drag else fit_exact_with(points, pendulum, like, drag=False)
+    test = _test(points, pendulum, _as_wide(alone, fit), without)
+    after_s = after.estimate(DRAG.key)
     return Drag(
-        drag_s=drag_s,
-        of_data_s=of_data,
-        known_s=known_s,
-        upper_95_s=upper_95,
-        f_statistic=f_statistic,
-        p_value=p_value,
-        relative_shift_b=after.b / before.b - 1 if before.b else nan,
-        relative_shift_c=after.c / before.c - 1 if before.c else nan,
-        finding=_finding(with_drag, value, p_value, upper_95),
+        drag_s=test.of_data_s if after.evidence.drag_s is None else after_s,
+        of_data_s=test.of_data_s,
+        known_s=known_s if fit.has_drag else None,
+        upper_95_s=test.upper_95_s,
+        f_statistic=test.f_statistic,
+        p_value=test.p_value,
+        relative_shift_b=_shift(before.parameters.b, after.parameters.b),
+        relative_shift_c=_shift(before.parameters.c, after.parameters.c),
+        finding=_finding(alone, fit, test),
     )
 
 
-def _without(both: Estimate, known: Estimate | None) -> Estimate:
-    """What the data say alone, of an estimate in which something was known beside them."""
-    if known is None:
-        return both
-    weight, of_known = both.standard_uncertainty**-2, known.standard_uncertainty**-2
-    own = weight - of_known
-    if not own > _LEAST * of_known:
-        return Estimate(nan, inf)
-    return Estimate((weight * both.value - of_known * known.value) / own, own**-0.5)
+class _Test(NamedTuple):
+    """What the data alone say: value and uncertainty, a bound, and the test against no drag."""
+
+    of_data_s: Estimate
+    upper_95_s: float
+    f_statistic: float
+    p_value: float
+    parabolic: bool
 
 
-def _finding(fit: FitResult, value: float, p_value: float, upper_95: float) -> DragFinding:
-    if p_value < SIGNIFICANT:
-        return DragFinding.SEEN if value > 0 else DragFinding.NEGATIVE
+def _test(
+    points: TurningPoints, pendulum: PendulumOnBall | None, alone: FitResult, without: FitResult
+) -> _Test:
+    """The test by the rise of chi2 where the drag is left out, and an uncertainty that agrees with it.
+
+    Friction and drag can cancel each other along a curved valley, where the curvature at its bottom says
+    little of its length. There the bound is the profile likelihood's.
+    """
+    value, u = alone.estimate(DRAG.key)
+    scale = max(1.0, alone.chi2_per_dof) if alone.loss == "linear" else 1.0
+    if alone.widened is not None:
+        scale *= float(alone.widened[alone.names.index(DRAG.key)]) ** 2
+    f_statistic = max(0.0, 2 * (without.cost - alone.cost)) / scale
+    p_value = float(fdtrc(1, alone.dof, f_statistic))
+    upper_95 = max(0.0, value) + float(stdtrit(alone.dof, 0.95)) * u if u < inf else inf
+    by_curvature = abs(value) / u if u > 0 else inf
+    parabolic = abs(sqrt(f_statistic) - by_curvature) <= _ALIKE * max(1.0, by_curvature)
+    if not parabolic:
+        u = max(u, abs(value) / sqrt(f_statistic)) if f_statistic > 0 else inf
+        found = profile_likelihood(points, pendulum, alone, DRAG.key, coverage=_TWO_SIDED)
+        upper_95 = inf if isnan(found.upper) else found.upper
+    return _Test(Estimate(value, u), upper_95, f_statistic, p_value, parabolic)
+
+
+def _as_wide(alone: FitResult, fit: FitResult) -> FitResult:
+    """The fit of the data alone with what widened the uncertainties of the one that is reported."""
+    if alone is fit or fit.widened is None or len(fit.widened) != len(alone.names):
+        return alone
+    widened = fit.widened if alone.widened is None else np.maximum(fit.widened, alone.widened)
+    before = np.ones_like(widened) if alone.widened is None else alone.widened
+    more = np.outer(widened / before, widened / before)
+    return replace(alone, widened=widened, covariance=alone.covariance * more)
+
+
+def _shift(before: float, after: float) -> float:
+    return after / before - 1 if before else nan
+
+
+def _finding(alone: FitResult, reported: FitResult, test: _Test) -> DragFinding:
+    """Judged by the u of b that is reported, which in vacuum is that of a fit without a drag."""
+    if test.p_value < SIGNIFICANT:
+        return DragFinding.SEEN if test.of_data_s.value > 0 else DragFinding.NEGATIVE
+    fit = reported if reported.has_drag else alone
     b, drag = fit.names.index(fit.contact_names[0]), fit.names.index(DRAG.key)
-    moved = upper_95 * abs(fit.covariance[b, drag] / fit.covariance[drag, drag])
-    return DragFinding.UNSEEN if moved < fit.standard_uncertainty[b] else DragFinding.OPEN
+    moved = test.upper_95_s * abs(fit.covariance[b, drag] / fit.covariance[drag, drag])
+    u_b = reported.estimate(reported.contact_names[0]).standard_uncertainty
+    # along a curved valley b moves by more than the slope at its bottom says
+    return DragFinding.UNSEEN if test.parabolic and moved < u_b else DragFinding.OPEN

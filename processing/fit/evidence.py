@@ -19,6 +19,8 @@ from processing.contact import DRAG, Law, PendulumOnBall, law_harmonics
 from processing.estimate import Estimate
 from processing.swing import ORDERS, SwingHarmonics
 
+WAVEFORM, AIR = "waveform", "air"
+"""Names of what restrains a fit beside the turning points."""
 _ODD = [ORDERS.index(order) for order in (3, 5, 7, 9)]
 _NODE = 1.6
 """Ratio of neighbouring amplitudes at which the harmonics are kept; between them they are interpolated."""

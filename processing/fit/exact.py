@@ -8,7 +8,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.contact import PendulumOnBall
-from processing.contact.laws import DEFAULT_LAW, Law
+from processing.contact.laws import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, Law
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.checks import (
@@ -21,7 +21,7 @@ from processing.fit.checks import (
     of_limits,
     of_uncertainties,
 )
-from processing.fit.evidence import NO_EVIDENCE, Evidence
+from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import AT_REST, GROUND_SEEN, GroundFit, Noise, density_of_step
 from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
@@ -282,6 +282,11 @@ def _result(
         white = replace(white, widened=float(factor.max()))
         widened *= factor
     covariance = covariance * np.outer(widened, widened)
+    by_air = _by_air(model, solution)
+    if by_air is not None:
+        by_air = (
+            widened * (to_physical @ by_air) * (max(1.0, chi2_per_dof) ** 0.5 if loss == "linear" else 1.0)
+        )
 
     count = len(points)
     normalised = np.abs(of_points)
@@ -318,7 +323,41 @@ def _result(
         widened=widened,
         whiteness=white,
         evidence=model.evidence,
+        by_air=by_air,
+        worth=_worth(model, solution, to_physical),
     )
+
+
+def _rows_beside(model: ExactModel) -> dict[str, slice]:
+    """Rows of the residuals in which each part of the evidence stands."""
+    first, count = 2 * len(model.points), len(model.beside(np.zeros(len(model.names)))[0])
+    last = first + count - (model.evidence.drag_s is not None and DRAG.key in model.names)
+    rows = {WAVEFORM: slice(first, last), AIR: slice(last, first + count)}
+    return {name: part for name, part in rows.items() if part.start < part.stop}
+
+
+def _by_air(model: ExactModel, solution: Solution) -> Floats | None:
+    """Change of the columns for one standard uncertainty of what is known of the drag; None without."""
+    rows = _rows_beside(model).get(AIR)
+    if rows is None or not np.all(np.isfinite(solution.covariance)):
+        return None
+    return np.asarray(solution.covariance @ solution.jacobian[rows][0])
+
+
+def _worth(model: ExactModel, solution: Solution, to_physical: Floats) -> dict[str, dict[str, float]]:
+    """By how many times larger uncertainties would be without a part of the evidence."""
+    worth = {}
+    whole = covariance_of(solution.jacobian)
+    for part, rows in _rows_beside(model).items():
+        without = covariance_of(np.delete(solution.jacobian, rows, axis=0))
+        factor = _factor(to_physical, without, whole)
+        blind = ~np.isfinite(np.einsum("ij,jk,ik->i", to_physical, without, to_physical))
+        factor = np.where(blind, np.inf, factor)
+        kept = (name not in (AMPLITUDE.key, TIME.key) for name in model.names)
+        worth[part] = {
+            name: float(one) for name, one, stays in zip(model.names, factor, kept, strict=True) if stays
+        }
+    return worth
 
 
 def _factor(to_physical: Floats, wider: Floats, covariance: Floats) -> Floats:

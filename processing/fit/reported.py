@@ -63,8 +63,9 @@ class FittedContact:
     freedom of the covariance. `reading_covariance` is the part of it that remains on ground at rest,
     `place_covariance` the part of both that errors of position leave, `misfit_covariance` the part of it that
     the distance between law and data leaves; None where they are not known.
-    `by_row_time` are derivatives by the shutter's row time; None where they are not known or not needed;
-    `by_drifts` those by what drifts over a run, by the names of `RigQuantities`.
+    `by_air` is the change of the values for one standard uncertainty of what is known of the air, None where
+    nothing is. `by_row_time` are derivatives by the shutter's row time; None where they are not known or not
+    needed; `by_drifts` those by what drifts over a run, by the names of `RigQuantities`.
     """
 
     names: tuple[str, ...]
@@ -78,6 +79,7 @@ class FittedContact:
     place_covariance: Floats | None = None
     misfit_covariance: Floats | None = None
     by_drifts: Mapping[str, Floats] = field(default_factory=dict)
+    by_air: Floats | None = None
 
 
 def fitted_contact(result: FitResult) -> FittedContact:
@@ -99,6 +101,7 @@ def fitted_contact(result: FitResult) -> FittedContact:
         None if result.reading_covariance is None else result.reading_covariance[within],
         place_covariance=None if result.place_covariance is None else result.place_covariance[within],
         misfit_covariance=None if result.misfit_covariance is None else result.misfit_covariance[within],
+        by_air=None if result.by_air is None else result.by_air[at],
     )
 
 

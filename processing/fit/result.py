@@ -1,7 +1,7 @@
 """Result of a fit: values, covariance, goodness of fit, outliers, warnings."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import nan
 from typing import Annotated
 
@@ -19,7 +19,7 @@ from processing.fit.law_errors import Change, Misfit
 from processing.fit.whiteness import Whiteness
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss
-from processing.quantity import Quantity
+from processing.quantity import PLAIN, Quantity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +49,9 @@ class FitQuality:
         How far the law lies from the decay; None for a fit that does not ask.
     changes
         Events during the run after which something was another one.
+    worth
+        By how many times larger each uncertainty would be without the waveform, or without what is known of
+        the air; empty where there is neither.
     outliers
         Indices of half-cycles with a residual of amplitude or time above 5 standard uncertainties.
     warnings
@@ -65,6 +68,7 @@ class FitQuality:
     whiteness: Whiteness | None = None
     misfit: Misfit | None = None
     changes: tuple[Change, ...] = ()
+    worth: Annotated[Mapping[str, Mapping[str, float]], PLAIN] = field(default_factory=dict)
     outliers: tuple[int, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -104,6 +108,9 @@ class FitResult(FitQuality):
         Part of the covariance that the distance between law and data leaves; None where none is seen.
     evidence
         What restrained the fit beside the turning points.
+    by_air
+        Change of the values for one standard uncertainty of what is known of the drag beside the decay, which
+        the runs of a rig share; None where nothing is.
     """
 
     method: FitMethod
@@ -122,6 +129,7 @@ class FitResult(FitQuality):
     place_covariance: Floats | None = None
     misfit_covariance: Floats | None = None
     evidence: Evidence = NO_EVIDENCE
+    by_air: Floats | None = None
 
     @property
     def dof(self) -> int:

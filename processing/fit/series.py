@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from math import isfinite, nan, sqrt
+from math import hypot, isfinite, nan, sqrt
 from typing import Annotated
 
 import numpy as np
@@ -23,6 +23,11 @@ DISAGREES = 0.003
 """Probability, for all runs and parameters together, below which a run is reported to disagree."""
 
 
+_LEAST_OWN = 0.01
+"""Least part of a run's uncertainty that is its own: where what is known of the air is all of it."""
+_NORMAL_95 = 1.959964
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Combined:
     """One parameter over a series of runs.
@@ -40,6 +45,9 @@ class Combined:
         Standard deviation between runs in excess of their own uncertainties; 0 if there is none.
     p_homogeneous
         Probability of a scatter at least as large if only the runs' own uncertainties contribute.
+    by_air
+        Part of `standard_uncertainty`, with its sign, that what is known of the air has: all runs share it,
+        and no number of them makes it smaller.
     """
 
     value: Annotated[float, PART]
@@ -49,6 +57,7 @@ class Combined:
     within_runs: Annotated[float, PART] = nan
     between_runs: Annotated[float, PART] = nan
     p_homogeneous: float = nan
+    by_air: Annotated[float, PART] = 0.0
     runs: Annotated[tuple[Estimate, ...], PART] = ()
 
     @property
@@ -77,8 +86,11 @@ class SeriesResult:
         return {name: combined.estimate for name, combined in self.parameters.items()}
 
 
-def combine(name: str, runs: Sequence[Estimate]) -> Combined:
+def combine(name: str, runs: Sequence[Estimate], by_air: Sequence[float] = ()) -> Combined:
     """Combine one parameter over runs.
+
+    `by_air` are the changes of the runs' values for one standard uncertainty of what is known of the air,
+    which is a part of their uncertainties that they share.
 
     The between-run variance is that of Mandel and Paule, with which the weighted sum of squares equals its
     expectation. The uncertainty of the mean is that of Hartung and Knapp, with Student's t for the number of
@@ -99,6 +111,9 @@ def combine(name: str, runs: Sequence[Estimate]) -> Combined:
             f"run {worst + 1} does not determine {name} (u = {u[worst]}); leave it out of the series"
         )
     dof = len(runs) - 1
+    shared = np.array(by_air) if len(by_air) else np.zeros(len(runs))
+    # what runs share scatters between them as far as it differs
+    whole, u = u, np.sqrt(np.maximum(u**2 - shared**2, (_LEAST_OWN * u) ** 2))
 
     def scatter(variance: float) -> float:
         weight = 1 / (u**2 + variance)
@@ -114,19 +129,24 @@ def combine(name: str, runs: Sequence[Estimate]) -> Combined:
         while scatter(high) > dof:
             high *= 2
         variance = float(brentq(lambda v: scatter(v) - dof, 0.0, high, xtol=1e-12 * high))
-    weight = 1 / (u**2 + variance)
-    value = float(np.sum(weight * x) / np.sum(weight))
+    weight = 1 / (whole**2 + variance)
+    weight /= np.sum(weight)
+    value = float(weight @ x)
     within = float(1 / np.sqrt(np.sum(1 / u**2)))
-    spread = float(np.sum(weight * (x - value) ** 2) / (dof * np.sum(weight)))
-    uncertainty = max(sqrt(spread), float(1 / np.sqrt(np.sum(weight))))
+    inverse = 1 / (u**2 + variance)
+    spread = float(inverse @ (x - value) ** 2 / (dof * np.sum(inverse)))
+    own = max(sqrt(spread), float(np.sqrt(weight**2 @ (u**2 + variance))))
+    of_air = float(weight @ shared)
+    uncertainty = hypot(own, of_air)
     return Combined(
         value=value,
         standard_uncertainty=uncertainty,
-        expanded_uncertainty_95=float(stdtrit(dof, 0.975)) * uncertainty,
+        expanded_uncertainty_95=hypot(float(stdtrit(dof, 0.975)) * own, _NORMAL_95 * of_air),
         degrees_of_freedom=dof,
         within_runs=within,
         between_runs=sqrt(variance),
         p_homogeneous=float(chdtrc(dof, alone)),
+        by_air=of_air,
         runs=tuple(runs),
     )
 
@@ -141,7 +161,9 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
         raise DataError(f"{len(results)} run: a series needs at least 2 to show its scatter")
     names = [name for name in results[0].contact_names if all(name in result.names for result in results)]
     parameters = {
-        name: _with_misfit(combine(name, [_own(result, name) for result in results]), name, results)
+        name: _with_misfit(
+            combine(name, [_own(result, name) for result in results], _by_air(name, results)), name, results
+        )
         for name in names
     }
     runs = [fitted_contact(result) for result in results]
@@ -162,6 +184,7 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
         float(len(results) - 1),
         np.mean([run.by_log_rho[at] for run in runs], axis=0),
         float(np.exp(np.mean([np.log(run.reference_rad) for run in runs]))),
+        by_air=np.array([parameters[name].by_air for name in names]),
     )
     return SeriesResult(parameters, tuple(_disagreements(names, results)), together)
 
@@ -190,6 +213,13 @@ def _with_misfit(found: Combined, name: str, results: Sequence[FitResult]) -> Co
     )
 
 
+def _by_air(name: str, results: Sequence[FitResult]) -> tuple[float, ...]:
+    """Changes of the runs' values for one standard uncertainty of what is known of the air."""
+    return tuple(
+        0.0 if result.by_air is None else float(result.by_air[result.names.index(name)]) for result in results
+    )
+
+
 def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[Disagreement]:
     """Compare each run with the others, parameter by parameter, with Bonferroni's correction.
 
@@ -201,9 +231,11 @@ def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[D
     count = len(results)
     limit = DISAGREES / (count * len(names))
     for name in names:
+        shared = _by_air(name, results)
+        runs = [_without(result.estimate(name), part) for result, part in zip(results, shared, strict=True)]
         for i in range(count):
-            own = results[i].estimate(name)
-            others = [results[j].estimate(name) for j in range(count) if j != i]
+            own = runs[i]
+            others = [runs[j] for j in range(count) if j != i]
             if count == 2:
                 rest = others[0]
                 between, dof = 0.0, 1e9
@@ -212,7 +244,8 @@ def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[D
                 rest = combined.estimate
                 between = combined.between_runs
                 dof = 1e9 if combined.p_homogeneous > AGREE else float(count - 2)
-            u = sqrt(own.standard_uncertainty**2 + rest.standard_uncertainty**2 + between**2)
+            differs = shared[i] - float(np.mean([shared[j] for j in range(count) if j != i]))
+            u = hypot(own.standard_uncertainty, rest.standard_uncertainty, between, differs)
             deviation = (own.value - rest.value) / u
             if 2 * float(stdtr(dof, -abs(deviation))) < limit:
                 found.append(Disagreement(i + 1, name, deviation))
@@ -231,6 +264,12 @@ def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[D
             ]
         return named
     return found
+
+
+def _without(found: Estimate, by_air: float) -> Estimate:
+    """A value with what its run alone leaves uncertain."""
+    u = found.standard_uncertainty
+    return Estimate(found.value, sqrt(max(u**2 - by_air**2, (_LEAST_OWN * u) ** 2)))
 
 
 def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
@@ -289,7 +328,7 @@ def compare_series(series: Mapping[str, SeriesResult]) -> tuple[Comparison, ...]
     """Compare all pairs of series (samples, days, humidities), parameter by parameter.
 
     Type B uncertainties are not included, because errors of the rig's mass or radius shift all series
-    equally.
+    equally. What is known of the air counts as far as it shifts them differently.
     """
     rows = []
     for first, second in combinations(series, 2):
@@ -298,9 +337,10 @@ def compare_series(series: Mapping[str, SeriesResult]) -> tuple[Comparison, ...]
             if b is None:
                 continue
             difference = a.value - b.value
-            u_a, u_b = a.standard_uncertainty, b.standard_uncertainty
+            u_a, u_b = (_without(one.estimate, one.by_air).standard_uncertainty for one in (a, b))
             u = sqrt(u_a**2 + u_b**2)
             dof = u**4 / (u_a**4 / a.degrees_of_freedom + u_b**4 / b.degrees_of_freedom)
+            u = hypot(u, a.by_air - b.by_air)
             p_value = 2 * float(stdtr(dof, -abs(difference) / u))
             rows.append(Comparison(name, first, second, difference, u, p_value))
     return tuple(rows)

@@ -22,6 +22,8 @@ MISFIT = "misfit"
 """Name of that part which the distance between the law and the decay leaves."""
 PLACE = "position_errors"
 """Name of that part which errors of position that are fixed on the sensor leave after their correction."""
+AIR_DRAG = "air"
+"""Name of that part of it which is due to what is known of the air's drag beside the decay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,10 +144,15 @@ def _budget(
         ground = sqrt(described**2 - reading**2) if isfinite(type_a) else 0.0
         place = min(_of(found.place_covariance, by_value), reading) if isfinite(type_a) else 0.0
         own_reading = sqrt(reading**2 - place**2) if place else reading
+        air = 0.0 if found.by_air is None else min(abs(float(by_value @ found.by_air)), described)
+        of_data = sqrt(1 - (air / type_a) ** 2) if isfinite(type_a) else 1.0
         for source, part in ((FIT, own_reading), (GROUND, ground), (PLACE, place), (MISFIT, misfit)):
-            if part > 0:
-                share = part / type_a if isfinite(type_a) else 1.0
-                parts.append((source, "A", u_own * share, float("nan"), part))
+            if part * of_data > 0:
+                share = part * of_data / type_a if isfinite(type_a) else 1.0
+                parts.append((source, "A", u_own * share, float("nan"), part * of_data))
+        if air > 0 and isfinite(type_a):
+            parts.append((AIR_DRAG, "B", u_own * air / type_a, float("nan"), air))
+            type_a *= of_data
     inputs = rig.inputs()
     for source, slope in by_input.items():
         u = inputs[source].u
@@ -153,7 +160,7 @@ def _budget(
             parts.append((source, "B", u, slope, abs(slope) * u))
     combined = sqrt(sum(part[4] ** 2 for part in parts))
     per_dof = type_a**4 / found.dof if 0 < type_a < inf else 0.0
-    per_dof += sum(part**4 / inputs[source].dof for source, kind, _, _, part in parts if kind == "B")
+    per_dof += sum(part**4 / inputs[source].dof for source, _, _, _, part in parts if source in inputs)
     dof = combined**4 / per_dof if per_dof > 0 and isfinite(combined) else inf
     sources = tuple(
         BudgetSource(

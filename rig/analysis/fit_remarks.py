@@ -1,8 +1,12 @@
 """What is said about a run's fits beyond their numbers, the same on the terminal and in reports."""
 
+from collections.abc import Mapping
+from math import isfinite
+
+from processing.contact import DRAG
 from processing.estimate import Determinacy, Estimate
-from processing.fit import BaseMotion, Drag, DragFinding, FitMethod, Ground
-from rig.analysis.headline import headline
+from processing.fit import WAVEFORM, BaseMotion, Drag, DragFinding, FitMethod, Ground
+from rig.analysis.headline import drag_headline, headline
 from rig.analysis.results import RunResults
 from rig.presentation import plain, quantity, with_uncertainty
 
@@ -13,10 +17,12 @@ _MUCH = 1.5
 def remarks(run: RunResults) -> list[str]:
     """The headline, sentences on beam, ground, drag and what is hardly determined, then the run's notes."""
     exact = run.fits.get(FitMethod.EXACT)
-    lines = list(filter(None, [headline(run.budget, run.verdicts())]))
+    of_drag = "" if exact is None else drag_headline(run.drag, fitted=DRAG.key in exact.parameters)
+    lines = list(filter(None, [headline(run.budget, run.verdicts()), of_drag]))
     lines += [] if run.beam is None else [run.beam.sentence]
     lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
     lines += [_drag_sentence(run.drag)] if run.drag is not None else []
+    lines += [] if exact is None else list(filter(None, [_worth_sentence(exact.worth)]))
     if run.strong_correlations:
         pairs = run.strong_correlations
         names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
@@ -66,6 +72,18 @@ def _cost(ground: Ground) -> str:
         f" It limits what is known: uncertainties are larger than on ground at rest by factors of {listed}. "
         "A finer balance, a quieter hour, a higher start or more runs would help."
     )
+
+
+def _worth_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
+    """What the waveform gave, where that is much."""
+    gained = {name: one for name, one in worth.get(WAVEFORM, {}).items() if one > _MUCH}
+    if not gained:
+        return ""
+    listed = ", ".join(
+        f"{quantity(name).symbol} {plain(one, 2)}" if isfinite(one) else f"{quantity(name).symbol} open"
+        for name, one in sorted(gained.items(), key=lambda item: -item[1])
+    )
+    return f"Without the waveform of the swing uncertainties would be larger by factors of {listed}."
 
 
 def _drag_sentence(drag: Drag) -> str:

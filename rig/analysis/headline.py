@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from processing.estimate import Determinacy
-from processing.fit import Budget, Determination
+from processing.fit import Budget, Determination, Drag
 from rig.presentation import SOURCES, quantity
 
 SURFACE_ENERGY = "surface_energy_table2_j_per_m2"
@@ -27,6 +27,22 @@ def dominant_text(item: Budget) -> str:
     lines = sorted(item.sources, key=lambda line: -line.share)
     named = [line for line in lines if line.share >= _LARGE] or lines[:1]
     return ", ".join(f"{SOURCES.get(line.source, line.source)} {100 * line.share:.0f} %" for line in named)
+
+
+def drag_headline(drag: Drag | None, *, fitted: bool) -> str:
+    """A drag that is seen, or that the fit has none; empty otherwise."""
+    shown = quantity("drag_s")
+    if not fitted:
+        text = "Fitted in vacuum (fit.drag = 'vacuum'): if there is air, its drag is in b and c"
+        if drag is not None and drag.significant:
+            text += f"; a drag of {shown.text(*drag.of_data_s)} s is in the data"
+        return f"{text}."
+    if drag is None or not drag.significant:
+        return ""
+    shift = f"{100 * drag.relative_shift_b:+.3g} %".replace("-", "−")
+    return (
+        f"A drag of {shown.text(*drag.drag_s)} s is seen, the air's; with it b is {shift} off a fit without."
+    )
 
 
 def headline(budget: Mapping[str, Budget], verdicts: Mapping[str, Determination]) -> str:

@@ -104,6 +104,7 @@ SOURCES: Final[Mapping[str, str]] = {
     "ground": "motion of the ground",
     "misfit": "law against decay",
     "position_errors": "errors of position (map)",
+    "air": "drag of the air, as known",
     "mass_kg": "mass",
     "ball_radius_m": "ball radius R",
     "gravity_m_per_s2": "local g",

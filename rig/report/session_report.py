@@ -187,7 +187,7 @@ def _key_results(
     budget: Mapping[str, Budget],
 ) -> list[tuple[str, str]]:
     """Labels and values; with the whole budget and what dominates it where the apparatus has a part."""
-    items = [(name, exact[name]) for name in DEFAULT_LAW.names() if name in exact]
+    items = [(name, exact[name]) for name in DEFAULT_LAW.names(drag=True) if name in exact]
     if energy is not None:
         items.insert(0, ("surface_energy_table2_j_per_m2", energy.table2))
     shown = []
