@@ -17,7 +17,8 @@ _MUCH = 1.5
 def remarks(run: RunResults) -> list[str]:
     """The headline, sentences on beam, ground, drag and what is hardly determined, then the run's notes."""
     exact = run.fits.get(FitMethod.EXACT)
-    of_drag = "" if exact is None else drag_headline(run.drag, fitted=DRAG.key in exact.parameters)
+    parameters = {} if exact is None else exact.parameters
+    of_drag = drag_headline(run.drag, fitted=DRAG.key in parameters) if parameters else ""
     lines = list(filter(None, [headline(run.budget, run.verdicts()), of_drag]))
     lines += [] if run.beam is None else [run.beam.sentence]
     lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []

@@ -33,7 +33,7 @@ def drag_headline(drag: Drag | None, *, fitted: bool) -> str:
     """A drag that is seen, or that the fit has none; empty otherwise."""
     shown = quantity("drag_s")
     if not fitted:
-        text = "Fitted in vacuum (fit.drag = 'vacuum'): if there is air, its drag is in b and c"
+        text = "Fitted without a drag, as in vacuum: if there was air, its drag is in b and c"
         if drag is not None and drag.significant:
             text += f"; a drag of {shown.text(*drag.of_data_s)} s is in the data"
         return f"{text}."

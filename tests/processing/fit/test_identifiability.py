@@ -15,6 +15,7 @@ from processing.fit.evidence import Evidence
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
 from tests.processing.fit.decays import decay, paper_pair
+from tests.processing.fit.driven import driven_decay
 
 
 @pytest.mark.parametrize("flat", ["glass_k8", "silicon"])
@@ -65,6 +66,33 @@ def test_a_verdict_is_the_same_from_a_fit_with_drag_and_one_without() -> None:
     assert free.p_value == pytest.approx(of_vacuum.p_value, rel=0.2, abs=1e-6)
     with pytest.raises(DataError, match="exact"):
         drag_verdict(points, pendulum, fit_asymptotic(points, pendulum))
+
+
+def test_the_uncertainty_of_a_drag_agrees_with_its_test_along_a_curved_valley() -> None:
+    """Turning points alone: by the curvature of chi2 this drag lies 5 u from none, by its rise 1 u."""
+    parameters, pendulum = paper_pair("glass_k8", 1.7e-3)
+    points = driven_decay(parameters, pendulum, q=0.0, noise_arcsec=0.05, seed=3)
+    fit = fit_exact(points, pendulum, drag=True, averaged=False)
+    value, u = fit.estimate("drag_s")
+    assert value > 4 * u
+    verdict = drag_verdict(points, pendulum, fit)
+    assert verdict.finding is DragFinding.OPEN
+    assert verdict.p_value > 0.1
+    assert verdict.drag_s == verdict.of_data_s
+    found, wider = verdict.of_data_s
+    assert (found / wider) ** 2 == pytest.approx(verdict.f_statistic, rel=1e-6)
+    assert value < verdict.upper_95_s < 2 * value
+    known = {one.name: one for one in identifiability(points, pendulum, fit)}
+    assert known["drag_s"].profile_likelihood
+    assert not known["drag_s"].lower_95 > 0
+
+
+def test_in_vacuum_none_is_seen_only_where_it_could_not_move_the_b_that_is_printed() -> None:
+    parameters, pendulum = paper_pair("silicon")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=2)
+    vacuum, free = fit_exact(points, pendulum), fit_exact(points, pendulum, drag=True)
+    assert free.estimate("b").standard_uncertainty > 2 * vacuum.estimate("b").standard_uncertainty
+    assert drag_verdict(points, pendulum, vacuum).finding is DragFinding.OPEN
 
 
 def test_what_is_known_of_the_air_is_taken_off_what_the_data_say() -> None:

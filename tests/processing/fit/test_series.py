@@ -9,7 +9,9 @@ from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.asymptotic import fit_asymptotic
+from processing.fit.evidence import Evidence
 from processing.fit.exact import fit_exact
+from processing.fit.reported import fitted_contact
 from processing.fit.result import FitResult
 from processing.fit.series import average_curves, combine, combine_runs, compare_series
 from processing.fit.uncertainty import budgets
@@ -47,6 +49,46 @@ def test_runs_that_scatter_count_alike() -> None:
     assert combined.standard_uncertainty == pytest.approx(np.std(x, ddof=1) / np.sqrt(3), rel=1e-3)
     assert combined.between_runs == pytest.approx(np.std(x, ddof=1), rel=1e-3)
     assert combined.p_homogeneous < 1e-10
+
+
+def test_what_is_known_of_the_air_is_shared_and_not_averaged_away() -> None:
+    own, by_air = 0.1, 0.5
+    found = [Estimate(1.0 + off, float(np.hypot(own, by_air))) for off in (-0.1, 0.0, 0.1, 0.0)]
+    combined = combine("b", found, [by_air] * 4)
+    assert combined.standard_uncertainty == pytest.approx(np.hypot(own / 2, by_air), rel=1e-6)
+    assert combined.by_air == pytest.approx(by_air)
+    # they scatter as their own uncertainties say, and not as the whole ones would
+    assert combined.p_homogeneous == pytest.approx(0.572, abs=0.001)
+    apart = combine("b", found, [by_air, by_air, -by_air, -by_air])
+    assert apart.by_air == pytest.approx(0.0, abs=1e-12)
+    assert apart.standard_uncertainty == pytest.approx(own / 2, rel=1e-6)
+
+
+def test_the_doubt_of_the_air_is_in_a_series_as_in_each_run() -> None:
+    """Turning points alone: b is as uncertain as the air is, whatever the number of runs."""
+    parameters, pendulum = paper_pair("glass_k8", 1.7e-3)
+    evidence = Evidence(drag_s=Estimate(1.7e-3, 0.8e-3))
+    results = [
+        fit_exact(
+            decay(parameters, pendulum, noise_arcsec=0.005, seed=seed, last_arcsec=10),
+            pendulum,
+            drag=True,
+            evidence=evidence,
+        )
+        for seed in range(3)
+    ]
+    series = combine_runs(results)
+    for name in ("b", "drag_s"):
+        each = [result.estimate(name).standard_uncertainty for result in results]
+        assert series.parameters[name].standard_uncertainty > 0.9 * min(each)
+    lines = {line.source: line for line in budgets(series.measured, rig())["b"].sources}
+    assert lines["air"].type == "B"
+    assert lines["air"].share > 0.5
+    alone = {line.source: line for line in budgets(fitted_contact(results[0]), rig())["b"].sources}
+    assert sum(line.share for line in alone.values()) == pytest.approx(1.0)
+    assert alone["air"].share > 0.5
+    # without what is known of the air the drag would be open
+    assert results[0].worth["air"]["drag_s"] > 1.5
 
 
 @pytest.mark.parametrize("between", [0.0, 3.0])

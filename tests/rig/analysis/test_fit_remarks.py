@@ -84,6 +84,22 @@ def test_where_the_data_do_not_tell_the_air_is_named_with_its_doubt() -> None:
     assert "fit.drag" in remarks(RunResults(record="run-1.mcap", drag=unknown))[0]
 
 
+def test_a_drag_that_is_seen_stands_in_the_headline_and_vacuum_too() -> None:
+    with_drag = Fit(parameters={"b": Estimate(3.7e-3, 1e-5), "drag_s": Estimate(2e-3, 1e-4)})
+    said = remarks(RunResults(record="run-1.mcap", drag=_SEEN, fits={"exact": with_drag}))
+    assert said[0].startswith("A drag of (2.00 ± 0.10) × 10⁻³ s is seen")
+    vacuum = Fit(parameters={"b": Estimate(3.7e-3, 1e-5)})
+    said = remarks(RunResults(record="run-1.mcap", drag=_SEEN, fits={"exact": vacuum}))
+    assert said[0].startswith("Fitted without a drag, as in vacuum")
+    assert "is in the data" in said[0]
+
+
+def test_what_the_waveform_gave_is_said() -> None:
+    fit = Fit(parameters={"drag_s": Estimate(2e-3, 1e-4)}, worth={"waveform": {"b": 12.0, "p": 1.1}})
+    said = remarks(RunResults(record="run-1.mcap", fits={"exact": fit}))
+    assert "Without the waveform of the swing uncertainties would be larger by factors of b 12." in said
+
+
 def test_what_is_hardly_determined_is_said_and_nothing_of_what_is() -> None:
     known = Determination(
         name="b",
