@@ -13,6 +13,8 @@ and either quarter lasts ``integral dtheta / (2 pi sqrt(G))`` in units of T0, wi
     G = 1 - 2 [V(A) - V(x) +- (D(A) - D(x))] / (A sin theta)^2
 
 (+ after the turning point, - before it). But for the root this is linear in the coefficients of the splines.
+A linear drag takes ``drag A^2`` times the integral of ``sin^2 sqrt(G)`` in each quarter, and changes G by
+twice that over ``sin^2 theta``.
 
 A swing of a law with memory loses and lasts as one of this kind does; f and g are then those of the contact
 without memory that has the same turning points.
@@ -21,7 +23,7 @@ without memory that has the same turning points.
 from collections.abc import Callable, Mapping
 from functools import partial
 from math import log
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -134,17 +136,63 @@ class MomentSplines:
         return CubicHermiteSpline(u, work, ends[:, None] * moment(ends))
 
 
+_ROUNDS = 8
+"""Iterations of the work of the drag: each gains the ratio of its moment to the weight's, 1 %."""
 _FEWEST = 8
 """Fewest amplitudes of a table."""
 
 
-def _turning(splines: MomentSplines, energy: Floats, of_friction: Floats, of_elastic: Floats) -> Floats:
-    """The amplitudes below those of the grid at which U + D reaches an energy; NaN where there is none."""
+class _Quarters(NamedTuple):
+    """Quarters of a swing from (sign 1) or to (-1) a turning point, at the amplitudes of the grid.
+
+    `time` is in units of T0, `lost` the work of the drag over ``drag A^2``; `by` and `lost_by` are their
+    derivatives by the coefficients and the drag.
+    """
+
+    time: Floats
+    by: Floats
+    lost: Floats
+    lost_by: Floats
+
+
+def _quarters(
+    splines: MomentSplines, of_friction: Floats, of_elastic: Floats, drag: float, sign: float
+) -> _Quarters:
+    nodes = quarter_nodes()
+    without = 1 - splines.stored @ of_elastic - sign * (splines.lost @ of_friction)
+    factor, travelled = without, np.zeros_like(without)
+    for _ in range(_ROUNDS if drag else 1):
+        travelled = np.sqrt(factor) @ nodes.travelled.T
+        factor = without - 2 * sign * drag * travelled
+    root = 1 / np.sqrt(factor)
+    by = np.concatenate([-sign * splines.lost, -splines.stored, -2 * sign * travelled[..., None]], axis=2)
+    if drag:
+        # the drag works on a speed that all of them change; the square of the drag is left out
+        by = by - sign * drag * (nodes.travelled @ (by * root[..., None]))
+    by_time = -0.5 * np.einsum("ak,akj->aj", nodes.weight * root**3, by) / (2 * np.pi)
+    lost = (nodes.sin2 * np.sqrt(factor)) @ nodes.weight
+    lost_by = 0.5 * np.einsum("ak,akj->aj", nodes.weight * nodes.sin2 * root, by)
+    return _Quarters(root @ nodes.weight / (2 * np.pi), by_time, lost, lost_by)
+
+
+def _turning(
+    splines: MomentSplines,
+    energy: Floats,
+    of_friction: Floats,
+    of_elastic: Floats,
+    of_drag: Callable[[Floats], Floats],
+) -> Floats:
+    """The amplitudes below those of the grid at which U + D reaches an energy; NaN where there is none.
+
+    `of_drag` is what its work in the quarter before is, over the square of the amplitude.
+    """
     highest = splines.grid
     x, lowest = highest.copy(), 0.1 * highest[0]
     for _ in range(40):
+        air = of_drag(x)
         above = 0.5 * x**2 - splines.elastic_work(x) @ of_elastic + splines.friction_work(x) @ of_friction
-        slope = x - splines.elastic(x) @ of_elastic + splines.friction(x) @ of_friction
+        above += air * x**2
+        slope = x - splines.elastic(x) @ of_elastic + splines.friction(x) @ of_friction + 2 * air * x
         following = np.clip(x - (above - energy) / slope, lowest, highest)
         settled = np.all(np.abs(following - x) < 1e-15 * highest)
         x = following
@@ -153,49 +201,51 @@ def _turning(splines: MomentSplines, energy: Floats, of_friction: Floats, of_ela
     return np.where(x > lowest, x, np.nan)
 
 
-def _table(splines: MomentSplines, of_friction: Floats, of_elastic: Floats) -> SwingTable | None:
+def _table(splines: MomentSplines, of_friction: Floats, of_elastic: Floats, drag: float) -> SwingTable | None:
     """Half-swings from the amplitudes of the grid; None where the pendulum sticks."""
     from scipy.interpolate import CubicSpline  # here, because it would slow down every command
 
-    nodes, grid = quarter_nodes(), splines.grid
+    grid = splines.grid
     lost, stored = splines.friction_work(grid), splines.elastic_work(grid)
-    quarters = []
     with np.errstate(all="ignore"):
-        for sign in (1.0, -1.0):
-            root = 1 / np.sqrt(1 - splines.stored @ of_elastic - sign * (splines.lost @ of_friction))
-            weight = 0.5 * nodes.weight * root**3
-            quarters.append(
-                np.column_stack(
-                    [
-                        root @ nodes.weight,
-                        sign * np.einsum("ak,akj->aj", weight, splines.lost),
-                        np.einsum("ak,akj->aj", weight, splines.stored),
-                    ]
-                )
-                / (2 * np.pi)
-            )
-        energy = 0.5 * grid**2 - stored @ of_elastic - lost @ of_friction
-        following = _turning(splines, energy, of_friction, of_elastic)
+        leaving, coming = (_quarters(splines, of_friction, of_elastic, drag, sign) for sign in (1.0, -1.0))
+        if not (np.all(np.isfinite(coming.time)) and np.all(np.isfinite(coming.lost))):
+            return None
+        arriving = CubicSpline(np.log(grid), np.column_stack([coming.time, coming.by, coming.lost_by]))
+        work = CubicSpline(np.log(grid), coming.lost)
+        energy = 0.5 * grid**2 - stored @ of_elastic - lost @ of_friction - drag * leaving.lost * grid**2
+        following = _turning(
+            splines, energy, of_friction, of_elastic, lambda x: np.asarray(drag * work(np.log(x)))
+        )
     first = len(grid) - int(np.argmax(np.append(~(following[::-1] > grid[0]), True)))
-    if len(grid) - first < _FEWEST or not np.all(np.isfinite(quarters)):
+    if len(grid) - first < _FEWEST or not np.all(np.isfinite(leaving.time)):
         return None
-    leaving, arriving = quarters[0][first:], CubicSpline(np.log(grid), quarters[1])
     grid, following = grid[first:], following[first:]
+    at = np.log(following)
     stiffness = (
-        following - splines.elastic(following) @ of_elastic + splines.friction(following) @ of_friction
+        following
+        - splines.elastic(following) @ of_elastic
+        + splines.friction(following) @ of_friction
+        + 2 * drag * work(at) * following
     )
     by = np.column_stack(
         [
             -(lost[first:] + splines.friction_work(following)),
             splines.elastic_work(following) - stored[first:],
+            -(leaving.lost[first:] * grid**2 + work(at) * following**2),
         ]
     )
+    there, count = arriving(at), by.shape[1]
+    by -= drag * (
+        leaving.lost_by[first:] * grid[:, None] ** 2 + there[:, 1 + count :] * following[:, None] ** 2
+    )
     by /= stiffness[:, None]
-    at = np.log(following)
-    quarter = leaving + arriving(at)
-    by_duration = quarter[:, 1:] + arriving(at, 1)[:, :1] / following[:, None] * by
-    nothing = np.zeros((len(grid), 2))  # by drag and reference
-    rows = [following / grid, quarter[:, 0], by / grid[:, None], nothing, by_duration, nothing]
+    duration = leaving.time[first:] + there[:, 0]
+    by_duration = (
+        leaving.by[first:] + there[:, 1 : 1 + count] + arriving(at, 1)[:, :1] / following[:, None] * by
+    )
+    nothing = np.zeros((len(grid), 1))  # by the reference
+    rows = [following / grid, duration, by / grid[:, None], nothing, by_duration, nothing]
     return SwingTable(float(grid[0]), CubicSpline(np.log(grid), np.column_stack(rows)))
 
 
@@ -205,7 +255,7 @@ def _half_swings(splines: MomentSplines, parameters: Floats, index: Ints) -> Hal
     in_units = np.ones(last + 1)
     in_units[[*range(count), last]] = parameters[-2] / splines.unit_rad
     scaled = parameters * in_units
-    table = _table(splines, scaled[:count], scaled[count:-3])
+    table = _table(splines, scaled[:count], scaled[count:-3], float(scaled[-3]))
 
     def table_from(amplitude: float) -> SwingTable | None:
         return table if table is not None and amplitude >= table.lowest else None

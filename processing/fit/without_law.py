@@ -6,13 +6,17 @@ from itertools import chain
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import MomentSplines, PendulumOnBall, spline_law, weight_moment
+from processing.contact import DRAG, MomentSplines, PendulumOnBall, spline_law, weight_moment
+from processing.estimate import Estimate
+from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.least_squares import solve
 from processing.swing import TurningPoints
 
+_HELD = 1e-4
+"""Relative uncertainty of a drag that is held."""
 _INWARDS = 1.1
 """How far the angles shown stay from both ends of the amplitudes."""
 
@@ -73,11 +77,29 @@ class WithoutLaw:
         amplitude, time_s, _, _ = law.curve(columns)
         swung = replace(law.points, amplitude=amplitude * law.reference, time_s=time_s)
         reached = int(np.count_nonzero(np.isfinite(time_s)))
-        model = ExactModel(swung.first(reached), self.pendulum, law=self.fit.law)
+        drag = self.fit.has_drag
+        # the drag is the law's, so that the splines hold its friction alone
+        known_s = fit.estimate(DRAG.key).value if fit.has_drag else 0.0
+        known_s *= _stiffer(fit, self.fit.estimate("period0_s").value)
+        held = Evidence(drag_s=_exactly(known_s)) if drag else NO_EVIDENCE
+        model = ExactModel(swung.first(reached), self.pendulum, law=self.fit.law, drag=drag, evidence=held)
         start = next(chain(model.start_near(self.fit), model.starts()))
+        model = model.about(start)
         solution = solve(model, start, lower=model.lower, upper=model.upper)
         values, _ = model.columns.physical(solution.values)
         return self._of(phi_rad, values, np.zeros_like(self.fit.covariance))
+
+
+def _stiffer(fit: FitResult, period_s: float) -> float:
+    """A drag in the splines' terms over that in a law's.
+
+    It is over the stiffness, which the splines take to be gravity's alone where the period is `period_s`.
+    """
+    return (period_s / fit.estimate("period0_s").value) ** 2
+
+
+def _exactly(drag_s: float) -> Estimate:
+    return Estimate(drag_s, _HELD * max(abs(drag_s), 1e-6))
 
 
 def _uncertainty(basis: Floats, covariance: Floats) -> Floats:
@@ -85,8 +107,13 @@ def _uncertainty(basis: Floats, covariance: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
-def fit_without_law(points: TurningPoints, pendulum: PendulumOnBall) -> WithoutLaw:
+def fit_without_law(
+    points: TurningPoints, pendulum: PendulumOnBall, *, like: FitResult | None = None
+) -> WithoutLaw:
     """Friction and elastic moment of one decay as splines, with the drive of the ground that they leave.
+
+    Where an exact fit `like` this one has a drag, so has this, and its evidence: without any of it splines
+    would take the drag for friction, and none is fitted then.
 
     Raises
     ------
@@ -94,5 +121,10 @@ def fit_without_law(points: TurningPoints, pendulum: PendulumOnBall) -> WithoutL
         As `fit_exact`.
     """
     law, splines = spline_law(points)
-    fit = fit_exact(points, pendulum, law=law)
+    evidence = NO_EVIDENCE if like is None else like.evidence
+    if like is not None and evidence.drag_s is not None:
+        factor = _stiffer(like, like.mean_period_s.value)
+        evidence = replace(evidence, drag_s=Estimate(*(factor * number for number in evidence.drag_s)))
+    drag = like is not None and like.has_drag and evidence != NO_EVIDENCE
+    fit = fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence)
     return WithoutLaw(points.first(fit.half_cycles), pendulum, splines, fit)

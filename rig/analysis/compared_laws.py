@@ -10,7 +10,7 @@ from processing.angle import ARCSEC_RAD
 from processing.contact import PendulumOnBall
 from processing.contact.laws import DEFAULT_LAW, LAWS, Law
 from processing.errors import ConfigurationError, DataError
-from processing.fit import FitMethod, LawComparison, compare_laws, fit_without_law
+from processing.fit import FitMethod, FitResult, LawComparison, compare_laws, fit_without_law
 from processing.swing import TurningPoints
 from rig.analysis.law_results import ComparedLaws, LawFit, LawMoments, MomentsWithoutLaw
 from rig.analysis.record_fit import AnalysedRun
@@ -44,7 +44,7 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law]) -> ComparedLaws | None:
     if exact is None or pendulum is None:
         return None
     compared = compare_laws(run.points, pendulum, laws, like=exact)
-    free = _without_law(run.points, pendulum, compared)
+    free = _without_law(run.points, pendulum, compared, exact)
     remaining = [trial.law.name for trial in compared.remaining]
     values = _values(compared)
     if free is not None and len(remaining) > 1:
@@ -69,11 +69,11 @@ def _remedy(free: MomentsWithoutLaw, one: str, other: str) -> str:
 
 
 def _without_law(
-    points: TurningPoints, pendulum: PendulumOnBall, compared: LawComparison
+    points: TurningPoints, pendulum: PendulumOnBall, compared: LawComparison, exact: FitResult
 ) -> MomentsWithoutLaw | None:
     """Moments as splines, and those of the laws that remain in the same terms; None where there is no fit."""
     try:
-        free = fit_without_law(points, pendulum)
+        free = fit_without_law(points, pendulum, like=exact)
     except DataError:
         return None
     assert free.fit.ground is not None  # of every exact fit
