@@ -4,7 +4,7 @@ from processing.contact.adhesion import AdhesiveContact, adhesive_contacts
 from processing.contact.air_drag import Bar, ExpectedDrag, bar_of, expected_drag_s, vane_drag_s_per_m2
 from processing.contact.decay import decay_path, path_nodes
 from processing.contact.energy_loss import measured_losses, model_losses
-from processing.contact.free_swing import law_harmonics
+from processing.contact.free_swing import STEEPER_DRAG, law_harmonics
 from processing.contact.half_swing import (
     relative_curvature,
     scaled_contact,

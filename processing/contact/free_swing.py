@@ -24,6 +24,8 @@ from processing.contact.parameters import PendulumOnBall
 from processing.errors import DataError
 from processing.swing import HALVES, SwingTerms
 
+STEEPER_DRAG = "steeper_drag"
+"""Key of a drag that grows with the 3/2 power of the speed, in s^1.5: ``-m g R steeper |phi'|^0.5 phi'``."""
 _NODES = 128
 """Nodes of a half-swing; with these numbers the third harmonic is right within 4e-4 of itself."""
 _ROUNDS = 5
@@ -51,7 +53,7 @@ def free_swing(
 ) -> FreeSwing:
     """Free swings from turning points at positive `amplitudes_rad` (n,) over so many half-swings.
 
-    `values` are the law's parameters by key in SI units, and ``drag_s`` where there is one.
+    `values` are the law's parameters by key in SI units, and where there are ``drag_s`` and `STEEPER_DRAG`.
 
     Raises
     ------
@@ -62,7 +64,8 @@ def free_swing(
     middle = 0.5 * (edge[:-1] + edge[1:])
     before, behind = -np.diff(np.cos(edge)), np.cos(edge[:-1]) - np.cos(middle)
     cos, sin, forward = np.cos(middle), np.sin(middle), middle < 0.5 * np.pi
-    weight, drag = weight_moment(pendulum), values.get(DRAG.key, 0.0) * 2 * np.pi / values["period0_s"]
+    weight, rate = weight_moment(pendulum), 2 * np.pi / values["period0_s"]
+    drag, steeper = values.get(DRAG.key, 0.0) * rate, values.get(STEEPER_DRAG, 0.0) * rate**1.5
     a, begins, side = amplitudes_rad[:, None], np.zeros((len(amplitudes_rad), 1)), 1.0
     ratio = np.ones_like(a)
     parts = []
@@ -73,7 +76,7 @@ def free_swing(
             half = 0.5 * (a + following)
             phi = 0.5 * (a - following) + half * cos
             friction, elastic = law.branch_moments(phi, np.full_like(phi, -1.0), values, pendulum)
-            moment = half * ((friction + elastic) / weight + drag * speed)
+            moment = half * ((friction + elastic) / weight + drag * speed + steeper * speed**1.5)
             cells = moment * before
             work = np.cumsum(cells, axis=1) - cells + moment * behind
             total = np.sum(cells, axis=1, keepdims=True)

@@ -36,6 +36,8 @@ from processing.fit.series import (
     compare_series,
 )
 from processing.fit.smoothing import super_smooth
+from processing.fit.steeper import SteeperDrag
+from processing.fit.steeper_drag import steeper_drag, with_steeper_drag
 from processing.fit.uncertainty import Budget, BudgetSource, Propagated, budgets, monte_carlo
 from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes
 from processing.fit.waveform import CONTRADICTED, predicted_harmonics, waveform_chances

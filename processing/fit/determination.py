@@ -158,7 +158,7 @@ def profile_likelihood(
     if not np.isfinite(u):
         u = abs(value) or 1.0
     scale = max(1.0, 2 * result.cost / result.dof) if result.loss == "linear" else 1.0
-    factor = 1.0 if result.widened is None else float(result.widened[result.names.index(name)])
+    factor = _widened(result, name)
     scale *= factor**2
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
     held = _Held(model, name, best)
@@ -225,6 +225,17 @@ def profile_likelihood(
     lower, upper = side(-1.0), side(1.0)
     trace.sort()
     return Profile(lower, upper, np.array(trace))
+
+
+def _widened(result: FitResult, name: str) -> float:
+    """By how many times a standard uncertainty is larger than the likelihood says."""
+    at = result.names.index(name)
+    factor = 1.0 if result.widened is None else float(result.widened[at])
+    if result.place_covariance is not None:
+        whole, of_place = float(result.covariance[at, at]), float(result.place_covariance[at, at])
+        if np.isfinite(whole) and whole > of_place:
+            factor *= float(np.sqrt(whole / (whole - of_place)))
+    return factor
 
 
 def _refitted(

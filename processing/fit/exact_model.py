@@ -1,10 +1,11 @@
 """A law's half-swing map as a least-squares model of amplitudes and times, at rest or on moving ground."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from itertools import islice
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -201,12 +202,12 @@ class ExactModel:
         out._beside = _Beside(columns.copy(), here, jacobian, self._beside.scale)
         return out
 
-    def _of_evidence(self, columns: Floats) -> Floats:
+    def _of_evidence(self, columns: Floats, more: Mapping[str, float] = MappingProxyType({})) -> Floats:
         if self.evidence == NO_EVIDENCE:
             return np.zeros(0)
         physical, _ = self.columns.physical(columns)
         return self.evidence.residuals(
-            self.law, dict(zip(self.names, physical.tolist(), strict=True)), self.pendulum
+            self.law, {**dict(zip(self.names, physical.tolist(), strict=True)), **more}, self.pendulum
         )
 
     def filtered(
@@ -217,16 +218,20 @@ class ExactModel:
         *,
         with_rho: bool = False,
         errors: Errors | None = None,
+        loss: Callable[[Floats], Floats] | None = None,
     ) -> Filtered:
         """The Kalman filter over the half-cycles; with `gains` of an earlier call it uses these.
 
         `with_rho` adds a column to the Jacobian, the derivatives by ln(R/a), and `errors` one for each
-        relative error, those of the losses first.
+        relative error, those of the losses first. `loss` adds the derivatives by the size of a further loss,
+        which is given in units of the reference for amplitudes in these units.
         """
         parameters, matrix = self.columns.map_parameters(columns)
         if with_rho:
             by_rho = np.concatenate([self.columns.map_by_log_rho, [0.0, 0.0]])
             matrix = np.column_stack([matrix, by_rho])
+        if loss is not None:
+            matrix = np.column_stack([matrix, np.zeros(len(matrix))])
         count, held = len(self._x), gains is not None
         gains = np.zeros((count, GAINS)) if gains is None else gains
         table = self._table(parameters)
@@ -236,6 +241,8 @@ class ExactModel:
         period0_s = parameters[-2]
         of_map = np.ascontiguousarray(matrix[:-2])
         loss_by = table.loss_gradient @ of_map
+        if loss is not None:
+            loss_by[:, -1] = loss(table.amplitude)
         duration_by = period0_s * (table.duration_gradient @ of_map) + table.duration[:, None] * matrix[-2]
         start_by = matrix[[-3, -1]]
         if errors is not None:
@@ -365,6 +372,18 @@ class ExactModel:
 
     def _inside(self, columns: Floats) -> Floats:
         return np.clip(columns, self.lower + 1e-9, self.upper - 1e-9)
+
+    def by_loss(
+        self, columns: Floats, loss: Callable[[Floats], Floats], values: Mapping[str, float]
+    ) -> Floats:
+        """Derivatives of the residuals by the size of a further loss (see `filtered`).
+
+        `values` are added to the law's own for the waveform that belongs to a size of 1.
+        """
+        of_points = self.filtered(columns, self._noise, self._gains, loss=loss).jacobian[:, -1]
+        before = self._of_evidence(columns)
+        after = self._of_evidence(columns, values)
+        return np.concatenate([of_points, self.scale * (after - before)])
 
     def by_log_rho(self, columns: Floats) -> Floats:
         """Derivative of the fitted columns by ln(R/a), by linearised least squares."""

@@ -16,6 +16,7 @@ from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import Ground, GroundFit
 from processing.fit.law_errors import Change, Misfit
+from processing.fit.steeper import SteeperDrag
 from processing.fit.whiteness import Whiteness
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss
@@ -52,6 +53,8 @@ class FitQuality:
     worth
         By how many times larger each uncertainty would be without the waveform, or without what is known of
         the air; empty where there is neither.
+    steeper
+        What the fit leaves of a drag with the 3/2 power of the speed; None where nobody asked.
     outliers
         Indices of half-cycles with a residual of amplitude or time above 5 standard uncertainties.
     warnings
@@ -69,6 +72,7 @@ class FitQuality:
     misfit: Misfit | None = None
     changes: tuple[Change, ...] = ()
     worth: Annotated[Mapping[str, Mapping[str, float]], PLAIN] = field(default_factory=dict)
+    steeper: SteeperDrag | None = None
     outliers: tuple[int, ...] = ()
     warnings: tuple[str, ...] = ()
 

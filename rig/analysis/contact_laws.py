@@ -13,11 +13,13 @@ from processing.fit import (
     changes_of,
     fit_asymptotic,
     fit_exact,
+    steeper_drag,
     warnings_of,
     with_drifts,
     with_misfit,
     with_misfit_of,
     with_place_errors,
+    with_steeper_drag,
 )
 from processing.swing import TurningPoints
 from rig.analysis.contact_results import SurfaceEnergies
@@ -58,6 +60,7 @@ def fit_decay(
     try:
         if exact is None:
             exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
+        steeper = steeper_drag(points, pendulum, exact) if exact.has_drag else None
         asymptotic = fit_asymptotic(
             points,
             pendulum,
@@ -69,6 +72,8 @@ def fit_decay(
         if drifts is not None:
             exact = with_drifts(points, pendulum, exact, drifts.ageing.u, drifts.period.u)
         exact = _judged(points, pendulum, exact)
+        if steeper is not None:
+            exact = with_steeper_drag(exact, steeper)
     except DataError as error:
         return DecayFits({}, None, str(error))
     if exact.place_covariance is not None:

@@ -1,0 +1,60 @@
+"""A drag with the 3/2 power of the speed: found where it is, and not where it is not."""
+
+from math import pi, sqrt
+
+import numpy as np
+import pytest
+
+from processing.deflections import slow_deflections
+from processing.fit import Evidence, FitResult, fit_exact, steeper_drag, waveform_of, with_steeper_drag
+from processing.swing import HarmonicsWatch, SwingDetector, TurningPoints, turning_points
+from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.driven import driven_path
+
+RATE, DRAG_S, SHARE = 25.0, 1.7e-3, 0.1
+PARAMETERS, PENDULUM = paper_pair("glass_k8", DRAG_S)
+# the works in a swing from 124 arcsec: integrals of sin^2.5 and sin^2 over half of one
+STEEPER = SHARE * DRAG_S / sqrt(124 * ARCSEC * 2 * pi / PARAMETERS.period0_s) * 0.5 * pi / 1.4377
+
+
+def seen(steeper: float, seed: int) -> tuple[TurningPoints, FitResult]:
+    """Integrated on moving ground, seen by frames, fitted with a linear drag of which nothing is known."""
+    path = driven_path(PARAMETERS, PENDULUM, q=8e-9, seed=seed, frames_per_s=RATE, drag32=steeper)[2]
+    noisy = path + 0.005 * ARCSEC * np.random.default_rng([2, seed]).standard_normal(len(path))
+    times_ns = np.rint(np.arange(len(path)) * 1e9 / RATE).astype(np.int64)
+    samples = slow_deflections(times_ns, noisy, np.full(len(path), 0.005 * ARCSEC))
+    detector = SwingDetector()
+    swings = [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
+    watch = HarmonicsWatch(swings)
+    watch.update(samples)
+    points = turning_points(swings)
+    return points, fit_exact(points, PENDULUM, drag=True, evidence=Evidence(waveform_of(watch.found())))
+
+
+def test_a_tenth_of_the_drag_is_found_and_b_holds_what_it_does() -> None:
+    points, fit = seen(STEEPER, 1)
+    b, u_b = fit.estimate("b")
+    # what is printed where nobody asks
+    assert b - PARAMETERS.b > 10 * u_b
+    found = steeper_drag(points, PENDULUM, fit)
+    assert found.seen
+    value, u = found.steeper
+    assert abs(value - STEEPER) < 3 * u
+    assert found.share == pytest.approx(SHARE, abs=0.04)
+    assert abs((1 + found.relative_shift_b) * b / PARAMETERS.b - 1) < 0.05
+    assert abs(fit.parameters.drag_s + found.shift_drag_s - DRAG_S) < 0.03 * DRAG_S
+    wider = with_steeper_drag(fit, found)
+    for name in fit.contact_names:
+        value, u = wider.estimate(name)
+        assert abs(value - getattr(PARAMETERS, name)) < 3 * u
+    assert "3/2 power" in wider.warnings[-1]
+
+
+def test_none_is_found_where_there_is_none() -> None:
+    points, fit = seen(0.0, 1)
+    found = steeper_drag(points, PENDULUM, fit)
+    assert not found.seen
+    assert abs(found.steeper.value) < 3 * found.steeper.standard_uncertainty < 0.4 * STEEPER
+    same = with_steeper_drag(fit, found)
+    np.testing.assert_array_equal(same.covariance, fit.covariance)
+    assert same.warnings == fit.warnings
