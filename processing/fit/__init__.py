@@ -2,6 +2,7 @@
 
 from processing.fit.apparatus import InputQuantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
+from processing.fit.boundary_layer import steeper_drag, with_steeper_drag
 from processing.fit.changes import Drifts, changes_of, drifts_of, warnings_of, with_drifts
 from processing.fit.determination import Determination, identifiability, strong_correlations
 from processing.fit.drag import Drag, DragFinding, drag_verdict
@@ -37,7 +38,6 @@ from processing.fit.series import (
 )
 from processing.fit.smoothing import super_smooth
 from processing.fit.steeper import SteeperDrag
-from processing.fit.steeper_drag import steeper_drag, with_steeper_drag
 from processing.fit.uncertainty import Budget, BudgetSource, Propagated, budgets, monte_carlo
 from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes
 from processing.fit.waveform import CONTRADICTED, predicted_harmonics, waveform_chances
