@@ -1,7 +1,11 @@
 """A series of runs of one contact pair: every fit combined, and the paper's way beside it."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
+import numpy as np
+
+from processing.arrays import Floats
 from processing.contact import PendulumOnBall, surface_energy
 from processing.errors import DataError
 from processing.fit import (
@@ -12,6 +16,7 @@ from processing.fit import (
     average_curves,
     budgets,
     combine_runs,
+    drifts_of,
     fit_asymptotic,
 )
 from processing.swing import TurningPoints
@@ -49,14 +54,31 @@ def combined_series(
     except DataError as error:
         problems.append(f"averaged curves: {error}")
     default = combined.get(FitMethod.EXACT)
+    measured = None if default is None else default.measured
+    if measured is not None:
+        try:
+            measured = replace(measured, by_drifts=_by_drifts(points, pendulum, fits[FitMethod.EXACT]))
+        except DataError as error:
+            problems.append(f"the budget has no lines for drifts: {error}")
     return Series(
         runs=len(points),
         fits={method: found.parameters for method, found in combined.items()},
         surface_energy_j_per_m2=surface_energy(default.parameters["c"].estimate, pendulum)
         if default
         else None,
-        budget=budgets(default.measured, rig) if default and rig else {},
+        budget=budgets(measured, rig) if measured and rig else {},
         disagreements=default.disagreements if default else (),
         averaged_curves=averaged,
         problems=tuple(problems),
     )
+
+
+def _by_drifts(
+    points: Sequence[TurningPoints], pendulum: PendulumOnBall, fits: Sequence[FitResult]
+) -> dict[str, Floats]:
+    """What drifts that every run has alike do to the mean."""
+    found = [drifts_of(one, pendulum, fit) for one, fit in zip(points, fits, strict=True)]
+    return {
+        "ageing": np.mean([drifts.by_ageing for drifts in found], axis=0),
+        "period_drift": np.mean([drifts.by_period for drifts in found], axis=0),
+    }

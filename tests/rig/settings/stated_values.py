@@ -17,6 +17,7 @@ from processing.swing import Swing
 from rig.analysis import known_drag
 from rig.analysis.base_acceleration import base_motion
 from rig.analysis.contact_verdicts import rig_quantities
+from rig.analysis.drifts import believed_drifts
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.record_fit import clock_rate_of
@@ -55,12 +56,13 @@ def shutter(config: Configuration) -> Any:
 
 
 def apparatus(config: Configuration) -> Any:
-    """The pendulum, every input of the uncertainty budget, the ground's motion and the air's drag."""
+    """The pendulum, every input of the uncertainty budget, the ground's motion, the air's drag, drifts."""
     moved = base_motion(Estimate(1e-8, 1e-9), 2e-8, 4.0, config.pendulum)
     pendulum = pendulum_on_ball(config)
     assert pendulum is not None
     drag = known_drag(config, Surroundings(), pendulum, 4.0)
-    return repr((pendulum, rig_quantities(config), moved, drag))
+    drifts = believed_drifts(config, Surroundings())
+    return repr((pendulum, rig_quantities(config), moved, drag, drifts))
 
 
 def stated_contact(config: Configuration) -> Any:

@@ -1,0 +1,187 @@
+"""What a law does not describe: its distance from a decay is in the uncertainties, changes are named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from processing.contact.laws import PAPER
+from processing.errors import DataError
+from processing.estimate import WELL_DETERMINED, Estimate
+from processing.fit import (
+    ChangeKind,
+    Evidence,
+    FitResult,
+    changes_of,
+    combine_runs,
+    compare_laws,
+    drifts_of,
+    fit_asymptotic,
+    fit_exact,
+    fitted_contact,
+    misfit_of,
+    with_drifts,
+    with_misfit,
+    with_misfit_of,
+)
+from processing.swing import TurningPoints
+from tests.processing.fit.changing import World, changing_path
+from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise
+from tests.processing.fit.driven import driven_path
+
+DRAG_S, Q = 1.7e-3, 1e-9
+PARAMETERS, PENDULUM = paper_pair("glass_k8", DRAG_S)
+KNOWN = Evidence(drag_s=Estimate(DRAG_S, 2e-5))
+"""As the waveform says it, which takes frames: here the turning points alone are fitted."""
+
+
+def decay(world: World, seed: int = 1, q: float = Q) -> TurningPoints:
+    time, turn, _ = changing_path(PARAMETERS, PENDULUM, world, q=q, seed=seed)
+    noise = np.random.default_rng([seed, 77])
+    return with_noise(time, np.abs(turn), PARAMETERS.period0_s, 0.005, noise)
+
+
+def fitted(points: TurningPoints) -> FitResult:
+    return fit_exact(points, PENDULUM, drag=True, evidence=KNOWN)
+
+
+def test_two_integrations_agree() -> None:
+    """That of worlds that change, with nothing that does, and the other one."""
+    one = changing_path(PARAMETERS, PENDULUM, World(), q=0.0, seed=1)
+    other = driven_path(PARAMETERS, PENDULUM, q=0.0, seed=1, frames_per_s=25.0)
+    assert len(one[0]) == len(other[0])
+    assert np.max(np.abs(one[0] - other[0])) < 1e-6
+    assert np.max(np.abs(one[1] - other[1])) < 1e-5 * ARCSEC
+
+
+@pytest.mark.parametrize(
+    "world",
+    [
+        World(drag32=0.0151),
+        World(b2=0.1 * PARAMETERS.b * (30 * ARCSEC) ** (PARAMETERS.p - 0.5), p2=0.5),
+    ],
+    ids=["air with the 3/2 power of the velocity", "a second power of the angle"],
+)
+def test_a_law_that_does_not_describe_costs_uncertainty(world: World) -> None:
+    points = decay(world)
+    fit = fitted(points)
+    described = with_misfit(points, PENDULUM, fit)
+    assert described.misfit is not None
+    assert described.misfit.seen
+    b, u = described.estimate("b")
+    assert b == fit.estimate("b").value
+    assert abs(b - PARAMETERS.b) > 5 * fit.estimate("b").standard_uncertainty
+    assert abs(b - PARAMETERS.b) < 3 * u or u > WELL_DETERMINED * b
+    assert any("does not describe" in warning for warning in described.warnings)
+    # the profile, which bounds and intervals come from, knows it, too
+    at = described.names.index("b")
+    assert described.widened is not None
+    assert fit.widened is not None
+    assert described.widened[at] / fit.widened[at] == pytest.approx(u / fit.standard_uncertainty[at])
+
+
+def test_a_true_law_costs_nothing() -> None:
+    """On ground at rest and on one that moves."""
+    for seed, q in ((2, 0.0), (3, 8e-9)):
+        points = decay(World(), seed, q)
+        fit = fitted(points)
+        described = with_misfit(points, PENDULUM, fit)
+        assert described.misfit is not None
+        assert not described.misfit.seen
+        assert np.array_equal(described.covariance, fit.covariance)
+        assert changes_of(points, PENDULUM, fit) == ()
+
+
+def test_what_every_run_lacks_is_not_averaged_away() -> None:
+    world = World(drag32=0.0151)
+    runs = [decay(world, seed) for seed in (1, 2)]
+    fits = [with_misfit(points, PENDULUM, fitted(points)) for points in runs]
+    both = combine_runs(fits).parameters["b"]
+    assert both.standard_uncertainty > 0.95 * min(fit.estimate("b").standard_uncertainty for fit in fits)
+
+
+def test_the_misfit_has_its_line_in_the_budget_and_no_part_in_the_evidence() -> None:
+    points = decay(World(drag32=0.0151))
+    fit = fitted(points)
+    described = with_misfit(points, PENDULUM, fit)
+    assert described.misfit_covariance is not None
+    contact = fitted_contact(described)
+    assert contact.misfit_covariance is not None
+    assert contact.misfit_covariance[0, 0] == described.misfit_covariance[0, 0]
+    plain, wide = (compare_laws(points, PENDULUM, [PAPER], like=one) for one in (fit, described))
+    assert wide.trials[0].log_evidence == pytest.approx(plain.trials[0].log_evidence, abs=0.01)
+    assert not wide.describes
+    assert not plain.describes
+
+
+def test_another_fit_of_the_law_shares_what_the_exact_one_found() -> None:
+    points = decay(World(drag32=0.0151))
+    described = with_misfit(points, PENDULUM, fitted(points))
+    assert described.misfit_covariance is not None
+    other = fit_asymptotic(points, PENDULUM, drag=True, exact=described)
+    wider = with_misfit_of(other, described)
+    at = PAPER.names().index("c")
+    added = wider.covariance[at, at] - other.covariance[at, at]
+    assert added == pytest.approx(described.misfit_covariance[at, at])
+    with pytest.raises(DataError):
+        misfit_of(points, PENDULUM, other)
+
+
+def test_a_slip_is_found_and_dated() -> None:
+    points = decay(World(event_s=300.0, slip=0.05))
+    fit = fitted(points)
+    misfit = misfit_of(points, PENDULUM, fit)
+    found = changes_of(points, PENDULUM, fit, misfit.against_law)
+    assert [change.kind for change in found] == [ChangeKind.FRICTION]
+    assert found[0].time_s == pytest.approx(300.0, abs=15.0)
+    assert found[0].size == pytest.approx(0.05, abs=0.006)
+    assert "friction changes by +" in found[0].text
+
+
+def test_a_knock_is_found_and_dated() -> None:
+    knock_rad_per_s = 0.5 * ARCSEC * 2 * np.pi / PARAMETERS.period0_s
+    points = decay(World(event_s=300.0, knock_rad_per_s=knock_rad_per_s))
+    fit = fitted(points)
+    misfit = misfit_of(points, PENDULUM, fit)
+    found = changes_of(points, PENDULUM, fit, misfit.against_law)
+    assert found[0].kind is ChangeKind.KNOCK
+    assert found[0].time_s == pytest.approx(300.0, abs=4.1)
+    amplitude = points.amplitude[np.searchsorted(points.time_s, 300.0)]
+    assert found[0].size * amplitude / ARCSEC == pytest.approx(0.5, rel=0.2)
+
+
+def test_a_smooth_error_of_the_law_is_no_slip() -> None:
+    points = decay(World(drag32=0.0151))
+    fit = fitted(points)
+    assert changes_of(points, PENDULUM, fit, misfit_of(points, PENDULUM, fit).against_law) == ()
+
+
+def test_what_drifts_do_to_the_parameters() -> None:
+    """Against decays that drift; the difference of two, so that noise and ground are the same."""
+    lasting_s = float(decay(World()).time_s[-1])
+    still = fitted(decay(World(), q=0.0))
+    drifts = drifts_of(decay(World(), q=0.0), PENDULUM, still)
+    for world, by, names in (
+        (World(ageing=0.005, lasting_s=lasting_s), 0.005 * drifts.by_ageing, ("b", "p")),
+        (World(slower=1e-5, lasting_s=lasting_s), 1e-5 * drifts.by_period, ("gamma_pa", "period0_s")),
+    ):
+        moved = fitted(decay(world, q=0.0))
+        for name in names:
+            at = still.names.index(name)
+            assert moved.values[at] - still.values[at] == pytest.approx(by[at], rel=0.15)
+
+
+def test_drifts_can_be_fitted_about_nought() -> None:
+    points = decay(World(ageing=0.01, lasting_s=740.0), q=0.0)
+    fit = fitted(points)
+    free = with_drifts(points, PENDULUM, fit, 0.01, 1e-5)
+    at = fit.names.index("p")
+    p, u = free.estimate("p")
+    assert abs(fit.values[at] - PARAMETERS.p) > 3 * fit.standard_uncertainty[at]
+    assert abs(p - PARAMETERS.p) < 2 * u
+    by = drifts_of(points, PENDULUM, fit).by_ageing[at]
+    # the turning points say nothing of it: what is believed remains
+    assert u == pytest.approx(np.hypot(fit.standard_uncertainty[at], 0.01 * by), rel=0.2)
+    none = with_drifts(points, PENDULUM, replace(fit), 0.0, 0.0)
+    assert none.values == pytest.approx(fit.values, rel=1e-4)
+    assert none.standard_uncertainty == pytest.approx(fit.standard_uncertainty, rel=1e-3)
