@@ -26,6 +26,7 @@ from processing.fit.reported import (
     work_per_cycle_j,
 )
 from processing.fit.result import FitQuality, FitResult
+from processing.fit.row_times import Alternation, alternation_of, delay_of_rows, without_alternation
 from processing.fit.series import (
     Combined,
     Comparison,

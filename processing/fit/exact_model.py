@@ -321,6 +321,18 @@ class ExactModel:
             changes.append(out(columns)[0] - before)
         return np.asarray(changes, dtype=np.float64).T
 
+    def by_times(self, columns: Floats, errors_s: Floats) -> Floats:
+        """Changes (residuals,) for a unit of errors (points,) that measured times have more."""
+        unmoved = np.zeros(len(self._beside.residuals))
+        if self._gains is None:
+            of_times = -errors_s / self.points.u_time_s
+            return np.concatenate([np.zeros_like(of_times), of_times, unmoved])
+        out = copy(self)
+        # a small step: a filter with a limit is linear only there
+        step = 1e-3 * float(np.median(self.points.u_time_s)) / max(float(np.max(np.abs(errors_s))), 1e-300)
+        out._measured = self._measured + np.array([np.zeros_like(errors_s), step * errors_s])
+        return np.asarray((out(columns)[0] - self(columns)[0]) / step)
+
     def starts(self) -> Iterator[Floats]:
         """Start values for which the map reaches the last half-cycle, the most promising first.
 

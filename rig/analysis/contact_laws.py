@@ -10,6 +10,7 @@ from processing.fit import (
     Evidence,
     FitMethod,
     FitResult,
+    alternation_of,
     changes_of,
     fit_asymptotic,
     fit_exact,
@@ -20,6 +21,7 @@ from processing.fit import (
     with_misfit_of,
     with_place_errors,
     with_steeper_drag,
+    without_alternation,
 )
 from processing.swing import TurningPoints
 from rig.analysis.contact_results import SurfaceEnergies
@@ -30,11 +32,15 @@ from rig.settings import FitSettings
 
 @dataclass(frozen=True, slots=True)
 class DecayFits:
-    """Both fits of one decay; `problem` says in one line why they are missing."""
+    """Both fits of one decay; `problem` says in one line why they are missing.
+
+    `points` are the turning points that were fitted, where those given were not; None: they were.
+    """
 
     fits: Mapping[str, FitResult]
     surface_energy: SurfaceEnergies | None
     problem: str = ""
+    points: TurningPoints | None = None
 
 
 def fit_decay(
@@ -60,6 +66,7 @@ def fit_decay(
     try:
         if exact is None:
             exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
+        exact, points, alternates = _of_one_moment(points, pendulum, exact)
         steeper = steeper_drag(points, pendulum, exact) if exact.has_drag else None
         asymptotic = fit_asymptotic(
             points,
@@ -80,7 +87,23 @@ def fit_decay(
         asymptotic = with_place_errors(asymptotic, exact.place_covariance, exact.names)
     asymptotic = with_misfit_of(asymptotic, exact)
     fits: dict[str, FitResult] = {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}
-    return DecayFits(fits, surface_energies(fits, pendulum))
+    return DecayFits(fits, surface_energies(fits, pendulum), points=points if alternates else None)
+
+
+def _of_one_moment(
+    points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult
+) -> tuple[FitResult, TurningPoints, bool]:
+    """The fit and its points without row times of a shutter that nobody stated, and whether it has any."""
+    found = alternation_of(points, pendulum, exact)
+    if not found.seen:
+        return exact, points, False
+    at_once = without_alternation(points, found)
+    fit = fit_exact(
+        at_once, pendulum, drag=exact.has_drag, evidence=exact.evidence, loss=exact.loss, near=exact
+    )
+    if exact.place_covariance is not None:
+        fit = with_place_errors(fit, exact.place_covariance, exact.names)
+    return replace(fit, warnings=(*fit.warnings, found.taken_off_text)), at_once, True
 
 
 def _judged(points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult) -> FitResult:

@@ -13,7 +13,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.deflections import Deflections, DeflectionUnit, joined
-from processing.fit import FitMethod, FitResult, RigQuantities
+from processing.fit import FitMethod, FitResult, RigQuantities, delay_of_rows
 from processing.periods import mean_period
 from processing.spot import BeamUse
 from processing.surroundings import Surroundings
@@ -196,6 +196,7 @@ def analyse_swings(
         decay = fit_decay(
             points, pendulum, config.fit, settled.exact, drag=drag.fitted, evidence=evidence, drifts=believed
         )
+        points = points if decay.points is None else decay.points
     else:
         decay = DecayFits(
             {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
@@ -225,6 +226,11 @@ def analyse_swings(
             results = replace(results, drag=replace(results.drag, of_air=of_air))
     if errors is not None:
         results = replace(results, notes=(*results.notes, errors.text))
+    if settled.harmonics is not None and config.lever is not None and len(points) > 1:
+        of_rows = delay_of_rows(settled.harmonics, mean_period(points))
+        if of_rows.seen:
+            rad_per_px = config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)
+            results = replace(results, warnings=(*results.warnings, of_rows.text(rad_per_px)))
     return AnalysedRun(path, results, points, decay.fits, rig, harmonics=settled.harmonics)
 
 
