@@ -14,13 +14,16 @@ from rig.settings import StopCondition
 
 _log = logging.getLogger(__name__)
 BELOW_IN_A_ROW = 3  # one disturbed half-cycle, or two, do not end a long measurement
+HELD_FITS = 4
+"""Fits in a row, each of 4 % more half-cycles, in which conditions must hold: a value and a drive that are
+estimated anew each time dip below a limit by luck, and a run that ended there would not hold it."""
 
 
 @dataclass(frozen=True, slots=True)
 class EndLimits:
     """A run ends below an amplitude (in the unit of the deflections; 0: no limit) and after a time.
 
-    It ends, too, when all of `known_enough` hold.
+    It ends, too, when all of `known_enough` have held for a while.
     """
 
     final_amplitude: float
@@ -32,19 +35,22 @@ class EndOfRun:
     """Checks the limits of one run.
 
     The amplitude must stay below its limit for three consecutive half-cycles, so that one disturbed
-    half-cycle does not end a long measurement.
+    half-cycle does not end a long measurement; and what is known enough must be so in `HELD_FITS` fits in a
+    row.
     """
 
     def __init__(self, limits: EndLimits) -> None:
         self._limits = limits
         self._below = 0
+        self._held = 0
+        self._judged: Mapping[str, Estimate] | None = None
 
     def reason(
         self, swings: Sequence[Swing], elapsed_s: float, estimates: Mapping[str, Estimate] | None = None
     ) -> str | None:
         """Why the run must end, as text for the record; None while it continues.
 
-        `estimates` are the parameters as the half-cycles so far tell them.
+        `estimates` are the parameters as the half-cycles so far tell them, an object of its own for each fit.
         """
         for swing in swings:
             self._below = self._below + 1 if swing.amplitude < self._limits.final_amplitude else 0
@@ -52,8 +58,12 @@ class EndOfRun:
                 return "final amplitude reached"
         if elapsed_s >= self._limits.max_duration_s:
             return f"time limit of {self._limits.max_duration_s:g} s reached"
-        known, enough = estimates or {}, self._limits.known_enough
-        if enough and all(condition.relative(known) < condition.limit for condition in enough):
+        known, enough = estimates, self._limits.known_enough
+        if enough and known and known is not self._judged:
+            self._judged = known
+            holds = all(condition.relative(known) < condition.limit for condition in enough)
+            self._held = self._held + 1 if holds else 0
+        if enough and known and self._held >= HELD_FITS:
             return f"known well enough: {', '.join(condition.text(known) for condition in enough)}"
         return None
 

@@ -58,6 +58,7 @@ def test_results_have_the_drag_of_air_beside_the_fitted_one(measured_series: Pat
         "temperature_c",
         "humidity_percent",
         "pressure_pa",
+        "temperature_change_k",
         "dwell_s",
         "age_s",
     }
