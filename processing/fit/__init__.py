@@ -5,6 +5,7 @@ from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.boundary_layer import steeper_drag, with_steeper_drag
 from processing.fit.changes import Drifts, changes_of, drifts_of, warnings_of, with_drifts
 from processing.fit.determination import Determination, identifiability, strong_correlations
+from processing.fit.domain import domain_warnings
 from processing.fit.drag import Drag, DragFinding, drag_verdict
 from processing.fit.errors_of_place import PlaceErrors, by_row_time, place_errors, with_place_errors
 from processing.fit.evidence import NO_EVIDENCE, WAVEFORM, Evidence, Waveform, sine_covariance, waveform_of

@@ -12,6 +12,7 @@ from processing.fit import (
     FitResult,
     alternation_of,
     changes_of,
+    domain_warnings,
     fit_asymptotic,
     fit_exact,
     steeper_drag,
@@ -111,9 +112,8 @@ def _judged(points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult) -
     described = with_misfit(points, pendulum, exact)
     explained = 0.0 if described.misfit is None else described.misfit.against_law
     changes = changes_of(points, pendulum, exact, explained)
-    if not changes:
-        return described
-    return replace(described, changes=changes, warnings=(*described.warnings, *warnings_of(changes)))
+    said = (*warnings_of(changes), *domain_warnings(points, pendulum, described))
+    return replace(described, changes=changes, warnings=(*described.warnings, *said))
 
 
 def surface_energies(fits: Mapping[str, FitResult], pendulum: PendulumOnBall) -> SurfaceEnergies:

@@ -1,0 +1,45 @@
+"""Whether a law was fitted where it holds: angles against the contact's, and signs that cannot be."""
+
+from processing.contact import PendulumOnBall
+from processing.fit.result import FitResult
+from processing.swing import TurningPoints
+
+_SMALL_RAD = 0.03
+"""Amplitude up to which gravity's moment is taken as proportional: A^2/16 of the period is 6e-5 there."""
+_SIGNIFICANT = 3.0
+"""Standard uncertainties below nought from which on a sign is a wrong one."""
+
+
+def domain_warnings(
+    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult
+) -> tuple[str, ...]:
+    """What is said of a fit outside of the range in which its law has a meaning.
+
+    A ball that rolls by more than the radius of its contact has left the spot on which it stood, and with it
+    what Eqs. 1 and 3 are about; beyond pi/2 of it the moment of Eq. 3 has the other sign.
+    """
+    if pendulum is None:
+        return ()
+    found = []
+    first_rad = float(points.amplitude[0])
+    contact_rad = pendulum.contact_radius_m / pendulum.ball_radius_m
+    if first_rad > contact_rad:
+        found.append(
+            f"the first amplitude, {first_rad:.3g} rad, is {first_rad / contact_rad:.3g} times the contact's "
+            f"angle a/R = {contact_rad:.3g} rad: the laws of the contact hold below it; start lower, or "
+            "check lever and unit of the angles"
+        )
+    if first_rad > _SMALL_RAD:
+        found.append(
+            f"the first amplitude, {first_rad:.3g} rad, is no small angle: gravity alone lengthens the "
+            f"period by {first_rad**2 / 16:.1g} there, which the laws do not know; start below "
+            f"{_SMALL_RAD:g} rad"
+        )
+    for name in fit.contact_names:
+        value, u = fit.estimate(name)
+        if fit.law.parameter(name).lower == 0 and value < -_SIGNIFICANT * u:
+            found.append(
+                f"{name} = {value:.3g} is negative by {-value / u:.2g} u, which it cannot be: the law is not "
+                "that of this motion"
+            )
+    return tuple(found)

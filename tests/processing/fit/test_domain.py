@@ -1,0 +1,46 @@
+"""Laws fitted outside of their domain say so."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from processing.fit import domain_warnings, fit_exact
+from tests.processing.fit.decays import paper_pair
+from tests.processing.fit.driven import driven_decay
+
+PARAMETERS, PENDULUM = paper_pair("glass_k8")
+
+
+def test_a_fit_within_its_domain_needs_no_word() -> None:
+    points = driven_decay(PARAMETERS, PENDULUM, q=0.0, noise_arcsec=0.005, seed=5)
+    assert domain_warnings(points, PENDULUM, fit_exact(points, PENDULUM, averaged=False)) == ()
+    uncalibrated = fit_exact(points, None, averaged=False)
+    assert domain_warnings(points, None, uncalibrated) == ()
+
+
+def test_angles_beyond_the_contact_and_beyond_small_ones_are_named() -> None:
+    """The same decay as if it had been read in other units: 1.6 rad are 147 contact angles."""
+    points = driven_decay(PARAMETERS, PENDULUM, q=0.0, noise_arcsec=0.005, seed=5)
+    factor = 1.6 / points.amplitude[0]
+    large = replace(points, amplitude=factor * points.amplitude, u_amplitude=factor * points.u_amplitude)
+    fit = fit_exact(points, PENDULUM, averaged=False)
+    said = domain_warnings(large, PENDULUM, fit)
+    assert "1.6 rad, is 146 times the contact's angle" in said[0]
+    assert "no small angle" in said[1]
+    between = replace(points, amplitude=0.012 / points.amplitude[0] * points.amplitude)
+    assert len(domain_warnings(between, PENDULUM, fit)) == 1
+
+
+def test_a_sign_that_cannot_be_is_named() -> None:
+    points = driven_decay(PARAMETERS, PENDULUM, q=0.0, noise_arcsec=0.005, seed=5)
+    fit = fit_exact(points, PENDULUM, averaged=False)
+    at = fit.names.index("gamma_pa")
+    values = fit.values.copy()
+    values[at] = -10 * fit.standard_uncertainty[at]
+    (said,) = domain_warnings(points, PENDULUM, replace(fit, values=values))
+    assert "gamma_pa" in said
+    assert "negative by 10 u" in said
+    # within its uncertainty a quantity that is nought may come out below
+    values[at] = -2 * fit.standard_uncertainty[at]
+    assert domain_warnings(points, PENDULUM, replace(fit, values=values)) == ()
+    assert np.all(np.isfinite(values))
