@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 
 from processing.errors import RecordError
+from processing.fit import Change, ChangeKind, Misfit
 from rig.analysis.results import RunResults, SessionResults
-from rig.analysis.results_file import encoded, read_results, results_schema, write_results
+from rig.analysis.results_file import decoded, encoded, read_results, results_schema, write_results
 
 SCHEMA_FILE = Path(__file__).resolve().parents[3] / "docs" / "results.schema.json"
 
@@ -59,6 +61,20 @@ def test_null_says_not_determined(measured_series: Path, tmp_path: Path) -> None
     assert math.isnan(found.runs[0].fits["exact"].estimate("c").standard_uncertainty)
     assert math.isnan(found.runs[0].identifiability[0].upper_95)
     assert encoded(found) == tree
+
+
+def test_what_a_law_does_not_describe_is_stored(measured_series: Path) -> None:
+    session = read_results(measured_series)
+    run = session.runs[0]
+    change = Change(
+        kind=ChangeKind.FRICTION, half_cycle=143, time_s=296.0, size=0.047, u_size=0.001, gain=445.0
+    )
+    misfit = Misfit(loss=0.04, against_law=278.0, widened={"b": 10.4})
+    fits = {**run.fits, "exact": replace(run.fits["exact"], changes=(change,), misfit=misfit)}
+    written = replace(session, runs=(replace(run, fits=fits), *session.runs[1:]))
+    again = decoded(json.loads(json.dumps(encoded(written))), measured_series)
+    assert again.runs[0].fits["exact"].changes == (change,)
+    assert again.runs[0].fits["exact"].misfit == misfit
 
 
 def test_the_first_version_is_read(measured_series: Path, tmp_path: Path) -> None:
