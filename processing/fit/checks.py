@@ -14,6 +14,9 @@ from processing.swing import TurningPoints
 
 FEWEST_HALF_CYCLES = 10
 """Twenty amplitudes and times, for the eight columns of the paper's law and the noise."""
+_QUIET, _ENOUGH = 0.5, 60
+"""Reduced chi-square below which uncertainties are called overstated, of at least so many degrees of freedom:
+its chance there is 1e-4."""
 OUTLIER = 5.0
 """Residual in standard uncertainties above which a half-cycle is listed as an outlier."""
 
@@ -128,6 +131,19 @@ def of_correlation(white: Whiteness) -> tuple[str, ...]:
         "the residuals of neighbouring half-cycles are correlated (chance "
         f"{min(white.p_amplitude, white.p_time):.1g}): the model does not describe all of the motion, or the "
         f"point of rest wanders (pointing of the beam, air); uncertainties are {wider} for it"
+    )
+    return (text,)
+
+
+def of_overstated(chi2_per_dof: float, dof: int) -> tuple[str, ...]:
+    """That the turning points scatter less than is stated: it hides a drive, and widens everything."""
+    if dof < _ENOUGH or not 0 < chi2_per_dof < _QUIET:
+        return ()
+    text = (
+        f"chi2/dof = {chi2_per_dof:.2g}: the turning points scatter less than their uncertainties say, which "
+        f"are {chi2_per_dof**-0.5:.2g} times too large; uncertainties are so, too, and a drive of the ground "
+        "that is smaller is not seen: check the noise of the sensor (rig calibrate sensor) and the beam's "
+        "profile"
     )
     return (text,)
 

@@ -19,6 +19,7 @@ from processing.fit.checks import (
     of_correlation,
     of_ground,
     of_limits,
+    of_overstated,
     of_uncertainties,
 )
 from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence
@@ -312,6 +313,7 @@ def _result(
         outliers=tuple(int(i) for i in points.index[outlying]),
         warnings=(
             *data_warnings(points, pendulum, {"amplitudes and times": chi2_per_dof}, ground.noise.step),
+            *of_overstated(chi2_per_dof, solution.dof),
             *of_ground(ground, points),
             *of_correlation(white),
             *of_limits(model.columns.at_limit(solution.values)),
