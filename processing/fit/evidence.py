@@ -17,6 +17,7 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import DRAG, Law, PendulumOnBall, law_harmonics
 from processing.estimate import Estimate
+from processing.fit.known_drive import KnownDrive
 from processing.swing import ORDERS, SwingHarmonics
 
 WAVEFORM, AIR = "waveform", "air"
@@ -134,10 +135,12 @@ class Evidence:
     """What restrains a fit beside the turning points.
 
     `drag_s` is what is known of a linear drag without this decay: its value and standard uncertainty.
+    `drive` is what a witness of the ground tells of the drive, up to gains that are fitted.
     """
 
     waveform: Waveform | None = None
     drag_s: Estimate | None = None
+    drive: KnownDrive | None = None
 
     def residuals(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall | None) -> Floats:
         """Distances of what the values say from what is known, in standard uncertainties."""

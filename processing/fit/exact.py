@@ -324,7 +324,7 @@ def _result(
         reading_covariance=propagate(to_physical, _of_reading(model, solution)),
         widened=widened,
         whiteness=white,
-        evidence=model.evidence,
+        evidence=model.evidence_at(solution.values, scatter),
         by_air=by_air,
         worth=_worth(model, solution, to_physical),
     )

@@ -17,6 +17,7 @@ from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import AT_REST, Noise
 from processing.fit.ground_filter import GAINS, drive_filter
+from processing.fit.witnessed_columns import NOT_WITNESSED, WitnessedColumns
 from processing.fit.result import FitResult
 from processing.periods import mean_period
 from processing.swing import TurningPoints
@@ -95,6 +96,9 @@ class ExactModel:
         self.evidence = evidence
         self.names = law.fit_names(calibrated=pendulum is not None, drag=drag)
         self.columns = law.columns(points, pendulum, self.names)
+        self.witnessed: WitnessedColumns | None = None
+        if evidence.drive is not None:
+            self.columns = self.witnessed = WitnessedColumns(self.columns, evidence.drive)
         self.reference = self.columns.reference
         self.lower, self.upper = self.columns.lower, self.columns.upper
         self._index = np.ascontiguousarray(points.index - points.index[0])
@@ -176,7 +180,9 @@ class ExactModel:
         """
         out = copy(self)
         out._noise = noise
-        out._gains = None if noise == AT_REST else self.filtered(columns, noise).gains
+        # what is known of the drive moves the state of the filter, even where nothing unknown does
+        free = noise == AT_REST and self.witnessed is None
+        out._gains = None if free else self.filtered(columns, noise).gains
         out._beside = self._beside._replace(scale=scale)
         return out
 
@@ -201,6 +207,13 @@ class ExactModel:
                 jacobian[:, column] = (self._of_evidence(moved) - here) / step
         out._beside = _Beside(columns.copy(), here, jacobian, self._beside.scale)
         return out
+
+    def evidence_at(self, columns: Floats, covariance: Floats) -> Evidence:
+        """The evidence with the gains of a witness as they were found."""
+        if self.witnessed is None or self.evidence.drive is None:
+            return self.evidence
+        found = self.witnessed.gains(columns, covariance)
+        return replace(self.evidence, drive=self.evidence.drive.with_gains(*found))
 
     def _of_evidence(self, columns: Floats, more: Mapping[str, float] = MappingProxyType({})) -> Floats:
         if self.evidence == NO_EVIDENCE:
@@ -273,6 +286,7 @@ class ExactModel:
             noise.limit,
             gains,
             held,
+            *(NOT_WITNESSED if self.witnessed is None else self.witnessed.known(columns, matrix.shape[1])),
         )  # fmt: skip
         return Filtered(innovations.ravel(), jacobian.reshape(2 * count, -1), state, log_det, gains)
 

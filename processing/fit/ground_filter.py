@@ -42,6 +42,9 @@ def drive_filter(
     limit: float,
     gains: Floats,
     held: bool,
+    known: Floats,
+    known_by: Floats,
+    unknown: Floats,
 ) -> tuple[Floats, Floats, Floats, float]:
     """Whitened innovations, their derivatives, the filtered states and ln det of the innovations' covariance.
 
@@ -70,6 +73,12 @@ def drive_filter(
     held
         Use the gains as given: the innovations then depend on the columns by the predictions alone, and their
         derivatives are exact.
+    known, known_by
+        (2, half-swings + 1): what is known of the drive changes of the amplitude, and of the time times the
+        amplitude, with the half-swing that ends at each turning point, and (2, half-swings + 1, columns) its
+        derivatives; empty where nothing is known.
+    unknown
+        (half-swings + 1,) variance of what else each half-swing's drive adds to the amplitude.
 
     Returns
     -------
@@ -92,13 +101,24 @@ def drive_filter(
     a_by, t_by = start_by[0].copy(), start_by[1].copy()
     p_aa, p_at, p_tt = 0.0, 0.0, 0.0
     s2 = step * step
+    witnessed = known.shape[1] > 0
     k = 0
     if last < 1:
         return innovations, jacobian, state, log_det
     for i in range(count):
-        for half in range(index[i] - index[i - 1] if i > 0 else 0):
+        halves = index[i] - index[i - 1] if i > 0 else 0
+        if i == 0 and witnessed:
+            a += known[0, 0]
+            t += known[1, 0] / a
+            for j in range(columns):
+                a_by[j] += known_by[0, 0, j]
+                t_by[j] += (known_by[1, 0, j] - known[1, 0] / a * a_by[j]) / a
+        for half in range(halves):
             if not a > 0.0:
                 return innovations, jacobian, state, log_det
+            number = index[i] - halves + 1 + half
+            if witnessed:
+                s2 = step * step + unknown[number]
             # the interval of the nodes that holds the amplitude, or the outermost one
             while k > 0 and a > nodes[0, k]:
                 k -= 1
@@ -126,6 +146,15 @@ def drive_filter(
             p_at = keep * (p_at + time_slope * p_aa)
             p_aa = keep * keep * p_aa + s2
             a += 0.5 * s2 / a - loss - loss_slope * beyond
+            if witnessed:
+                # counted from the phase in the middle of the half-swing, which has no second order
+                a += 0.5 * known[0, number]
+                t += known[1, number] / a
+                for j in range(columns):
+                    a_by[j] += 0.5 * known_by[0, number, j]
+                    t_by[j] += (known_by[1, number, j] - known[1, number] / a * a_by[j]) / a
+                    a_by[j] += 0.5 * known_by[0, number, j]
+                a += 0.5 * known[0, number]
         gain = gains[i]
         v_a, v_t = measured[0, i] - a, measured[1, i] - t
         if not held:
@@ -137,6 +166,8 @@ def drive_filter(
                 s_tt += 2 * SMEARED_VARIANCE * step_of_time
                 g_tt += SMEARED_COVARIANCE * step_of_time
                 p_tt += step_of_time
+                if witnessed and index[i] + 1 < len(unknown):
+                    p_tt += (step * step + unknown[index[i] + 1] - s2) / (rate * rate * a * a)
                 if i > 0:
                     s_tt -= 2 * SMEARED_COVARIANCE * step_of_time
                     g_tt -= SMEARED_COVARIANCE * step_of_time

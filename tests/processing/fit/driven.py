@@ -1,6 +1,7 @@
 """A pendulum that the ground drives, integrated step by step: no half-swing map, no quadrature, no filter."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
@@ -46,10 +47,14 @@ def _integrate(
     dt: float,
     kick: float,
     rng: np.random.Generator,
+    forcing: Floats,
     keep: int,
     path: Floats,
 ) -> tuple[Floats, Floats]:
-    """Turning points (times, deflections) down to `last`; every `keep`-th position goes into `path`."""
+    """Turning points (times, deflections) down to `last`; every `keep`-th position goes into `path`.
+
+    `forcing` is an angular acceleration in every step, whose impulse is given at the end of it.
+    """
     turns, times = np.empty(20_000), np.empty(20_000)
     turns[0], times[0], found = first, 0.0, 1
     x, v, direction, t, steps = first, 0.0, -math.copysign(1.0, first), 0.0, 0
@@ -82,6 +87,8 @@ def _integrate(
             else:
                 x, v, t, left = new_x, new_v, t + left, 0.0
         v += kick * rng.standard_normal()
+        if steps < len(forcing):
+            v += forcing[steps] * dt
         if v * direction < 0.0:
             # a kick may turn a pendulum that has nearly stopped
             direction = -direction
@@ -107,11 +114,13 @@ def driven_path(
     frames_per_s: float | None = None,
     steps: int = STEPS,
     drag32: float = 0.0,
+    forcing: Callable[[Floats], Floats] | None = None,
 ) -> tuple[Floats, Floats, Floats]:
     """True turning times (s) and deflections (rad), and the deflections at so many frames a second from 0.
 
     `q` is the one-sided density of the white angular acceleration in rad/s^2/sqrt(Hz); `drag32` (s^1.5) that
-    of a moment that grows with the 3/2 power of the velocity, ``-m g R drag32 |phi'|^0.5 phi'``.
+    of a moment that grows with the 3/2 power of the velocity, ``-m g R drag32 |phi'|^0.5 phi'``. `forcing` is
+    another acceleration, in rad/s^2 at times in s.
     """
     kappa = (
         2
@@ -133,7 +142,10 @@ def driven_path(
         path = np.full(round(5_000 * frames_per_s), np.nan)
     kick = q * math.sqrt(0.5 * dt)
     rng = np.random.default_rng(seed)
-    times, turns = _integrate(first_arcsec * ARCSEC, last_arcsec * ARCSEC, law, dt, kick, rng, keep, path)
+    steady = np.empty(0) if forcing is None else forcing(np.arange(round(5_000 / dt)) * dt + dt)
+    times, turns = _integrate(
+        first_arcsec * ARCSEC, last_arcsec * ARCSEC, law, dt, kick, rng, steady, keep, path
+    )
     return times, turns, path[np.isfinite(path)]
 
 

@@ -1,0 +1,201 @@
+"""What a known angular acceleration does to turning points, exactly, from samples of it.
+
+Between two turning points an acceleration f(t) moves the pendulum by the response of an oscillator. To first
+order, with s the side of the later turning point k, w the frequency and theta = w (t - t_k):
+
+    change of the amplitude            -(s/w) int f sin(theta) dt
+    delay, times the amplitude         (s/w^2) int f cos(theta) dt         both over the half-swing
+
+A turning point that is measured on the samples of its half-cycle, between its zero crossings, is that of the
+oscillation that fits them best. With the motion through the true turning point as a reference, f adds to them
+the response that begins there, forwards and backwards. Least squares find of it, with u = pi/2 - |theta|:
+
+    amplitude, point of rest known     (s/w) int f p dt / pi,      p = cos(theta) - u sin|theta|
+    amplitude, point of rest free      (s/w) int f (pi p/2 - 2 r) dt / (pi^2/2 - 4),  r = 1 - sin|theta|
+    time, times the amplitude          (s/w^2) int f u cos(theta) sign(theta) dt / pi
+
+f is linear between its samples, and all integrals have closed forms.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from processing.arrays import Flags, Floats
+from processing.kernel import kernel
+from processing.swing import TurningPoints
+
+_NEIGHBOURS = 4
+"""Half-swings on either side over which the frequency is averaged: the ground makes single ones uneven."""
+_PARTS = 5
+"""Integrals of f: times cos and sin of theta, times theta cos and theta sin, and f alone."""
+_FREE = 1 / 3
+"""Share of the measured amplitude whose point of rest is free. The swing detector knows it in part from earlier
+half-cycles: 0.35 on a white drive of 1e-7 rad/s^2/sqrt(Hz)."""
+_OF_REST = np.pi**2 / 2 - 4
+
+
+@kernel
+def moments_of(
+    time: Floats, value: Floats, origin: Floats, rate: Floats, low: Floats, high: Floats, longest: float
+) -> Floats:
+    """Integrals (n, terms, 5) of f, linear between samples, over intervals; see `_PARTS`.
+
+    Parameters
+    ----------
+    time, value
+        Rising times (samples,) and values (samples, terms). A value that is NaN is missing.
+    origin, rate, low, high
+        Of each interval (n,): time at which theta is 0, its rate in rad/s, and the limits.
+    longest
+        Largest step between samples that is no gap, s. Integrals that meet a gap, or reach beyond the
+        samples, are NaN.
+    """
+    count, terms, samples = len(origin), value.shape[1], len(time)
+    out = np.zeros((count, terms, _PARTS))
+    for i in range(count):
+        a = np.searchsorted(time, low[i], side="right") - 1
+        if a < 0 or high[i] > time[samples - 1]:
+            out[i] = np.nan
+            continue
+        w = rate[i]
+        while a < samples - 1 and time[a] < high[i]:
+            step = time[a + 1] - time[a]
+            if step > longest:
+                out[i] = np.nan
+                break
+            x0 = w * (max(low[i], time[a]) - origin[i])
+            x1 = w * (min(high[i], time[a + 1]) - origin[i])
+            c0, s0, c1, s1 = np.cos(x0), np.sin(x0), np.cos(x1), np.sin(x1)
+            for j in range(terms):
+                slope = (value[a + 1, j] - value[a, j]) / (step * w)
+                f0 = value[a, j] + slope * (x0 - w * (time[a] - origin[i]))
+                f1 = f0 + slope * (x1 - x0)
+                # antiderivatives by parts: of f e^(i x) and of x f e^(i x)
+                out[i, j, 0] += (f1 * s1 + slope * c1 - f0 * s0 - slope * c0) / w
+                out[i, j, 1] += (slope * s1 - f1 * c1 - slope * s0 + f0 * c0) / w
+                p0, p1, d0, d1 = x0 * f0, x1 * f1, f0 + slope * x0, f1 + slope * x1
+                out[i, j, 2] += ((p1 - 2 * slope) * s1 + d1 * c1 - (p0 - 2 * slope) * s0 - d0 * c0) / w
+                out[i, j, 3] += (d1 * s1 - (p1 - 2 * slope) * c1 - d0 * s0 + (p0 - 2 * slope) * c0) / w
+                out[i, j, 4] += 0.5 * (f0 + f1) * (x1 - x0) / w
+            a += 1
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """Samples of what drives a pendulum, each up to a factor: times (s) and values (samples, terms).
+
+    `longest_step_s` is the largest step between samples that is no gap.
+    """
+
+    time_s: Floats
+    value: Floats
+    longest_step_s: float
+
+    def delayed(self, by_s: float) -> "Signals":
+        """The same, later."""
+        return replace(self, time_s=self.time_s + by_s)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownDrive:
+    """What each of some signals, at unit gain, does to the turning points of a run.
+
+    Attributes
+    ----------
+    steps
+        (2, half-swings + 1, terms): change of the amplitude, and of the time (s) times the amplitude, with
+        the half-swing that ends at each turning point, counted from the first one. With the first turning
+        point there is only what its own measurement adds. 0 where `missing`.
+    missing
+        (half-swings + 1,) whether a half-swing's ground is not known.
+    gains
+        From which a search starts, or which it found (terms,); in rad/s^2 per unit of the signals.
+    covariance
+        Of the gains that were found.
+    """
+
+    steps: Floats
+    missing: Flags
+    gains: Floats
+    covariance: Floats | None = None
+
+    @property
+    def terms(self) -> int:
+        return self.steps.shape[2]
+
+    def only(self, terms: list[int]) -> "KnownDrive":
+        """With some of the signals."""
+        return KnownDrive(self.steps[:, :, terms], self.missing, self.gains[terms])
+
+    def with_gains(self, gains: Floats, covariance: Floats | None = None) -> "KnownDrive":
+        """The same with gains that were found."""
+        return replace(self, gains=gains, covariance=covariance)
+
+    def unknown_variance(self, gains: Floats) -> Floats:
+        """Variance of a half-swing's step (half-swings + 1,) where it is missing, from what the others are.
+
+        In the unit of `steps`; 0 where the ground is known.
+        """
+        seen = self.steps[0][~self.missing] @ gains
+        mean = float(np.mean(seen**2)) if len(seen) else 0.0
+        return np.where(self.missing, mean, 0.0)
+
+
+def known_drive(points: TurningPoints, signals: Signals, *, averaged: bool = True) -> KnownDrive:
+    """What the signals do to turning points; `averaged` is that of `fit_exact`.
+
+    The first turning point's side counts as positive.
+    """
+    number = points.index - points.index[0]
+    count = int(number[-1]) + 1
+    time = np.interp(np.arange(count), number, points.time_s)
+    rate = _rates(time)
+    side = (-1.0) ** np.arange(count)
+    half = 0.5 * np.pi / rate
+    terms = signals.value.shape[1]
+    delay = np.zeros((2, count, terms))
+    delay[:, 1:] = _of_half_swings(signals, time, side, rate)
+    if averaged:
+        measured = _of_measurement(signals, time, side, rate, half)
+        # a state that is as measured: what the last measurement added is taken off again
+        delay += measured
+        delay[:, 1:] -= measured[:, :-1]
+    missing = ~np.all(np.isfinite(delay), axis=(0, 2))
+    delay[:, missing] = 0.0
+    return KnownDrive(delay, missing, np.zeros(terms))
+
+
+def _rates(time: Floats) -> Floats:
+    """Angular frequency at each turning point, rad/s."""
+    after = np.minimum(np.arange(len(time)) + _NEIGHBOURS, len(time) - 1)
+    before = np.maximum(np.arange(len(time)) - _NEIGHBOURS, 0)
+    return np.asarray(np.pi * (after - before) / (time[after] - time[before]))
+
+
+def _of_half_swings(signals: Signals, time: Floats, side: Floats, rate: Floats) -> Floats:
+    # counted from the middle: from either end the phase would hold half of what is to be found
+    w, s = 0.5 * (rate[1:] + rate[:-1])[:, None], side[1:, None]
+    origin = 0.5 * (time[1:] + time[:-1]) + 0.5 * np.pi / w[:, 0]
+    found = _moments(signals, origin, w[:, 0], time[:-1], time[1:])
+    return np.array([-s / w * found[:, :, 1], s / w**2 * found[:, :, 0]])
+
+
+def _of_measurement(signals: Signals, time: Floats, side: Floats, rate: Floats, half: Floats) -> Floats:
+    w, s = rate[:, None], side[:, None]
+    out = np.zeros((2, len(time), signals.value.shape[1]))
+    for sign, low, high in ((-1.0, time - half, time), (1.0, time, time + half)):
+        cosine, sine, x_cosine, x_sine, alone = np.moveaxis(_moments(signals, time, rate, low, high), 2, 0)
+        # u = pi/2 - sign theta, sin|theta| = sign sin(theta)
+        p = cosine - 0.5 * np.pi * sign * sine + x_sine
+        r = alone - sign * sine
+        free = (0.5 * np.pi * p - 2 * r) / _OF_REST
+        out[0] += s / w * ((1 - _FREE) * p / np.pi + _FREE * free)
+        out[1] += s / w**2 * sign * (0.5 * np.pi * cosine - sign * x_cosine) / np.pi
+    return out
+
+
+def _moments(signals: Signals, origin: Floats, rate: Floats, low: Floats, high: Floats) -> Floats:
+    found = moments_of(signals.time_s, signals.value, origin, rate, low, high, signals.longest_step_s)
+    return np.asarray(found)
