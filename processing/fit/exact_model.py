@@ -17,8 +17,9 @@ from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import AT_REST, Noise
 from processing.fit.ground_filter import GAINS, drive_filter
-from processing.fit.witnessed_columns import NOT_WITNESSED, WitnessedColumns
+from processing.fit.known_drive import KnownDrive
 from processing.fit.result import FitResult
+from processing.fit.witnessed_columns import NOT_WITNESSED, WitnessedColumns
 from processing.periods import mean_period
 from processing.swing import TurningPoints
 
@@ -206,6 +207,13 @@ class ExactModel:
                 moved[column] += step
                 jacobian[:, column] = (self._of_evidence(moved) - here) / step
         out._beside = _Beside(columns.copy(), here, jacobian, self._beside.scale)
+        return out
+
+    def with_drive(self, drive: KnownDrive) -> "ExactModel":
+        """The same model, which has a witness, with another one."""
+        assert self.witnessed is not None
+        out = copy(self)
+        out.columns = out.witnessed = self.witnessed.witnessed_by(drive)
         return out
 
     def evidence_at(self, columns: Floats, covariance: Floats) -> Evidence:

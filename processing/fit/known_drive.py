@@ -30,8 +30,8 @@ _NEIGHBOURS = 4
 _PARTS = 5
 """Integrals of f: times cos and sin of theta, times theta cos and theta sin, and f alone."""
 _FREE = 1 / 3
-"""Share of the measured amplitude whose point of rest is free. The swing detector knows it in part from earlier
-half-cycles: 0.35 on a white drive of 1e-7 rad/s^2/sqrt(Hz)."""
+"""Share of the measured amplitude whose point of rest is free. The swing detector knows it in part from
+earlier half-cycles: 0.35 on a white drive of 1e-7 rad/s^2/sqrt(Hz)."""
 _OF_REST = np.pi**2 / 2 - 4
 
 
@@ -93,6 +93,10 @@ class Signals:
     value: Floats
     longest_step_s: float
 
+    def only(self, terms: list[int]) -> "Signals":
+        """Some of them."""
+        return replace(self, value=np.ascontiguousarray(self.value[:, terms]))
+
     def delayed(self, by_s: float) -> "Signals":
         """The same, later."""
         return replace(self, time_s=self.time_s + by_s)
@@ -123,7 +127,7 @@ class KnownDrive:
 
     @property
     def terms(self) -> int:
-        return self.steps.shape[2]
+        return int(self.steps.shape[2])
 
     def only(self, terms: list[int]) -> "KnownDrive":
         """With some of the signals."""
@@ -152,7 +156,7 @@ def known_drive(points: TurningPoints, signals: Signals, *, averaged: bool = Tru
     count = int(number[-1]) + 1
     time = np.interp(np.arange(count), number, points.time_s)
     rate = _rates(time)
-    side = (-1.0) ** np.arange(count)
+    side = np.where(np.arange(count) % 2 == 0, 1.0, -1.0)
     half = 0.5 * np.pi / rate
     terms = signals.value.shape[1]
     delay = np.zeros((2, count, terms))

@@ -17,41 +17,45 @@ class WitnessedColumns:
     """A law's columns after those of the gains; see `Columns`.
 
     The gains are no parameters of the law: `physical` has its values alone, and their covariance follows from
-    that of all columns. Gains are in units in which the drive moves an amplitude by the reference.
+    that of all columns. Gains are in `unit`, with which a drive moves an amplitude by the reference.
     """
 
     def __init__(self, law: Columns, drive: KnownDrive) -> None:
         self._law, self._drive = law, drive
         self.reference = law.reference
         self.map_by_log_rho = law.map_by_log_rho
-        self._terms = drive.terms
-        open_end = np.full(self._terms, np.inf)
+        self.terms = drive.terms
+        open_end = np.full(self.terms, np.inf)
         self.lower = np.concatenate([-open_end, law.lower])
         self.upper = np.concatenate([open_end, law.upper])
         # a gain of 1 then moves an amplitude by the reference
         size = np.sqrt(np.mean(drive.steps[0] ** 2, axis=0))
-        self._unit = law.reference / np.where(size > 0.0, size, 1.0)
+        self.unit = law.reference / np.where(size > 0.0, size, 1.0)
+
+    def witnessed_by(self, drive: KnownDrive) -> "WitnessedColumns":
+        """The same law beside another drive."""
+        return WitnessedColumns(self._law, drive)
 
     def gains(self, columns: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Gains (terms,) in rad/s^2 per unit of the signals, and their covariance."""
-        part = slice(self._terms)
-        return columns[part] * self._unit, covariance[part, part] * np.outer(self._unit, self._unit)
+        part = slice(self.terms)
+        return columns[part] * self.unit, covariance[part, part] * np.outer(self.unit, self.unit)
 
     def known(self, columns: Floats, width: int) -> tuple[Floats, Floats, Floats]:
-        """What the filter is given of the drive, in units of the reference; the Jacobian has `width` columns."""
-        steps = self._drive.steps * (self._unit / self.reference)
-        gains = columns[: self._terms]
+        """What the filter is given of the drive, in units of the reference, for a Jacobian of `width`."""
+        steps = self._drive.steps * (self.unit / self.reference)
+        gains = columns[: self.terms]
         by = np.zeros((*steps.shape[:2], width))
-        by[:, :, : self._terms] = steps
-        unknown = self._drive.unknown_variance(gains * self._unit) / self.reference**2
+        by[:, :, : self.terms] = steps
+        unknown = self._drive.unknown_variance(gains * self.unit) / self.reference**2
         return np.ascontiguousarray(steps @ gains), by, unknown
 
     def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
-        values, matrix = self._law.map_parameters(columns[self._terms :])
+        values, matrix = self._law.map_parameters(columns[self.terms :])
         return values, self._beside(matrix)
 
     def physical(self, columns: Floats) -> tuple[Floats, Floats]:
-        values, matrix = self._law.physical(columns[self._terms :])
+        values, matrix = self._law.physical(columns[self.terms :])
         return values, self._beside(matrix)
 
     def from_physical(self, values: Mapping[str, float]) -> Floats:
@@ -62,13 +66,13 @@ class WitnessedColumns:
 
     def held(self, name: str) -> HeldColumn:
         column, keeps_sign = self._law.held(name)
-        return HeldColumn(column + self._terms, keeps_sign)
+        return HeldColumn(column + self.terms, keeps_sign)
 
     def at_limit(self, columns: Floats) -> Sequence[str]:
-        return self._law.at_limit(columns[self._terms :])
+        return self._law.at_limit(columns[self.terms :])
 
     def _beside(self, matrix: Floats) -> Floats:
-        return np.column_stack([np.zeros((len(matrix), self._terms)), matrix])
+        return np.column_stack([np.zeros((len(matrix), self.terms)), matrix])
 
     def _with_gains(self, columns: Floats) -> Floats:
-        return np.concatenate([self._drive.gains / self._unit, columns])
+        return np.concatenate([self._drive.gains / self.unit, columns])
