@@ -15,6 +15,11 @@ the response that begins there, forwards and backwards. Least squares find of it
     time, times the amplitude          (s/w^2) int f u cos(theta) sign(theta) dt / pi
 
 f is linear between its samples, and all integrals have closed forms.
+
+Friction that grows nearly in proportion to the deflection, as Eq. 1's with p near 1, is a softer spring up to the
+zero crossing and a stiffer one after it. With a relative loss e of amplitude in a half-swing the frequencies of
+the two quarters are w (1 - e/2) and w (1 + e/2); s/w is then that of the second, s/w^2 of both. Without that,
+a few thousandths of the drive would stay.
 """
 
 from dataclasses import dataclass, replace
@@ -27,6 +32,8 @@ from processing.swing import TurningPoints
 
 _NEIGHBOURS = 4
 """Half-swings on either side over which the frequency is averaged: the ground makes single ones uneven."""
+_OF_LOSS = 15
+"""The same for the loss of amplitude, of which a tenth is enough."""
 _PARTS = 5
 """Integrals of f: times cos and sin of theta, times theta cos and theta sin, and f alone."""
 _FREE = 1 / 3
@@ -160,7 +167,8 @@ def known_drive(points: TurningPoints, signals: Signals, *, averaged: bool = Tru
     half = 0.5 * np.pi / rate
     terms = signals.value.shape[1]
     delay = np.zeros((2, count, terms))
-    delay[:, 1:] = _of_half_swings(signals, time, side, rate)
+    amplitude = np.interp(np.arange(count), number, points.amplitude)
+    delay[:, 1:] = _of_half_swings(signals, time, side, rate, _losses(amplitude))
     if averaged:
         measured = _of_measurement(signals, time, side, rate, half)
         # a state that is as measured: what the last measurement added is taken off again
@@ -178,12 +186,26 @@ def _rates(time: Floats) -> Floats:
     return np.asarray(np.pi * (after - before) / (time[after] - time[before]))
 
 
-def _of_half_swings(signals: Signals, time: Floats, side: Floats, rate: Floats) -> Floats:
+def _losses(amplitude: Floats) -> Floats:
+    """Relative loss of amplitude in each half-swing, averaged over neighbours."""
+    places = np.arange(len(amplitude))
+    after = np.minimum(places + _OF_LOSS, len(places) - 1)
+    before = np.maximum(places - _OF_LOSS, 0)
+    lost = (amplitude[before] - amplitude[after]) / ((after - before) * amplitude)
+    return np.asarray(0.5 * (lost[1:] + lost[:-1]))
+
+
+def _of_half_swings(signals: Signals, time: Floats, side: Floats, rate: Floats, loss: Floats) -> Floats:
+    w, s = 0.5 * (rate[1:] + rate[:-1]), side[1:, None]
+    before, after = w * (1 - 0.5 * loss), w * (1 + 0.5 * loss)
     # counted from the middle: from either end the phase would hold half of what is to be found
-    w, s = 0.5 * (rate[1:] + rate[:-1])[:, None], side[1:, None]
-    origin = 0.5 * (time[1:] + time[:-1]) + 0.5 * np.pi / w[:, 0]
-    found = _moments(signals, origin, w[:, 0], time[:-1], time[1:])
-    return np.array([-s / w * found[:, :, 1], s / w**2 * found[:, :, 0]])
+    crossing = 0.5 * (time[1:] + time[:-1]) + 0.25 * np.pi * loss / w
+    out = np.zeros((2, len(w), signals.value.shape[1]))
+    for one, low, high in ((before, time[:-1], crossing), (after, crossing, time[1:])):
+        found = _moments(signals, crossing + 0.5 * np.pi / one, one, low, high)
+        out[0] -= s / after[:, None] * found[:, :, 1]
+        out[1] += s / (one * after)[:, None] * found[:, :, 0]
+    return out
 
 
 def _of_measurement(signals: Signals, time: Floats, side: Floats, rate: Floats, half: Floats) -> Floats:

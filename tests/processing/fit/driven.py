@@ -18,24 +18,27 @@ STEPS = 500
 
 
 @njit(cache=True)
-def _acceleration(x: float, v: float, direction: float, law: Floats) -> float:
-    """Eq. 4 with Eqs. 1 and 3 and the air: law = w0^2, b, p, c, n, kappa, R/a, drag, drag32."""
+def _acceleration(x: float, v: float, direction: float, law: Floats, push: float) -> float:
+    """Eq. 4 with Eqs. 1 and 3 and the air: law = w0^2, b, p, c, n, kappa, R/a, drag, drag32; and a push."""
     size = abs(x)
     elastic = law[5] * size ** (law[4] + 1.0) * (0.5 * math.pi - law[6] * size)
     air = (law[7] + law[8] * math.sqrt(abs(v))) * v
-    return law[0] * (-x + math.copysign(elastic, x) - direction * (law[3] + law[1] * size ** law[2]) - air)
+    friction = direction * (law[3] + law[1] * size ** law[2])
+    return push + law[0] * (-x + math.copysign(elastic, x) - friction - air)
 
 
 @njit(cache=True)
-def _advance(x: float, v: float, direction: float, dt: float, law: Floats) -> tuple[float, float]:
+def _advance(
+    x: float, v: float, direction: float, dt: float, law: Floats, push: float
+) -> tuple[float, float]:
     """One step of Runge and Kutta."""
-    a1 = _acceleration(x, v, direction, law)
+    a1 = _acceleration(x, v, direction, law, push)
     v2 = v + 0.5 * dt * a1
-    a2 = _acceleration(x + 0.5 * dt * v, v2, direction, law)
+    a2 = _acceleration(x + 0.5 * dt * v, v2, direction, law, push)
     v3 = v + 0.5 * dt * a2
-    a3 = _acceleration(x + 0.5 * dt * v2, v3, direction, law)
+    a3 = _acceleration(x + 0.5 * dt * v2, v3, direction, law, push)
     v4 = v + dt * a3
-    a4 = _acceleration(x + dt * v3, v4, direction, law)
+    a4 = _acceleration(x + dt * v3, v4, direction, law, push)
     return x + dt * (v + 2 * v2 + 2 * v3 + v4) / 6, v + dt * (a1 + 2 * a2 + 2 * a3 + a4) / 6
 
 
@@ -53,7 +56,7 @@ def _integrate(
 ) -> tuple[Floats, Floats]:
     """Turning points (times, deflections) down to `last`; every `keep`-th position goes into `path`.
 
-    `forcing` is an angular acceleration in every step, whose impulse is given at the end of it.
+    `forcing` is an angular acceleration in every step, which acts during it.
     """
     turns, times = np.empty(20_000), np.empty(20_000)
     turns[0], times[0], found = first, 0.0, 1
@@ -61,16 +64,19 @@ def _integrate(
     path[0] = x
     while found < len(turns):
         left = dt
+        push = forcing[steps] if steps < len(forcing) else 0.0
         while left > 0.0:
-            new_x, new_v = _advance(x, v, direction, left, law)
+            new_x, new_v = _advance(x, v, direction, left, law, push)
             # friction turns with the velocity: a step ends there; one that crosses zero, where |phi|^p has a
             # kink, ends there too
             if new_v * direction < 0.0:
                 part = left * min(max(v / (v - new_v), 0.0), 1.0) if v != new_v else left
                 for _ in range(4):
-                    mid_x, mid_v = _advance(x, v, direction, part, law)
-                    part = min(max(part - mid_v / _acceleration(mid_x, mid_v, direction, law), 0.0), left)
-                x, _ = _advance(x, v, direction, part, law)
+                    mid_x, mid_v = _advance(x, v, direction, part, law, push)
+                    part = min(
+                        max(part - mid_v / _acceleration(mid_x, mid_v, direction, law, push), 0.0), left
+                    )
+                x, _ = _advance(x, v, direction, part, law, push)
                 v, direction = 0.0, -direction
                 t, left = t + part, left - part
                 if x * turns[found - 1] < 0.0:
@@ -79,16 +85,14 @@ def _integrate(
             elif x * new_x < 0.0:
                 part = left * x / (x - new_x)
                 for _ in range(3):
-                    mid_x, mid_v = _advance(x, v, direction, part, law)
+                    mid_x, mid_v = _advance(x, v, direction, part, law, push)
                     part = min(max(part - mid_x / mid_v, 0.0), left)
-                x, v = _advance(x, v, direction, part, law)
+                x, v = _advance(x, v, direction, part, law, push)
                 x = math.copysign(1e-300, new_x)
                 t, left = t + part, left - part
             else:
                 x, v, t, left = new_x, new_v, t + left, 0.0
         v += kick * rng.standard_normal()
-        if steps < len(forcing):
-            v += forcing[steps] * dt
         if v * direction < 0.0:
             # a kick may turn a pendulum that has nearly stopped
             direction = -direction
@@ -142,7 +146,7 @@ def driven_path(
         path = np.full(round(5_000 * frames_per_s), np.nan)
     kick = q * math.sqrt(0.5 * dt)
     rng = np.random.default_rng(seed)
-    steady = np.empty(0) if forcing is None else forcing(np.arange(round(5_000 / dt)) * dt + dt)
+    steady = np.empty(0) if forcing is None else forcing((np.arange(round(5_000 / dt)) + 0.5) * dt)
     times, turns = _integrate(
         first_arcsec * ARCSEC, last_arcsec * ARCSEC, law, dt, kick, rng, steady, keep, path
     )

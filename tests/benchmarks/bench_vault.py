@@ -1,0 +1,249 @@
+"""The exact fit with a witness of the ground: scatter, coverage, refusals.
+
+Run as ``python -m tests.benchmarks.bench_vault [--seeds N] [CASE...]`` from the repository. Decays are
+integrated step by step, with the ground as a force; the fit shares no formula with that. The recorded ground is
+that of two real seismometers at one place: one drives the pendulum, the other, whose response nobody states, is
+the witness.
+"""
+
+import argparse
+import gzip
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from time import process_time
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.errors import RigError
+from processing.fit import FitResult, fit_exact
+from processing.fit.exact_model import ExactModel
+from processing.fit.ground import Noise, density_of_step
+from processing.fit.witness import Witness, WitnessUse, fit_with_witness
+from processing.least_squares import covariance_of
+from processing.swing import TurningPoints
+from tests.processing.fit.decays import paper_pair, truth, with_noise
+from tests.processing.fit.driven import driven_path
+
+FLAT = "glass_k8"
+NOISE_ARCSEC = 0.005
+SHARED = Path(os.environ.get("RIG_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
+SEISMOMETERS = SHARED / "ground" / "two-seismometers.csv.gz"
+SHOWN = ("b", "c", "n", "gamma_pa")
+STEP_S = 0.05
+
+Floats = NDArray[np.float64]
+
+
+class Ground(NamedTuple):
+    """What drives a pendulum, and what a witness records of it: times, rad/s^2, any unit."""
+
+    time_s: Floats
+    drive: Floats
+    witness: Floats
+    witness_time_s: Floats | None = None
+
+
+class Case(NamedTuple):
+    """A ground for each seed; `left` is the density (rad/s^2/sqrt(Hz)) that the witness cannot know, if it is
+    known, and `related` whether the witness has to do with the ground."""
+
+    name: str
+    ground: Callable[[int], Ground]
+    left: float | None = None
+    related: bool = True
+    last_arcsec: float = 2.0
+
+
+def white(q: float, noise: float) -> Callable[[int], Ground]:
+    """A white drive, and a witness with so much white noise of its own."""
+
+    def ground(seed: int) -> Ground:
+        rng = np.random.default_rng([seed, 35])
+        time = np.arange(0.0, 2500.0, STEP_S)
+        drive = q * np.sqrt(0.5 / STEP_S) * rng.standard_normal(len(time))
+        own = noise * q * np.sqrt(0.5 / STEP_S) * rng.standard_normal(len(time))
+        return Ground(time, drive, 1e9 * (drive + own))
+
+    return ground
+
+
+def recorded(q: float, *, same: bool = False, late_s: float = 0.0) -> Callable[[int], Ground]:
+    """Acceleration by the known seismometer, a random part of it, up or down, scaled to a density near 0.25 Hz."""
+    with gzip.open(SEISMOMETERS) as file:
+        time, known, unknown = np.loadtxt(file, delimiter=",", skiprows=1).T
+    step_s = float(time[1] - time[0])
+    acceleration = np.gradient(known, step_s)
+    window = np.hanning(len(time))
+    power = 2 * step_s * np.abs(np.fft.rfft(acceleration * window)) ** 2 / np.sum(window**2)
+    frequency = np.fft.rfftfreq(len(time), step_s)
+    density = np.sqrt(np.mean(power[(frequency > 0.2) & (frequency < 0.3)]))
+
+    def ground(seed: int) -> Ground:
+        rng = np.random.default_rng([seed, 36])
+        begin_s, sign = rng.uniform(15.0, 560.0), rng.choice([-1.0, 1.0])
+        drive = sign * q / density * acceleration
+        if rng.integers(2):
+            # the other way round in time it is another ground; counts follow velocity, which turns its sign
+            drive, seen = drive[::-1], -(known if same else unknown)[::-1]
+        else:
+            seen = known if same else unknown
+        return Ground(time - begin_s, np.ascontiguousarray(drive), seen.copy(), time - begin_s + late_s)
+
+    return ground
+
+
+def unrelated(q: float) -> Callable[[int], Ground]:
+    """The witness of another run."""
+
+    def ground(seed: int) -> Ground:
+        found, other = white(q, 0.0)(seed), white(q, 0.0)(seed + 100_000)
+        return Ground(found.time_s, found.drive, other.witness)
+
+    return ground
+
+
+def cases() -> Iterator[Case]:
+    for noise in (0.0, 0.1, 0.3, 1.0):
+        left = 1e-7 * noise / np.hypot(1.0, noise)
+        yield Case(f"white 1e-7, witness noise {noise:g}", white(1e-7, noise), left)
+    yield Case("unrelated, white 1e-7", unrelated(1e-7), 1e-7, related=False)
+    yield Case("unrelated, white 1e-8", unrelated(1e-8), 1e-8, related=False)
+    if SEISMOMETERS.exists():
+        yield Case("recorded 1e-7, the other sensor", recorded(1e-7))
+        yield Case("recorded 3e-7, the other sensor", recorded(3e-7), last_arcsec=4.0)
+        yield Case("recorded 1e-7, the same sensor", recorded(1e-7, same=True))
+        yield Case("recorded 1e-7, wrong by 200 s", recorded(1e-7, late_s=200.0), related=False)
+
+
+def decay(ground: Ground, seed: int, last_arcsec: float) -> TurningPoints:
+    """Turning points of a pendulum on that ground, with noise."""
+    parameters, pendulum = paper_pair(FLAT)
+
+    def force(time_s: Floats) -> Floats:
+        return np.interp(time_s, ground.time_s, ground.drive, left=0.0, right=0.0)
+
+    time, turn, _ = driven_path(
+        parameters, pendulum, q=0.0, seed=seed, forcing=force, last_arcsec=last_arcsec
+    )
+    rng = np.random.default_rng([seed, 77])
+    return with_noise(time, np.abs(turn), parameters.period0_s, NOISE_ARCSEC, rng)
+
+
+def bound(points: TurningPoints, left: float) -> Floats:
+    """Standard deviations of the Cramer-Rao bound at the truth, with what a witness leaves of the drive."""
+    parameters, pendulum = paper_pair(FLAT)
+    model = ExactModel(points, pendulum)
+    known = dict(zip(model.names, truth(parameters, model.names), strict=False))
+    known |= {"initial_amplitude_rad": float(points.amplitude[0]), "start_time_s": float(points.time_s[0])}
+    columns = model.columns.from_physical(known)
+    step = left / density_of_step(1.0, float(np.diff(points.time_s).mean())) / model.reference
+    jacobian = model.on_ground(columns, Noise(step=step, averaged=False))(columns)[1]
+    matrix = model.columns.physical(columns)[1]
+    return np.asarray(np.sqrt(np.diag(matrix @ covariance_of(jacobian) @ matrix.T)))
+
+
+class Run(NamedTuple):
+    alone: FitResult
+    fit: FitResult
+    use: WitnessUse
+    bound: Floats | None
+    cpu_s: float
+
+
+def one_run(case: Case, seed: int) -> Run:
+    ground = case.ground(seed)
+    pendulum = paper_pair(FLAT)[1]
+    points = decay(ground, seed, case.last_arcsec)
+    alone = fit_exact(points, pendulum, averaged=False)
+    times = ground.time_s if ground.witness_time_s is None else ground.witness_time_s
+    began_s = process_time()
+    found = fit_with_witness(
+        points, pendulum, Witness(times, ground.witness[:, None], ("Z",)), alone, averaged=False
+    )
+    cpu_s = process_time() - began_s
+    return Run(alone, found.fit, found.use, None if case.left is None else bound(points, case.left), cpu_s)
+
+
+def measure(case: Case, seeds: int) -> dict[str, Any]:
+    parameters = paper_pair(FLAT)[0]
+    runs = []
+    for seed in range(seeds):
+        try:
+            runs.append(one_run(case, seed))
+        except RigError as error:
+            print(f"  seed {seed}: {error}")
+    names = runs[0].alone.names
+    at = [names.index(name) for name in SHOWN]
+    true = truth(parameters, names)[at]
+
+    def off(fit: FitResult) -> Floats:
+        return np.asarray(fit.values[at] - true)
+
+    alone, fit = (np.array([off(one) for one in which]) for which in zip(*((r.alone, r.fit) for r in runs)))
+    u_alone = np.array([run.alone.standard_uncertainty[at] for run in runs])
+    u = np.array([run.fit.standard_uncertainty[at] for run in runs])
+    out: dict[str, Any] = {
+        "case": case.name,
+        "seeds": len(runs),
+        "used": sum(run.use.used for run in runs),
+        "explained": float(np.median([run.use.explained for run in runs])),
+        "gain_of_prediction": [float(x) for x in np.quantile([run.use.gain_of_prediction for run in runs], (0, 0.5, 1))],
+        "u_relative": (np.median(u, axis=0) / true).tolist(),
+        "u_alone_relative": (np.median(u_alone, axis=0) / true).tolist(),
+        "saved_u": np.median(u_alone / u, axis=0).tolist(),
+        "saved_scatter": (rms(alone) / rms(fit)).tolist(),
+        "one_u": np.mean(np.abs(fit) < u, axis=0).tolist(),
+        "ninety_five": np.mean(np.abs(fit) < 1.96 * u, axis=0).tolist(),
+        "rms_pull": rms(fit / u).tolist(),
+        "moved_in_u": np.max(np.abs(fit - alone) / u_alone, axis=0).tolist(),
+        "u_grew": np.max(u / u_alone, axis=0).tolist(),
+        "cpu_s": float(np.median([run.cpu_s for run in runs])),
+    }  # fmt: skip
+    if case.left is not None and case.related:
+        scatter = np.array([off(run.fit) / run.bound[at] for run in runs if run.bound is not None])
+        out["rms_to_bound"] = rms(scatter).tolist()
+    return out
+
+
+def rms(rows: Floats) -> Floats:
+    return np.asarray(np.sqrt(np.mean(np.square(rows), axis=0)))
+
+
+def run(seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:
+    result: dict[str, Any] = {"cases": []}
+    for case in cases():
+        if only and not any(word in case.name for word in only):
+            continue
+        found = measure(case, seeds)
+        result["cases"].append(found)
+        print(
+            f"{found['case']}: {found['seeds']} seeds, used in {found['used']}, explained "
+            f"{found['explained']:.5f}, gain of prediction {found['gain_of_prediction']}, "
+            f"{found['cpu_s']:.2f} s of CPU time a run",
+            "  " + " ".join(SHOWN),
+            *(
+                f"  {key:17}" + "".join(f" {value:9.4g}" for value in values)
+                for key, values in found.items()
+                if isinstance(values, list) and len(values) == len(SHOWN)
+            ),
+            sep="\n",
+            flush=True,
+        )
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", metavar="CASE", help="parts of names of cases; all without")
+    parser.add_argument("--seeds", type=int, default=100)
+    words = parser.parse_args()
+    json.dump(run(words.seeds, tuple(words.cases)), sys.stderr, indent=1)
+
+
+if __name__ == "__main__":
+    main()
