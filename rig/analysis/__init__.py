@@ -51,3 +51,4 @@ from rig.analysis.surroundings import expected_drag, recorded_surroundings, stat
 from rig.analysis.table_fit import TableColumns, analyse_table
 from rig.analysis.table_screen import fit_envelope_table, fit_trajectory
 from rig.analysis.waveform_results import waveform_table
+from rig.analysis.witness_file import StatedWitness, WitnessRecord

@@ -8,6 +8,7 @@ from processing.estimate import Determinacy, Estimate
 from processing.fit import WAVEFORM, BaseMotion, Drag, DragFinding, FitMethod, Ground
 from rig.analysis.headline import drag_headline, headline
 from rig.analysis.results import RunResults
+from rig.analysis.witnessed_fits import witness_sentences
 from rig.presentation import plain, quantity, with_uncertainty
 
 _MUCH = 1.5
@@ -22,6 +23,7 @@ def remarks(run: RunResults) -> list[str]:
     lines = list(filter(None, [headline(run.budget, run.verdicts()), of_drag]))
     lines += [] if run.beam is None else [run.beam.sentence]
     lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
+    lines += [] if run.witness is None else witness_sentences(run.witness)
     lines += [_drag_sentence(run.drag)] if run.drag is not None else []
     lines += [] if exact is None else list(filter(None, [_worth_sentence(exact.worth)]))
     if run.strong_correlations:

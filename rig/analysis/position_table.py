@@ -4,7 +4,7 @@ import gzip
 import math
 import re
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -38,7 +38,7 @@ class Trajectory:
 
     `scale_rad` is the unit in rad, None where the unit is no angle (volts, px, mm): decay and
     period can then be had, contact parameters not. `time_unit` is that of the table's times,
-    `time_name` their column.
+    `time_name` their column, `first_ns` the first of them as it stands there.
     """
 
     times_ns: NDArray[np.int64]
@@ -49,6 +49,7 @@ class Trajectory:
     skipped_rows: int
     time_unit: str = "s"
     time_name: str = ""
+    first_ns: int = 0
 
 
 def read_trajectory(
@@ -81,28 +82,43 @@ def read_trajectory(
         raise ConfigurationError(
             f"--time-unit {time_unit!r} is no unit of time; take one of {', '.join(TIME_UNITS)}"
         )
+    if len(positions) > 2:
+        raise ConfigurationError(f"--position was given {len(positions)} times; one or two columns are used")
+    found = _columns(path, time, positions, time_unit, default=[1])
+    return replace(
+        found, unit=unit or NOT_STATED, scale_rad=conversion(unit, "rad") if unit in ANGLES else None
+    )
+
+
+def read_columns(path: Path, time: str | None, columns: list[str]) -> Trajectory:
+    """Time and any number of columns of a table, all but the time without names; see `read_trajectory`."""
+    return _columns(path, time, columns, "", default=None)
+
+
+def _columns(
+    path: Path, time: str | None, positions: list[str], time_unit: str, default: list[int] | None
+) -> Trajectory:
     header, rows, skipped = _table(path)
     width = len(rows[0])
     t_column = _column(path, header, width, time, default=0)
     time_unit = time_unit or (_unit_in_name(header[t_column]) if header else "") or "s"
-    p_columns = [_column(path, header, width, name, default=1) for name in positions] or [
-        _column(path, header, width, None, default=1)
-    ]
-    if len(p_columns) > 2:
-        raise ConfigurationError(f"--position was given {len(p_columns)} times; one or two columns are used")
+    p_columns = [_column(path, header, width, name, default=1) for name in positions] or (
+        default or [column for column in range(width) if column != t_column]
+    )
     table = np.array([[_value(row[column]) for column in p_columns] for row in rows], dtype=np.float64)
     remedy = _SORT if not _split_at_decimal_commas(header, rows) else _NO_COMMAS
-    times_ns, good = _times_ns(path, [row[t_column] for row in rows], time_unit, remedy)
+    times_ns, good, first_ns = _times_ns(path, [row[t_column] for row in rows], time_unit, remedy)
     table = table[good]
     return Trajectory(
         times_ns=times_ns,
         positions=tuple(table.T),
         names=tuple(header[column] if header else f"column {column + 1}" for column in p_columns),
-        unit=unit or NOT_STATED,
-        scale_rad=conversion(unit, "rad") if unit in ANGLES else None,
+        unit=NOT_STATED,
+        scale_rad=None,
         skipped_rows=skipped,
         time_unit=time_unit,
         time_name=header[t_column] if header else f"column {t_column + 1}",
+        first_ns=first_ns,
     )
 
 
@@ -114,8 +130,11 @@ def _unit_in_name(name: str) -> str:
 
 def _times_ns(
     path: Path, cells: list[str], unit: str, remedy: str
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Times from the first one in ns, and which of the rows have one; `remedy` where they do not increase."""
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], int]:
+    """Times from the first one in ns, which of the rows have one, and the first one.
+
+    `remedy` is said where they do not increase.
+    """
     times = np.array([_value(cell) for cell in cells])
     good = np.isfinite(times)
     times = times[good]
@@ -144,7 +163,7 @@ def _times_ns(
             f"{path}: time does not increase after {times[row]:.16g} {unit} (row {row + 1}): "
             f"{times[row + 1]:.16g} {unit} follows; {remedy}"
         )
-    return times_ns, good
+    return times_ns, good, round(times[0] * size_ns)
 
 
 def _table(path: Path) -> tuple[list[str], list[list[str]], int]:

@@ -13,7 +13,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.deflections import Deflections, DeflectionUnit, joined
-from processing.fit import FitMethod, FitResult, RigQuantities, delay_of_rows
+from processing.fit import FitMethod, FitResult, RigQuantities, Witness, delay_of_rows
 from processing.periods import mean_period
 from processing.spot import BeamUse
 from processing.surroundings import Surroundings
@@ -35,6 +35,8 @@ from rig.analysis.settled import points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import doubts_of, recorded_surroundings
+from rig.analysis.witness_file import Begin, WitnessRecord
+from rig.analysis.witnessed_fits import WitnessAt, with_witness
 from rig.instrument import (
     earlier_schema,
     inputs_sha256,
@@ -68,10 +70,17 @@ class AnalysedRun:
     watched: Watched | None = None
 
 
-def analyse_record(path: Path, overrides: Sequence[str] = (), *, air_known: bool = True) -> AnalysedRun:
+def analyse_record(
+    path: Path,
+    overrides: Sequence[str] = (),
+    *,
+    air_known: bool = True,
+    witness: WitnessRecord | None = None,
+) -> AnalysedRun:
     """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit.
 
     Without `air_known` nothing is known of the drag, whatever the record's own configuration states.
+    `witness` is a witness of the ground, where there is one.
     """
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
@@ -83,7 +92,7 @@ def analyse_record(path: Path, overrides: Sequence[str] = (), *, air_known: bool
         watched.refuse_read()
         blocks = _RecordedDeflections(reader)
         swings, unit = reader.swings(), reader.deflection_unit
-        run = analyse_run(reader, watched.config, swings, blocks, unit, blocks.beam)
+        run = analyse_run(reader, watched.config, swings, blocks, unit, blocks.beam, witness=witness)
         run = replace(run, earlier_schema=earlier_schema(reader), watched=watched)
         return with_dropped_frames(run, blocks.following - run.results.frames, reader, watched.config)
 
@@ -117,6 +126,7 @@ def analyse_run(
     beam: BeamUse,
     *,
     replayed: bool = False,
+    witness: WitnessRecord | None = None,
 ) -> AnalysedRun:
     """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it.
 
@@ -126,7 +136,14 @@ def analyse_run(
     deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
     clock = run_clock(reader, config, replayed=replayed)
     u_clock = 0.0 if clock is None else clock.u_rate
-    run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock)
+
+    def beside(turn_time_ns: int) -> tuple[Witness, bool]:
+        assert witness is not None
+        in_file_ns = turn_time_ns - deflections.first_ns
+        return witness.beside(Begin(in_file_ns, turn_time_ns + reader.epoch_offset_ns))
+
+    at = None if witness is None else beside
+    run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, at)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.results.warnings, *doubts, *reader.doubts(), *doubts_of(surroundings)]
@@ -174,11 +191,12 @@ def analyse_swings(
     deflections: PassingDeflections,
     air: Surroundings,
     u_clock: float = 0.0,
+    witness: WitnessAt | None = None,
 ) -> AnalysedRun:
     """Reduce the half-cycles of one run, or of one decay of a table, as its kind of pendulum asks.
 
     `path` is the file that they come from, `deflections` and `air` what it holds beside them, `u_clock` what
-    the second of its times is uncertain by, relative.
+    the second of its times is uncertain by, relative; `witness` tells of the ground.
     """
     unit = deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
@@ -201,6 +219,11 @@ def analyse_swings(
         decay = DecayFits(
             {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
         )
+    use = None
+    if witness is not None and decay.fits and pendulum is not None:
+        first_ns = next(swing.turn_time_ns for swing in settled.swings if not swing.flags)
+        beside, clock_known = witness(first_ns)
+        decay, use = with_witness(decay, points, pendulum, beside, clock_known=clock_known)
     errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
     results = replace(
         _head(path, points, unit),
@@ -212,6 +235,7 @@ def analyse_swings(
         warnings=tuple(dict.fromkeys([*_fit_warnings(decay.fits), *filter(None, [settled.doubt])])),
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
+        witness=use,
     )
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
     rig = rig_quantities(config, deflections.fast_ratio(), rest_rad, u_clock)

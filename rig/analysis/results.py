@@ -12,7 +12,7 @@ from typing import Annotated
 from acquisition.frame_losses import FrameLosses
 from processing.contact import HertzContact, SurfaceEnergy
 from processing.estimate import NOT_DETERMINED, Estimate
-from processing.fit import Budget, Combined, Determination, Disagreement, Drag, Work
+from processing.fit import Budget, Combined, Determination, Disagreement, Drag, WitnessUse, Work
 from processing.quantity import STATED, Quantity
 from processing.surroundings import Surroundings
 from processing.swing import KnownMotion
@@ -49,7 +49,8 @@ class RunResults:
     lever; those in arcsec are not determined then. `ended` is why the run ended, as its record says.
     `clock` is the camera's against the computer's; None of frames made on demand, and in older files.
     `surroundings` are the air and the contact's history, which `conditions` judges beside light, losses and
-    what else the record shows. What follows from a
+    what else the record shows. `witness` is what a witness of the ground told, where one was given. What
+    follows from a
     fit (`pendulum` to `notes`) is empty where there is none.
     """
 
@@ -93,6 +94,7 @@ class RunResults:
     ended: str | None = None
     surroundings: Surroundings | None = None
     clock: Annotated[RunClock | None, Kept] = None
+    witness: WitnessUse | None = None
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.

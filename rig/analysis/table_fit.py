@@ -15,6 +15,7 @@ from processing.deflections import DeflectionUnit, slow_deflections
 from processing.envelope import EnvelopeDecay, fit_envelope
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
+from processing.fit import Witness
 from processing.separate_decays import separate_decays
 from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
 from processing.ticks import seconds
@@ -23,6 +24,7 @@ from rig.analysis.position_table import ANGLES, NOT_STATED, Trajectory, read_tra
 from rig.analysis.record_fit import analyse_swings
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
 from rig.analysis.surroundings import stated_surroundings
+from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
 from rig.settings import Configuration
 
 _USABLE = 4  # what the summary of a decay needs (processing/decay_summary.py)
@@ -64,11 +66,17 @@ class TableColumns:
         return read_trajectory(path, self.time, list(self.positions), self.unit, self.time_unit)
 
 
-def analyse_table(path: Path, config: Configuration | None, columns: TableColumns) -> AnalysedTable:
+def analyse_table(
+    path: Path,
+    config: Configuration | None,
+    columns: TableColumns,
+    witness: WitnessRecord | None = None,
+) -> AnalysedTable:
     """Detect the swings of a trajectory, separate its decays, and report each as a run of the rig.
 
     Two positions are first turned onto the direction of the larger motion. The contact's laws are fitted
-    where unit and pendulum allow. Raises DataError where no decay can be had, with the reason.
+    where unit and pendulum allow, with a `witness` of the ground where there is one. Raises DataError where
+    no decay can be had, with the reason.
     """
     trajectory = columns.read(path)
     scale = trajectory.scale_rad or 1.0
@@ -87,7 +95,7 @@ def analyse_table(path: Path, config: Configuration | None, columns: TableColumn
             f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}; --time and "
             "--position choose others"
         )
-    decays = [_analyse(path, part, trajectory, deflection, noise, config) for part in usable]
+    decays = [_analyse(path, part, trajectory, deflection, noise, config, witness) for part in usable]
     longest = max(decays, key=lambda decay: decay.summary.half_cycles)
     results = TableResults(
         **_values(longest.results),
@@ -154,6 +162,7 @@ def _analyse(
     deflection: NDArray[np.float64],
     noise: float,
     config: Configuration | None,
+    witness: WitnessRecord | None,
 ) -> FoundDecay:
     """One decay, by the same path as a record's."""
     points = turning_points(swings)
@@ -167,7 +176,15 @@ def _analyse(
     if config is not None and not problem:
         samples = slow_deflections(trajectory.times_ns[inside], deflection[inside], noise)
         passing = PassingDeflections([samples], DeflectionUnit.RAD)
-        run = analyse_swings(path, swings, config, passing, stated_surroundings(config)).results
+
+        def beside(turn_time_ns: int) -> tuple[Witness, bool]:
+            assert witness is not None
+            in_file_ns = turn_time_ns + trajectory.first_ns
+            absolute = seconds(trajectory.first_ns) > FIRST_UTC_S
+            return witness.beside(Begin(in_file_ns, in_file_ns if absolute else None))
+
+        at = None if witness is None else beside
+        run = analyse_swings(path, swings, config, passing, stated_surroundings(config), at).results
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
     values = _values(run) | {

@@ -15,6 +15,7 @@ from rig.analysis.results import EnvelopeResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, write_results
 from rig.analysis.screen import print_run
 from rig.analysis.table_fit import AnalysedTable, FoundDecay, TableColumns, analyse_envelope, analyse_table
+from rig.analysis.witness_file import StatedWitness
 from rig.instrument import fill_from_files
 from rig.presentation import with_uncertainty
 from rig.settings import Watched, load_configuration
@@ -37,12 +38,14 @@ def fit_trajectory(
     config_path: Path | None,
     columns: TableColumns,
     overrides: Sequence[str],
+    witness: StatedWitness | None = None,
 ) -> int:
     """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
+    ground = None if witness is None else witness.read()
     if config_path:
         stated = load_configuration(config_path, overrides, needs_camera=False)
         watched = Watched(stated, overrides, "a table holds neither frames nor spots")
-        table = analyse_table(path, fill_from_files(watched.config), columns)
+        table = analyse_table(path, fill_from_files(watched.config), columns, ground)
         if not table.results.problem:
             watched.refuse_unread()
     else:

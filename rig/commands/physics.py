@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +11,9 @@ from processing.errors import ConfigurationError
 from rig.commands.arguments import ResultsFolder, Set
 from rig.commands.inputs import one_record, recorded, records_in, there
 from rig.commands.outputs import folder_without
+
+if TYPE_CHECKING:
+    from rig.analysis import StatedWitness
 
 
 def register(app: typer.Typer) -> None:
@@ -60,6 +63,22 @@ def fit(
         list[str] | None,
         typer.Option(help="Records: compare the paper's law with another one, all or none; may be repeated."),
     ] = None,
+    witness: Annotated[
+        Path | None,
+        typer.Option(
+            help="What a seismometer or tiltmeter recorded beside the run: CSV (time_s and columns in any "
+            "unit), miniSEED, SAC.",
+            callback=there,
+        ),
+    ] = None,
+    witness_column: Annotated[
+        list[str] | None,
+        typer.Option(help="Column or channel of the witness; may be repeated; default: all of them."),
+    ] = None,
+    witness_offset: Annotated[
+        float | None,
+        typer.Option(help="Seconds to add to the witness's times; default: found where they do not fit."),
+    ] = None,
     set_: Set = None,
 ) -> None:
     """Fit the contact laws to records, or to a CSV table.
@@ -68,7 +87,9 @@ def fit(
     Examples:
       rig fit runs/first -o runs/fit
       rig fit decay.csv --unit arcsec --config mine.toml
+      rig fit runs/first --witness seismometer.csv
     """
+    ground = _witness(witness, witness_column or (), witness_offset)
     if len(files) == 1 and files[0].suffix.lower() != ".mcap" and not files[0].is_dir():
         if files[0].suffix.lower() in (".json", ".toml"):
             raise ConfigurationError(
@@ -83,9 +104,13 @@ def fit(
         if set_ and (config is None or envelope is not None):
             raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
         columns = TableColumns(time, tuple(position or ()), unit, time_unit)
+        if ground is not None and (config is None or envelope is not None):
+            raise ConfigurationError("--witness: has no effect without --config, which gives the pendulum")
         if envelope is not None:
             raise typer.Exit(fit_envelope_table(files[0], output, columns, envelope, frequency))
-        raise typer.Exit(fit_trajectory(files[0], output, config, columns, overrides=set_ or []))
+        raise typer.Exit(
+            fit_trajectory(files[0], output, config, columns, overrides=set_ or [], witness=ground)
+        )
     of_tables = {
         "--config": config, "--time": time, "--position": position, "--unit": unit, "--envelope": envelope,
         "--frequency": frequency,
@@ -96,15 +121,29 @@ def fit(
     same = [record for record in records if sum(record.resolve() == other.resolve() for other in records) > 1]
     if same:
         raise ConfigurationError(f"{same[0]}: named twice; a run counts once in a series")
-    raise typer.Exit(fit_records(records, output, overrides=set_ or [], laws=law or []))
+    raise typer.Exit(fit_records(records, output, overrides=set_ or [], laws=law or [], witness=ground))
+
+
+def _witness(path: Path | None, columns: Sequence[str], offset_s: float | None) -> "StatedWitness | None":
+    from rig.analysis import StatedWitness
+
+    if path is not None:
+        return StatedWitness(path, tuple(columns), offset_s)
+    if stated := "--witness-column" if columns else "--witness-offset" if offset_s is not None else "":
+        raise ConfigurationError(f"{stated}: has no effect without --witness")
+    return None
 
 
 def fit_records(
-    paths: Sequence[Path], output: Path | None, overrides: Sequence[str], laws: Sequence[str] = ()
+    paths: Sequence[Path],
+    output: Path | None,
+    overrides: Sequence[str],
+    laws: Sequence[str] = (),
+    witness: "StatedWitness | None" = None,
 ) -> int:
     """Fit records; results.json in `output` or beside the first record. Returns the exit status.
 
-    `laws` are names of the registry, to be compared with the default one.
+    `laws` are names of the registry, to be compared with the default one; `witness` saw the ground.
     """
     from rig.analysis import (
         RESULTS_NAME,
@@ -120,7 +159,8 @@ def fit_records(
 
     compared = chosen_laws(laws) if laws else ()
     refuse_copies(paths)
-    runs = [analyse_record(path, overrides) for path in paths]
+    ground = None if witness is None else witness.read()
+    runs = [analyse_record(path, overrides, ground) for path in paths]
     for run in runs:
         if run.earlier_schema:
             say(run.earlier_schema)
