@@ -161,13 +161,15 @@ def drive_filter(
             s_aa, s_tt = p_aa + variance[0, i], p_tt + variance[1, i]
             g_tt = p_tt  # covariance of the measured time with the state that goes on
             step_of_time = s2 / (rate * rate * a * a)
+            following = step_of_time
+            if witnessed:
+                to_come = unknown[index[i] + 1] if index[i] + 1 < len(unknown) else 0.0
+                following = (step * step + to_come) / (rate * rate * a * a)
             if averaged:
                 # what the time tells of the half-swing to come is put into the state at once
-                s_tt += 2 * SMEARED_VARIANCE * step_of_time
-                g_tt += SMEARED_COVARIANCE * step_of_time
-                p_tt += step_of_time
-                if witnessed and index[i] + 1 < len(unknown):
-                    p_tt += (step * step + unknown[index[i] + 1] - s2) / (rate * rate * a * a)
+                s_tt += SMEARED_VARIANCE * (step_of_time + following)
+                g_tt += SMEARED_COVARIANCE * following
+                p_tt += following
                 if i > 0:
                     s_tt -= 2 * SMEARED_COVARIANCE * step_of_time
                     g_tt -= SMEARED_COVARIANCE * step_of_time

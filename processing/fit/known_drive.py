@@ -16,10 +16,10 @@ the response that begins there, forwards and backwards. Least squares find of it
 
 f is linear between its samples, and all integrals have closed forms.
 
-Friction that grows nearly in proportion to the deflection, as Eq. 1's with p near 1, is a softer spring up to
-the zero crossing and a stiffer one after it. With a relative loss e of amplitude in a half-swing the
-frequencies of the two quarters are w (1 - e/2) and w (1 + e/2); s/w is then that of the second, s/w^2 of both.
-Without that, a few thousandths of the drive would stay.
+Friction that grows nearly in proportion to the deflection, as Eq. 1's with p near 1, is a softer spring up
+to the zero crossing and a stiffer one after it. With a relative loss e of amplitude in a half-swing the two
+quarters have frequencies of w (1 - e/2) and w (1 + e/2); w in s/w is then that of the second, w^2 in s/w^2
+the product of the second's and the quarter's own. Without that a few thousandths of the drive would stay.
 """
 
 from dataclasses import dataclass, replace

@@ -57,7 +57,7 @@ class WitnessRecord:
     def beside(self, begin: "Begin") -> tuple[Witness, bool]:
         """On the clock of turning points, and whether that is known up to a fraction of a period."""
         known = self.offset_stated
-        if not self.absolute:
+        if not self.absolute or (self.offset_stated and begin.utc_ns is None):
             zero_ns = begin.in_file_ns
         elif begin.utc_ns is not None:
             zero_ns, known = begin.utc_ns, True

@@ -1,9 +1,9 @@
 """The exact fit with a witness of the ground: scatter, coverage, refusals.
 
 Run as ``python -m tests.benchmarks.bench_vault [--seeds N] [CASE...]`` from the repository. Decays are
-integrated step by step, with the ground as a force; the fit shares no formula with that. The recorded ground is
-that of two real seismometers at one place: one drives the pendulum, the other, whose response nobody states, is
-the witness.
+integrated step by step, with the ground as a force; the fit shares no formula with that. The recorded ground
+is that of two real seismometers at one place: one drives the pendulum, the other, whose response nobody states,
+is the witness.
 """
 
 import argparse
@@ -73,7 +73,7 @@ def white(q: float, noise: float) -> Callable[[int], Ground]:
 
 
 def recorded(q: float, *, same: bool = False, late_s: float = 0.0) -> Callable[[int], Ground]:
-    """Acceleration by the known seismometer, a random part of it, up or down, scaled to a density near 0.25 Hz."""
+    """Acceleration by the known seismometer, a random part, up or down, of a density near 0.25 Hz."""
     with gzip.open(SEISMOMETERS) as file:
         time, known, unknown = np.loadtxt(file, delimiter=",", skiprows=1).T
     step_s = float(time[1] - time[0])
@@ -184,7 +184,9 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
     def off(fit: FitResult) -> Floats:
         return np.asarray(fit.values[at] - true)
 
-    alone, fit = (np.array([off(one) for one in which]) for which in zip(*((r.alone, r.fit) for r in runs)))
+    alone, fit = (
+        np.array([off(one) for one in which]) for which in zip(*((r.alone, r.fit) for r in runs), strict=True)
+    )
     u_alone = np.array([run.alone.standard_uncertainty[at] for run in runs])
     u = np.array([run.fit.standard_uncertainty[at] for run in runs])
     out: dict[str, Any] = {
@@ -192,7 +194,7 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
         "seeds": len(runs),
         "used": sum(run.use.used for run in runs),
         "explained": float(np.median([run.use.explained for run in runs])),
-        "gain_of_prediction": [float(x) for x in np.quantile([run.use.gain_of_prediction for run in runs], (0, 0.5, 1))],
+        "gain_of_prediction": np.quantile([run.use.gain_of_prediction for run in runs], (0, 0.5, 1)).tolist(),
         "u_relative": (np.median(u, axis=0) / true).tolist(),
         "u_alone_relative": (np.median(u_alone, axis=0) / true).tolist(),
         "saved_u": np.median(u_alone / u, axis=0).tolist(),
@@ -214,12 +216,12 @@ def rms(rows: Floats) -> Floats:
     return np.asarray(np.sqrt(np.mean(np.square(rows), axis=0)))
 
 
-def run(seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:
+def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:
     result: dict[str, Any] = {"cases": []}
     for case in cases():
         if only and not any(word in case.name for word in only):
             continue
-        found = measure(case, seeds)
+        found = measure(case, 3 if quick else seeds)
         result["cases"].append(found)
         print(
             f"{found['case']}: {found['seeds']} seeds, used in {found['used']}, explained "
@@ -240,9 +242,10 @@ def run(seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("cases", nargs="*", metavar="CASE", help="parts of names of cases; all without")
+    parser.add_argument("--quick", action="store_true")
     parser.add_argument("--seeds", type=int, default=100)
     words = parser.parse_args()
-    json.dump(run(words.seeds, tuple(words.cases)), sys.stderr, indent=1)
+    json.dump(run(words.quick, words.seeds, tuple(words.cases)), sys.stderr, indent=1)
 
 
 if __name__ == "__main__":

@@ -26,8 +26,8 @@ PAYS = 12.0
 unrelated witness it rises, by about 2 for each gain."""
 _FEWEST = 0.2
 """Share of the half-swings that the witness has to cover."""
-_CORRECTIONS = 3
-"""Most times that a clock is corrected."""
+_CORRECTIONS = 10
+"""Most times that a clock is corrected; each brings it nearer by a tenth of a second or by half."""
 
 
 @dataclass(frozen=True)
@@ -91,16 +91,17 @@ class _Search:
     averaged: bool
 
     def with_corrected_clock(self, witness: Witness, pays: float) -> Witnessed:
-        """The fit with the witness, its clock corrected where the run shows it to be wrong."""
+        """The fit with the witness, its clock corrected where the run shows it to be wrong.
+
+        A slope of the phase is a delay. The clock is therefore corrected before slopes are fitted.
+        """
         assert self.alone.ground is not None
-        first = last = None
         middle_s = 0.5 * float(self.points.time_s[0] + self.points.time_s[-1])
         delay_s = drift = 0.0
-        for _ in range(_CORRECTIONS + 1):
+        for left in reversed(range(_CORRECTIONS + 1)):
+            moved = witness.delayed(delay_s, drift, middle_s)
             try:
-                drives = Drives(
-                    self.points, witness.delayed(delay_s, drift, middle_s), averaged=self.averaged
-                )
+                drives = Drives(self.points, moved, averaged=self.averaged)
             except DataError as error:
                 return Witnessed(self.alone, WitnessUse(verdict=WitnessVerdict.ABSENT, reason=str(error)))
             use = WitnessUse(
@@ -111,41 +112,38 @@ class _Search:
             if use.missing_half_cycles > (1 - _FEWEST) * count:
                 reason = f"{use.missing_half_cycles} of {count} half-swings have no witness"
                 return Witnessed(self.alone, replace(use, verdict=WitnessVerdict.ABSENT, reason=reason))
-            found = self.with_drives(drives, pays)
-            use = replace(use, gain_of_prediction=found.gain)
+            found = self._with(drives, _Accepted(self.alone, [], 0.0), PAIR, pays)
             if not found.chosen:
-                break
+                return Witnessed(self.alone, replace(use, gain_of_prediction=found.gain))
             clock = clock_of(self.points, self.pendulum, found.fit, drives, found.chosen)
             said = Clock(
                 Estimate(delay_s + clock.delay_s.value, clock.delay_s.standard_uncertainty),
                 Estimate(drift + clock.drift.value, clock.drift.standard_uncertainty),
             )
-            use = replace(use, delay_s=said.delay_s, clock_drift=said.drift)
-            last = Witnessed(found.fit, use_of(use, self.alone, found.fit, drives.names, found.chosen))
-            first = first or last
-            if not clock.wrong:
+            if not left or not clock.wrong:
                 break
             delay_s, drift = said.delay_s.value, said.drift.value
-        return last or Witnessed(self.alone, use)
+        found = self._with(drives, found, SLOPES, pays)
+        use = replace(use, gain_of_prediction=found.gain, delay_s=said.delay_s, clock_drift=said.drift)
+        return Witnessed(found.fit, use_of(use, self.alone, found.fit, drives.names, found.chosen))
 
-    def with_drives(self, drives: Drives, pays: float) -> _Accepted:
-        """The fit with those terms that pay: gain and quadrature of each component, then their slopes."""
-        accepted = _Accepted(self.alone, [], 0.0)
-        best_refused = -np.inf
-        for kinds in (PAIR, SLOPES):
-            known = sorted({component for component, _ in accepted.chosen})
-            left = known if kinds is SLOPES else list(range(len(drives.names)))
-            while left:
-                gains = [self._gain(drives, accepted, component, kinds) for component in left]
-                best = int(np.argmax(gains))
-                if not gains[best] > pays:
-                    best_refused = max(best_refused, gains[best])
-                    break
-                component = left.pop(best)
-                chosen = [*accepted.chosen, *((component, kind) for kind in kinds)]
-                fit = self.fitted_with(accepted.fit, drives, chosen)
-                accepted = _Accepted(fit, chosen, accepted.gain + gains[best])
-        return accepted if accepted.chosen else accepted._replace(gain=best_refused)
+    def _with(self, drives: Drives, accepted: _Accepted, kinds: tuple[Term, ...], pays: float) -> _Accepted:
+        """With those components whose terms of these kinds pay as well, the best one first.
+
+        Of slopes, those of components that are used. Where none is, the gain is that of the best.
+        """
+        used = sorted({component for component, _ in accepted.chosen})
+        left = used if kinds is SLOPES else list(range(len(drives.names)))
+        while left:
+            gains = [self._gain(drives, accepted, component, kinds) for component in left]
+            best = int(np.argmax(gains))
+            if not gains[best] > pays:
+                return accepted if accepted.chosen else accepted._replace(gain=gains[best])
+            component = left.pop(best)
+            chosen = [*accepted.chosen, *((component, kind) for kind in kinds)]
+            fit = self.fitted_with(accepted.fit, drives, chosen)
+            accepted = _Accepted(fit, chosen, accepted.gain + gains[best])
+        return accepted
 
     def _gain(self, drives: Drives, accepted: _Accepted, component: int, kinds: tuple[Term, ...]) -> float:
         more = [(component, kind) for kind in kinds]

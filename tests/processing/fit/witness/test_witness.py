@@ -1,0 +1,173 @@
+"""A witness of the ground beside the exact fit: what it saves, and what must not help."""
+
+import gzip
+import os
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from processing.arrays import Floats
+from processing.fit import FitResult, Witness, WitnessVerdict, fit_exact, fit_with_witness
+from processing.swing import TurningPoints
+from tests.processing.fit.decays import paper_pair, truth, with_noise
+from tests.processing.fit.driven import driven_path
+
+PARAMETERS, PENDULUM = paper_pair("glass_k8")
+Q = 1e-7
+STEP_S = 0.1
+UNIT = 1e9
+"""The witness counts so many for 1 rad/s^2."""
+SEISMOMETERS = (
+    Path(os.environ.get("RIG_SHARED_DATA", Path(__file__).parents[5] / "shared" / "data"))
+    / "ground"
+    / "two-seismometers.csv.gz"
+)
+
+
+def white(seed: int) -> Floats:
+    return np.asarray(Q * np.sqrt(0.5 / STEP_S) * np.random.default_rng(seed).standard_normal(12_000))
+
+
+CLOCK: Floats = STEP_S * np.arange(12_000, dtype=np.float64)
+
+
+def decay(time_s: Floats, drive: Floats, last_arcsec: float = 15.0) -> tuple[TurningPoints, FitResult]:
+    """Turning points with noise, and the fit without a witness."""
+    time, turn, _ = driven_path(
+        PARAMETERS,
+        PENDULUM,
+        q=0.0,
+        seed=0,
+        last_arcsec=last_arcsec,
+        forcing=lambda t: np.interp(t, time_s, drive, left=0.0, right=0.0),
+    )
+    rng = np.random.default_rng(1)
+    points = with_noise(time, np.abs(turn), PARAMETERS.period0_s, 0.005, rng)
+    return points, fit_exact(points, PENDULUM, averaged=False)
+
+
+@cache
+def on_white() -> tuple[TurningPoints, FitResult]:
+    return decay(CLOCK, white(3))
+
+
+def pulls(fit: FitResult) -> Floats:
+    true = truth(PARAMETERS, fit.names)
+    return np.asarray((fit.values[: len(true)] - true) / fit.standard_uncertainty[: len(true)])
+
+
+def witness(value: Floats, time_s: Floats = CLOCK) -> Witness:
+    return Witness(time_s, UNIT * value.reshape(len(time_s), -1), ("E", "N")[: value.ndim])
+
+
+def test_what_it_explains_is_taken_off_and_its_response_found() -> None:
+    points, alone = on_white()
+    found = fit_with_witness(points, PENDULUM, witness(white(3)), alone, averaged=False)
+    assert found.use.used
+    assert min(found.use.saved.values()) > 20
+    assert np.max(np.abs(pulls(found.fit))) < 4
+    (response,) = found.use.responses
+    assert response.gain * UNIT == pytest.approx(1.0, abs=0.02)
+    assert response.phase_rad == pytest.approx(0.0, abs=0.02)
+    assert found.use.explained > 0.999
+    assert abs(found.use.delay_s.value) < 4 * found.use.delay_s.standard_uncertainty < 0.4
+    # the residuals that are left are white, and the law's parameters alone are reported
+    assert found.fit.names == alone.names
+    assert found.fit.chi2_per_dof == pytest.approx(1.0, abs=0.25)
+    assert found.fit.dof == alone.dof - 2
+
+
+def test_its_own_noise_leaves_what_it_must() -> None:
+    points, alone = on_white()
+    found = fit_with_witness(points, PENDULUM, witness(white(3) + white(4)), alone, averaged=False)
+    (response,) = found.use.responses
+    # Wiener's gain, and half of the drive's power
+    assert response.gain * UNIT == pytest.approx(0.5, abs=0.1)
+    assert found.use.explained == pytest.approx(0.5, abs=0.1)
+    assert found.use.saved["b"] == pytest.approx(np.sqrt(2), rel=0.15)
+
+
+@pytest.mark.parametrize("seed", range(5, 11))
+def test_one_that_is_unrelated_is_refused_and_changes_nothing(seed: int) -> None:
+    points, alone = on_white()
+    found = fit_with_witness(points, PENDULUM, witness(white(seed)), alone, averaged=False)
+    assert found.use.verdict is WitnessVerdict.NO_GAIN
+    assert found.fit is alone
+
+
+def test_of_two_components_the_unrelated_one_is_left_out() -> None:
+    points, alone = on_white()
+    both = witness(np.column_stack([white(5), white(3)]))
+    found = fit_with_witness(points, PENDULUM, both, alone, averaged=False)
+    assert [response.name for response in found.use.responses] == ["N"]
+
+
+def test_one_of_another_hour_is_refused() -> None:
+    points, alone = on_white()
+    found = fit_with_witness(points, PENDULUM, witness(white(3), CLOCK + 1e5), alone, averaged=False)
+    assert found.use.verdict is WitnessVerdict.ABSENT
+    assert "do not overlap" in found.use.reason
+    assert found.fit is alone
+
+
+def test_an_unknown_offset_is_found() -> None:
+    points, alone = on_white()
+    # a witness that is not much longer than the run has few offsets
+    part = slice(0, 6800)
+    late = witness(white(3)[part], CLOCK[part] + 37.3)
+    assert not fit_with_witness(points, PENDULUM, late, alone, averaged=False).use.used
+    found = fit_with_witness(points, PENDULUM, late, alone, averaged=False, offset_known=False)
+    assert found.use.used
+    assert found.use.offset_s + found.use.delay_s.value == pytest.approx(
+        -37.3, abs=4 * found.use.delay_s.standard_uncertainty
+    )
+
+
+def test_a_delay_and_a_drift_of_its_clock_are_found() -> None:
+    points, alone = on_white()
+    middle_s = 0.5 * points.time_s[-1]
+    wrong = witness(white(3), CLOCK + 0.3 + 1e-3 * (CLOCK - middle_s))
+    use = fit_with_witness(points, PENDULUM, wrong, alone, averaged=False).use
+    assert use.delay_s.value == pytest.approx(-0.3, abs=4 * use.delay_s.standard_uncertainty)
+    assert use.clock_drift.value == pytest.approx(-1e-3, abs=4 * use.clock_drift.standard_uncertainty)
+    assert use.saved["b"] > 10
+
+
+def test_a_gap_costs_what_is_not_known() -> None:
+    points, alone = on_white()
+    value = white(3)
+    value[(CLOCK > 100) & (CLOCK < 160)] = np.nan
+    found = fit_with_witness(points, PENDULUM, witness(value), alone, averaged=False)
+    whole = fit_with_witness(points, PENDULUM, witness(white(3)), alone, averaged=False)
+    assert 29 <= found.use.missing_half_cycles <= 36
+    assert found.use.used
+    assert 5 < found.use.saved["b"] < 0.95 * whole.use.saved["b"]
+    assert np.max(np.abs(pulls(found.fit))) < 4
+
+
+def test_samples_too_far_apart_are_said() -> None:
+    points, alone = on_white()
+    coarse = Witness(CLOCK[::20], white(3)[::20, None], ("Z",))
+    found = fit_with_witness(points, PENDULUM, coarse, alone, averaged=False)
+    assert found.use.reason.startswith("the witness has a sample every 2 s")
+
+
+@pytest.mark.skipif(not SEISMOMETERS.exists(), reason="the recorded ground is not on this machine")
+def test_a_real_seismometer_of_unknown_response_tells_what_drove_the_pendulum() -> None:
+    with gzip.open(SEISMOMETERS) as file:
+        time, known, unknown = np.loadtxt(file, delimiter=",", skiprows=1).T
+    # counts of the known one are a velocity; it drives the pendulum with about 1e-7 rad/s^2/sqrt(Hz)
+    acceleration = np.gradient(known, 0.1)
+    points, alone = decay(time - 100.0, 6e-8 / np.std(acceleration) * acceleration, last_arcsec=8.0)
+    found = fit_with_witness(
+        points, PENDULUM, Witness(time - 100.0, unknown[:, None], ("counts",)), alone, averaged=False
+    )
+    assert alone.ground is not None
+    assert 3e-8 < alone.ground.density_rad_per_s2_rthz.value < 3e-7
+    assert min(found.use.saved.values()) > 10
+    assert np.max(np.abs(pulls(found.fit))) < 4
+    # velocity leads the acceleration by a quarter, up to the sign of the side
+    assert abs(found.use.responses[0].phase_rad) == pytest.approx(np.pi / 2, abs=0.3)
+    assert found.use.responses[0].with_slope
