@@ -7,7 +7,7 @@ the fit comes near to this bound.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import inf
+from math import hypot, inf
 
 import numpy as np
 
@@ -34,6 +34,8 @@ class Conditions:
     `u_time_amplitude_s_rad` is the product of a time's uncertainty and its amplitude; `averaged` is that of
     `Noise`. `of_sine` is the covariance in rad^2 of the harmonics in quadrature of a piece (see `Waveform`),
     None where they are not used, and `known_drag_s` what is known of the drag beside the run.
+    `witness_noise` is that of a witness of the ground over what it sees of it, at the pendulum's frequency;
+    None: there is none.
     """
 
     u_amplitude_rad: float
@@ -42,6 +44,14 @@ class Conditions:
     averaged: bool = True
     of_sine: Floats | None = field(default=None, compare=False)
     known_drag_s: Estimate | None = None
+    witness_noise: float | None = None
+
+    @property
+    def unknown_rad_per_s2_rthz(self) -> float:
+        """What a witness with that noise, weighted as its noise asks, leaves of the drive."""
+        if self.witness_noise is None:
+            return self.ground_rad_per_s2_rthz
+        return self.ground_rad_per_s2_rthz * self.witness_noise / hypot(1.0, self.witness_noise)
 
     @classmethod
     def of(cls, fit: FitResult, points: TurningPoints) -> "Conditions":
@@ -68,6 +78,10 @@ class Conditions:
     def on_ground(self, rad_per_s2_rthz: float) -> "Conditions":
         """The same measurement on another ground."""
         return replace(self, ground_rad_per_s2_rthz=rad_per_s2_rthz)
+
+    def with_witness(self, noise: float) -> "Conditions":
+        """The same ground, seen by a witness as well."""
+        return replace(self, witness_noise=noise)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +134,7 @@ def planned_run(
     model = ExactModel(points, pendulum, law=law, drag=DRAG.key in values, evidence=evidence)
     columns = model.columns.from_physical(known)
     half_period_s = float(np.diff(time).mean())
-    step = step_of_density(conditions.ground_rad_per_s2_rthz, half_period_s) / model.reference
+    step = step_of_density(conditions.unknown_rad_per_s2_rthz, half_period_s) / model.reference
     noise = Noise(step=step, averaged=conditions.averaged)
     jacobian = model.about(columns).on_ground(columns, noise)(columns)[1]
     to_physical = model.columns.physical(columns)[1]

@@ -223,6 +223,13 @@ def plan(
         Path | None,
         typer.Option(help="Configuration: results.json with the contact that is expected.", callback=there),
     ] = None,
+    witness: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Noise of a witness of the ground over the ground it sees, at the swing's frequency: 0.1.",
+        ),
+    ] = None,
 ) -> None:
     """Show what runs to come will tell of the contact.
 
@@ -233,6 +240,7 @@ def plan(
     Examples:
       rig plan runs/first/run-1.mcap --first 124 --last 2 -o plans
       rig plan configs/basement.toml --runs 1 --runs 3
+      rig plan configs/basement.toml --witness 0.05
     """
     firsts, lasts = first or [300.0, 124.0, 60.0], last or [30.0, 15.0, 8.0, 4.0, 2.0]
     counts = runs or [1]
@@ -246,7 +254,7 @@ def plan(
 
     if source.suffix.lower() == ".toml":
         expected = planned_expectation(source, set_ or [], noise, contact)
-        planned = plan_expected(expected, firsts, lasts, ground, counts)
+        planned = plan_expected(expected, firsts, lasts, ground, counts, witness)
     else:
         from rig.analysis import analyse_record, refuse_unread
 
@@ -255,7 +263,7 @@ def plan(
                 f"{source}: a record has its own noise and contact; leave out --noise and --contact"
             )
         run = analyse_record(one_record(source), set_ or [])
-        planned = plan_runs(run, firsts, lasts, ground, counts)
+        planned = plan_runs(run, firsts, lasts, ground, counts, witness)
         refuse_unread([run])
     print_plan(planned)
     if output is not None:

@@ -42,6 +42,7 @@ def plan_runs(
     last_arcsec: Sequence[float],
     ground_rad_per_s2_rthz: float | None = None,
     counts: Sequence[int] = (1,),
+    witness_noise: float | None = None,
 ) -> Plan:
     """Runs between all first and last amplitudes, with the contact, the noise and the ground of a run.
 
@@ -55,7 +56,7 @@ def plan_runs(
         raise DataError(f"{run.record}: a plan needs a fitted run: {run.results.problem or 'it has no fit'}")
     values = {name: exact.estimate(name).value for name in exact.contact_names}
     expected = Expected(values, pendulum, Conditions.of(exact, run.points))
-    return plan_expected(expected, first_arcsec, last_arcsec, ground_rad_per_s2_rthz, counts)
+    return plan_expected(expected, first_arcsec, last_arcsec, ground_rad_per_s2_rthz, counts, witness_noise)
 
 
 def plan_expected(
@@ -64,6 +65,7 @@ def plan_expected(
     last_arcsec: Sequence[float],
     ground_rad_per_s2_rthz: float | None = None,
     counts: Sequence[int] = (1,),
+    witness_noise: float | None = None,
 ) -> Plan:
     """Runs between all first and last amplitudes, and series of so many of each.
 
@@ -75,6 +77,8 @@ def plan_expected(
     values, pendulum, conditions, longest_s = expected
     if ground_rad_per_s2_rthz is not None:
         conditions = conditions.on_ground(ground_rad_per_s2_rthz)
+    if witness_noise is not None:
+        conditions = conditions.with_witness(witness_noise)
     runs = []
     problem = "every last amplitude must lie below every first one"
     for first in first_arcsec:
@@ -115,6 +119,12 @@ def plan_table(plan: Plan) -> Table:
     too_long = ""
     if any(run.duration_s > plan.longest_s for run in plan.runs):
         too_long = f" * session.max_duration_s = {plan.longest_s:g} would end it earlier: raise it for this."
+    conditions = plan.conditions
+    witnessed = (
+        ""
+        if conditions.witness_noise is None
+        else f", of which a witness leaves {conditions.unknown_rad_per_s2_rthz:.1e}"
+    )
     return Table(
         "plan",
         "What runs will tell",
@@ -126,8 +136,8 @@ def plan_table(plan: Plan) -> Table:
         ("amplitudes, arcsec", "runs", "min", *(f"u({quantity(name).symbol})" for name in names)),
         shown,
         "Standard uncertainty over value, from the swings alone; minutes of all runs. The amplitude of "
-        f"one half-cycle is measured to {plan.conditions.u_amplitude_rad / ARCSEC_RAD:.2g} arcsec, ground "
-        f"{plan.conditions.ground_rad_per_s2_rthz:.1e} rad/s²/√Hz.{too_long}",
+        f"one half-cycle is measured to {conditions.u_amplitude_rad / ARCSEC_RAD:.2g} arcsec, ground "
+        f"{conditions.ground_rad_per_s2_rthz:.1e} rad/s²/√Hz{witnessed}.{too_long}",
     )
 
 
