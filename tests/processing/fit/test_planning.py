@@ -79,3 +79,18 @@ def test_other_laws_are_planned_too() -> None:
     )
     assert set(planned.u) == set(values)
     assert all(0 < planned.u[name] < 0.1 * value for name, value in values.items())
+
+
+@pytest.mark.parametrize(("noise", "left"), [(1.0, np.sqrt(0.5)), (0.1, 0.0995)])
+def test_a_witness_leaves_of_the_ground_what_its_own_noise_hides(noise: float, left: float) -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    names = LAWS["paper"].names()
+    values = dict(zip(names, truth(parameters, names), strict=True))
+    ground = conditions(1e-7)
+    amplitudes = (124 * ARCSEC, 30 * ARCSEC)
+    with_witness = planned_run(values, pendulum, ground.with_witness(noise), *amplitudes)
+    assert with_witness.u == pytest.approx(
+        planned_run(values, pendulum, ground.on_ground(left * 1e-7), *amplitudes).u, rel=0.01
+    )
+    # the ground drowns a run no later for it
+    assert with_witness.half_cycles == planned_run(values, pendulum, ground, *amplitudes).half_cycles

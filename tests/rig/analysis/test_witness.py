@@ -1,0 +1,195 @@
+"""A witness of the ground from a file, beside a table and beside a record."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from processing.errors import ConfigurationError, DataError
+from processing.estimate import Estimate
+from processing.fit import Response, WitnessUse, WitnessVerdict
+from rig.analysis.record_fit import analyse_record, session_results
+from rig.analysis.results import RunResults, SessionResults, TableResults
+from rig.analysis.results_file import decoded, encoded
+from rig.analysis.table_fit import TableColumns, analyse_table
+from rig.analysis.witness_file import Begin, StatedWitness
+from rig.analysis.witnessed_fits import witness_sentences
+from rig.settings import load_configuration
+from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.driven import driven_path
+
+STEP_S = 0.1
+FRAMES_PER_S = 10.0
+PENDULUM = """
+[pendulum]
+mass_kg = 0.406
+ball_radius_m = 6.05e-3
+ball_material = "steel"
+flat_material = "glass_k8"
+[fit]
+drag = "vacuum"
+"""
+
+
+def csv(path: Path, head: str, *columns: np.ndarray) -> Path:
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=head, comments="", fmt="%.9g")
+    return path
+
+
+def ground(seed: int) -> np.ndarray:
+    return 3e-7 * np.sqrt(0.5 / STEP_S) * np.random.default_rng(seed).standard_normal(4000)
+
+
+@pytest.fixture(scope="module")
+def decay(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A decay on a white drive, as a table, with its configuration and witnesses beside it."""
+    folder = tmp_path_factory.mktemp("witness")
+    parameters, pendulum = paper_pair("glass_k8")
+    clock = STEP_S * np.arange(4000)
+    _, _, path = driven_path(
+        parameters,
+        pendulum,
+        q=0.0,
+        seed=0,
+        last_arcsec=60.0,
+        frames_per_s=FRAMES_PER_S,
+        forcing=lambda t: np.interp(t, clock - 20.0, ground(1)),
+    )
+    seen = path / ARCSEC + 0.005 * np.random.default_rng(2).standard_normal(len(path))
+    # the table's clock does not begin at 0
+    csv(folder / "decay.csv", "time_s,y_arcsec", 500.0 + np.arange(len(seen)) / FRAMES_PER_S, seen)
+    csv(folder / "witness.csv", "time_s,east,north", 480.0 + clock, 1e9 * ground(5), -2e9 * ground(1))
+    (folder / "rig.toml").write_text(PENDULUM)
+    return folder
+
+
+def fitted(folder: Path, *columns: str) -> TableResults:
+    config = load_configuration(folder / "rig.toml", needs_camera=False)
+    witness = StatedWitness(folder / "witness.csv", columns).read() if columns else None
+    return analyse_table(folder / "decay.csv", config, TableColumns(unit="arcsec"), witness).results
+
+
+def test_a_table_is_fitted_with_a_witness_and_says_what_it_saved(decay: Path) -> None:
+    alone, found = fitted(decay), fitted(decay, "north", "east")
+    assert alone.witness is None
+    assert found.witness is not None
+    assert found.witness.used
+    assert [response.name for response in found.witness.responses] == ["north"]
+    assert found.witness.responses[0].gain == pytest.approx(0.5e-9, rel=0.05)
+    before, after = (one.fits["exact"].estimate("b") for one in (alone, found))
+    assert before.standard_uncertainty / after.standard_uncertainty == pytest.approx(
+        found.witness.saved["b"], rel=1e-6
+    )
+    assert found.witness.saved["b"] > 4
+    assert abs(after.value - paper_pair("glass_k8")[0].b) < 4 * after.standard_uncertainty
+    # Eqs. 5 and 6 keep the paper's procedure
+    assert found.fits["asymptotic"] == alone.fits["asymptotic"]
+    said = " ".join(witness_sentences(found.witness))
+    assert "it explains" in said
+    assert "smaller by factors of b" in said
+
+
+def test_an_unrelated_witness_changes_nothing_but_what_is_said(decay: Path) -> None:
+    alone, found = fitted(decay), fitted(decay, "east")
+    assert found.witness is not None
+    assert found.witness.verdict is WitnessVerdict.NO_GAIN
+    assert encoded(replace(found, witness=None, decays=())) == encoded(replace(alone, decays=()))
+    (said,) = witness_sentences(found.witness)
+    assert said.startswith("Witness of the ground refused")
+    assert "offsets of its clock were tried" in said
+
+
+def test_a_record_with_a_witness_of_another_year_says_that_it_does_not_cover_the_run(
+    measured_series: Path, tmp_path: Path
+) -> None:
+    times = 1.2e9 + STEP_S * np.arange(2000)
+    path = csv(tmp_path / "w.csv", "time_s,z", times, np.sin(np.arange(2000.0)))
+    record = measured_series / "run-1.mcap"
+    alone, found = analyse_record(record), analyse_record(record, witness=StatedWitness(path).read())
+    assert found.results.witness is not None
+    assert found.results.witness.verdict is WitnessVerdict.ABSENT
+    results = [session_results([run], tmp_path) for run in (alone, found)]
+    without = [replace(one, runs=(replace(one.runs[0], witness=None),)) for one in results]
+    assert encoded(without[0]) == encoded(without[1])
+
+
+def test_times_are_put_on_the_clock_of_the_turning_points(tmp_path: Path) -> None:
+    begin = Begin(in_file_ns=3_000_000_000, utc_ns=1_500_000_005_000_000_000)
+    times = np.arange(10.0)
+    relative = StatedWitness(csv(tmp_path / "a.csv", "time_s,z", 2 + times, times)).read()
+    witness, known = relative.beside(begin)
+    assert witness.time_s[0] == pytest.approx(-1.0)
+    assert not known
+    stated = replace(StatedWitness(tmp_path / "a.csv"), offset_s=0.25).read()
+    witness, known = stated.beside(begin)
+    assert witness.time_s[0] == pytest.approx(-0.75)
+    assert known
+    in_ns = [f"{1_500_000_000_000_000_000 + 100_000_000 * k},{k}" for k in range(10)]
+    (tmp_path / "b.csv").write_text("\n".join(["time_ns,z", *in_ns]))
+    witness, known = StatedWitness(tmp_path / "b.csv").read().beside(begin)
+    assert witness.time_s[0] == pytest.approx(-5.0, abs=1e-6)
+    assert known
+    assert not StatedWitness(tmp_path / "b.csv").read().beside(Begin(0))[1]
+
+
+def test_a_column_that_is_not_there_is_said(decay: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"no column 'up'; columns: time_s, east, north"):
+        StatedWitness(decay / "witness.csv", ("up",)).read()
+
+
+def test_without_obspy_a_seismic_file_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "obspy", None)
+    with pytest.raises(ConfigurationError, match=r"w\.mseed: --witness with miniSEED or SAC .* needs obspy"):
+        StatedWitness(tmp_path / "w.mseed").read()
+
+
+@pytest.mark.filterwarnings("ignore")  # of ObsPy's own imports
+@pytest.mark.parametrize(("suffix", "kind"), [(".mseed", "MSEED"), (".sac", "SAC")])
+def test_seismic_files_are_read_with_their_gaps(tmp_path: Path, suffix: str, kind: str) -> None:
+    obspy = pytest.importorskip("obspy")
+    trace = obspy.Trace(np.arange(1000, dtype=np.float32))
+    trace.stats.sampling_rate, trace.stats.channel = 20.0, "BHZ"
+    trace.stats.starttime = obspy.UTCDateTime(2026, 3, 4, 5, 6, 7)
+    start = trace.stats.starttime
+    whole = [trace]
+    if kind == "MSEED":
+        whole = [trace.slice(start, start + 9.95), trace.slice(start + 20.0)]
+    obspy.Stream(whole).write(str(tmp_path / f"w{suffix}"), format=kind)
+    found = StatedWitness(tmp_path / f"w{suffix}").read()
+    assert found.names == ("BHZ",)
+    assert found.absolute
+    assert found.first_ns == start.ns
+    missing = np.isnan(found.value[:, 0])
+    assert np.count_nonzero(missing) == (200 if kind == "MSEED" else 0)
+    assert found.value[~missing, 0] == pytest.approx(np.arange(1000.0)[~missing])
+    with pytest.raises(ConfigurationError, match="no channel 'BHN'; channels: BHZ"):
+        StatedWitness(tmp_path / f"w{suffix}", ("BHN",)).read()
+    (tmp_path / "bad.mseed").write_text("no samples")
+    with pytest.raises(DataError, match="as neither miniSEED nor SAC"):
+        StatedWitness(tmp_path / "bad.mseed").read()
+
+
+def test_results_keep_what_a_witness_told_and_sentences_say_it() -> None:
+    use = WitnessUse(
+        verdict=WitnessVerdict.USED,
+        explained=0.98,
+        ground_alone_rad_per_s2_rthz=Estimate(1e-7, 5e-9),
+        ground_left_rad_per_s2_rthz=Estimate(1.4e-8, 1e-9),
+        responses=(Response(name="Z", gain=2e-10, u_gain=1e-12, phase_rad=1.0, u_phase_rad=0.01),),
+        missing_half_cycles=7,
+        offset_s=-12.0,
+        offsets_tried=300,
+        delay_s=Estimate(0.1, 0.05),
+        clock_drift=Estimate(0.0, 1e-5),
+        saved={"b": 6.1, "c": 1.0},
+    )
+    results = SessionResults(runs=(RunResults(record="run.mcap", witness=use),))
+    assert decoded(encoded(results), Path("results.json")).runs[0].witness == use
+    said = " ".join(witness_sentences(use))
+    assert "7 half-swings have no witness" in said
+    assert "the best of 300" in said
+    assert "factors of b 6.10." in said
