@@ -10,6 +10,7 @@ from processing.fit import (
     Evidence,
     FitMethod,
     FitResult,
+    WitnessUse,
     alternation_of,
     changes_of,
     domain_warnings,
@@ -28,6 +29,7 @@ from processing.swing import TurningPoints
 from rig.analysis.contact_results import SurfaceEnergies
 from rig.analysis.drifts import BelievedDrifts
 from rig.analysis.settled import loss_of
+from rig.analysis.witnessed_fits import WitnessedWith
 from rig.settings import FitSettings
 
 
@@ -36,12 +38,14 @@ class DecayFits:
     """Both fits of one decay; `problem` says in one line why they are missing.
 
     `points` are the turning points that were fitted, where those given were not; None: they were.
+    `witness` is what a witness of the ground told.
     """
 
     fits: Mapping[str, FitResult]
     surface_energy: SurfaceEnergies | None
     problem: str = ""
     points: TurningPoints | None = None
+    witness: WitnessUse | None = None
 
 
 def fit_decay(
@@ -53,11 +57,12 @@ def fit_decay(
     drag: bool = True,
     evidence: Evidence = NO_EVIDENCE,
     drifts: BelievedDrifts | None = None,
+    witness: WitnessedWith | None = None,
 ) -> DecayFits:
     """Asymptotic and exact fit of turning points; a decay that cannot be fitted is said, not raised.
 
     `exact` is the exact fit of these points where it has been made; otherwise a `drag` is fitted or not, and
-    `evidence` restrains the fit.
+    `evidence` restrains the fit. `witness` tells of the ground; Eqs. 5 and 6 keep the paper's procedure.
     """
     if pendulum is None:
         return DecayFits(
@@ -77,6 +82,9 @@ def fit_decay(
             printed_curvature=printed_curvature,
             exact=exact,
         )
+        use = None
+        if witness is not None:
+            exact, use = witness.fit(points, pendulum, exact)
         if drifts is not None:
             exact = with_drifts(points, pendulum, exact, drifts.ageing.u, drifts.period.u)
         exact = _judged(points, pendulum, exact)
@@ -88,7 +96,9 @@ def fit_decay(
         asymptotic = with_place_errors(asymptotic, exact.place_covariance, exact.names)
     asymptotic = with_misfit_of(asymptotic, exact)
     fits: dict[str, FitResult] = {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}
-    return DecayFits(fits, surface_energies(fits, pendulum), points=points if alternates else None)
+    return DecayFits(
+        fits, surface_energies(fits, pendulum), points=points if alternates else None, witness=use
+    )
 
 
 def _of_one_moment(

@@ -36,7 +36,7 @@ from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import doubts_of, recorded_surroundings
 from rig.analysis.witness_file import Begin, WitnessRecord
-from rig.analysis.witnessed_fits import WitnessAt, with_witness
+from rig.analysis.witnessed_fits import WitnessAt, WitnessedWith
 from rig.instrument import (
     earlier_schema,
     inputs_sha256,
@@ -212,18 +212,20 @@ def analyse_swings(
         evidence = evidence_of(drag, settled.harmonics)
         believed = believed_drifts(config, air) if config.fit.drifts else None
         decay = fit_decay(
-            points, pendulum, config.fit, settled.exact, drag=drag.fitted, evidence=evidence, drifts=believed
+            points,
+            pendulum,
+            config.fit,
+            settled.exact,
+            drag=drag.fitted,
+            evidence=evidence,
+            drifts=believed,
+            witness=_witness_beside(settled.swings, witness),
         )
         points = points if decay.points is None else decay.points
     else:
         decay = DecayFits(
             {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
         )
-    use = None
-    if witness is not None and decay.fits and pendulum is not None:
-        first_ns = next(swing.turn_time_ns for swing in settled.swings if not swing.flags)
-        beside, clock_known = witness(first_ns)
-        decay, use = with_witness(decay, points, pendulum, beside, clock_known=clock_known)
     errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
     results = replace(
         _head(path, points, unit),
@@ -235,7 +237,7 @@ def analyse_swings(
         warnings=tuple(dict.fromkeys([*_fit_warnings(decay.fits), *filter(None, [settled.doubt])])),
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
-        witness=use,
+        witness=decay.witness,
     )
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
     rig = rig_quantities(config, deflections.fast_ratio(), rest_rad, u_clock)
@@ -256,6 +258,12 @@ def analyse_swings(
             rad_per_px = config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)
             results = replace(results, warnings=(*results.warnings, of_rows.text(rad_per_px)))
     return AnalysedRun(path, results, points, decay.fits, rig, harmonics=settled.harmonics)
+
+
+def _witness_beside(swings: Sequence[Swing], witness: WitnessAt | None) -> WitnessedWith | None:
+    """A witness on the clock of the turning points of these swings."""
+    first_ns = next((swing.turn_time_ns for swing in swings if not swing.flags), None)
+    return None if witness is None or first_ns is None else WitnessedWith(*witness(first_ns))
 
 
 def _reduced(

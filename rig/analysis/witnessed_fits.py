@@ -1,13 +1,12 @@
-"""The fits of a decay with a witness of the ground, and what is said of it."""
+"""The exact fit of a decay with a witness of the ground, and what is said of it."""
 
 from collections.abc import Callable
-from dataclasses import replace
-from math import pi
+from math import isfinite, pi
+from typing import NamedTuple
 
 from processing.contact import PendulumOnBall
-from processing.fit import FitMethod, Response, Witness, WitnessUse, fit_with_witness, with_place_errors
+from processing.fit import FitResult, Response, Witness, WitnessUse, fit_with_witness, with_place_errors
 from processing.swing import TurningPoints
-from rig.analysis.contact_laws import DecayFits, surface_energies
 from rig.presentation import plain, quantity, with_uncertainty
 
 WitnessAt = Callable[[int], tuple[Witness, bool]]
@@ -16,30 +15,27 @@ _WELL = 1.05
 """Factor by which an uncertainty is smaller, from which on it is named."""
 
 
-def with_witness(
-    decay: DecayFits, points: TurningPoints, pendulum: PendulumOnBall, witness: Witness, *, clock_known: bool
-) -> tuple[DecayFits, WitnessUse]:
-    """The fits with the exact one as a witness makes it; Eqs. 5 and 6 keep the paper's procedure."""
-    alone = decay.fits[FitMethod.EXACT]
-    found = fit_with_witness(points, pendulum, witness, alone, offset_known=clock_known)
-    if not found.use.used:
-        return decay, found.use
-    exact = found.fit
-    if alone.place_covariance is not None:
-        exact = with_place_errors(exact, alone.place_covariance, alone.names)
-    fits = {**decay.fits, FitMethod.EXACT: exact}
-    return replace(decay, fits=fits, surface_energy=surface_energies(fits, pendulum)), found.use
+class WitnessedWith(NamedTuple):
+    """A witness on the clock of a run's turning points, and whether that is known."""
+
+    witness: Witness
+    clock_known: bool
+
+    def fit(
+        self, points: TurningPoints, pendulum: PendulumOnBall, alone: FitResult
+    ) -> tuple[FitResult, WitnessUse]:
+        """The exact fit with the witness; the one without it where the witness does not pay."""
+        found = fit_with_witness(points, pendulum, self.witness, alone, offset_known=self.clock_known)
+        if found.use.used and alone.place_covariance is not None:
+            return with_place_errors(found.fit, alone.place_covariance, alone.names), found.use
+        return found.fit, found.use
 
 
 def witness_sentences(use: WitnessUse) -> list[str]:
     """What a witness told, or why it was refused."""
     if not use.used:
         gain = use.gain_of_prediction
-        judged = (
-            f" (predictions of half-cycles it was not fitted to: {gain:+.3g} in −2 ln L)"
-            if gain == gain
-            else ""
-        )
+        judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
         reason = f": {use.reason}" if use.reason else ""
         sought = f"; {use.offsets_tried} offsets of its clock were tried" if use.offsets_tried else ""
         return [f"Witness of the ground {use.verdict}{reason}{judged}{sought}. All stands as without it."]

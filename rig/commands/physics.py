@@ -160,7 +160,7 @@ def fit_records(
     compared = chosen_laws(laws) if laws else ()
     refuse_copies(paths)
     ground = None if witness is None else witness.read()
-    runs = [analyse_record(path, overrides, ground) for path in paths]
+    runs = [analyse_record(path, overrides, witness=ground) for path in paths]
     for run in runs:
         if run.earlier_schema:
             say(run.earlier_schema)

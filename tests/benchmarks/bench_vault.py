@@ -2,8 +2,8 @@
 
 Run as ``python -m tests.benchmarks.bench_vault [--seeds N] [CASE...]`` from the repository. Decays are
 integrated step by step, with the ground as a force; the fit shares no formula with that. The recorded
-ground is that of two real seismometers at one place: one drives the pendulum, the other, whose response nobody states,
-is the witness.
+ground is that of two real seismometers at one place: one drives the pendulum, the other, whose response
+nobody states, is the witness.
 """
 
 import argparse
