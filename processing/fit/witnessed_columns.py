@@ -25,6 +25,7 @@ class WitnessedColumns:
         self.reference = law.reference
         self.map_by_log_rho = law.map_by_log_rho
         self.terms = drive.terms
+        self.valley = None if law.valley is None else law.valley + self.terms
         open_end = np.full(self.terms, np.inf)
         self.lower = np.concatenate([-open_end, law.lower])
         self.upper = np.concatenate([open_end, law.upper])
