@@ -111,16 +111,22 @@ class NoiseSearch:
         Uncertainties grow with the step. Those of the likeliest one are too small where a run at rest
         would be nothing unusual: one in three of weak drives is found to be none. The average is over the
         likelihood times a density that falls as step^-0.7: drives may be of any order of magnitude, and with
-        this exponent intervals come nearest to their coverage at rest and at weak drives together.
+        this exponent intervals come nearest to their coverage at rest and at weak drives together. Where a
+        witness sees the ground, drives below the least that a witness leaves are not among them.
         """
-        if bounds.u_step < _WELL_KNOWN * found.noise.step:
+        least = 0.0 if self._model.witnessed is None else self._model.witnessed.least_left(self._columns)
+        if bounds.u_step < _WELL_KNOWN * found.noise.step and found.noise.step > least:
             return None
+        lowest = _LOWEST
+        if least:
+            lowest = min(max(_LOWEST, float(np.log10(least / found.noise.scale / self._unit))), self._highest)
         above = float(np.log10(max(bounds.highest_step / found.noise.scale / self._unit, 10 * 10**_LOWEST)))
-        tried = np.arange(_LOWEST, min(above + 0.5, self._highest), _SPACING)
+        tried = np.arange(lowest, max(min(above + 0.5, self._highest), lowest + _SPACING), _SPACING)
         parts = [self._at(x) for x in tried.tolist()]
         steps = 10.0**tried
         mass = steps ** (1 - _FALL) * _SPACING * np.log(10)
-        mass[0] += steps[0] ** (1 - _FALL) / (1 - _FALL)
+        if not least:
+            mass[0] += steps[0] ** (1 - _FALL) / (1 - _FALL)
         deviance = np.array([part.deviance for part in parts])
         weight = mass * np.exp(-0.5 * (deviance - np.min(deviance)))
         weight /= np.sum(weight)
