@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rig.analysis import (
     SessionResults,
+    StatedWitness,
     TableColumns,
     TableResults,
     analyse_record,
@@ -20,7 +21,10 @@ Recorded = str | Path | Record | Session
 
 
 def fit(
-    source: Recorded | Sequence[Recorded], overrides: Mapping[str, object] | None = None
+    source: Recorded | Sequence[Recorded],
+    overrides: Mapping[str, object] | None = None,
+    *,
+    witness: str | Path | None = None,
 ) -> SessionResults:
     """Fit the contact laws to one or more records, or evaluate them as the kind of pendulum requires.
 
@@ -30,6 +34,8 @@ def fit(
         A record, a session, the path of a record, or a sequence of these, which are combined as a series.
     overrides
         Changes of the recorded configuration for this fit, by dotted key: ``{"fit.drag": True}``.
+    witness
+        What a seismometer or tiltmeter recorded beside the runs: CSV, miniSEED or SAC.
 
     Returns
     -------
@@ -44,9 +50,9 @@ def fit(
     """
     changes = [f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items()]
     several = [source] if isinstance(source, str | Path | Record | Session) else source
-    return session_results(
-        [analyse_record(path, changes) for one in several for path in _paths(one)], Path.cwd()
-    )
+    ground = None if witness is None else StatedWitness(Path(witness)).read()
+    runs = [analyse_record(path, changes, witness=ground) for one in several for path in _paths(one)]
+    return session_results(runs, Path.cwd())
 
 
 def _paths(source: Recorded) -> list[Path]:
