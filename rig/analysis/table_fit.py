@@ -184,7 +184,7 @@ def _analyse(
             return witness.beside(Begin(in_file_ns, in_file_ns if absolute else None))
 
         at = None if witness is None else beside
-        run = analyse_swings(path, swings, config, passing, stated_surroundings(config), at).results
+        run = analyse_swings(path, swings, config, passing, stated_surroundings(config), witness=at).results
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
     values = _values(run) | {
