@@ -332,7 +332,7 @@ def _result(
 
 def _rows_beside(model: ExactModel) -> dict[str, slice]:
     """Rows of the residuals in which each part of the evidence stands."""
-    first, count = 2 * len(model.points), len(model.beside(np.zeros(len(model.names)))[0])
+    first, count = 2 * len(model.points), len(model.beside(np.zeros(len(model.lower)))[0])
     last = first + count - (model.evidence.drag_s is not None and DRAG.key in model.names)
     rows = {WAVEFORM: slice(first, last), AIR: slice(last, first + count)}
     return {name: part for name, part in rows.items() if part.start < part.stop}

@@ -111,7 +111,7 @@ class ExactModel:
         self._variance = np.array([self._u, points.u_time_s]) ** 2
         self._noise = AT_REST
         self._gains: Floats | None = None
-        count = len(self.names)
+        count = len(self.lower)
         self._beside = _Beside(np.zeros(count), np.zeros(0), np.zeros((0, count)))
         # kept for the last parameters: searches begin and end where others have been; copies share them
         self._tabulated: dict[bytes, OneHalfSwing] = {}
