@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from acquisition.record.chunk_reader import ChunkDamage, ChunkPlace, message_heads
 from acquisition.record.contents import Contents, walk
 from acquisition.record.frame_numbers import MOST_SHOWN, FrameNumbers
-from acquisition.record.proof import THINNED, data_crc_matches, measured_sha256_of, unproved_parts
+from acquisition.record.proof import RECOVERY, THINNED, data_crc_matches, measured_sha256_of, unproved_parts
 from acquisition.record.reader import RecordReader
 from acquisition.record.records import intact_attachment, read_record
-from acquisition.record.recover import RECOVERY
 from acquisition.record.schemas import parse_message_type
 from acquisition.record.topics import PACKAGE, SPOT, WINDOW
 from acquisition.record.utc import utc_text
@@ -187,11 +186,22 @@ def _index_matches(
     return True
 
 
+_MISSING = (
+    "lost_chunks",
+    "lost_bytes_at_the_end",
+    "lost_parts",
+    "doubles_left_out",
+    "foreign_left_out",
+    "chunks_moved",
+    "unproved",
+)
+
+
 def _check_recovery(recovery: Mapping[str, str]) -> Finding:
     """What the record lacked from which this one was made: sound bytes may hold what was changed before."""
     missing = [
         f"{name.replace('_', ' ')}: {recovery[name]}"
-        for name in ("lost_chunks", "lost_bytes_at_the_end", "lost_parts", "unproved")
+        for name in _MISSING
         if recovery.get(name, "0") not in ("0", "")
     ]
     text = f"recovered from {recovery.get('source', '?')}; {'; '.join(missing) or 'nothing was lost'}"

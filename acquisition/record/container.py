@@ -20,7 +20,7 @@ import struct
 import sys
 import threading
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import zstandard
@@ -34,7 +34,7 @@ from acquisition.record.records import MAGIC
 from acquisition.record.reserve import Reserve
 from acquisition.record.summary import Summary, serialised, shortest_ending
 from acquisition.record.topics import LIBRARY, METADATA_COPY
-from acquisition.record.whole_file import sync_folder
+from acquisition.record.whole_file import being_written, sync_folder
 from processing.errors import RecordError
 
 _ZSTD_LEVEL = 1
@@ -290,17 +290,32 @@ def create_record(path: Path, reserve_bytes: int, zstd_level: int = _ZSTD_LEVEL)
 
 @contextlib.contextmanager
 def new_record(
-    path: Path, source: Path, reserve_bytes: int, zstd_level: int = _ZSTD_LEVEL
+    path: Path,
+    source: Path,
+    reserve_bytes: int,
+    zstd_level: int = _ZSTD_LEVEL,
+    *,
+    prove: Callable[[Path], None] | None = None,
+    replaces: bool = False,
 ) -> Iterator[McapFile]:
-    """The file of a record made from `source`; none is left where it could not be finished."""
-    file = create_record(path, reserve_bytes, zstd_level)
+    """The file of a record made from `source`, which takes its name when it is finished and proved.
+
+    None is left where it could not be, or where the process was killed. Raises RecordError where the name is
+    taken, unless it `replaces`, or where it cannot be written.
+    """
     try:
-        yield file
-    except BaseException as error:
-        file.abandon()
-        path.unlink(missing_ok=True)
-        if not isinstance(error, OSError):
-            raise
+        with being_written(path, prove=prove, replaces=replaces) as beside:
+            file = McapFile(beside, LIBRARY, reserve_bytes, zstd_level)
+            try:
+                yield file
+                if file.full is not None:
+                    raise file.full
+            finally:
+                # before it is removed, for which it must be closed on Windows
+                file.abandon()
+    except FileExistsError:
+        raise RecordError(f"{path}: exists already and is never overwritten; choose another name") from None
+    except OSError as error:
         why = f"{path}: cannot be written: {error.strerror or error}; {source} is unchanged"
         raise RecordError(why) from error
 

@@ -2,9 +2,9 @@
 
 import functools
 import hashlib
+import stat
 from pathlib import Path
 
-from acquisition.record.disk_faults import FaultTolerantFile
 from processing.errors import RecordError
 
 _BLOCK_BYTES = 1024 * 1024
@@ -25,10 +25,16 @@ def known_sha256_of(path: Path) -> str:
 
 
 def sha256_of(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file, read in pieces, with zeros where the disk cannot give them."""
+    """Hexadecimal SHA-256 of a file, read in pieces.
+
+    Raises RecordError where any part cannot be read: the hash of anything else would be another file's name.
+    """
     digest = hashlib.sha256()
     try:
-        with FaultTolerantFile(path) as file:
+        if not stat.S_ISREG(path.stat().st_mode):
+            # a pipe would wait for a writer
+            raise RecordError(f"{path}: is not a file; a folder, pipe or device has no hash")
+        with path.open("rb", buffering=0) as file:
             while block := file.read(_BLOCK_BYTES):
                 digest.update(block)
     except OSError as error:

@@ -50,6 +50,9 @@ class Thinning(StrEnum):
     RECOMPRESSED = "recompressed"
 
 
+RECOVERY = "recovery"
+"""Name of the metadata of a record that `rig recover` made; of a second recovery "recovery 2"."""
+
 THINNED = "thinned"
 """Name of the metadata of a thinned record; thinned once more, "thinned 2"."""
 

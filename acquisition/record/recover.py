@@ -6,18 +6,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from acquisition.record.chunk_builder import MESSAGE_HEAD, ChunkBuilder
+from acquisition.record.chunk_order import arranged
 from acquisition.record.chunk_reader import ChunkDamage, message_heads
 from acquisition.record.container import McapFile, new_record
 from acquisition.record.descriptions import own_texts
 from acquisition.record.digest import sha256_of
-from acquisition.record.proof import unproved_parts
+from acquisition.record.proof import RECOVERY, is_sound, unproved_parts
 from acquisition.record.proved_file import Damage
 from acquisition.record.reader import RecordReader
 from acquisition.record.records import HEAD
+from processing.errors import RecordError
 
 _RESERVE_BYTES = 1024 * 1024
-RECOVERY = "recovery"
-"""Name of the metadata; of a second recovery "recovery 2"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +26,10 @@ class Recovery:
 
     `messages` are the numbers of recovered messages by topic, `start_ns` and `end_ns` (UTC) the times of the
     first and the last. `lost` are damaged chunks and attachments, `damage` describes other parts that were
-    not as written, `unproved` names what was copied although nothing in the source proves it, `lost_bytes` is
-    the number of bytes after the last complete record.
+    not as written, `doubles` and `foreign` name chunks that were left out because they stood there already or
+    are another run's, `moved` is how many were put where their frames belong, `unproved` names what was
+    copied although nothing in the source proves it, `lost_bytes` is the number of bytes after the last
+    complete record.
     """
 
     source: Path
@@ -37,6 +39,9 @@ class Recovery:
     end_ns: int
     lost: tuple[Damage, ...]
     damage: tuple[str, ...]
+    doubles: tuple[str, ...]
+    foreign: tuple[str, ...]
+    moved: int
     unproved: tuple[str, ...]
     lost_bytes: int
 
@@ -44,18 +49,27 @@ class Recovery:
 def recover(source: Path, path: Path) -> Recovery:
     """Copy every intact message of a record, its metadata and attachments into a new file.
 
+    Chunks are put into the order of their frames; those that stand twice or are another run's are left out.
     The source is not changed. The metadata `RECOVERY` of the new file state its source and what is missing;
-    those of an earlier recovery stay.
+    those of an earlier recovery stay. The new file appears when it has been read again and proved.
 
     Raises
     ------
     RecordError
         The source is not a record of this program; the new file exists already or cannot be written.
     """
-    with RecordReader(source) as reader, new_record(path, source, _RESERVE_BYTES) as file:
-        found = _copy(reader, file, path)
+    found: list[Recovery] = []
+
+    def prove(beside: Path) -> None:
+        with RecordReader(beside) as reader:
+            same = {topic: count for topic, count in reader.counts.items() if count} == found[0].messages
+            if not same or not is_sound(reader.file, reader.contents):
+                raise RecordError(f"{path}: does not hold what was written; {source} is unchanged")
+
+    with RecordReader(source) as reader, new_record(path, source, _RESERVE_BYTES, prove=prove) as file:
+        found.append(_copy(reader, file, path))
         file.finish()
-    return found
+    return found[0]
 
 
 def copy_head(reader: RecordReader, file: McapFile) -> dict[int, int]:
@@ -75,8 +89,9 @@ def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
     contents = reader.contents
     numbers = copy_head(reader, file)
     counts: Counter[str] = Counter()
+    order = arranged(reader, reader.chunk_opener())
     opened = reader.chunk_opener()
-    for place in contents.chunks:
+    for place in order.places:
         builder = ChunkBuilder()
         try:
             chunk = opened(place)
@@ -100,7 +115,7 @@ def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
             raise file.full
     lost_bytes = 0 if contents.whole else contents.size - contents.readable_bytes
     unproved = unproved_parts(reader.file, contents)
-    source_sha256 = sha256_of(reader.path)
+    source_sha256 = _sha256_if_readable(reader.path)
     if reader.disk_notice:
         contents.damage.append(reader.disk_notice)
     lost_parts = [damage.what for damage in reader.damages if not damage.start_ns]
@@ -111,6 +126,9 @@ def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
         "lost_chunks": str(len(reader.damages) - len(lost_parts)),
         "lost_parts": "; ".join([*lost_parts, *contents.damage]),
         "lost_bytes_at_the_end": str(lost_bytes),
+        "doubles_left_out": "; ".join(order.doubles),
+        "foreign_left_out": "; ".join(order.foreign),
+        "chunks_moved": str(order.moved),
         "unproved": ", ".join(unproved),
     }
     earlier = sum(name.startswith(RECOVERY) for name in contents.metadata)
@@ -124,6 +142,17 @@ def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
         end_ns=file.end_ns,
         lost=tuple(reader.damages),
         damage=tuple(contents.damage),
+        doubles=tuple(order.doubles),
+        foreign=tuple(order.foreign),
+        moved=order.moved,
         unproved=unproved,
         lost_bytes=lost_bytes,
     )
+
+
+def _sha256_if_readable(path: Path) -> str:
+    """By which the source is known; nothing where its disk cannot give all of it."""
+    try:
+        return sha256_of(path)
+    except RecordError:
+        return ""

@@ -5,8 +5,9 @@ which results still know it (`acquisition.record.proof`), and which pixels each 
 """
 
 import hashlib
+import shutil
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -86,12 +87,20 @@ def why_not_thinned(reader: RecordReader, thinning: Thinning) -> Obstacle | None
 
 
 def thin(
-    source: Path, path: Path, thinning: Thinning, said: Mapping[str, str], attachments: Mapping[str, bytes]
+    source: Path,
+    path: Path,
+    thinning: Thinning,
+    said: Mapping[str, str],
+    attachments: Mapping[str, bytes],
+    *,
+    agreed: Callable[[Thinned], None] | None = None,
+    replaces: bool = False,
 ) -> Thinned:
     """Write a thinned copy of a record into a new file, and read it again to prove it.
 
-    The source is not changed. `said` is added to the metadata `thinned`, `attachments` to those of the
-    record. Every message but those of windows is proved to be the same, and every pixel of windows that are
+    The source is not changed, unless the copy `replaces` it: then it takes the place of `path` at once, when
+    it is proved and `agreed` has not raised. `said` is added to the metadata `thinned`, `attachments` to
+    those of the record. Every message but those of windows is proved to be the same, and every pixel of windows that are
     kept.
 
     Raises
@@ -104,13 +113,19 @@ def thin(
         why = why_not_thinned(reader, thinning)
         if why is not None:
             raise RecordError(f"{source}: {why}")
-        with new_record(path, source, _RESERVE_BYTES, _ZSTD_LEVEL) as file:
-            copied = _copy(reader, file, thinning, said, attachments)
+        copied: list[_Copied] = []
+
+        def proved(beside: Path) -> None:
+            _prove(beside, copied[0])
+            if agreed is not None:
+                agreed(Thinned(*copied[0][:2], reader.contents.size, beside.stat().st_size))
+            if replaces:
+                shutil.copymode(source, beside)
+
+        with new_record(path, source, _RESERVE_BYTES, _ZSTD_LEVEL, prove=proved, replaces=replaces) as file:
+            copied.append(_copy(reader, file, thinning, said, attachments))
             file.finish()
-            if file.full is not None:
-                raise file.full
-            _prove(path, copied)
-        return Thinned(copied.measured, copied.windows, reader.contents.size, path.stat().st_size)
+        return Thinned(*copied[0][:2], reader.contents.size, path.stat().st_size)
 
 
 class _Digests:

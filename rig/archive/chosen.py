@@ -98,7 +98,7 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
             (name, _text(value, row.get(f"u_{name}"))) for name, value in rows if not name.startswith("u_")
         ]
         older = connection.execute(
-            "select added_utc, results from versions where sha256 = ? order by added_utc", [run]
+            "select added_utc, results from versions where sha256 = ? order by turn, writer, place", [run]
         ).fetchall()
         question = f"select {IS_SIMULATED} from runs where sha256 = ?"
         (simulated,) = connection.execute(question, [run]).fetchone()

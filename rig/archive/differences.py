@@ -70,7 +70,7 @@ def print_differences(archive: Path, names: Sequence[str], where: str, least_u: 
 def _last_two(refits: Sequence[Refit], record: Path, sha256: str) -> tuple[_Version | None, _Version | None]:
     made = [
         _Version(item.name, item.recipe, item.results)
-        for item in sorted(refits, key=lambda item: item.made_utc)
+        for item in sorted(refits, key=lambda item: item.order)
         if item.results is not None
     ]
     if len(made) == 1 and record.parent.is_dir():

@@ -23,6 +23,7 @@ from rig.analysis import (
     laws_of,
     session_results,
 )
+from rig.archive.proved import read_file, with_frame, without_frame
 from rig.archive.remote import is_remote, write_new
 from rig.archive.session_rows import now_utc, row_of_results
 from rig.archive.shelf import unreadable
@@ -71,13 +72,15 @@ class Recipe:
 class Task(NamedTuple):
     """One record, to be made results of; `sha256` is the record's as the archive knows it.
 
-    `archive` is a folder, or the URL of a remote archive, to which the results are sent at once.
+    `archive` is a folder, or the URL of a remote archive, to which the results are sent at once. `turn` is
+    larger than that of all results that were there when the work began: the largest are the newest.
     """
 
     archive: str
     record: Path
     sha256: str
     recipe: Recipe
+    turn: int = 0
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,12 @@ class Refit:
     made_utc: datetime.datetime
     problem: str
     results: RunResults | None
+    turn: int = 0
+
+    @property
+    def order(self) -> tuple[int, datetime.datetime, str]:
+        """Later results come later, whatever the clocks say; those without a turn come first."""
+        return self.turn, self.made_utc, self.name
 
 
 def refit(task: Task) -> str:
@@ -122,6 +131,7 @@ def refit(task: Task) -> str:
     document = {
         "version": name,
         "sha256": task.sha256,
+        "turn": task.turn,
         "made_utc": now_utc().isoformat(),
         "level": recipe.level,
         "laws": recipe.laws,
@@ -130,7 +140,8 @@ def refit(task: Task) -> str:
         "row": row,
         "results": results,
     }
-    packed = zstandard.ZstdCompressor(level=6).compress(json.dumps(document).encode())
+    compressor = zstandard.ZstdCompressor(level=6, write_checksum=True)
+    packed = with_frame(compressor.compress(json.dumps(document).encode()))
     if is_remote(task.archive):
         write_new(task.archive, f"refits/{name}{REFIT_SUFFIX}", packed)
     else:
@@ -159,12 +170,20 @@ def _analysed(task: Task) -> AnalysedRun:
 def read_refit(path: Path) -> Refit:
     """One file of results. Raises RecordError where it cannot be understood."""
     try:
-        tree = json.loads(zstandard.ZstdDecompressor().decompress(path.read_bytes()))
+        packed = without_frame(path, read_file(path))
+        tree = json.loads(zstandard.ZstdDecompressor().decompress(packed))
+        if f"{tree['version']}{REFIT_SUFFIX}" != path.name:
+            raise ValueError(f"it is {tree['version']} under another name")
         recipe = Recipe(tree["level"], tuple(tree["laws"]), tuple(tree["settings"]), tree["code"])
         made, problem = datetime.datetime.fromisoformat(tree["made_utc"]), tree["row"].get("problem") or ""
         stored = tree["results"]
         return Refit(
-            tree["version"], recipe, made, problem, None if stored is None else decoded(stored, path).runs[0]
+            tree["version"],
+            recipe,
+            made,
+            problem,
+            None if stored is None else decoded(stored, path).runs[0],
+            tree.get("turn", 0),
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, zstandard.ZstdError) as error:
         raise unreadable(path, error, "refit") from None

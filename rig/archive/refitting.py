@@ -54,8 +54,9 @@ def refit_runs(
     recipe = Recipe(level, tuple(laws), tuple(settings), code_identity())
     runs = chosen_runs(archive, names, where or ("" if names else _READABLE))
     place = sent_to or str(archive.resolve())
-    tasks = [Task(place, path, sha256, recipe) for sha256, path in runs.items()]
     store, quarantine = Archive(archive), archive / "quarantine"
+    turn = store.refit_turn() + 1
+    tasks = [Task(place, path, sha256, recipe, turn) for sha256, path in runs.items()]
     done, given_up = store.refits.names(), {path.stem for path in quarantine.glob("[!.]*.json")}
     pending = [task for task in tasks if recipe.name(task.sha256) not in done | given_up]
     skipped = [task for task in tasks if recipe.name(task.sha256) in given_up - done]

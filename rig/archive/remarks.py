@@ -14,14 +14,20 @@ from pydantic import AwareDatetime, BaseModel, ValidationError
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
+from rig.archive.proved import changed, has_line, read_file, with_line, without_line
 
 _FOLDER = "remarks"
 
 
 class _Remark(BaseModel, frozen=True):
-    """One command: tags added to and removed from runs (by the SHA-256 of their records), or a note."""
+    """One command: tags added to and removed from runs (by the SHA-256 of their records), or a note.
+
+    `turn` is larger than that of every remark that its writer knew: remarks hold in this order, whatever the
+    clocks say. Those of earlier versions have none, and go before all others by their time.
+    """
 
     utc: AwareDatetime
+    turn: int = 0
     user: str = ""
     computer: str = ""
     runs: tuple[str, ...]
@@ -53,6 +59,7 @@ def write_remark(
     now = datetime.datetime.now(datetime.UTC)
     remark = _Remark(
         utc=now,
+        turn=1 + max((remark.turn for _, remark in _remarks(archive)), default=0),
         user=user_name(),
         computer=platform.node(),
         runs=tuple(runs),
@@ -63,17 +70,16 @@ def write_remark(
     path = archive / _FOLDER / f"{now:%Y%m%dT%H%M%S.%f}-{secrets.token_hex(4)}.json"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        whole_file.write_new(path, json.dumps(remark.model_dump(mode="json"), indent=1).encode())
+        whole_file.write_new(path, with_line(json.dumps(remark.model_dump(mode="json"), indent=1).encode()))
     except OSError as error:
         raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def read_remarks(archive: Path) -> RunRemarks:
-    """What was said, in the order of its time. Raises RecordError for a file that cannot be understood."""
+    """What was said, in order. Raises RecordError for a file that cannot be understood, or has changed."""
     tags: dict[str, set[str]] = {}
     notes: dict[str, list[str]] = {}
-    remarks = [_read(path) for path in (archive / _FOLDER).glob("[!.]*.json")]
-    for remark in sorted(remarks, key=lambda remark: remark.utc):
+    for _, remark in sorted(_remarks(archive), key=lambda item: (item[1].turn, item[1].utc, item[0])):
         for run in remark.runs:
             tags[run] = (tags.get(run, set()) | set(remark.add)) - set(remark.remove)
             said = notes.setdefault(run, [])
@@ -82,11 +88,21 @@ def read_remarks(archive: Path) -> RunRemarks:
     return RunRemarks(list(tags), [sorted(found) for found in tags.values()], [notes[run] for run in tags])
 
 
+def _remarks(archive: Path) -> list[tuple[str, _Remark]]:
+    return [(path.name, _read(path)) for path in (archive / _FOLDER).glob("[!.]*.json")]
+
+
 def _read(path: Path) -> _Remark:
+    data = read_file(path)
     try:
-        return _Remark.model_validate_json(path.read_bytes())
-    except (OSError, ValidationError) as error:
-        raise RecordError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
+        remark = _Remark.model_validate_json(without_line(path, data) if has_line(data) else data)
+    except ValidationError as error:
+        raise RecordError(
+            f"{path}: cannot be read: {str(error).splitlines()[0]}; it was damaged, take it from a backup"
+        ) from None
+    if remark.turn and not has_line(data):
+        raise changed(path)
+    return remark
 
 
 def user_name() -> str:

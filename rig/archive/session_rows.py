@@ -11,6 +11,7 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.events import CUT_SHORT, end_of
 from acquisition.record.proof import data_crc_matches, identity_of, thinning_of
 from acquisition.record.reader import RecordReader
+from acquisition.record.repaired import fullest, originals
 from acquisition.record.topics import WINDOW
 from acquisition.record.utc import utc
 from processing.errors import RecordError
@@ -33,7 +34,10 @@ class SessionRows(NamedTuple):
 
 
 def session_rows(folder: Path) -> SessionRows:
-    """The rows of a folder with records, results, or both."""
+    """The rows of a folder with records, results, or both.
+
+    Raises RecordError where a file cannot be read: what it holds is then not known.
+    """
     flaws: list[str] = []
     source = results_path(folder)
     by_record: dict[Path, RunResults] = {}
@@ -45,7 +49,15 @@ def session_rows(folder: Path) -> SessionRows:
         except RecordError as error:
             flaws.append(str(error))
     rows = []
-    for path in sorted({*folder.glob("*.mcap"), *by_record}):
+    found = {path for path in folder.glob("*.mcap") if path.is_file()}
+    flaws += [
+        f"{path}: is not a file but a pipe, a folder or a device, and is left out"
+        for path in sorted(folder.glob("*.mcap"))
+        if path.exists() and path not in found
+    ]
+    # of a record and its repaired copies one: the fullest that proves itself
+    kept = {fullest(path, copies) if copies else path for path, copies in originals(found).items()}
+    for path in sorted(kept | (by_record.keys() - found)):
         row, stale = _row(folder, path, by_record.get(path))
         if stale:
             flaws.append(

@@ -1,25 +1,37 @@
-"""The catalogue of an archive: rows of sessions in Parquet files, and a DuckDB connection that reads them.
+"""The catalogue of an archive: a DuckDB connection in which the runs are as facts say that they are now.
 
-`sessions/` holds a file for each version of a session, `refits/` one for each result that was made again,
-`merged/` the same rows again (see `Shelf`).
+`facts/` is the log, `sessions/` holds a file for each state of a session, `refits/` one for each result that
+was made again, `merged/` the same rows again (see `Shelf`), and `archive.json` says which archive it is.
 """
 
 import datetime
 import functools
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import secrets
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
 import zstandard
 
-from processing.errors import ConfigurationError, MissingPackage
+from acquisition.record import whole_file
+from processing.errors import ConfigurationError, MissingPackage, RecordError
+from rig.archive import catalogue
 from rig.archive.blind import Seal, offsets, sealed
-from rig.archive.columns import COLUMNS, OF_REFITS, SHORT_NAMES, Column
+from rig.archive.columns import Column
+from rig.archive.facts import Entry, Fact, FactLog
+from rig.archive.proved import read_file, with_line, without_frame, without_line
 from rig.archive.remarks import read_remarks
-from rig.archive.shelf import MANY, Shelf, as_parquet, digest_of, unreadable
+from rig.archive.sessions import Sessions, facts_table
+from rig.archive.shelf import MANY, Shelf, digest_of, table_of, unreadable
 
+MANIFEST = "archive.json"
 REFIT_SUFFIX = ".json.zst"
+_SCHEMA = 2
+_REFIT_COLUMNS = {**catalogue.REFIT_COLUMNS, "turn": Column("count", "order of the refits")}
+CONFIG: Final = {"autoinstall_known_extensions": "false", "python_enable_replacements": "false"}
+"""Of DuckDB: it loads nothing and sees no variables of this program."""
+_MEMORY = "the condition needs more memory than there is; choose fewer columns, or add a limit"
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
@@ -29,67 +41,89 @@ class Archive:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._sessions = Shelf(
-            folder / "sessions", folder / "merged", "runs", ".parquet", _read_parquet, _with_listed
-        )
+        self.log = FactLog(folder)
+        self.sessions = Sessions(folder, self.log)
         self.refits = refit_shelf(folder)
 
-    def add(self, name: str, rows: Sequence[Mapping[str, Any]]) -> bool:
-        """Write a version of a session, rows by the names of `COLUMNS`; False if it is there already."""
-        return self._sessions.write(name, as_parquet(_table(rows)))
+    def begin(self) -> None:
+        """Make the archive where there is none, and take over what earlier versions of the program left."""
+        if not self.names():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            path = self.folder / MANIFEST
+            text = json.dumps({"schema": _SCHEMA, "id": secrets.token_hex(16)}).encode()
+            try:
+                whole_file.write_new(path, with_line(text))
+            except FileExistsError:
+                pass
+            except OSError as error:
+                raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
+            # the first fact stands before any state, so that states without facts mean that facts are missing
+            self.log.write(self.sessions.facts_of_older(self.sessions.older()))
+        for folder in (self.folder, self.sessions.folder, self.log.folder, self.folder / "merged"):
+            whole_file.take_away_leftovers(folder)
 
-    def versions(self) -> set[str]:
-        """Names of all versions of sessions."""
-        return self._sessions.names()
+    def names(self) -> set[str]:
+        """Names of the files of facts. Raises RecordError where they or `archive.json` are missing."""
+        names, manifest = self.log.names(), identity(self.folder)
+        if names and not manifest:
+            raise RecordError(
+                f"{self.folder / MANIFEST}: is missing, though the archive is there; put it back from a copy"
+            )
+        if not names and self.sessions.has_any():
+            raise RecordError(
+                f"{self.log.folder}: is missing, and with it what was seen when; put it back from a copy, or "
+                "remove sessions and merged, too, and rig archive add makes them again"
+            )
+        return names
 
-    def known_files(self, computer: str) -> set[tuple[str, str]]:
-        """Folders of a computer with what their files were like when they were last added."""
-        if not self.versions():
-            return set()
-        query = "select distinct folder, files from latest where computer = ? and files is not null"
-        return set(self.connection().execute(query, [computer]).fetchall())
-
-    def merge(self, **how: int) -> None:
-        """Rewrite the merged file where many sessions are not in it (see `Shelf.merge`)."""
-        self._sessions.merge(**how)
+    def merge(self, *, at_once: int = 24) -> None:
+        """Rewrite the merged file where at least so many facts are not in it."""
+        names = self.names()
+        loose = self.sessions.not_covered(self._newest(), names)
+        if sum(max(len(entry.facts), 1) for entry in loose) >= at_once:
+            rows = self.connection(mending=True).sql("select * from all_rows").to_arrow_table()
+            self.sessions.write_merged(rows, names)
 
     def merge_many(self) -> None:
-        """Merge if so many sessions are not in the merged file that reading them one by one takes long."""
-        self._sessions.merge(at_once=MANY)
+        """Merge if so many facts are not in the merged file that reading them one by one takes long."""
+        self.merge(at_once=MANY)
 
-    def connection(self, *, refits: bool = False) -> Any:
-        """A DuckDB connection in which `runs` has the newest row of every run; it can read nothing else.
+    def _newest(self) -> Any:
+        """The merged file; none that is damaged, which the next one replaces."""
+        newest = self.sessions.newest()
+        try:
+            return newest if newest is None or self.sessions.proved(newest) else None
+        except RecordError:
+            return None
 
-        With `refits` the table of that name has a row for each result that was made again.
+    def connection(self, *, refits: bool = False, mending: bool = False) -> Any:
+        """A DuckDB connection in which `runs` has the present row of every run; it can read nothing else.
+
+        With `refits` the table of that name has a row for each result that was made again. `mending`, for who
+        makes states again, leaves out those whose files are missing or damaged.
 
         Raises ConfigurationError where nothing was added yet, RecordError where a file is damaged.
         """
-        there = self.versions()
-        if not there:
+        names = self.names()
+        older = [] if names else self.sessions.facts_of_older(self.sessions.older())
+        if not older and not any(self.log.entry(name).facts for name in names):
             raise ConfigurationError(
                 f"{self.folder}: holds no sessions; rig archive add --archive {self.folder} DIR"
             )
         duckdb = duckdb_module()
-        connection = duckdb.connect(
-            config={"autoinstall_known_extensions": "false", "python_enable_replacements": "false"}
-        )
-        newest = self._sessions.newest()
-        files: list[str] = [] if newest is None else [str(newest.path)]
-        gone: list[str] = []
-        merges_all = newest is not None and newest.of == digest_of(there)
+        connection = duckdb.connect(config=CONFIG)
+        newest = self._newest() if mending else self.sessions.newest() if names else None
+        files = [] if newest is None else [str(newest.path if mending else self.sessions.proved(newest))]
         try:
-            if not merges_all:
-                merged: set[str] = set()
-                if files:
-                    found = connection.execute("select distinct version from read_parquet(?)", files)
-                    merged = {name for (name,) in found.fetchall()}
-                gone = sorted(merged - there)
-                files += [str(self._sessions.path(name)) for name in sorted(there - merged)]
-            connection.execute("set variable files = ?", [files])
-            connection.execute("set variable gone = ?", [gone])
-            connection.execute(_REMARKS, list(read_remarks(self.folder)))
-            connection.execute(f"{_VIEWS}; create view latest as {_LATEST}")
-            connection.execute(_OPEN_RUNS.format(rows=_MARKED if merges_all else _LISTED))
+            connection.execute("set variable merged = ?", [files[0] if files else ""])
+            connection.execute(catalogue.NO_ROWS)
+            connection.execute(catalogue.REMARKS, list(read_remarks(self.folder)))
+            if newest is not None and newest.of == digest_of(names):
+                connection.execute(catalogue.ALL_MERGED)
+            else:
+                entries = self.sessions.not_covered(newest, names) if names else [_as_entry(older)]
+                self._with_loose(connection, entries, bool(files), mending)
+            connection.execute(catalogue.VIEWS)
             if refits:
                 files += self._with_refits(connection)
             _hide(connection, sealed(self.folder), refits=refits)
@@ -100,6 +134,24 @@ class Archive:
         connection.execute("set lock_configuration = true")
         return connection
 
+    def refit_turn(self) -> int:
+        """The largest turn of all results that were made again."""
+        question = "select coalesce(max(turn), 0) from made"
+        return int(self.connection(refits=True).execute(question).fetchone()[0])
+
+    def _with_loose(self, connection: Any, entries: Sequence[Entry], merged: bool, mending: bool) -> None:
+        """Define the rows where facts came after the merged file."""
+        table, facts = facts_table(entries)
+        connection.register("facts_read", table)
+        connection.execute("create table loose_facts as select * from facts_read")
+        connection.register("rows_read", self.sessions.rows(facts, mending=mending))
+        connection.execute("create table loose_rows as select * from rows_read")
+        connection.execute(catalogue.STATES)
+        before = catalogue.SOME_MERGED if merged else catalogue.NONE_MERGED
+        connection.execute(catalogue.NOT_ALL_MERGED.replace("MERGED", before))
+        for name in ("facts_read", "rows_read"):
+            connection.unregister(name)
+
     def _with_refits(self, connection: Any) -> list[str]:
         """Define the table `refits`; returns the files that it is read from."""
         self.refits.merge(at_once=MANY)
@@ -107,19 +159,44 @@ class Archive:
         loose, there = self.refits.names(), sorted(self.refits.names())
         source = "select * from loose_refits"
         if newest is not None:
-            merged = str(newest.path)
+            merged = str(self.sessions.proved(newest))
             found = connection.execute("select version from read_parquet(?)", [merged]).fetchall()
             loose = loose - {name for (name,) in found}
             source = f"{source} union all by name select * from read_parquet('{_quoted(newest.path)}')"
         import pyarrow as pa
 
-        tables = [_table([], _REFIT_COLUMNS), *(self.refits.read(self.refits.path(n)) for n in sorted(loose))]
-        connection.register("loose_rows", pa.concat_tables(tables))
-        connection.execute("create table loose_refits as select * from loose_rows")
-        connection.unregister("loose_rows")
+        tables = [
+            table_of([], _REFIT_COLUMNS),
+            *(self.refits.read(self.refits.path(n)) for n in sorted(loose)),
+        ]
+        connection.register("loose_read", pa.concat_tables(tables, promote_options="default"))
+        connection.execute("create table loose_refits as select * from loose_read")
+        connection.unregister("loose_read")
         connection.execute("set variable refits_there = ?", [there])
-        connection.execute(_REFITS.replace("SOURCE", source))
+        connection.execute(catalogue.REFITS.replace("SOURCE", source))
         return [] if newest is None else [str(newest.path)]
+
+
+def identity(folder: Path) -> str:
+    """Which archive a folder holds, as its `archive.json` says; empty of earlier versions, and of none.
+
+    Raises RecordError where the file is damaged, or of a newer version.
+    """
+    path = folder / MANIFEST
+    if not path.exists():
+        return ""
+    try:
+        tree = json.loads(without_line(path, read_file(path)))
+        schema, known = int(tree["schema"]), str(tree["id"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise RecordError(f"{path}: cannot be understood ({error!r}); take it from a backup") from None
+    if schema > _SCHEMA:
+        raise RecordError(f"{path}: has schema {schema}; update optical-pendulum-rig")
+    return known
+
+
+def _as_entry(facts: Sequence[Fact]) -> Entry:
+    return Entry("", 0, facts, "", "")
 
 
 def _hide(connection: Any, seal: Seal | None, *, refits: bool) -> None:
@@ -142,67 +219,6 @@ def _hide(connection: Any, seal: Seal | None, *, refits: bool) -> None:
         )
 
 
-_ALIASES = ", ".join(f"{name} as {short}" for short, name in SHORT_NAMES.items())
-_REMARKS = """
-create table remarks as
-  select
-    unnest($1::varchar[]) as run_sha256, unnest($2::varchar[][]) as tags, unnest($3::varchar[][]) as notes
-"""
-_TYPES = {
-    "text": "varchar",
-    "number": "double",
-    "count": "bigint",
-    "yes or no": "boolean",
-    "time": "timestamp",
-}
-_VIEWS = f"""
-create table no_rows (
-  {", ".join(f"{name} {_TYPES[column.kind]}" for name, column in COLUMNS.items())}, listed boolean
-);
-create view all_rows as
-  select * from no_rows union all by name
-  select * from read_parquet(getvariable('files'), union_by_name = true);
-create view versions as
-  select * exclude listed from all_rows where not list_contains(getvariable('gone'), version)
-"""
-_LATEST = """
-select * from versions
-where version in (select arg_max(version, (added_utc, version)) from versions group by computer, folder)
-"""
-"""Of each folder the rows of its newest version."""
-_LISTED = """
-select * from latest
-qualify row_number() over (partition by sha256 order by added_utc desc, version desc) = 1
-"""
-"""The rows that are listed: of a folder those of its newest version, and of a run the newest one."""
-_MARKED = "select * exclude listed from all_rows where listed"
-"""The same where one merged file holds all rows and says which are listed."""
-_OPEN_RUNS = f"""
-create view open_runs as
-  select
-    shown.*, coalesce(tags, []::varchar[]) as tags, coalesce(notes, []::varchar[]) as notes, {_ALIASES}
-  from ({{rows}}) as shown left join remarks on run_sha256 = sha256;
-"""
-
-
-_FROM_RESULTS = [*list(COLUMNS)[list(COLUMNS).index("configuration_sha256") :], "version"]
-"""Columns that results decide; the others are the run's."""
-_REFIT_COLUMNS = {
-    **{name: COLUMNS[name] for name in ("sha256", *_FROM_RESULTS)},
-    **{name: column for name, column in OF_REFITS.items() if name != "newest"},
-}
-_REFITS = f"""
-create view open_refits as
-  with made as (SOURCE)
-  select
-    runs.* replace ({", ".join(f"made.{name} as {name}" for name in _FROM_RESULTS)}),
-    level, laws, settings, code, made_utc,
-    row_number() over (partition by made.sha256 order by made_utc desc, made.version desc) = 1 as newest
-  from made join open_runs as runs on runs.sha256 = made.sha256
-  where list_contains(getvariable('refits_there'), made.version)
-"""
-
-
 def duckdb_module() -> Any:
     """DuckDB. Raises ConfigurationError where it is not installed."""
     try:
@@ -213,7 +229,7 @@ def duckdb_module() -> Any:
 
 
 def reads_archive(function: Callable[Concatenate[Path, _P], _R]) -> Callable[Concatenate[Path, _P], _R]:
-    """A function of an archive's folder that raises RecordError where DuckDB finds a damaged file.
+    """Say in a line what damage, or a condition that no row can meet, raises anywhere within the function.
 
     A query's rows are read when they are fetched, after the query itself was found sound.
     """
@@ -223,6 +239,8 @@ def reads_archive(function: Callable[Concatenate[Path, _P], _R]) -> Callable[Con
         duckdb = duckdb_module()
         try:
             return function(archive, *args, **kwargs)
+        except duckdb.OutOfMemoryException as error:
+            raise RecordError(f"{archive}: {_MEMORY} ({str(error).splitlines()[0]})") from None
         except (duckdb.ConversionException, duckdb.OutOfRangeException) as error:
             # as '45 %' is no number: found when the rows are read
             said = str(error).splitlines()[0].partition(": ")[2]
@@ -240,45 +258,12 @@ def refit_shelf(archive: Path) -> Shelf:
     return Shelf(archive / "refits", archive / "merged", "refits", REFIT_SUFFIX, _read_refit_row)
 
 
-def _table(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, Column] = COLUMNS) -> Any:
-    import pyarrow as pa
-
-    kinds = {
-        "text": pa.string(),
-        "number": pa.float64(),
-        "count": pa.int64(),
-        "yes or no": pa.bool_(),
-        "time": pa.timestamp("us"),
-    }
-    schema = pa.schema([(name, kinds[column.kind]) for name, column in columns.items()])
-    return pa.Table.from_pylist([dict(row) for row in rows], schema=schema)
-
-
-def _with_listed(table: Any) -> Any:
-    """The rows of all sessions with a further column: whether a row is listed."""
-    import numpy as np
-    import pyarrow as pa
-
-    kept = table.drop_columns("listed") if "listed" in table.column_names else table
-    with duckdb_module().connect() as connection:
-        connection.register("versions", kept.append_column("place", pa.array(np.arange(len(kept)))))
-        connection.execute(f"create view latest as {_LATEST}")
-        found = connection.execute(f"select place from ({_LISTED})").fetchnumpy()["place"]
-    listed = np.zeros(len(kept), dtype=np.bool_)
-    listed[found] = True
-    return kept.append_column("listed", pa.array(listed))
-
-
-def _read_parquet(path: Path) -> Any:
-    from pyarrow import parquet
-
-    # several times faster for a small file than `read_table`, which starts threads
-    return parquet.ParquetFile(path).read(use_threads=False)
-
-
 def _read_refit_row(path: Path) -> Any:
     try:
-        tree = json.loads(zstandard.ZstdDecompressor().decompress(path.read_bytes()))
+        packed = without_frame(path, read_file(path))
+        tree = json.loads(zstandard.ZstdDecompressor().decompress(packed))
+        if f"{tree['version']}{REFIT_SUFFIX}" != path.name:
+            raise ValueError(f"it is {tree['version']} under another name")
         row = {
             **tree["row"],
             "level": tree["level"],
@@ -286,10 +271,11 @@ def _read_refit_row(path: Path) -> Any:
             "settings": "; ".join(tree["settings"]),
             "code": tree["code"],
             "made_utc": datetime.datetime.fromisoformat(tree["made_utc"]),
+            "turn": tree.get("turn", 0),
         }
     except (OSError, ValueError, KeyError, TypeError, zstandard.ZstdError) as error:
         raise unreadable(path, error, "refit") from None
-    return _table([row], _REFIT_COLUMNS)
+    return table_of([row], _REFIT_COLUMNS)
 
 
 def _quoted(path: Path) -> str:

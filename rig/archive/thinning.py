@@ -4,10 +4,7 @@ import contextlib
 import datetime
 import hashlib
 import json
-import os
 import platform
-import secrets
-import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +12,6 @@ from typing import NamedTuple
 from acquisition.record.proof import Thinning, measured_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.thin import Thinned, thin, why_not_thinned
-from acquisition.record.whole_file import sync_folder
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import RunResults, SessionResults, encoded, recorded_results
 from rig.archive.adding import add_sessions
@@ -168,7 +164,7 @@ def _results(archive: Path, record: Path, sha256: str) -> tuple[str, RunResults 
     refits = [
         read_refit(shelf.path(version)) for version in shelf.names() if version.startswith(f"{sha256[:16]}-")
     ]
-    for refit in sorted(refits, key=lambda refit: refit.made_utc, reverse=True):
+    for refit in sorted(refits, key=lambda refit: refit.order, reverse=True):
         if refit.results is not None and refit.results.sha256 == sha256 and _tells(refit.results):
             return refit.name, refit.results
     return "", None
@@ -181,7 +177,6 @@ def _tells(results: RunResults) -> bool:
 def _replace(item: _Due) -> Thinned:
     """Put the thinned record in the place of the other one, whose name may be a link to it."""
     path = item.record.resolve()
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     said = {
         "rule": item.rule,
         "results": item.source,
@@ -191,15 +186,11 @@ def _replace(item: _Due) -> Thinned:
     }
     results = json.dumps(encoded(SessionResults(runs=(item.results,)))).encode()
     attached = f"thinned/results-{hashlib.sha256(results).hexdigest()[:8]}.json"
-    try:
-        done = thin(path, beside, item.thinning, said, {attached: results})
+
+    def agreed(done: Thinned) -> None:
         if done.measured_sha256 != item.sha256:
             raise RecordError("it has changed while it was thinned")
         if item.thinning is Thinning.RECOMPRESSED and done.bytes >= done.source_bytes:
             raise _NoSmaller("thinned it would be no smaller")
-        shutil.copymode(path, beside)
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
-    sync_folder(path.parent)
-    return done
+
+    return thin(path, path, item.thinning, said, {attached: results}, agreed=agreed, replaces=True)

@@ -47,7 +47,8 @@ def with_results(given: _Given) -> _Given:
 
 
 def records_in(path: Path) -> list[Path]:
-    """The record itself, or those of a session's folder in their order; a repaired copy for its original.
+    """The record itself, or those of a session's folder in their order; of one and its repaired copies
+    the fullest that proves itself.
 
     Raises ConfigurationError for a folder without records.
     """
@@ -58,12 +59,20 @@ def records_in(path: Path) -> list[Path]:
         for file in path.glob("run-*.mcap")
         if (found := re.fullmatch(r"run-(\d+)", file.stem))
     )
-    repaired = [file.with_name(f"{file.stem}-recovered{file.suffix}") for _, file in runs]
-    records = [copy if copy.exists() else file for (_, file), copy in zip(runs, repaired, strict=True)]
+    records = [_fullest(file) for _, file in runs]
     records = records or sorted(path.glob("*.mcap"))
     if records:
         return records
     raise ConfigurationError(f"{path}: holds no record (run-1.mcap, ...); name one, or a session's folder")
+
+
+def _fullest(record: Path) -> Path:
+    if not any(record.parent.glob(f"{record.stem}-recovered*")):
+        return record
+    # reading records takes a second to import, which commands that need none must not wait for
+    from acquisition.record.repaired import copies_of, fullest
+
+    return fullest(record, copies_of(record))
 
 
 def one_record(path: Path) -> Path:

@@ -6,7 +6,8 @@ from acquisition.record.check import check_record
 from acquisition.record.proof import is_sound
 from acquisition.record.reader import RecordReader
 from acquisition.record.recorded_camera import RecordedCamera
-from acquisition.record.recover import recover
+from acquisition.record.recover import Recovery, recover
+from acquisition.record.repaired import repaired
 from acquisition.record.utc import utc_text
 from processing.ticks import seconds
 
@@ -68,8 +69,13 @@ def recover_record(path: Path, output: Path | None) -> None:
         if is_sound(reader.file, reader.contents):
             print(f"{path}: is sound, every byte is as it was written; there is nothing to recover")
             return
-    target = output or path.with_name(f"{path.stem}-recovered{path.suffix}")
-    recovery = recover(path, target)
+    found: tuple[Path, Recovery | None] = (
+        repaired(path) if output is None else (output, recover(path, output))
+    )
+    target, recovery = found
+    if recovery is None:
+        print(f"{target}: is a sound copy of what can be read of {path.name} as it is; nothing was written")
+        return
     counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in recovery.messages.items() if count)
     print(f"{target}: {counts or 'no messages'}, up to {utc_text(recovery.end_ns)}")
     print(f"lost: {recovery.lost_bytes} bytes after the last complete record")
@@ -77,6 +83,10 @@ def recover_record(path: Path, output: Path | None) -> None:
         topics = ", ".join(damage.topics)
         span = f"{topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: " if topics else ""
         print(f"lost: {span}{damage.what}")
+    for text in (*recovery.doubles, *recovery.foreign):
+        print(f"left out: {text}")
+    if recovery.moved:
+        print(f"in order again: {recovery.moved} chunks stood elsewhere than their frames belong")
     for text in recovery.damage:
         print(f"damaged: {text}")
     for part in recovery.unproved:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.recover import recover
+from acquisition.record.repaired import repaired
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import read_results, results_path
 from rig.devices import Devices
@@ -255,12 +255,10 @@ def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
                 how = "whole" if state is RunState.COMPLETE else f"{state}, its run is made again"
                 say(f"{entry.record} is {how}: {end.text}")
                 return
-    whole = record.with_name(f"{record.stem}-recovered{record.suffix}")
     name, reason = "", "the session was interrupted"
     if record.exists():
         try:
-            if not whole.exists():
-                recover(record, whole)
+            whole, _ = repaired(record)
             name = whole.name
             say(f"{entry.record} was cut short and stays as it is; {whole.name} is a whole copy")
         except RecordError as error:
