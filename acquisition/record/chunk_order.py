@@ -1,7 +1,7 @@
 """In which order the chunks of a file that somebody has put together belong, and which do not belong to it.
 
-A chunk belongs to the run where the run's offset turns the times in its messages into their log times, and where
-its frames lie, by number and by time, between those of its neighbours.
+A chunk belongs to the run where the run's offset turns the times in its messages into their log times, and
+where its frames lie, by number and by time, between those of its neighbours.
 """
 
 import hashlib

@@ -100,8 +100,8 @@ def thin(
 
     The source is not changed, unless the copy `replaces` it: then it takes the place of `path` at once, when
     it is proved and `agreed` has not raised. `said` is added to the metadata `thinned`, `attachments` to
-    those of the record. Every message but those of windows is proved to be the same, and every pixel of windows that are
-    kept.
+    those of the record. Every message but those of windows is proved to be the same, and every pixel of
+    windows that are kept.
 
     Raises
     ------

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
+from rig.archive.proved import has_line, read_file, with_line, without_line
 from rig.archive.remarks import user_name
 
 _FOLDER = "blind"
@@ -41,7 +42,8 @@ def sealed(archive: Path) -> Seal | None:
     for path in sorted(folder.glob("[!.]*.sealed.json")):
         if not _opened(path).exists():
             try:
-                tree = json.loads(path.read_bytes())
+                data = read_file(path)
+                tree = json.loads(without_line(path, data) if has_line(data) else data)
                 scales = {str(name): float(scale) for name, scale in tree["scales"].items()}
                 bytes.fromhex(tree["secret"])
                 return Seal(path, tree["secret"], scales)
@@ -91,7 +93,7 @@ def _opened(path: Path) -> Path:
 
 def _said(**what: Any) -> bytes:
     now = datetime.datetime.now(datetime.UTC).isoformat()
-    return json.dumps({"utc": now, "user": user_name(), **what}, indent=1).encode()
+    return with_line(json.dumps({"utc": now, "user": user_name(), **what}, indent=1).encode())
 
 
 def _write(path: Path, data: bytes) -> None:

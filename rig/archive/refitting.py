@@ -16,6 +16,7 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, MissingPackage, RecordError
 from rig.analysis import chosen_laws
 from rig.archive.chosen import chosen_runs
+from rig.archive.proved import with_line
 from rig.archive.refits import Level, Recipe, Task, code_identity, refit
 from rig.archive.session_rows import now_utc
 from rig.archive.shelf import MANY
@@ -119,7 +120,7 @@ def _give_up(quarantine: Path, task: Task) -> None:
     path = quarantine / f"{task.recipe.name(task.sha256)}.json"
     try:
         quarantine.mkdir(exist_ok=True)
-        whole_file.replace(path, json.dumps(said, indent=1).encode())
+        whole_file.replace(path, with_line(json.dumps(said, indent=1).encode()))
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror or error}") from None
 

@@ -1,8 +1,10 @@
 """An archive that lies elsewhere (`s3://bucket/name`): a copy of its files here, and what is new sent there.
 
 All files of an archive are written once, whole, and never changed, so that names alone tell what is missing
-on which side. Commands read and write the copy, as they would an archive on a disk; it lies in the user's
-cache, and a command that was killed leaves in it what the next one sends.
+on which side; each is proved when it is brought or sent. What follows from nothing else is never taken away
+here because it is gone there, and a place where the archive is gone is refused. Commands read and write the
+copy, as they would an archive on a disk; it lies in the user's cache, and a command that was killed leaves in
+it what the next one sends.
 """
 
 import contextlib
@@ -10,16 +12,23 @@ import hashlib
 import os
 import re
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError, RigError
+from rig.archive.facts import FOLDER as FACTS
+from rig.archive.facts import FactLog
+from rig.archive.manifest import MANIFEST, identity, identity_in
+from rig.archive.proved import prove
+from rig.presentation import say
 
 _SEEN = ".seen"
 """File of the copy that names what was there when it was last looked at: the rest is new here."""
 _AT_ONCE = 256
+_DERIVED = ("merged/", "quarantine/")
+"""What may be taken away on one side: it follows from the rest, or is taken away to try again."""
 
 
 def is_remote(archive: str) -> bool:
@@ -64,40 +73,118 @@ class _Copy:
         self.folder.mkdir(parents=True, exist_ok=True)
 
     def fetch(self) -> None:
-        """Bring what is missing here; take away here what was taken away there."""
+        """Bring what is missing here, proved; take away here what follows from the rest and is gone there.
+
+        Raises RecordError where another archive, or none, has taken the place of the one that was there.
+        """
         with _said_in_a_line(self._url):
             self._system.invalidate_cache()
             there = {path.removeprefix(f"{self._root}/") for path in self._system.find(self._root)}
-        here = self._here()
-        for name in (here & self._seen()) - there:
-            (self.folder / name).unlink(missing_ok=True)
-        missing = sorted(there - here)
-        for first in range(0, len(missing), _AT_ONCE):
-            names = missing[first : first + _AT_ONCE]
-            with _said_in_a_line(self._url):
-                # one that somebody takes away meanwhile is left out
-                found = self._system.cat([f"{self._root}/{name}" for name in names], on_error="omit")
-            for path, data in found.items():
-                target = self.folder / path.removeprefix(f"{self._root}/")
+        here, seen = self._here(), self._seen()
+        self._check_identity(there, seen)
+        lost = []
+        for name in sorted((here & seen) - there):
+            if name.startswith(_DERIVED):
+                (self.folder / name).unlink(missing_ok=True)
+            else:
+                lost.append(name)
+        if lost:
+            say(f"{self._url}: {len(lost)} files are gone there, the first is {lost[0]}; they are sent again")
+        self._bring(sorted(there - here))
+        self._remember(there)
+
+    def _check_identity(self, there: set[str], seen: set[str]) -> None:
+        known = identity(self.folder)
+        if MANIFEST in there:
+            found = identity_in(self.folder / MANIFEST, self._read([MANIFEST])[MANIFEST])
+            # one that was never sent is given up for the one that was there first
+            if known and found != known and MANIFEST in seen:
+                raise RecordError(
+                    f"{self._url}: holds another archive ({found[:8]}) than before ({known[:8]}); "
+                    f"check address and bucket; a copy of the one before lies in {self.folder}"
+                )
+            if known and found != known:
+                (self.folder / MANIFEST).unlink()
+            return
+        if MANIFEST in seen or (seen and not there):
+            raise RecordError(
+                f"{self._url}: the archive that was there is gone ({MANIFEST} is missing); check address, "
+                f"bucket and AWS_ENDPOINT_URL; a copy of it lies in {self.folder} and was not touched"
+            )
+
+    def _bring(self, names: Sequence[str]) -> None:
+        for first in range(0, len(names), _AT_ONCE):
+            for name, data in self._read(names[first : first + _AT_ONCE]).items():
+                target = self.folder / name
+                prove(Path(f"{self._url}/{name}"), name, data)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 with contextlib.suppress(FileExistsError):
                     whole_file.write_new(target, data)
-        self._remember(there)
+
+    def _read(self, names: Sequence[str]) -> dict[str, bytes]:
+        """The content of files there; one that somebody takes away meanwhile is left out if it is derived."""
+        with _said_in_a_line(self._url):
+            found = self._system.cat([f"{self._root}/{name}" for name in names], on_error="return")
+        read: dict[str, bytes] = {}
+        for path, data in found.items():
+            name = path.removeprefix(f"{self._root}/")
+            if isinstance(data, bytes):
+                read[name] = data
+            elif not (isinstance(data, FileNotFoundError) and name.startswith(_DERIVED)):
+                raise RecordError(f"{self._url}/{name}: is listed there and cannot be read: {data!r}")
+        if missing := {name for name in names if name not in read and not name.startswith(_DERIVED)}:
+            raise RecordError(f"{self._url}/{min(missing)}: is listed there and cannot be read")
+        return read
 
     def send(self) -> None:
         """Write there what is new here; of what was taken away here only merged files, which are derived."""
         here, seen = self._here(), self._seen()
+        new = sorted(here - seen, key=_order_of_sending)
+        while new:
+            name = new.pop(0)
+            if self._create(name):
+                continue
+            if name.startswith(f"{FACTS}/"):
+                again = self._after_theirs([name, *(other for other in new if other.startswith(f"{FACTS}/"))])
+                new = sorted({*new, *again} & self._here(), key=_order_of_sending)
+            else:
+                # who was there first is right
+                (self.folder / name).unlink()
+                self._bring([name])
         with _said_in_a_line(self._url):
-            # what others are built from first
-            for name in sorted(here - seen, key=lambda name: (name.startswith("merged/"), name)):
-                with contextlib.suppress(FileExistsError):
-                    data = (self.folder / name).read_bytes()
-                    self._system.pipe_file(f"{self._root}/{name}", data, mode="create")
             for name in seen - here:
                 if name.startswith("merged/"):
                     with contextlib.suppress(FileNotFoundError):
                         self._system.rm_file(f"{self._root}/{name}")
-        self._remember(here)
+        self._remember(self._here())
+
+    def _create(self, name: str) -> bool:
+        """Write a file there; False where another one has its name."""
+        data = (self.folder / name).read_bytes()
+        prove(self.folder / name, name, data)
+        with _said_in_a_line(self._url):
+            try:
+                self._system.pipe_file(f"{self._root}/{name}", data, mode="create")
+            except FileExistsError:
+                return self._read([name]).get(name) == data
+        return True
+
+    def _after_theirs(self, names: Sequence[str]) -> set[str]:
+        """Give facts that were not sent numbers behind those that somebody else has sent meanwhile.
+
+        So the copies of two users of one computer tell one history, in the order in which they were sent.
+        """
+        log = FactLog(self.folder)
+        ours = log.entries(names)
+        for entry in ours:
+            (log.folder / entry.name).unlink()
+        with _said_in_a_line(self._url):
+            self._system.invalidate_cache()
+            there = self._system.find(f"{self._root}/{FACTS}")
+        names_there = {path.removeprefix(f"{self._root}/") for path in there}
+        self._bring(sorted(names_there - self._here()))
+        log = FactLog(self.folder)
+        return {f"{FACTS}/{log.write(entry.facts)}" for entry in ours}
 
     def _here(self) -> set[str]:
         return {
@@ -116,6 +203,15 @@ class _Copy:
         beside = self.folder / f"{_SEEN}.{secrets.token_hex(4)}"
         beside.write_text("\n".join(sorted(names)), encoding="utf-8")
         beside.replace(self.folder / _SEEN)
+
+
+def _order_of_sending(name: str) -> tuple[int, str]:
+    """What others follow from first: no state without the first fact, no fact without its state."""
+    if name == MANIFEST:
+        return 0, name
+    if name.startswith(f"{FACTS}/"):
+        return (1 if name.endswith("-00000001.facts") else 3), name
+    return (4 if name.startswith("merged/") else 2), name
 
 
 def _system(url: str) -> tuple[Any, str]:

@@ -7,7 +7,6 @@ was made again, `merged/` the same rows again (see `Shelf`), and `archive.json` 
 import datetime
 import functools
 import json
-import secrets
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
@@ -20,14 +19,13 @@ from rig.archive import catalogue
 from rig.archive.blind import Seal, offsets, sealed
 from rig.archive.columns import Column
 from rig.archive.facts import Entry, Fact, FactLog
-from rig.archive.proved import read_file, with_line, without_frame, without_line
+from rig.archive.manifest import MANIFEST, identity, write_manifest
+from rig.archive.proved import read_file, without_frame
 from rig.archive.remarks import read_remarks
 from rig.archive.sessions import Sessions, facts_table
 from rig.archive.shelf import MANY, Shelf, digest_of, table_of, unreadable
 
-MANIFEST = "archive.json"
 REFIT_SUFFIX = ".json.zst"
-_SCHEMA = 2
 _REFIT_COLUMNS = {**catalogue.REFIT_COLUMNS, "turn": Column("count", "order of the refits")}
 CONFIG: Final = {"autoinstall_known_extensions": "false", "python_enable_replacements": "false"}
 """Of DuckDB: it loads nothing and sees no variables of this program."""
@@ -48,15 +46,7 @@ class Archive:
     def begin(self) -> None:
         """Make the archive where there is none, and take over what earlier versions of the program left."""
         if not self.names():
-            self.folder.mkdir(parents=True, exist_ok=True)
-            path = self.folder / MANIFEST
-            text = json.dumps({"schema": _SCHEMA, "id": secrets.token_hex(16)}).encode()
-            try:
-                whole_file.write_new(path, with_line(text))
-            except FileExistsError:
-                pass
-            except OSError as error:
-                raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
+            write_manifest(self.folder)
             # the first fact stands before any state, so that states without facts mean that facts are missing
             self.log.write(self.sessions.facts_of_older(self.sessions.older()))
         for folder in (self.folder, self.sessions.folder, self.log.folder, self.folder / "merged"):
@@ -175,24 +165,6 @@ class Archive:
         connection.execute("set variable refits_there = ?", [there])
         connection.execute(catalogue.REFITS.replace("SOURCE", source))
         return [] if newest is None else [str(newest.path)]
-
-
-def identity(folder: Path) -> str:
-    """Which archive a folder holds, as its `archive.json` says; empty of earlier versions, and of none.
-
-    Raises RecordError where the file is damaged, or of a newer version.
-    """
-    path = folder / MANIFEST
-    if not path.exists():
-        return ""
-    try:
-        tree = json.loads(without_line(path, read_file(path)))
-        schema, known = int(tree["schema"]), str(tree["id"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise RecordError(f"{path}: cannot be understood ({error!r}); take it from a backup") from None
-    if schema > _SCHEMA:
-        raise RecordError(f"{path}: has schema {schema}; update optical-pendulum-rig")
-    return known
 
 
 def _as_entry(facts: Sequence[Fact]) -> Entry:

@@ -4,11 +4,14 @@ import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from rig.archive import add_sessions
+from rig.archive.proved import with_frame
 from rig.archive.remote import opened, write_new
-from tests.rig.command_line import rig
+from tests.rig.command_line import Done, rig
 
 REASON = "no server of S3 here: pip install 'optical-pendulum-rig[test-remote]'"
 OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
@@ -31,6 +34,8 @@ def url(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     system = fsspec.filesystem("s3", skip_instance_cache=True)
     system.makedirs("laboratory", exist_ok=True)
     yield "s3://laboratory/friction"
+    # the server's memory is that of this process, and outlives it
+    system.rm("laboratory", recursive=True)
     fsspec.get_filesystem_class("s3").clear_instance_cache()
     server.stop()
 
@@ -55,14 +60,14 @@ def test_two_computers_use_one_archive(
     assert listed.count("sha256") == 3
     assert "good" in listed
     # what a worker sends is there for all; what is there already stays
-    write_new(url, "refits/0123-4567.json.zst", b"first")
-    write_new(url, "refits/0123-4567.json.zst", b"second")
+    write_new(url, "refits/0123-4567.json.zst", with_frame(b"first"))
+    write_new(url, "refits/0123-4567.json.zst", with_frame(b"second"))
     for computer in ("one", "two"):
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / computer))
         with opened(url) as folder:
-            assert (folder / "refits" / "0123-4567.json.zst").read_bytes() == b"first"
+            assert (folder / "refits" / "0123-4567.json.zst").read_bytes() == with_frame(b"first")
             assert len(list((folder / "sessions").iterdir())) == 2
-    # taken away here by accident it is brought again; taken away there it goes here, too
+    # taken away here by accident it is brought again
     shutil.rmtree(folder / "sessions")
     with opened(url) as folder:
         assert len(list((folder / "sessions").iterdir())) == 2
@@ -70,6 +75,91 @@ def test_two_computers_use_one_archive(
     (folder / "remarks" / "late.json").write_text('{"utc": "2026-11-22T00:00:00Z", "runs": []}')
     on("two", "list")
     assert "late.json" in {path.name for path in _files(url, tmp_path / "three", monkeypatch)}
+
+
+def on(monkeypatch: pytest.MonkeyPatch, cache: Path, url: str, *words: str | Path) -> Done:
+    """A command of one user, whose copy of the archive lies in a cache of his own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    return rig("archive", *words, "--archive", url)
+
+
+def bucket() -> Any:
+    """What lies in the bucket, seen past the program."""
+    import fsspec
+
+    system = fsspec.filesystem("s3")
+    system.invalidate_cache()
+    return system
+
+
+def test_an_emptied_bucket_is_a_refusal_and_takes_nothing_away_here(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    cache = tmp_path / "one"
+    for words in (("add", tmp_path / "runs"), ("tag", "good", "--where", "b > 0")):
+        assert on(monkeypatch, cache, url, *words).returncode == 0
+    copied = {path: path.read_bytes() for path in cache.rglob("*") if path.is_file()}
+    remarks = bucket().find("laboratory/friction/remarks")
+    kept = {path: bucket().cat_file(path) for path in bucket().find("laboratory/friction")}
+    # what follows from nothing else and is gone there is sent again
+    bucket().rm_file(remarks[0])
+    done = on(monkeypatch, cache, url, "list")
+    assert done.returncode == 0
+    assert "1 files are gone there, the first is remarks/" in done.stderr
+    assert bucket().cat_file(remarks[0]) == kept[remarks[0]]
+    # all is gone, or the address leads to another bucket
+    bucket().rm("laboratory/friction", recursive=True)
+    for words in (("list",), ("add", tmp_path / "runs"), ("tag", "bad", "--where", "b > 0")):
+        done = on(monkeypatch, cache, url, *words)
+        assert done.returncode == 1
+        assert "the archive that was there is gone (archive.json is missing)" in done.stderr
+        assert bucket().find("laboratory/friction") == []
+        assert {path: path.read_bytes() for path in cache.rglob("*") if path.is_file()} == copied
+    # another archive in its place
+    assert on(monkeypatch, tmp_path / "two", url, "add", tmp_path / "runs").returncode == 0
+    done = on(monkeypatch, cache, url, "list")
+    assert "holds another archive" in done.stderr
+    assert not [path for path in bucket().find("laboratory/friction") if "remarks" in path]
+    # put back from a copy of the bucket, all is as it was
+    bucket().rm("laboratory/friction", recursive=True)
+    for path, data in kept.items():
+        bucket().pipe_file(path, data)
+    assert "good" in on(monkeypatch, cache, url, "list", "--columns", "tags", "--format", "json").stdout
+
+
+def test_what_was_altered_where_it_lies_is_named_and_not_believed(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    for words in (("add", tmp_path / "runs"), ("tag", "good", "--where", "b > 0")):
+        assert on(monkeypatch, tmp_path / "one", url, *words).returncode == 0
+    for number, path in enumerate(bucket().find("laboratory/friction")):
+        data = bucket().cat_file(path)
+        place = len(data) // 2
+        bucket().pipe_file(path, data[:place] + bytes([data[place] ^ 4]) + data[place + 1 :])
+        done = on(monkeypatch, tmp_path / f"reader-{number}", url, "list")
+        assert done.returncode == 1
+        assert f"{path.rpartition('/')[2]}: its bytes have changed" in done.stderr
+        bucket().pipe_file(path, data)
+
+
+def test_two_users_of_one_computer_tell_one_history(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second has not seen what the first sent while he worked: his facts come after, renumbered."""
+    series = shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    other = shutil.copytree(OLDER / "uncalibrated", tmp_path / "more" / "uncalibrated")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "two"))
+    with opened(url) as folder:
+        add_sessions(folder, [series.parent])
+        assert on(monkeypatch, tmp_path / "one", url, "add", other.parent).returncode == 0
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "two"))
+    for user in ("one", "two", "three"):
+        done = on(monkeypatch, tmp_path / user, url, "list", "--columns", "run", "--format", "json")
+        assert (done.returncode, done.stdout.count("run-")) == (0, 3), done.stderr
+    numbers = [path.rpartition("-")[2] for path in bucket().find("laboratory/friction/facts")]
+    assert numbers == [f"{number:08d}.facts" for number in range(1, len(numbers) + 1)]
 
 
 def _files(url: str, cache: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
