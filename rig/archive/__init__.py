@@ -11,6 +11,7 @@ from rig.archive.plot import plot_runs
 from rig.archive.remote import is_remote, opened
 
 if TYPE_CHECKING:
+    from rig.archive.checking import check_archive
     from rig.archive.differences import print_differences
     from rig.archive.laboratories import compare_groups
     from rig.archive.publishing import Statement, publish_runs
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 _LATER = {
     "Statement": "publishing",
+    "check_archive": "checking",
     "compare_groups": "laboratories",
     "print_differences": "differences",
     "publish_runs": "publishing",

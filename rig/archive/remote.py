@@ -21,7 +21,7 @@ from processing.errors import ConfigurationError, RecordError, RigError
 from rig.archive.facts import FOLDER as FACTS
 from rig.archive.facts import FactLog
 from rig.archive.manifest import MANIFEST, identity, identity_in
-from rig.archive.proved import prove
+from rig.archive.proved import prove, read_file
 from rig.presentation import say
 
 _SEEN = ".seen"
@@ -37,16 +37,20 @@ def is_remote(archive: str) -> bool:
 
 
 @contextlib.contextmanager
-def opened(archive: str) -> Iterator[Path]:
+def opened(archive: str, *, believed: bool = True) -> Iterator[Path]:
     """The folder of an archive named by a path, or a copy of one named by a URL of fsspec.
 
-    What is new in the copy is sent when it is left, also after an error. Raises ConfigurationError without
+    What is new in the copy is sent when it is left, also after an error. What is not `believed` is left as it
+    is on both sides, for who compares them. Raises ConfigurationError without
     the packages that reach it, RecordError where it cannot be reached.
     """
     if not is_remote(archive):
         yield Path(archive)
         return
     copy = _Copy(archive)
+    if not believed:
+        yield copy.folder
+        return
     copy.fetch()
     try:
         yield copy.folder
@@ -60,6 +64,27 @@ def write_new(archive: str, name: str, data: bytes) -> None:
         system, root = _system(archive)
         with contextlib.suppress(FileExistsError):
             system.pipe_file(f"{root}/{name}", data, mode="create")
+
+
+def restored(archive: str, *, repair: bool) -> dict[str, tuple[str, bool]]:
+    """Compare a remote archive with the copy of it: a line for each file that is not sound on both sides.
+
+    With `repair` the sound one takes the place of the other; the line's second part says whether it did.
+    """
+    copy, found = _Copy(archive), dict[str, tuple[str, bool]]()
+    names = sorted(copy.names_there() | copy.names_here())
+    for name in names:
+        here, there = copy.sound_here(name), copy.sound_there(name)
+        if here is not None and there is not None:
+            continue
+        side = "here" if here is None else "there"
+        mended = repair and (here is not None or there is not None)
+        if mended and here is None and there is not None:
+            whole_file.replace(copy.folder / name, there)
+        elif mended and here is not None:
+            copy.overwrite(name, here)
+        found[name] = f"{archive}/{name}: is damaged or missing {side}", mended
+    return found
 
 
 class _Copy:
@@ -175,7 +200,7 @@ class _Copy:
         So the copies of two users of one computer tell one history, in the order in which they were sent.
         """
         log = FactLog(self.folder)
-        ours = log.entries(names)
+        ours = log.entries(name.rpartition("/")[2] for name in names)
         for entry in ours:
             (log.folder / entry.name).unlink()
         with _said_in_a_line(self._url):
@@ -185,6 +210,39 @@ class _Copy:
         self._bring(sorted(names_there - self._here()))
         log = FactLog(self.folder)
         return {f"{FACTS}/{log.write(entry.facts)}" for entry in ours}
+
+    def names_there(self) -> set[str]:
+        """Names of all files there."""
+        with _said_in_a_line(self._url):
+            self._system.invalidate_cache()
+            return {path.removeprefix(f"{self._root}/") for path in self._system.find(self._root)}
+
+    def names_here(self) -> set[str]:
+        """Names of all files of the copy."""
+        return self._here()
+
+    def sound_here(self, name: str) -> bytes | None:
+        """A file of the copy; None where it is missing or not as it was written."""
+        try:
+            data = read_file(self.folder / name)
+            prove(self.folder / name, name, data)
+        except RecordError:
+            return None
+        return data
+
+    def sound_there(self, name: str) -> bytes | None:
+        """The same of a file there."""
+        try:
+            data = self._read([name])[name]
+            prove(Path(f"{self._url}/{name}"), name, data)
+        except (RecordError, KeyError):
+            return None
+        return data
+
+    def overwrite(self, name: str, data: bytes) -> None:
+        """Put a sound file in the place of a damaged one there."""
+        with _said_in_a_line(self._url):
+            self._system.pipe_file(f"{self._root}/{name}", data)
 
     def _here(self) -> set[str]:
         return {

@@ -35,7 +35,7 @@ def register(app: typer.Typer) -> None:
     archive = typer.Typer(help="A catalogue of the runs of many sessions.", no_args_is_help=True)
     archive.command("add")(add)
     archive.command("list")(list_)
-    for command in (plot, show, tag, note, refit, diff, compare, blind, unblind, view, publish, thin):
+    for command in (check, plot, show, tag, note, refit, diff, compare, blind, unblind, view, publish, thin):
         archive.command()(command)
     app.add_typer(archive, name="archive")
 
@@ -74,6 +74,25 @@ def list_(
 
     with opened(archive) as folder:
         list_runs(folder, condition, [columns] if columns.strip() else [], format_, output, refits=refits)
+
+
+def check(
+    records: Annotated[
+        bool,
+        typer.Option("--records", help="Read also the records on this computer and compare their hashes."),
+    ] = False,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Make again what follows from the rest, or from the other copy.")
+    ] = False,
+    archive: Archive = _PLACE,
+) -> None:
+    """Prove every file of the archive."""
+    from rig.archive import check_archive, is_remote, opened
+
+    if is_remote(archive):
+        with opened(archive, believed=False) as folder:
+            raise typer.Exit(check_archive(folder, records=records, repair=repair, url=archive))
+    raise typer.Exit(check_archive(Path(archive), records=records, repair=repair))
 
 
 def plot(
