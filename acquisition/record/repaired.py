@@ -54,6 +54,7 @@ def repaired(record: Path) -> tuple[Path, Recovery | None]:
     A copy that is no longer what it was, or is of an earlier state of the record, stays, and the new one has
     the next free name. Raises RecordError where none can be made.
     """
+    take_away_leftovers(record.parent)
     copies = copies_of(record)
     if copies:
         source = sha256_of(record)

@@ -35,7 +35,7 @@ def add_sessions(archive: Path, sources: Sequence[Path], *, read: bool = False) 
             raise ConfigurationError(
                 f"{source.resolve()}: holds no session (no record, no results.json) in any folder"
             )
-    adding = _Adding(Archive(archive), read)
+    adding = _Adding(Archive(archive), read, platform.node())
     try:
         for source in {source.resolve(): source for source in sources}.values():
             for folder in session_folders(source, archive):
@@ -69,7 +69,7 @@ class _Adding:
 
     store: Archive
     read: bool
-    computer: str = field(default_factory=platform.node)
+    computer: str
     places: dict[str, _Place] = field(default_factory=dict)
     listed: dict[str, tuple[str, str]] = field(default_factory=dict)
     seen: list[str] = field(default_factory=list)
@@ -84,6 +84,7 @@ class _Adding:
         self._there = self.store.sessions.names()
         self._added_runs: set[str] = set()
         self._written_s = time.monotonic()
+        self._written = self._merged = 0
         try:
             connection = self.store.connection(mending=True)
         except ConfigurationError:
@@ -142,7 +143,9 @@ class _Adding:
         late = time.monotonic() - self._written_s > _WRITTEN_EVERY_S
         if len(self.waiting) >= MANY or (late and self.waiting):
             self.write()
-            self.store.merge_many()
+            if self._written - self._merged >= MANY:
+                self._merged = self._written
+                self.store.merge_many()
 
     def affirm(self) -> None:
         """Say again what is as it was where a run would be listed from elsewhere than it was seen last."""
@@ -158,6 +161,7 @@ class _Adding:
         """Write what was seen into the log."""
         self._written_s = time.monotonic()
         if self.waiting:
+            self._written += len(self.waiting)
             self.store.log.write(self.waiting)
             self.waiting = []
 

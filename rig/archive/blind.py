@@ -99,6 +99,7 @@ def _said(**what: Any) -> bytes:
 def _write(path: Path, data: bytes) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        whole_file.take_away_leftovers(path.parent)
         whole_file.write_new(path, data)
     except OSError as error:
         raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -70,6 +70,7 @@ def write_remark(
     path = archive / _FOLDER / f"{now:%Y%m%dT%H%M%S.%f}-{secrets.token_hex(4)}.json"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        whole_file.take_away_leftovers(path.parent)
         whole_file.write_new(path, with_line(json.dumps(remark.model_dump(mode="json"), indent=1).encode()))
     except OSError as error:
         raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -79,6 +79,7 @@ class Shelf:
         """Rewrite the merged file where at least so many files are not in it."""
         import pyarrow as pa
 
+        whole_file.take_away_leftovers(self.folder)
         newest = self.newest()
         there = self.names()
         tables = []
@@ -132,6 +133,7 @@ def write_merged(folder: Path, kind: str, of: str, rows: Any) -> None:
     name = f"{kind}-{number:08d}-{of}-{sha256_hex(data)[:NAMED_CHARACTERS]}.parquet"
     try:
         folder.mkdir(exist_ok=True)
+        whole_file.take_away_leftovers(folder)
         # another process that was faster has merged the same files
         with contextlib.suppress(FileExistsError):
             whole_file.write_new(folder / name, data)

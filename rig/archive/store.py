@@ -49,8 +49,8 @@ class Archive:
             write_manifest(self.folder)
             # the first fact stands before any state, so that states without facts mean that facts are missing
             self.log.write(self.sessions.facts_of_older(self.sessions.older()))
-        for folder in (self.folder, self.sessions.folder, self.log.folder, self.folder / "merged"):
-            whole_file.take_away_leftovers(folder)
+        for folder in ("", "facts", "sessions", "refits", "merged", "remarks", "blind", "quarantine"):
+            whole_file.take_away_leftovers(self.folder / folder)
 
     def names(self) -> set[str]:
         """Names of the files of facts. Raises RecordError where they or `archive.json` are missing."""

@@ -95,6 +95,9 @@ computers = st.sampled_from(COMPUTERS)
 class Histories(RuleBasedStateMachine):
     """Adds, moves, restores, withdrawals, clocks, kills, merges, two computers at once."""
 
+    steps = 0
+    """How often the list was compared."""
+
     def __init__(self) -> None:
         super().__init__()
         if not samples:
@@ -199,6 +202,7 @@ class Histories(RuleBasedStateMachine):
 
     @invariant()
     def list_is_as_the_model(self) -> None:
+        Histories.steps += 1
         assert self.listed() == self.model.listed()
 
     def listed(self) -> dict[str, Row]:

@@ -27,10 +27,8 @@ def everything(archive: Path) -> str:
     )
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def make_archive(base: Path) -> Path:
     """An archive that holds files of every kind."""
-    base = tmp_path_factory.mktemp("archive")
     archive = base / "archive"
     for name in ("series", "uncalibrated"):
         shutil.copytree(OLDER / name, base / "runs" / name)
@@ -52,6 +50,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Archive(archive).merge(at_once=1)
     blind_runs(archive, ["b"])
     return archive
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Made once."""
+    return make_archive(tmp_path_factory.mktemp("archive"))
 
 
 @pytest.fixture
