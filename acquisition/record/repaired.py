@@ -8,6 +8,7 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.proof import RECOVERY, is_sound
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import Recovery, recover
+from acquisition.record.whole_file import take_away_leftovers
 from processing.errors import RecordError
 
 _REPAIRED = re.compile(r"(.+)-recovered(?:-(\d+))?")
