@@ -5,7 +5,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -51,8 +51,12 @@ class CalibrationFile(BaseModel, frozen=True, extra="forbid"):
         return at > self.valid_until
 
 
-def write_calibration(folder: Path, calibration: CalibrationFile) -> Path:
+def write_calibration(
+    folder: Path, calibration: CalibrationFile, write_new: Callable[[Path, bytes], None]
+) -> Path:
     """Write a calibration to KIND-001.toml, KIND-002.toml ... (the next number) and return the path.
+
+    `write_new` writes a file whole or not at all, and raises FileExistsError where there is one.
 
     Raises RecordError if it cannot be written.
     """
@@ -64,8 +68,7 @@ def write_calibration(folder: Path, calibration: CalibrationFile) -> Path:
             if (match := re.fullmatch(rf"{calibration.kind}-(\d+)\.toml", path.name))
         ]
         path = folder / f"{calibration.kind}-{max(taken, default=0) + 1:03d}.toml"
-        with path.open("x", encoding="utf-8") as file:
-            file.write(toml_text(calibration))
+        write_new(path, toml_text(calibration).encode())
     except OSError as error:
         raise RecordError(f"{folder}: cannot write the calibration: {error.strerror or error}") from None
     return path

@@ -27,9 +27,12 @@ _LEFTOVER = re.compile(r"\.(.+)\.[0-9a-f]{8}(\.claim)?", re.DOTALL)
 _CLAIM = ".claim"
 
 
-def write_new(path: Path, data: bytes) -> None:
-    """Write a file that must not exist yet. Raises FileExistsError, or OSError where it cannot be written."""
-    with _written_beside(path, data) as beside:
+def write_new(path: Path, data: bytes, *, mode: int = 0o666) -> None:
+    """Write a file that must not exist yet, with these rights as far as the umask lets.
+
+    Raises FileExistsError, or OSError where it cannot be written.
+    """
+    with _written_beside(path, data, mode) as beside:
         _take_free_name(beside, path)
     sync_folder(path.parent)
 
@@ -128,10 +131,10 @@ def _take_free_name(beside: Path, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def _written_beside(path: Path, data: bytes) -> Iterator[Path]:
+def _written_beside(path: Path, data: bytes, mode: int = 0o666) -> Iterator[Path]:
     """The data in a locked file of a name of its own beside `path`, on the disk and read again."""
     beside = _name_beside(path)
-    number = _claimed(beside)
+    number = _claimed(beside, mode)
     try:
         rest = memoryview(data)
         while rest:
@@ -155,10 +158,10 @@ def _written_beside(path: Path, data: bytes) -> Iterator[Path]:
             os.close(number)
 
 
-def _claimed(path: Path) -> int:
+def _claimed(path: Path, mode: int = 0o666) -> int:
     """A new file, opened and locked; one that somebody takes for left over meanwhile is made again."""
     while True:
-        number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _NO_FOLLOW, 0o666)
+        number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _NO_FOLLOW, mode)
         locked = _locked(number)
         try:
             if locked is not False and os.path.samestat(os.fstat(number), path.stat()):

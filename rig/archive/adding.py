@@ -86,7 +86,7 @@ class _Adding:
         self._written_s = time.monotonic()
         self._written = self._merged = 0
         try:
-            connection = self.store.connection(mending=True)
+            connection = self.store.connection(mending=True, within=True)
         except ConfigurationError:
             return
         question = (

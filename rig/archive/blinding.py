@@ -16,21 +16,25 @@ _FOLLOWING = ("surface_energy_table2_j_per_m2", "surface_energy_eq2_j_per_m2", "
 def blind_runs(archive: Path, columns: Sequence[str]) -> str:
     """Hide columns (none named: all parameters of the laws, and what follows from them); says which.
 
-    The offsets are drawn for each rig, over three times what a column scatters or is uncertain by.
+    The offsets are drawn for each rig, over three times what a column scatters or is uncertain by. What has
+    no value yet is multiplied by up to two, or divided, when it has.
 
     Raises ConfigurationError for a column without uncertainty.
     """
     for name in columns:
         if f"u_{name}" not in COLUMNS:
             raise ConfigurationError(f"{name}: is no column with an uncertainty; docs/archive.md names all")
-    connection = Archive(archive).connection()
-    scales = {}
+    store = Archive(archive)
+    store.begin()
+    scales: dict[str, float | None] = {}
+    try:
+        connection = store.connection(within=True)
+    except ConfigurationError:
+        # nothing was added yet: the best time to do it
+        return seal(archive, dict.fromkeys(columns or (*PARAMETERS, *_FOLLOWING)))
     for name in columns or (*PARAMETERS, *_FOLLOWING):
         spread, u = connection.execute(
             f"select stddev_samp({name}), median(u_{name}) from runs where isfinite({name})"
         ).fetchone()
-        if spread or u:
-            scales[name] = max(spread or 0.0, u or 0.0)
-    if not scales:
-        raise ConfigurationError(f"{archive}: no run has a value that could be hidden")
+        scales[name] = max(spread or 0.0, u or 0.0) or None
     return seal(archive, scales)

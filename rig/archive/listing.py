@@ -53,8 +53,13 @@ def list_runs(
         wanted += ", camera"
     if not columns:
         wanted += "".join(f", u_{name}, verdict_{name}" for name in ("b", "p", "c", "n"))
-    if sealed(archive) is not None:
-        say("BLIND: a hidden offset is on the parameters; rig archive unblind")
+    if (seal := sealed(archive)) is not None:
+        how = (
+            "a hidden offset is on"
+            if seal.key is not None
+            else "the key is not here, and nothing is shown of"
+        )
+        say(f"BLIND: {how} the parameters; rig archive unblind")
     connection = Archive(archive).connection(refits=refits)
     found = selected(connection, wanted, condition, "refits" if refits else "runs")
     names = list(found.columns)

@@ -16,9 +16,10 @@ import zstandard
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, MissingPackage, RecordError
 from rig.archive import catalogue
-from rig.archive.blind import Seal, offsets, sealed
+from rig.archive.blind import sealed
 from rig.archive.columns import Column
 from rig.archive.facts import Entry, Fact, FactLog
+from rig.archive.hiding import show_as_it_is, show_hidden
 from rig.archive.manifest import MANIFEST, identity, write_manifest
 from rig.archive.proved import read_file, without_frame
 from rig.archive.remarks import read_remarks
@@ -71,7 +72,7 @@ class Archive:
         names = self.names()
         loose = self.sessions.not_covered(self._newest(), names)
         if sum(max(len(entry.facts), 1) for entry in loose) >= at_once:
-            rows = self.connection(mending=True).sql("select * from all_rows").to_arrow_table()
+            rows = self.connection(mending=True, within=True).sql("select * from all_rows").to_arrow_table()
             self.sessions.write_merged(rows, names)
 
     def merge_many(self) -> None:
@@ -86,11 +87,12 @@ class Archive:
         except RecordError:
             return None
 
-    def connection(self, *, refits: bool = False, mending: bool = False) -> Any:
+    def connection(self, *, refits: bool = False, mending: bool = False, within: bool = False) -> Any:
         """A DuckDB connection in which `runs` has the present row of every run; it can read nothing else.
 
         With `refits` the table of that name has a row for each result that was made again. `mending`, for who
-        makes states again, leaves out those whose files are missing or damaged.
+        makes states again, leaves out those whose files are missing or damaged. Only the archive itself reads
+        what is hidden, from `within`.
 
         Raises ConfigurationError where nothing was added yet, RecordError where a file is damaged.
         """
@@ -116,7 +118,13 @@ class Archive:
             connection.execute(catalogue.VIEWS)
             if refits:
                 files += self._with_refits(connection)
-            _hide(connection, sealed(self.folder), refits=refits)
+            seal, tables = sealed(self.folder), ("runs", "refits") if refits else ("runs",)
+            if seal is None or within:
+                show_as_it_is(connection, tables)
+            else:
+                # what is stored must not be read beside what is shown
+                show_hidden(connection, tables, seal)
+                files = []
         except duckdb.Error as error:
             raise unreadable(self.folder, error) from None
         connection.execute("set allowed_paths = $files", {"files": files})
@@ -127,7 +135,7 @@ class Archive:
     def refit_turn(self) -> int:
         """The largest turn of all results that were made again."""
         question = "select coalesce(max(turn), 0) from made"
-        return int(self.connection(refits=True).execute(question).fetchone()[0])
+        return int(self.connection(refits=True, within=True).execute(question).fetchone()[0])
 
     def _with_loose(self, connection: Any, entries: Sequence[Entry], merged: bool, mending: bool) -> None:
         """Define the rows where facts came after the merged file."""
@@ -169,26 +177,6 @@ class Archive:
 
 def _as_entry(facts: Sequence[Fact]) -> Entry:
     return Entry("", 0, facts, "", "")
-
-
-def _hide(connection: Any, seal: Seal | None, *, refits: bool) -> None:
-    """The tables as they are shown: with hidden offsets where the archive is blind."""
-    names = ("runs", "refits") if refits else ("runs",)
-    if seal is None:
-        for name in names:
-            connection.execute(f"create view {name} as select * from open_{name}")
-        return
-    hosts = [host for (host,) in connection.execute("select distinct host from open_runs").fetchall()]
-    columns = ", ".join(f'"{name}" double' for name in seal.scales)
-    connection.execute(f"create table hidden (of_host varchar, {columns})")
-    for row in offsets(seal, hosts):
-        connection.execute(f"insert into hidden values ({', '.join('?' * len(row))})", list(row.values()))
-    for name in names:
-        moved = ", ".join(f"{name}.{column} + hidden.{column} as {column}" for column in seal.scales)
-        connection.execute(
-            f"create view {name} as select {name}.* replace ({moved}) "
-            f"from open_{name} as {name} join hidden on of_host is not distinct from host"
-        )
 
 
 def duckdb_module() -> Any:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from acquisition.record import whole_file
 from acquisition.record.digest import sha256_of
 from calibration import CalibrationFile, Kind, Source, write_calibration
 from processing.errors import ConfigurationError
@@ -65,7 +66,7 @@ def file_calibration(
         values=dict(values),
         details=dict(details),
     )
-    return write_calibration(filing.folder, calibration)
+    return write_calibration(filing.folder, calibration, whole_file.write_new)
 
 
 def details_of(found: Any, *left_out: str) -> dict[str, Any]:

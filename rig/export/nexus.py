@@ -8,6 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from acquisition.record.whole_file import being_written
 from processing.errors import MissingPackage
 from processing.units import in_ascii, unit_of_name
 from rig.export.run import ExportedRun, columns_of
@@ -28,7 +29,7 @@ def write_nexus(path: Path, runs: Sequence[ExportedRun]) -> None:
         import h5py
     except ImportError:
         raise MissingPackage("--format hdf5", "h5py") from None
-    with h5py.File(path, "x") as file:
+    with being_written(path) as beside, h5py.File(beside, "x") as file:
         file.attrs["NX_class"] = "NXroot"
         file.attrs["default"] = item_name(runs[0].name)
         for run in runs:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pyarrow as pa
 from pyarrow import csv, parquet
 
+from acquisition.record.whole_file import being_written
 from processing.units import unit_of_name
 from rig.export.run import ExportedRun, columns_of, flat_results
 from rig.presentation import harmless_text
@@ -26,9 +27,10 @@ def write_csv(folder: Path, run: ExportedRun) -> list[Path]:
     head = "".join(f"# {' '.join(line.split())}\n" for line in lines)
     made = []
     for path, table in _tables(folder, run, "csv", harmless_text):
-        with path.open("xb") as file:
+        with being_written(path) as beside, beside.open("xb") as file:
             file.write(head.encode())
             csv.write_csv(table, file)
+            file.flush()
         made.append(path)
     return made
 
@@ -43,7 +45,10 @@ def write_parquet(folder: Path, run: ExportedRun) -> list[Path]:
     }
     made = []
     for path, table in _tables(folder, run, "parquet", str):
-        parquet.write_table(table.replace_schema_metadata(metadata), path, compression="zstd")
+        with being_written(path) as beside:
+            parquet.write_table(
+                table.replace_schema_metadata(metadata), beside, compression="zstd", write_page_checksum=True
+            )
         made.append(path)
     return made
 

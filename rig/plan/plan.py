@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from acquisition.record import whole_file
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
 from processing.fit import Conditions, FitMethod, PlannedRun, planned_run
@@ -157,6 +158,5 @@ def save_plan(plan: Plan, folder: Path) -> None:
         made = {".csv": plan_table(plan).csv().encode(), ".png": png(drawing), ".svg": svg(drawing)}
     for suffix, content in made.items():
         path = folder / f"plan{suffix}"
-        with path.open("xb") as file:
-            file.write(content)
+        whole_file.write_new(path, content)
         Console().print(f"{'plan':<12} {path}", highlight=False, markup=False, soft_wrap=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from acquisition.record import whole_file
 from calibration import CalibrationFile, read_calibration, toml_value
 from processing.errors import ConfigurationError, RecordError
 from rig.calibrate import Filing, Residuals, calibration_residuals, calibration_tables
@@ -68,8 +69,7 @@ def write_table(folder: Path, stem: str, tree: Mapping[str, Any]) -> Path:
         while True:
             path = folder / f"{stem}-{number:03d}.toml"
             try:
-                with path.open("x", encoding="utf-8") as file:
-                    file.write(text)
+                whole_file.write_new(path, text.encode())
             except FileExistsError:
                 number += 1
             else:

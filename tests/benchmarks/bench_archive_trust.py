@@ -68,6 +68,7 @@ def _histories(count: int) -> dict[str, Any]:
 def _flips(count: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name, contextlib.redirect_stdout(io.StringIO()):
         folder = Path(name)
+        os.environ["XDG_DATA_HOME"] = f"{name}/data"
         whole = make_archive(folder)
         archive = shutil.copytree(whole, folder / "copy")
         kinds = {path.relative_to(archive).parts[0] for path in files(archive)}

@@ -28,6 +28,7 @@ def rig_states(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
     """Where the states of rigs are kept: what one test has latched is nothing to another."""
     place = tmp_path_factory.mktemp("state")
     monkeypatch.setenv("XDG_STATE_HOME", str(place))
+    monkeypatch.setenv("XDG_DATA_HOME", str(place / "data"))
     return place
 
 

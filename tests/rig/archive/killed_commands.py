@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 from acquisition.record.reader import RecordReader
 from acquisition.record.repaired import repaired
@@ -92,7 +93,11 @@ def kills(count: int, *, names: tuple[str, ...] = ()) -> dict[str, Any]:
     wrong: list[str] = []
     total = 0
     for command in chosen:
-        with tempfile.TemporaryDirectory() as name:
+        with (
+            tempfile.TemporaryDirectory() as name,
+            # where the keys of what is hidden lie
+            patch.dict(os.environ, {"XDG_DATA_HOME": f"{name}/data"}),
+        ):
             done, calls, faults = _killed(command, each, Path(name))
         total += done
         wrong += faults

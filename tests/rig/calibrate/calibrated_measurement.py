@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.record.whole_file import write_new
 from acquisition.simulation.settings import AxesTruth, ContactTruth, FastModeTruth, ReleaseTruth
 from acquisition.simulation.true_path import true_path
 from calibration.axes import deflections
@@ -59,6 +60,7 @@ def calibrate(rig: Drawn, folder: Path) -> dict[Kind, Path]:
                 valid_until=now + datetime.timedelta(days=1),
                 values=values,
             ),
+            write_new,
         )
         for kind, values in found.items()
     }

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
+from acquisition.record.whole_file import write_new
 from calibration import relate_clocks
 from calibration.store import read_calibration, write_calibration
 from processing.errors import ConfigurationError, RigError
@@ -118,7 +119,7 @@ def test_a_new_file_never_replaces_an_old_one(tmp_path: Path) -> None:
 def test_a_file_is_read_back_as_it_was_written(tmp_path: Path) -> None:
     ladder = tilts(tmp_path / "l.toml", [-100, -50, 0, 50, 100, 50, 0, -50, -100])
     first = read_calibration(calibrate_lever(ladder, Filing(tmp_path / "c", made_by='quote " and \\')))
-    again = read_calibration(write_calibration(tmp_path / "d", first))
+    again = read_calibration(write_calibration(tmp_path / "d", first, write_new))
     assert again == first
 
 
@@ -139,6 +140,7 @@ def test_a_record_carries_its_calibration_and_says_whether_it_held(tmp_path: Pat
     expired = write_calibration(
         tmp_path / "c",
         old.model_copy(update={"measured_at": past, "valid_until": past + datetime.timedelta(days=90)}),
+        write_new,
     )
     for path, validity in ((good, "valid"), (expired, "expired")):
         camera, simulation = {"driver": "simulated"}, {"max_duration_s": 20.0}
@@ -171,7 +173,7 @@ def test_a_lever_that_moved_between_the_checks_is_flagged(tmp_path: Path) -> Non
             check_known_angle(tilts(tmp_path / f"k{number}.toml", readings, factor=factor), lever, folder)
         )
         at = now + datetime.timedelta(hours=hours)
-        path = write_calibration(tmp_path / "d", check.model_copy(update={"measured_at": at}))
+        path = write_calibration(tmp_path / "d", check.model_copy(update={"measured_at": at}), write_new)
         data[f"calibration/check-{number}.toml"] = path.read_bytes()
     tree, warnings = judge_calibration(in_use(lever=lever), data, now, now)
     assert len(tree["checks"]) == 2
