@@ -42,7 +42,7 @@ def _histories(count: int) -> dict[str, Any]:
     began_s, done, steps = time.process_time(), 0, 0
     # in parts, so that a run that is ended tells what it has seen
     while done < count:
-        part = min(50, count - done)
+        part = min(10, count - done)
         histories.Histories.steps = 0
         with contextlib.redirect_stderr(io.StringIO()):
             run_state_machine_as_test(

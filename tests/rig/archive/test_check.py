@@ -54,8 +54,10 @@ def make_archive(base: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Made once."""
-    return make_archive(tmp_path_factory.mktemp("archive"))
+    """Made once; the key of what is hidden in it is lost."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("XDG_DATA_HOME", str(tmp_path_factory.mktemp("data")))
+        return make_archive(tmp_path_factory.mktemp("archive"))
 
 
 @pytest.fixture

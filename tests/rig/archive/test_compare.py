@@ -10,6 +10,8 @@ import pytest
 from processing.errors import ConfigurationError, RecordError
 from rig.archive import add_sessions, blind_runs, compare_groups, unseal, view_runs
 from rig.archive.blind import sealed
+from rig.archive.facts import Fact
+from rig.archive.proved import without_line
 from rig.archive.store import Archive
 from tests.rig.archive.test_refit import in_this_process
 from tests.rig.command_line import rig
@@ -22,6 +24,8 @@ TRUE = {"rig-1": 2.0, "rig-2": 2.1, "rig-3": 3.5, "rig-4": 1.9, "rig-5": 2.0, "r
 def archive(tmp_path: Path) -> Path:
     """Six rigs with four runs each, the third of which is off."""
     random = np.random.default_rng(2)
+    store = Archive(tmp_path / "archive")
+    store.begin()
     for rig_name, c in TRUE.items():
         rows = [
             {
@@ -39,7 +43,8 @@ def archive(tmp_path: Path) -> Path:
             | {"c": c + random.normal(0.0, 0.1), "u_c": 0.1, "u_total_c": 0.15}
             for run in range(4)
         ]
-        Archive(tmp_path / "archive").add(rig_name, rows)
+        state = store.sessions.write(rig_name, rows)
+        store.log.write([Fact("here", rig_name, *state, "", "2026-11-22T00:00:00")])
     return tmp_path / "archive"
 
 
@@ -85,7 +90,7 @@ def test_blind_values_are_offset_by_rig_until_what_is_frozen_is_recorded(archive
     unseal(archive, "commit 1234, all cuts")
     assert values(archive) == before
     (opened,) = (archive / "blind").glob("*.opened.json")
-    record = json.loads(opened.read_text())
+    record = json.loads(without_line(opened, opened.read_bytes()))
     assert record["frozen"] == "commit 1234, all cuts"
     assert record["seal_sha256"] in said
     with pytest.raises(ConfigurationError, match="is not blind"):
