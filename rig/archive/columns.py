@@ -51,7 +51,7 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "files": Column(
         "text", "hash of names, sizes and times of the session's files, by which add knows it again"
     ),
-    "added_utc": Column("time", "when this version was added"),
+    "added_utc": Column("time", "when this version was seen, by the clock of who added it"),
     "version": Column("text", "name of the file in the archive that holds the row"),
     "began_utc": Column("time", "first message of the record"),
     "duration_s": Column("number", "from the first message to the last"),
@@ -105,7 +105,7 @@ OF_REFITS: Final[Mapping[str, Column]] = {
     "laws": Column("text", "that were compared"),
     "settings": Column("text", "changes of the configuration, as --set took them"),
     "code": Column("text", "version, commit and hash of the program that made them"),
-    "made_utc": Column("time", "when they were made"),
+    "made_utc": Column("time", "when they were made, by the clock of who made them"),
     "newest": Column("yes or no", "whether no later ones of the run exist"),
 }
 """Columns beside those of a run in the table of results that were made again."""
