@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Final, Literal, NamedTuple
 
-from processing.fit import Derived
+from processing.derived import Derived
 from processing.quantity import quantities_of
 
 Kind = Literal["text", "number", "count", "yes or no", "time"]

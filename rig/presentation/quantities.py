@@ -11,7 +11,6 @@ from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from processing.angle import ARCSEC_RAD
-from processing.balance import Balance
 from processing.quantity import Quantity, quantities_of
 from processing.surroundings import Surroundings
 from processing.units import unit_of_name
@@ -66,16 +65,22 @@ def quantity(key: str, unit: str = "arcsec") -> Shown:
 
 def declaration(key: str) -> Quantity | None:
     """What is declared of the quantity with this key; None of an unknown one."""
-    for kind in (Balance, Surroundings):
-        if key in quantities_of(kind):
-            return quantities_of(kind)[key]
-    return _of_fits().get(key)
+    known = quantities_of(Surroundings)
+    return known[key] if key in known else _of_balances().get(key) or _of_fits().get(key)
 
 
 def unit_of(key: str) -> str:
     """SI unit of the quantity with this key, "1" of a plain number; empty where nothing is known of it."""
     declared = declaration(key.removeprefix("u_"))
     return unit_of_name(key) if declared is None else declared.unit
+
+
+@cache
+def _of_balances() -> Mapping[str, Quantity]:
+    """Imported only here, because its compiled functions take longer to load than most commands."""
+    from processing.balance import Balance
+
+    return quantities_of(Balance)
 
 
 @cache
