@@ -22,7 +22,7 @@ except ImportError:
     # Windows: what a kill leaves stays there, because nothing tells it from what is being written
     _fcntl = None
 
-_NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)
+_FLAGS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 _LEFTOVER = re.compile(r"\.(.+)\.[0-9a-f]{8}(\.claim)?", re.DOTALL)
 _CLAIM = ".claim"
 
@@ -161,7 +161,7 @@ def _written_beside(path: Path, data: bytes, mode: int = 0o666) -> Iterator[Path
 def _claimed(path: Path, mode: int = 0o666) -> int:
     """A new file, opened and locked; one that somebody takes for left over meanwhile is made again."""
     while True:
-        number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _NO_FOLLOW, mode)
+        number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, mode)
         locked = _locked(number)
         try:
             if locked is not False and os.path.samestat(os.fstat(number), path.stat()):
@@ -176,7 +176,7 @@ def _claimed(path: Path, mode: int = 0o666) -> int:
 def _is_nobodys(path: Path) -> bool:
     """Whether no living process has a file locked."""
     try:
-        number = os.open(path, os.O_RDWR | _NO_FOLLOW)
+        number = os.open(path, os.O_RDWR | _FLAGS)
     except OSError:
         return False
     try:

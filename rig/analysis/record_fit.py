@@ -13,6 +13,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.deflections import Deflections, DeflectionUnit, joined
+from processing.errors import RecordError
 from processing.fit import FitMethod, FitResult, RigQuantities, Witness, delay_of_rows
 from processing.periods import mean_period
 from processing.spot import BeamUse
@@ -290,7 +291,7 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> RunResults
     in_arcsec = unit is DeflectionUnit.RAD
     return RunResults(
         record=path.name,
-        sha256=measured_sha256_of(path, known=True),
+        sha256=_sha256_if_readable(path),
         record_bytes=path.stat().st_size,
         half_cycles=len(points),
         amplitude_unit=unit.shown,
@@ -299,6 +300,14 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> RunResults
         initial_amplitude_arcsec=initial if in_arcsec else math.nan,
         final_amplitude_arcsec=final if in_arcsec else math.nan,
     )
+
+
+def _sha256_if_readable(path: Path) -> str:
+    """By which results know their record; empty where its disk cannot give all of it."""
+    try:
+        return measured_sha256_of(path, known=True)
+    except RecordError:
+        return ""
 
 
 def clock_rate_of(config: Configuration) -> float:
