@@ -39,3 +39,51 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_beside_it(
         whole_file.replace(tmp_path / "file", b"new")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     assert (tmp_path / "file").read_bytes() == b"old"
+
+
+def test_what_is_not_proved_takes_no_name(tmp_path: Path) -> None:
+    def refuse(beside: Path) -> None:
+        assert beside.read_bytes() == b"data"
+        raise ValueError("no")
+
+    with (
+        pytest.raises(ValueError, match="no"),
+        whole_file.being_written(tmp_path / "file", prove=refuse) as beside,
+    ):
+        beside.write_bytes(b"data")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_gives_back_something_else_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = os.read
+    monkeypatch.setattr(os, "read", lambda number, count: read(number, count)[:-1])
+    with pytest.raises(OSError, match="read again it is not what was written"):
+        whole_file.write_new(tmp_path / "file", b"data")
+    monkeypatch.undo()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("replaces", [False, True])
+def test_a_file_that_somebody_else_writes(tmp_path: Path, replaces: bool) -> None:
+    path = tmp_path / "file"
+    with whole_file.being_written(path, replaces=replaces) as beside:
+        beside.write_bytes(b"mine")
+        # he is alive: nothing of his is taken away
+        assert whole_file.take_away_leftovers(tmp_path) == []
+        path.write_bytes(b"other")
+        if not replaces:
+            with pytest.raises(FileExistsError):
+                whole_file.being_written(path).__enter__()
+            path.unlink()
+    assert path.read_bytes() == b"mine"
+
+
+def test_what_the_dead_left_is_taken_away_and_nothing_else(tmp_path: Path) -> None:
+    for name in (".run-1.mcap.0123abcd", ".run-1.mcap.0123abcd.claim", ".run-2.mcap.89abcdef", ".hidden"):
+        (tmp_path / name).write_bytes(b"half")
+    assert whole_file.take_away_leftovers(tmp_path, "run-1.mcap") == [tmp_path / "run-1.mcap"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".hidden", ".run-2.mcap.89abcdef"]
+    assert whole_file.take_away_leftovers(tmp_path) == [tmp_path / "run-2.mcap"]
+    assert [path.name for path in tmp_path.iterdir()] == [".hidden"]

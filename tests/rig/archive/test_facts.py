@@ -9,12 +9,14 @@ from typing import Any
 
 import pytest
 
+from acquisition.record.repaired import repaired
 from processing.errors import ConfigurationError, RecordError
 from rig.archive import add_sessions, list_runs, remark, thin_runs
 from rig.archive.facts import FactLog
 from rig.archive.refits import Recipe, Task, refit
 from rig.archive.remarks import read_remarks
 from rig.archive.store import CONFIG, Archive
+from rig.commands.inputs import records_in
 from tests.acquisition.record.hanging_disk import Mounted, NoFuse, mounted
 
 OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
@@ -280,3 +282,16 @@ def test_an_archive_of_an_earlier_version_is_read_and_taken_over(tmp_path: Path)
     Archive(archive).merge(at_once=1)
     assert listed(archive, "run, folder, c, results, tags, year(added_utc)") == after
     assert not list((archive / "merged").glob("runs-*"))
+
+
+def test_of_a_record_and_its_repaired_copies_the_fullest_is_taken(series: Path, archive: Path) -> None:
+    """Half a copy, as a version of before left it where it was killed, is not; a whole one is."""
+    cut, half = series / "run-2.mcap", series / "run-2-recovered.mcap"
+    half.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
+    add_sessions(archive, [series])
+    assert [row[0] for row in listed(archive, "run")] == ["run-1", "run-2"]
+    assert records_in(series) == [series / "run-1.mcap", cut]
+    whole, _ = repaired(cut)
+    add_sessions(archive, [series])
+    assert listed(archive, "run, state")[1] == ("run-2-recovered-2", "whole")
+    assert records_in(series) == [series / "run-1.mcap", whole]
