@@ -79,7 +79,8 @@ class Shelf:
         """Rewrite the merged file where at least so many files are not in it."""
         import pyarrow as pa
 
-        whole_file.take_away_leftovers(self.folder)
+        for folder in (self.folder, self.merged):
+            whole_file.take_away_leftovers(folder)
         newest = self.newest()
         there = self.names()
         tables = []

@@ -72,7 +72,11 @@ class Archive:
         names = self.names()
         loose = self.sessions.not_covered(self._newest(), names)
         if sum(max(len(entry.facts), 1) for entry in loose) >= at_once:
-            rows = self.connection(mending=True, within=True).sql("select * from all_rows").to_arrow_table()
+            rows = (
+                self.connection(mending=True, whole=True, within=True)
+                .sql("select * from all_rows")
+                .to_arrow_table()
+            )
             self.sessions.write_merged(rows, names)
 
     def merge_many(self) -> None:
@@ -87,11 +91,14 @@ class Archive:
         except RecordError:
             return None
 
-    def connection(self, *, refits: bool = False, mending: bool = False, within: bool = False) -> Any:
+    def connection(
+        self, *, refits: bool = False, mending: bool = False, whole: bool = False, within: bool = False
+    ) -> Any:
         """A DuckDB connection in which `runs` has the present row of every run; it can read nothing else.
 
         With `refits` the table of that name has a row for each result that was made again. `mending`, for who
-        makes states again, leaves out those whose files are missing or damaged. Only the archive itself reads
+        makes states again, leaves out those whose files are missing or damaged, unless the catalogue must be
+        `whole`, and reads no damaged merged file. Only the archive itself reads
         what is hidden, from `within`.
 
         Raises ConfigurationError where nothing was added yet, RecordError where a file is damaged.
@@ -114,7 +121,7 @@ class Archive:
                 connection.execute(catalogue.ALL_MERGED)
             else:
                 entries = self.sessions.not_covered(newest, names) if names else [_as_entry(older)]
-                self._with_loose(connection, entries, bool(files), mending)
+                self._with_loose(connection, entries, bool(files), mending and not whole)
             connection.execute(catalogue.VIEWS)
             if refits:
                 files += self._with_refits(connection)

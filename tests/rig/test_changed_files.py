@@ -25,6 +25,7 @@ from rig.analysis import encoded, read_results
 from rig.analysis.position_table import read_trajectory
 from rig.archive import list_runs
 from rig.archive.columns import COLUMNS
+from rig.archive.facts import Fact
 from rig.archive.remarks import read_remarks
 from rig.archive.store import Archive
 from rig.balance import history
@@ -228,11 +229,14 @@ def test_an_archive(wanted: list[tuple[str, float, bytes]]) -> None:
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         archive = Archive(folder)
-        archive.add("one", [{**dict.fromkeys(COLUMNS), "sha256": "ab", "version": "one", "b": 1e-3}])
-        path = folder / "sessions" / "one.parquet"
+        archive.begin()
+        state = archive.sessions.write("one", [{**dict.fromkeys(COLUMNS), "sha256": "ab", "b": 1e-3}])
+        archive.log.write([Fact("here", "there", *state, "", "2026-11-22T00:00:00")])
+        path, listed = archive.sessions.path(state[0]), folder / "listed.csv"
         path.write_bytes(changed(path.read_bytes(), wanted))
         one_line(lambda: archive.merge(at_once=1))
-        one_line(lambda: list_runs(folder, "", ["b", "version"], "csv", folder / "listed.csv"))
+        one_line(lambda: list_runs(folder, "", ["b"], "csv", listed))
+        assert not listed.exists() or listed.read_text() == "b\n0.001\n"
 
 
 @pytest.mark.parametrize(

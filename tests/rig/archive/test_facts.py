@@ -295,3 +295,18 @@ def test_of_a_record_and_its_repaired_copies_the_fullest_is_taken(series: Path, 
     add_sessions(archive, [series])
     assert listed(archive, "run, state")[1] == ("run-2-recovered-2", "whole")
     assert records_in(series) == [series / "run-1.mcap", whole]
+
+
+def test_a_state_that_is_damaged_is_missed_and_never_merged_away(series: Path, archive: Path) -> None:
+    shutil.copytree(OLDER / "uncalibrated", series.parent / "other")
+    add_sessions(archive, [series.parent])
+    before = listed(archive)
+    for state in sorted((archive / "sessions").iterdir()):
+        data = state.read_bytes()
+        state.write_bytes(data[:100] + b"\0" + data[101:])
+        for use in (lambda: Archive(archive).merge(at_once=1), lambda: listed(archive)):
+            with pytest.raises(RecordError, match=state.name):
+                use()
+        # looked at again, it is made again; and seen elsewhere, nothing is lost of it
+        add_sessions(archive, [series.parent], read=True)
+        assert (listed(archive), state.read_bytes()) == (before, data)
