@@ -57,6 +57,7 @@ _OTHERS: Final[Mapping[str, Size]] = {
     "arcsec": _of(ARCSEC_RAD, rad=1),
     "mas": _of(1e-3 * ARCSEC_RAD, rad=1),
     "°C": _of(1.0, celsius=1),
+    "K": _of(1.0, kelvin=1),
     "px": _of(1.0, px=1),
     "DN": _of(1.0, DN=1),
     "e": _of(1.0, electron=1),
@@ -85,7 +86,7 @@ _IN_NAMES: Final[Mapping[str, str]] = {
     "m": "m", "m2": "m^2", "m3": "m^3", "kg": "kg", "s": "s", "s2": "s^2", "ms": "ms", "us": "us",
     "ns": "ns", "a": "A", "hz": "Hz", "rthz": "sqrt(Hz)", "n": "N", "pa": "Pa", "j": "J", "w": "W",
     "rad": "rad", "deg": "deg", "arcsec": "arcsec", "min": "min", "percent": "%", "c": "°C", "px": "px",
-    "dn": "DN", "e": "e", "db": "dB", "ppm": "ppm",
+    "dn": "DN", "e": "e", "db": "dB", "ppm": "ppm", "k": "K",
 }  # fmt: skip
 _PRODUCTS_IN_NAMES: Final = (["n", "m"], ["pa", "s"])
 

@@ -102,6 +102,7 @@ def test_units_of_the_same_thing() -> None:
         ("gravity_m_per_s2", "m/s^2"),
         ("surface_energy_eq2_j_per_m2", "J/m^2"),
         ("temperature_c", "°C"),
+        ("temperature_change_k", "K"),
         ("density_rad_per_s2_rthz", "rad/s^2/sqrt(Hz)"),
         ("u_x_px", "px"),
         ("gain_e_per_dn", "e/DN"),

@@ -1,5 +1,6 @@
 """LIGHT OFF, and what lights: in a real browser, with a board that is a process of its own."""
 
+import contextlib
 import json
 import os
 import signal
@@ -41,8 +42,14 @@ def rig(desk_configuration: Callable[[str], Path], browser: HeadlessBrowser) -> 
     """A board, a desk of it, its page, its configuration."""
     with board_process() as board:
         config = desk_configuration(SERIAL.replace("PORT", board.port))
-        with desk_page(browser, config) as (desk, page):
-            yield board, desk, page, config
+        try:
+            with desk_page(browser, config) as (desk, page):
+                yield board, desk, page, config
+        finally:
+            # a session outlives its desk, and would take the port when the next board gets the same name
+            for channel in (config.parent / "runs").glob("*/.channel.json"):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(int(json.loads(channel.read_text())["pid"]), signal.SIGKILL)
 
 
 LAMP = "document.getElementById('lamp-{}').textContent"
