@@ -107,7 +107,9 @@ def test_a_run_goes_on_when_its_camera_resets_itself_on_the_bus() -> None:
     assert losses.wrong_id == 3
     numbers = [frame.sequence for frame in run.frames]
     assert numbers == sorted(set(numbers))
-    assert numbers[-1] + 1 - len(numbers) == losses.total == losses.while_unplugged
+    assert losses.while_unplugged > 0
+    # a machine that stands still makes the camera lose some besides
+    assert numbers[-1] + 1 - len(numbers) == losses.total
     assert len(steps) == 1
     assert steps[0].step_ns < -1_000_000_000
     times = [frame.device_time_ns for frame in run.frames]
