@@ -66,6 +66,12 @@ def _scale(fit: FitResult) -> float:
 
 def _by_drifts(model: ExactModel, columns: Floats, fit: FitResult) -> tuple[Floats, Floats]:
     """Derivatives of the residuals by the columns, and by both drifts."""
+    return by_drifts(model, columns, model.noise_of(fit), _scale(fit))
+
+
+def by_drifts(model: ExactModel, columns: Floats, noise: Noise, scale: float) -> tuple[Floats, Floats]:
+    """Derivatives of the residuals by the columns, and by both drifts of `Drifts`; `scale` is that of the
+    stated uncertainties."""
     contact = contact_share(model, columns)
     lasting_s = float(model.points.time_s[-1] - model.points.time_s[0])
 
@@ -75,7 +81,7 @@ def _by_drifts(model: ExactModel, columns: Floats, fit: FitResult) -> tuple[Floa
     def slower(_: Floats, time_s: Floats) -> Floats:
         return (time_s / lasting_s - 0.5)[:, None]
 
-    found = model.filtered(columns, model.noise_of(fit), errors=Errors(ageing, slower))
+    found = model.filtered(columns, noise, errors=Errors(ageing, slower))
     beside = model.beside(columns)[1]
     waveform, shapes = model.evidence.waveform, None
     if waveform is not None:
@@ -83,7 +89,7 @@ def _by_drifts(model: ExactModel, columns: Floats, fit: FitResult) -> tuple[Floa
         passed = np.interp(-amplitude, -model.points.amplitude / model.reference, model.points.time_s)
         shapes = ageing(amplitude, passed - model.points.time_s[0])
     of_waveform = np.column_stack([by_harmonics(model, columns, shapes, 1), np.zeros(len(beside))])
-    law, scale = len(columns), _scale(fit)
+    law = len(columns)
     jacobian = np.concatenate([found.jacobian[:, :law] / scale, beside])
     return jacobian, np.concatenate([found.jacobian[:, law:] / scale, of_waveform])
 

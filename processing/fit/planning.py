@@ -8,6 +8,7 @@ the fit comes near to this bound.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import hypot, inf
+from typing import NamedTuple
 
 import numpy as np
 
@@ -115,6 +116,45 @@ def planned_run(
     DataError
         The pendulum makes too few half-cycles between the two amplitudes, or none ends there.
     """
+    prepared = prepare_run(values, pendulum, conditions, first_rad, last_rad, law=law)
+    model, columns = prepared.model, prepared.columns
+    jacobian = model.about(columns).on_ground(columns, prepared.noise)(columns)[1]
+    to_physical = model.columns.physical(columns)[1]
+    u = np.sqrt(np.diag(to_physical @ covariance_of(jacobian) @ to_physical.T))
+    return prepared.run(dict(zip(model.names[:-2], u.tolist(), strict=False)))
+
+
+class PreparedRun(NamedTuple):
+    """The model of a planned run about its parameters, and the ground under it."""
+
+    model: ExactModel
+    columns: Floats
+    noise: Noise
+    first_rad: float
+    last_rad: float
+    complete: bool
+
+    @property
+    def duration_s(self) -> float:
+        """From the first turning point to the last."""
+        return float(self.model.points.time_s[-1])
+
+    def run(self, u: Mapping[str, float]) -> PlannedRun:
+        """With these uncertainties."""
+        points = self.model.points
+        return PlannedRun(self.first_rad, self.last_rad, self.duration_s, len(points), u, self.complete)
+
+
+def prepare_run(
+    values: Mapping[str, float],
+    pendulum: PendulumOnBall | None,
+    conditions: Conditions,
+    first_rad: float,
+    last_rad: float,
+    *,
+    law: Law = DEFAULT_LAW,
+) -> PreparedRun:
+    """A run from one amplitude to another, with what restrains its fit; raises as `planned_run` does."""
     names = law.fit_names(calibrated=pendulum is not None, drag=DRAG.key in values)
     known = {**values, AMPLITUDE.key: first_rad, TIME.key: 0.0}
     amplitude, time, complete = _decay(law, known, names, pendulum, first_rad, last_rad, conditions)
@@ -132,21 +172,10 @@ def planned_run(
     )
     evidence = conditions.evidence(amplitude)
     model = ExactModel(points, pendulum, law=law, drag=DRAG.key in values, evidence=evidence)
-    columns = model.columns.from_physical(known)
     half_period_s = float(np.diff(time).mean())
     step = step_of_density(conditions.unknown_rad_per_s2_rthz, half_period_s) / model.reference
     noise = Noise(step=step, averaged=conditions.averaged)
-    jacobian = model.about(columns).on_ground(columns, noise)(columns)[1]
-    to_physical = model.columns.physical(columns)[1]
-    u = np.sqrt(np.diag(to_physical @ covariance_of(jacobian) @ to_physical.T))
-    return PlannedRun(
-        first_rad,
-        last_rad,
-        float(time[-1]),
-        len(points),
-        dict(zip(names[:-2], u.tolist(), strict=False)),
-        complete,
-    )
+    return PreparedRun(model, model.columns.from_physical(known), noise, first_rad, last_rad, complete)
 
 
 def _decay(

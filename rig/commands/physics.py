@@ -230,11 +230,16 @@ def plan(
             help="Noise of a witness of the ground over the ground it sees, at the swing's frequency: 0.1.",
         ),
     ] = None,
+    wait: Annotated[
+        list[float] | None,
+        typer.Option(min=0.0, help="Minutes between runs that tell ageing; may be repeated; default: 0, 60."),
+    ] = None,
 ) -> None:
     """Show what runs to come will tell of the contact.
 
     Uncertainties over first and last amplitudes, number of runs and rig time, from a run of this rig or from
-    its configuration.
+    its configuration; then which two runs, one after the other, tell a contact that ages, which one
+    decay cannot.
 
     \b
     Examples:
@@ -250,7 +255,15 @@ def plan(
             "smaller one, or a larger --first"
         )
 
-    from rig.plan import plan_expected, plan_runs, planned_expectation, print_plan, save_plan
+    from rig.plan import (
+        ageing_table,
+        plan_ageing,
+        plan_expected,
+        plan_runs,
+        planned_expectation,
+        print_plan,
+        save_plan,
+    )
 
     if source.suffix.lower() == ".toml":
         expected = planned_expectation(source, set_ or [], noise, contact)
@@ -265,9 +278,11 @@ def plan(
         run = analyse_record(one_record(source), set_ or [])
         planned = plan_runs(run, firsts, lasts, ground, counts, witness)
         refuse_unread([run])
-    print_plan(planned)
+    waits_s = [60.0 * minutes for minutes in ([0.0, 60.0] if wait is None else wait)]
+    ageing = ageing_table(plan_ageing(planned, waits_s))
+    print_plan(planned, ageing)
     if output is not None:
-        save_plan(planned, output)
+        save_plan(planned, output, ageing)
 
 
 def instruments() -> None:

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from acquisition.record import whole_file
 from processing.angle import ARCSEC_RAD
+from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.fit import Conditions, FitMethod, PlannedRun, planned_run
 from rig.analysis import AnalysedRun
@@ -29,6 +30,7 @@ class Plan:
     runs: tuple[PlannedRun, ...]
     counts: tuple[int, ...] = (1,)
     longest_s: float = math.inf
+    pendulum: PendulumOnBall | None = None
 
     def relative(self, run: PlannedRun) -> dict[str, float]:
         """Uncertainty over value, by parameter."""
@@ -93,7 +95,7 @@ def plan_expected(
                     problem = str(error)
     if not runs:
         raise DataError(f"no such run: {problem}")
-    return Plan(conditions, values, tuple(runs), tuple(sorted(set(counts))), longest_s)
+    return Plan(conditions, values, tuple(runs), tuple(sorted(set(counts))), longest_s, pendulum)
 
 
 def _share(u: float, value: float) -> str:
@@ -142,13 +144,13 @@ def plan_table(plan: Plan) -> Table:
     )
 
 
-def print_plan(plan: Plan) -> None:
-    """The table on the terminal."""
-    print_tables([plan_table(plan)])
+def print_plan(plan: Plan, ageing: Table | None = None) -> None:
+    """The table on the terminal, and that of runs that tell a contact's age."""
+    print_tables([plan_table(plan), *([] if ageing is None else [ageing])])
 
 
-def save_plan(plan: Plan, folder: Path) -> None:
-    """plan.csv, plan.png and plan.svg in a folder, which is made; none of them may exist."""
+def save_plan(plan: Plan, folder: Path, ageing: Table | None = None) -> None:
+    """plan.csv, plan.png, plan.svg, and plan.ageing.csv, in a folder, which is made; none may exist."""
     from rig.plan.figure import plan_figure
     from rig.report import png, styled, svg
 
@@ -156,6 +158,8 @@ def save_plan(plan: Plan, folder: Path) -> None:
     with styled():
         drawing = plan_figure(plan)
         made = {".csv": plan_table(plan).csv().encode(), ".png": png(drawing), ".svg": svg(drawing)}
+    if ageing is not None:
+        made[".ageing.csv"] = ageing.csv().encode()
     for suffix, content in made.items():
         path = folder / f"plan{suffix}"
         whole_file.write_new(path, content)
