@@ -1,6 +1,7 @@
 """Fits of a contact law to a decay, uncertainties of the results, and series of runs."""
 
 from processing.derived import Derived
+from processing.fit.ageing_plan import PlannedSeries, planned_series
 from processing.fit.apparatus import InputQuantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.boundary_layer import steeper_drag, with_steeper_drag
@@ -16,7 +17,6 @@ from processing.fit.key_comparison import KeyComparison, compare_laboratories
 from processing.fit.law_comparison import LawComparison, compare_laws
 from processing.fit.law_errors import Change, ChangeKind, Misfit
 from processing.fit.misfit import misfit_of, with_misfit, with_misfit_of
-from processing.fit.planned_series import PlannedSeries, planned_series
 from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
 from processing.fit.reported import (

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, nan
 
 from processing.angle import ARCSEC_RAD
 from processing.fit import PlannedSeries, planned_series
@@ -54,7 +54,7 @@ def ageing_table(planned: AgeingPlan) -> Table:
     shown = []
     for one in planned.series:
         between = [(run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD) for run in one.runs]
-        second = between[1][0] if len(between) > 1 else None
+        second = between[1][0] if len(between) > 1 else nan
         per_h = one.u_ageing_per_s * _PER_HOUR
         rows.append(
             [

@@ -10,9 +10,10 @@ from math import inf
 
 import numpy as np
 
+from processing.arrays import Floats
 from processing.contact import AMPLITUDE, TIME, PendulumOnBall
 from processing.fit.changes import by_drifts
-from processing.fit.planning import Conditions, PlannedRun, prepare_run
+from processing.fit.planning import Conditions, PlannedRun, PreparedRun, prepare_run
 from processing.least_squares import covariance_of
 
 _OWN = ("period0_s", AMPLITUDE.key, TIME.key)
@@ -61,10 +62,36 @@ def planned_series(
 
     Every run has its own period, first amplitude and time; what is known of the air counts once.
     """
-    prepared = []
+    prepared: list[PreparedRun] = []
     for first_rad, last_rad in spans_rad:
         own = conditions if not prepared else replace(conditions, known_drag_s=None)
         prepared.append(prepare_run(values, pendulum, own, first_rad, last_rad))
+    names = prepared[0].model.names
+    shared = [k for k, name in enumerate(names) if name not in _OWN]
+    ageing = len(shared)
+    ends_s = np.cumsum([run.duration_s + waiting_s for run in prepared]) - waiting_s
+    lasting_s = float(ends_s[-1])
+    stacked = by_shared_and_ageing(prepared, waiting_s)
+    u = np.sqrt(np.diag(covariance_of(stacked)))
+    steady = np.sqrt(np.diag(covariance_of(np.delete(stacked, ageing, axis=1))))
+    size_of = [abs(values[names[k]]) or 1.0 for k in shared]
+    keys = [names[k] for k in shared]
+    told = u[ageing] if u[ageing] < _BLIND else inf
+    return PlannedSeries(
+        tuple(run.run({}) for run in prepared),
+        waiting_s,
+        dict(zip(keys, (u[:ageing] * size_of).tolist(), strict=True)),
+        dict(zip(keys, (steady[:ageing] * size_of).tolist(), strict=True)),
+        float(told) / lasting_s,
+    )
+
+
+def by_shared_and_ageing(prepared: Sequence[PreparedRun], waiting_s: float) -> Floats:
+    """Derivatives of the residuals of all runs, one after the other.
+
+    The first columns are relative changes of what the runs share, then the relative growth of the friction
+    from the first turning point of all to the last, then each run's own parameters.
+    """
     names = prepared[0].model.names
     shared = [k for k, name in enumerate(names) if name not in _OWN]
     ends_s = np.cumsum([run.duration_s + waiting_s for run in prepared]) - waiting_s
@@ -86,18 +113,6 @@ def planned_series(
         row[:, own_columns] = by_value[:, [k for k in range(len(names)) if k not in shared]]
         rows.append(row)
     stacked = np.concatenate(rows)
-    # per run and not per second: of the size of the others
-    lasting_s = float(ends_s[-1])
-    stacked[:, ageing] /= lasting_s
-    u = np.sqrt(np.diag(covariance_of(stacked)))
-    steady = np.sqrt(np.diag(covariance_of(np.delete(stacked, ageing, axis=1))))
-    size_of = [abs(values[names[k]]) or 1.0 for k in shared]
-    keys = [names[k] for k in shared]
-    told = u[ageing] if u[ageing] < _BLIND else inf
-    return PlannedSeries(
-        tuple(run.run({}) for run in prepared),
-        waiting_s,
-        dict(zip(keys, (u[:ageing] * size_of).tolist(), strict=True)),
-        dict(zip(keys, (steady[:ageing] * size_of).tolist(), strict=True)),
-        float(told) / lasting_s,
-    )
+    # over all of it and not per second: of the size of the others
+    stacked[:, ageing] /= float(ends_s[-1])
+    return stacked
