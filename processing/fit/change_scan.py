@@ -11,7 +11,6 @@ from processing.fit.exact_model import Errors, ExactModel
 from processing.fit.ground import Noise
 from processing.fit.law_errors import ChangeKind
 from processing.periods import mean_period
-from processing.swing import TurningPoints
 
 _CHUNK = 64
 """Half-cycles whose changes are computed together."""
@@ -50,74 +49,62 @@ class Best(NamedTuple):
 
 
 class Scan:
-    """Whitened residuals for one drive, and what every change would do to them."""
+    """Whitened residuals for one drive, and what every change would do to them.
 
-    def __init__(
-        self,
-        residuals: Floats,
-        directions: Floats,
-        changes: Floats,
-        constant: float,
-        points: TurningPoints,
-        reference: float,
-    ) -> None:
-        self._constant = constant
-        self._rate = 2 * pi / mean_period(points)
-        self._amplitude = points.amplitude[EDGE:] / reference
-        self._left = residuals - directions @ (directions.T @ residuals)
-        changes -= directions @ (directions.T @ changes)
-        # kinds of change (4), places, rows
-        self._changes = changes.T.reshape(4, -1, len(residuals))
+    That is computed anew for each search, some places at a time: of a long decay all of it fills the memory.
+    """
 
-    @classmethod
-    def of(cls, model: ExactModel, columns: Floats, noise: Noise) -> "Scan | None":
-        """None where the filter has no value for this drive."""
-        contact, law = contact_share(model, columns), len(columns)
-        nodes, loss = model.losses(columns)
-
-        def losses(amplitude: Floats) -> Floats:
-            return np.interp(-amplitude, -nodes, loss)
-
+    def __init__(self, model: ExactModel, columns: Floats, noise: Noise) -> None:
+        self._model, self._columns, self._noise = model, columns, noise
+        self._contact = contact_share(model, columns)
+        self._nodes, self._loss = model.losses(columns)
         time_s = model.points.time_s - model.points.time_s[0]
         # between the half-cycle before a place and the one at it
-        at_s = 0.5 * (time_s[1:] + time_s[:-1])[EDGE - 1 : len(time_s) - EDGE - 1]
-        parts: list[Floats] = []
-        found = None
-        for first in range(0, len(at_s), _CHUNK):
-            here_s = at_s[first : first + _CHUNK]
-
-            def of_loss(amplitude: Floats, node_s: Floats, here_s: Floats = here_s) -> Floats:
-                knock = _impulses(node_s, here_s) / losses(amplitude)[:, None]
-                after = (node_s[:, None] > here_s) * contact(amplitude)[:, None]
-                return np.column_stack([knock, after])
-
-            def of_duration(_: Floats, node_s: Floats, here_s: Floats = here_s) -> Floats:
-                lasting = np.gradient(node_s)
-                knock = _impulses(node_s, here_s) / lasting[:, None]
-                return np.column_stack([knock, 1.0 * (node_s[:, None] > here_s)])
-
-            found = model.filtered(columns, noise, errors=Errors(of_loss, of_duration))
-            if not np.all(np.isfinite(found.residuals)):
-                return None
-            parts.append(found.jacobian[:, law:].reshape(len(found.residuals), 4, -1))
-        if found is None:
-            return None
+        self._at_s = 0.5 * (time_s[1:] + time_s[:-1])[EDGE - 1 : len(time_s) - EDGE - 1]
+        self._rate = 2 * pi / mean_period(model.points)
+        self._amplitude = model.points.amplitude[EDGE:] / model.reference
+        found = model.filtered(columns, noise)
         beside, beside_by = model.beside(columns)
-        count = len(found.residuals)
-        changes = np.concatenate(parts, axis=2).reshape(count, -1)
-        jacobian, residuals = found.jacobian[:, :law], found.residuals
+        self._beside = len(beside)
         # the scatter of the points, by the median: a change is not to hide behind what it does
-        scale = max(1.0, float(np.median(np.abs(residuals))) / 0.6745)
-        jacobian = np.concatenate([jacobian / scale, beside_by])
-        residuals = np.concatenate([residuals / scale, beside])
-        changes = np.concatenate([changes / scale, np.zeros((len(beside), changes.shape[1]))])
+        self._scale = max(1.0, float(np.median(np.abs(found.residuals))) / 0.6745)
+        jacobian = np.concatenate([found.jacobian / self._scale, beside_by])
+        residuals = np.concatenate([found.residuals / self._scale, beside])
         norm = np.linalg.norm(jacobian, axis=0)
         norm[norm == 0] = 1.0
         directions, spread, _ = np.linalg.svd(jacobian / norm, full_matrices=False)
         kept = spread > _RELATIVE * spread[0]
-        constant = found.log_det + 2 * count * log(scale)
-        constant += 2 * float(np.sum(np.log(spread[kept]))) + 2 * float(np.sum(np.log(norm)))
-        return cls(residuals, directions[:, kept], changes, constant, model.points, model.reference)
+        self._constant = found.log_det + 2 * len(found.residuals) * log(self._scale)
+        self._constant += 2 * float(np.sum(np.log(spread[kept]))) + 2 * float(np.sum(np.log(norm)))
+        self._directions = directions[:, kept]
+        self._left = residuals - self._directions @ (self._directions.T @ residuals)
+
+    @classmethod
+    def of(cls, model: ExactModel, columns: Floats, noise: Noise) -> "Scan | None":
+        """None where the filter has no value for this drive, or there is no place to look at."""
+        if len(model.points) <= 2 * EDGE or not np.all(np.isfinite(model.filtered(columns, noise).residuals)):
+            return None
+        return cls(model, columns, noise)
+
+    def _changes(self, first: int, count: int) -> Floats:
+        """What the kinds of change (4) do at some places to the rows that nothing explains yet."""
+        here_s = self._at_s[first : first + count]
+
+        def of_loss(amplitude: Floats, node_s: Floats) -> Floats:
+            knock = _impulses(node_s, here_s) / np.interp(-amplitude, -self._nodes, self._loss)[:, None]
+            after = (node_s[:, None] > here_s) * self._contact(amplitude)[:, None]
+            return np.column_stack([knock, after])
+
+        def of_duration(_: Floats, node_s: Floats) -> Floats:
+            lasting = np.gradient(node_s)
+            knock = _impulses(node_s, here_s) / lasting[:, None]
+            return np.column_stack([knock, 1.0 * (node_s[:, None] > here_s)])
+
+        found = self._model.filtered(self._columns, self._noise, errors=Errors(of_loss, of_duration))
+        by_errors = found.jacobian[:, len(self._columns) :] / self._scale
+        changes = np.concatenate([by_errors, np.zeros((self._beside, by_errors.shape[1]))])
+        changes -= self._directions @ (self._directions.T @ changes)
+        return changes.T.reshape(4, -1, len(changes))
 
     def deviance(self) -> float:
         """-2 ln L without any further change."""
@@ -125,30 +112,40 @@ class Scan:
 
     def best(self) -> Best:
         """The change that explains most."""
+        out = None
+        for first in range(0, len(self._at_s), _CHUNK):
+            out = _better(out, self._best_of(first))
+        assert out is not None
+        return out
+
+    def _best_of(self, first: int) -> Best:
+        """The same of the places from `first` on."""
+        changes = self._changes(first, _CHUNK)
         out, now = None, self.deviance()
-        score, power = self._changes @ self._left, np.sum(self._changes**2, axis=2) + 1e-30
+        score, power = changes @ self._left, np.sum(changes**2, axis=2) + 1e-30
         for kind, at in ((ChangeKind.FRICTION, 1), (ChangeKind.PERIOD, 3)):
             gains = score[at] ** 2 / power[at]
             place = int(np.argmax(gains))
             size, u = -score[at, place] / power[at, place], power[at, place] ** -0.5
-            out = _better(out, Best(kind, place, size, u, now - float(gains[place])))
-        cross = np.sum(self._changes[0] * self._changes[2], axis=1)
+            out = _better(out, Best(kind, first + place, size, u, now - float(gains[place])))
+        cross = np.sum(changes[0] * changes[2], axis=1)
         det = power[0] * power[2] - cross**2
         both = score[0] ** 2 * power[2] + score[2] ** 2 * power[0] - 2 * score[0] * score[2] * cross
         gains = np.where(det > 1e-9 * power[0] * power[2], both / np.maximum(det, 1e-300), 0.0)
         place = int(np.argmax(gains))
         lost = (score[0, place] * power[2, place] - score[2, place] * cross[place]) / det[place]
         late = (score[2, place] * power[0, place] - score[0, place] * cross[place]) / det[place]
-        late *= self._rate * self._amplitude[place]
+        late *= self._rate * self._amplitude[first + place]
         size, u = np.hypot(lost, late), np.sqrt(power[2, place] / det[place])
-        return _better(out, Best(ChangeKind.KNOCK, place, size, u, now - float(gains[place])))
+        return _better(out, Best(ChangeKind.KNOCK, first + place, size, u, now - float(gains[place])))
 
     def take(self, best: Best) -> None:
         """What is left once a change is allowed for."""
         kinds = {ChangeKind.FRICTION: [1], ChangeKind.PERIOD: [3], ChangeKind.KNOCK: [0, 2]}[best.kind]
-        own, _ = np.linalg.qr(self._changes[kinds, best.place].T)
+        own, _ = np.linalg.qr(self._changes(best.place, 1)[kinds, 0].T)
         self._left = self._left - own @ (own.T @ self._left)
-        self._changes = self._changes - (self._changes @ own) @ own.T
+        # orthogonal to those before, so that both are taken off together
+        self._directions = np.column_stack([self._directions, own])
 
 
 def _better(one: Best | None, other: Best) -> Best:

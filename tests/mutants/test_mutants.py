@@ -61,4 +61,4 @@ def test_the_nearest_tests_come_first() -> None:
     assert room_of_tests(Path("rig/control/lasers/obis.py")) == Path("tests/rig/control")
     files = nearest_first(Path("processing/fit/whiteness.py"), "whiteness")
     assert files[0] == Path("tests/processing/fit/test_whiteness.py")
-    assert set(files) == set(Path("tests/processing/fit").glob("test_*.py"))
+    assert set(files) == set(Path("tests/processing/fit").rglob("test_*.py"))

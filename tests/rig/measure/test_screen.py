@@ -156,10 +156,10 @@ def test_json_lines_name_each_loss(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_view_says_how_old_frames_are() -> None:
-    assert "frames are 12 ms old" in state_text(SEEN, DeflectionUnit.RAD)
-    assert "lost: 3 by the bus, 1 by this computer" in state_text(SEEN, DeflectionUnit.RAD)
+    assert "frames were 12 ms old" in state_text(SEEN, DeflectionUnit.RAD, "12:00:00", [])
+    assert "lost: 3 by the bus, 1 by this computer" in state_text(SEEN, DeflectionUnit.RAD, "12:00:00", [])
     assert math.isnan(Snapshot().frame_age_s)
-    assert "old" not in state_text(Snapshot(), DeflectionUnit.RAD)
+    assert "old" not in state_text(Snapshot(), DeflectionUnit.RAD, "12:00:00", [])
 
 
 def test_a_value_that_its_uncertainty_hides_is_not_shown() -> None:

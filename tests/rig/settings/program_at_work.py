@@ -232,7 +232,7 @@ def suffer_every_fault() -> None:
     inputs = RigInputs()
     for act in (inputs.starter, inputs.brake):
         act(True)
-    _read(SimulatedCamera(real, FaultSettings(), inputs), 20)
+    _read(SimulatedCamera(real, FaultSettings(clock_steps_at_s=0.05), inputs), 20)
 
 
 def shake_the_ground(folder: Path) -> None:

@@ -55,6 +55,7 @@ class ConstantMomentColumns:
         self._scale = np.array([self.reference, 1.0, self.reference, 1.0])
         self.lower, self.upper = np.array([-np.inf, 1e-6, 1e-3, -np.inf]), np.full(4, np.inf)
         self.map_by_log_rho = np.zeros(2)
+        self.valley = None
 
     def map_parameters(self, columns: Array) -> tuple[Array, Array]:
         order = [0, 2, 1, 3]

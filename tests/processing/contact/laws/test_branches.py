@@ -118,7 +118,7 @@ def test_rolling_with_memory_is_found_and_told_from_the_papers_law() -> None:
     assert max(map(abs, pulls(masing, truth))) < 3.5
     compared = compare_laws(points, PENDULUM, [LAWS["paper"], LAWS["masing"]], like=masing)
     assert [trial.law.name for trial in compared.trials] == ["masing", "paper"]
-    assert compared.trials[0].fit is masing
+    assert compared.trials[0].fit.values is masing.values
     assert compared.above_best(compared.trials[1]) > 100
     assert compared.describes
     assert compared.text() == "of these laws, masing describes this decay best; excluded: paper"
