@@ -51,7 +51,7 @@ DRIVERS: dict[str, Driver] = {
         sections=("simulation", "faults"),
         on_demand=True,
     ),
-    # images, a lossless video or a .npy stack that another program recorded
+    # images, a film or a .npy stack that another program recorded
     "files": Driver(
         camera="acquisition.cameras.files.camera:FilesCamera",
         settings=("acquisition.cameras.files.settings:FilesSettings",),

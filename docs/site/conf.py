@@ -52,6 +52,7 @@ CONTENTS = {
         "docs/calibration",
         "docs/controller",
         "docs/simulation",
+        "docs/video",
         "docs/tables",
         "docs/archive",
         "docs/api",

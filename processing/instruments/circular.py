@@ -24,12 +24,16 @@ from processing.swing import TurningPoints
 _FEWEST = 8
 
 
+_TELLING = 0.5
+"""Standard uncertainty of the factor above which 1 cannot be told from 0."""
+
+
 class CircularError(NamedTuple):
     """Result of the fit, and the measured periods with those of the ideal pendulum of the same T0.
 
-    `factor` is f. `sentence` states whether it differs from 1 by more than two standard uncertainties. The
-    arrays have one entry per full period: amplitude, period, its uncertainty, ideal period, and its
-    approximation with alpha^2/16.
+    `factor` is f. `sentence` states whether it differs from 1 by more than two standard uncertainties, where
+    these tell 1 from 0. The arrays have one entry per full period: amplitude, period, its uncertainty, ideal
+    period, and its approximation with alpha^2/16.
     """
 
     period0_s: Estimate
@@ -45,6 +49,11 @@ class CircularError(NamedTuple):
     def sentence(self) -> str:
         """Comparison of the factor with 1, in words."""
         f, u = self.factor
+        if abs(f - 1) <= 2 * u and u > _TELLING:
+            return (
+                "the swings are too small, or too few, to show the circular error: "
+                f"{f:.4g} ± {u:.2g} times alpha^2/16"
+            )
         if abs(f - 1) <= 2 * u:
             return f"the period follows the circular-error law: {f:.4g} ± {u:.2g} times alpha^2/16"
         faster = "faster" if f > 1 else "more slowly"

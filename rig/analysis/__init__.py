@@ -7,8 +7,10 @@ from rig.analysis.contact_results import Correlation, Fit, MonteCarlo, SurfaceEn
 from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import evaluate, fit_results
 from rig.analysis.curves import Curves, curves_of
+from rig.analysis.decay_values import decay_lines
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.encoding import JsonObject, units_of
+from rig.analysis.film_positions import FilmAsked, film_trajectory, with_positions
 from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.fitted_drag import FittedDrag, evidence_of, known_drag
@@ -22,6 +24,7 @@ from rig.analysis.instrument_results import (
     SwingPlane,
 )
 from rig.analysis.law_results import ComparedLaws, MomentsWithoutLaw
+from rig.analysis.position_table import TableColumns, Trajectory
 from rig.analysis.record_fit import (
     AnalysedRun,
     analyse_record,
@@ -48,7 +51,7 @@ from rig.analysis.settled import loss_of, points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import expected_drag, recorded_surroundings, stated_surroundings
-from rig.analysis.table_fit import TableColumns, analyse_table
-from rig.analysis.table_screen import fit_envelope_table, fit_trajectory
+from rig.analysis.table_fit import AnalysedTable, FoundDecay, along_motion, analyse_table
+from rig.analysis.table_screen import fit_envelope_table, fit_read, fit_trajectory
 from rig.analysis.waveform_results import waveform_table
 from rig.analysis.witness_file import StatedWitness, WitnessRecord

@@ -1,11 +1,11 @@
-"""Tables of other instruments: a text table of time and one or two positions, or an envelope."""
+"""Tables of other instruments: which columns are time and position, in which units, and the rows that are
+usable.
+"""
 
-import gzip
 import math
 import re
-import zlib
-from dataclasses import dataclass, replace
-from decimal import Decimal
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +13,12 @@ from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
 from processing.ticks import seconds
-from processing.units import conversion
+from processing.units import conversion, size
+from rig.analysis.tables import Cells, Named, known_unit, moments_ns, named_unit, read_cells
+from rig.analysis.tables.numbers import is_moment
+from rig.analysis.tables.times import number, placed, read_times, rising
 
-_LARGEST_TABLE_BYTES = 1024 * 1024 * 1024
-_LONGEST_S = 1e9  # thirty years; 64 bits of nanoseconds hold nine times as much
-TIME_UNITS = ("ns", "us", "ms", "s", "min", "h")
-_EXACT = 2**53
-"""Largest whole number of ns that a floating-point number holds."""
-_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
-_WHOLE = re.compile(r"[+-]?\d+")
+TIME_UNITS = ("ns", "us", "ms", "s", "min", "h", "d")
 _SORT = "sort the rows or name the time column with --time"
 _NO_COMMAS = (
     "its commas seem to be decimal commas as well as separators, which cannot be told apart: save it with "
@@ -30,6 +27,11 @@ _NO_COMMAS = (
 NOT_STATED = "unit"
 """Stands for the unit of positions where none is stated."""
 ANGLES = ("rad", "mrad", "urad", "nrad", "arcsec", "arcmin", "deg")
+_LARGEST_RAD = 1.1 * math.pi
+"""No pendulum swings further from its middle and comes back; a tenth for where the middle is taken to be."""
+_TIME_NAME = re.compile(
+    r"(?:t|time|zeit|temps|tiempo|tempo|elapsed|date.*|datum.*|timestamp|clock)(?:[\W_].*)?", re.I
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +40,8 @@ class Trajectory:
 
     `scale_rad` is the unit in rad, None where the unit is no angle (volts, px, mm): decay and
     period can then be had, contact parameters not. `time_unit` is that of the table's times,
-    `time_name` their column, `first_ns` the first of them as it stands there.
+    `time_name` their column, `first_ns` the first of them as it stands there. `understood` says in lines what
+    the file was taken for, and which rows were left out.
     """
 
     times_ns: NDArray[np.int64]
@@ -46,206 +49,323 @@ class Trajectory:
     names: tuple[str, ...]
     unit: str
     scale_rad: float | None
-    skipped_rows: int
     time_unit: str = "s"
     time_name: str = ""
+    understood: tuple[str, ...] = ()
     first_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class TableColumns:
+    """Which columns of a table hold what, in which units, and which stretch of it is used.
+
+    `time` and `positions` are columns by name or number from 1; None and empty: the first column that is
+    named like a time, else the first, and the one behind it. `rate_hz`: the table has no time, but so many
+    rows a second. `begin_s` and `end_s` are in seconds since the first row. `decimal` is the decimal mark,
+    where the numbers leave that open.
+    """
+
+    time: str | None = None
+    positions: tuple[str, ...] = ()
+    unit: str = ""
+    time_unit: str = ""
+    rate_hz: float | None = None
+    begin_s: float | None = None
+    end_s: float | None = None
+    decimal: str = ""
+
+    def read(self, path: Path) -> Trajectory:
+        """The table.
+
+        Raises
+        ------
+        DataError
+            No such file, no numbers, times that do not increase.
+        ConfigurationError
+            A column that there is not, a unit that is not known, or two that contradict one another.
+        """
+        return _Reading(path, self).trajectory()
+
+
+class _Reading:
+    """One reading of one table."""
+
+    def __init__(self, path: Path, asked: TableColumns) -> None:
+        self._path, self._asked = path, asked
+        self._cells: Cells = read_cells(path, asked.decimal)
+        width = len(self._cells.rows[0])
+        self._names = list(self._cells.names) or [f"column {k + 1}" for k in range(width)]
+        self._named = [self._unit_of(k) for k in range(width)]
+        self._said: list[str] = []
+
+    def trajectory(self) -> Trajectory:
+        t_column = self._time_column()
+        p_columns = self._position_columns(t_column)
+        rows, asked = self._cells.rows, self._asked
+        table = np.array([[number(row[k]) for k in p_columns] for row in rows], dtype=np.float64)
+        if t_column is None:
+            assert asked.rate_hz is not None
+            times_ns = np.round(np.arange(len(rows)) * (1e9 / asked.rate_hz)).astype(np.int64)
+            good, time_unit, first_ns = np.ones(len(rows), bool), "s", 0
+            self._said.append(f"time: {asked.rate_hz:g} rows a second, as --rate says")
+        else:
+            times_ns, good, time_unit, first_ns = self._times(t_column)
+        unit = self._position_unit(p_columns)
+        table, lines = table[good], np.asarray(self._cells.lines)[good]
+        inside = self._stretch(times_ns)
+        times_ns, table = times_ns[inside], table[inside]
+        self._left_out(good, lines[inside], table)
+        self._judge_size(unit, table)
+        return Trajectory(
+            times_ns=times_ns,
+            positions=tuple(table.T),
+            names=tuple(self._names[k] for k in p_columns),
+            unit=unit,
+            scale_rad=conversion(unit, "rad") if unit in ANGLES else None,
+            time_unit=time_unit,
+            time_name="the rate" if t_column is None else self._names[t_column],
+            understood=(self._how_written(), *self._said),
+            first_ns=first_ns,
+        )
+
+    def columns(self) -> Trajectory:
+        """Time and any number of columns, whatever their units; all but the time where none is named."""
+        t_column = self._time_column()
+        assert t_column is not None
+        chosen = [self._column(name) for name in self._asked.positions] or [
+            k for k in range(len(self._names)) if k != t_column
+        ]
+        times_ns, good, time_unit, first_ns = self._times(t_column)
+        table = np.array([[number(row[k]) for k in chosen] for row in self._cells.rows], dtype=np.float64)
+        return Trajectory(
+            times_ns=times_ns,
+            positions=tuple(table[good].T),
+            names=tuple(self._names[k] for k in chosen),
+            unit=NOT_STATED,
+            scale_rad=None,
+            time_unit=time_unit,
+            time_name=self._names[t_column],
+            first_ns=first_ns,
+        )
+
+    def _unit_of(self, column: int) -> Named:
+        named = named_unit(self._names[column]) if self._cells.names else Named(self._names[column], "")
+        beside = self._cells.units[column]
+        if not beside:
+            return named
+        unit = known_unit(beside)
+        return Named(named.name, unit or named.unit, "" if unit or named.unit else beside)
+
+    def _time_column(self) -> int | None:
+        asked, width = self._asked, len(self._names)
+        if asked.rate_hz is not None:
+            if asked.time is not None or asked.time_unit:
+                raise ConfigurationError(
+                    "--rate is for a table without times; leave --time and --time-unit out"
+                )
+            return None
+        if asked.time is not None:
+            return self._column(asked.time)
+        if width < 2:
+            raise DataError(
+                f"{self._path}: has one column; time and position are needed, or the rate of its rows: "
+                "--rate HZ"
+            )
+        like_time = [
+            k
+            for k, named in enumerate(self._named)
+            if (self._cells.names and (_TIME_NAME.fullmatch(named.name) or _is_time(named.unit)))
+            or all(is_moment(row[k]) for row in self._cells.rows[:50])
+        ]
+        return like_time[0] if like_time else 0
+
+    def _position_columns(self, t_column: int | None) -> list[int]:
+        asked, width = self._asked, len(self._names)
+        if len(asked.positions) > 2:
+            raise ConfigurationError(
+                f"--position was given {len(asked.positions)} times; one or two columns are used"
+            )
+        if asked.positions:
+            return [self._column(name) for name in asked.positions]
+        if t_column is None and width > 1:
+            raise ConfigurationError(f"{self._path}: has {width} columns; name the position with --position")
+        behind = 0 if t_column is None else t_column + 1
+        return [behind if behind < width else 0]
+
+    def _column(self, name: str) -> int:
+        for among in (self._names if self._cells.names else [], [named.name for named in self._named]):
+            if name in among:
+                return list(among).index(name)
+        width = len(self._names)
+        if name.isdecimal() and 1 <= int(name) <= width:
+            return int(name) - 1
+        known = (
+            ", ".join(self._names) if self._cells.names else f"1 to {width} (the table has no header line)"
+        )
+        raise ConfigurationError(f"{self._path}: has no column {name!r}; columns: {known}")
+
+    def _times(self, column: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], str, int]:
+        cells = [row[column] for row in self._cells.rows]
+        if sum(map(is_moment, cells[:50])) > 0.5 * len(cells[:50]):
+            found = moments_ns(cells)
+            good = np.array([one is not None for one in found])
+            kept = [one for one in found if one is not None]
+            times_ns = np.array([one - kept[0] for one in kept], dtype=np.int64)
+            rising(self._path, times_ns, [cell for cell, yes in zip(cells, good, strict=True) if yes], _SORT)
+            self._said.append(f"time: {self._names[column]}, moments")
+            return times_ns, good, "s", kept[0]
+        unit, source = self._time_unit(column)
+        remedy = _SORT if not self._split_at_decimal_commas() else _NO_COMMAS
+        times_ns, good, first_ns = read_times(self._path, cells, unit, remedy)
+        self._said.append(f"time: {self._names[column]}, in {unit} ({source})")
+        return times_ns, good, unit, first_ns
+
+    def _time_unit(self, column: int) -> tuple[str, str]:
+        """The unit of time, and who says so."""
+        named, stated = self._named[column], self._asked.time_unit
+        if stated and not _is_time(known_unit(stated)):
+            raise ConfigurationError(
+                f"--time-unit {stated!r} is no unit of time; take one of {', '.join(TIME_UNITS)}"
+            )
+        if named.unit and not _is_time(named.unit):
+            raise ConfigurationError(
+                f"{self._path}: {self._names[column]!r} is in {named.unit}, which is no unit of time; name "
+                "the time column with --time, or state --rate"
+            )
+        stated = known_unit(stated)
+        if stated and named.unit and stated != named.unit:
+            raise ConfigurationError(
+                f"{self._path}: {self._names[column]!r} says {named.unit}, --time-unit says {stated}; "
+                "leave the option out, or correct the header"
+            )
+        if stated:
+            return stated, "--time-unit"
+        if named.strange:
+            raise ConfigurationError(
+                f"{self._path}: {named.strange!r} in {self._names[column]!r} is no unit of time that is "
+                f"known here; state --time-unit, one of {', '.join(TIME_UNITS)}"
+            )
+        return (named.unit, "its header") if named.unit else ("s", "nothing states another")
+
+    def _position_unit(self, columns: Sequence[int]) -> str:
+        stated = known_unit(self._asked.unit) or self._asked.unit
+        sources = []
+        for k in columns:
+            named = self._named[k]
+            if named.strange and not stated:
+                raise ConfigurationError(
+                    f"{self._path}: {named.strange!r} in {self._names[k]!r} is no unit that is known here; "
+                    f"state --unit, one of {', '.join(ANGLES)} or any word"
+                )
+            if named.unit and stated and not _same(named.unit, stated):
+                raise ConfigurationError(
+                    f"{self._path}: {self._names[k]!r} says {named.unit}, --unit says {stated}; leave the "
+                    "option out, or correct the header"
+                )
+            sources.append(named.unit)
+        if len(set(sources)) > 1:
+            raise ConfigurationError(
+                f"{self._path}: the positions are in {' and '.join(map(repr, sources))}; both need the "
+                "same unit"
+            )
+        unit = stated or sources[0] or NOT_STATED
+        source = "--unit" if stated else "its header" if sources[0] else "not stated"
+        names = ", ".join(self._names[k] for k in columns)
+        self._said.append(
+            f"position: {names}" + (f", in {unit} ({source})" if unit != NOT_STATED else f" ({source})")
+        )
+        return unit
+
+    def _stretch(self, times_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        asked = self._asked
+        since_s = seconds(times_ns - times_ns[0])
+        begin_s = since_s[0] if asked.begin_s is None else asked.begin_s
+        end_s = since_s[-1] if asked.end_s is None else asked.end_s
+        inside = (since_s >= begin_s) & (since_s <= end_s)
+        if np.count_nonzero(inside) < 2:
+            raise ConfigurationError(
+                f"{self._path}: --from {begin_s:g} --to {end_s:g} leaves no rows; it goes from 0 to "
+                f"{since_s[-1]:.6g} s"
+            )
+        steps_s = np.diff(since_s[inside])
+        step_s = float(np.median(steps_s))
+        even = float(steps_s.max()) < 1.5 * step_s
+        self._said.append(
+            f"stretch: {since_s[inside][0]:.6g} to {since_s[inside][-1]:.6g} s of 0 to {since_s[-1]:.6g} s, "
+            f"{1 / step_s:.6g} rows a second" + ("" if even else ", unevenly")
+        )
+        return np.asarray(inside)
+
+    def _left_out(
+        self, good: NDArray[np.bool_], lines: NDArray[np.int64], table: NDArray[np.float64]
+    ) -> None:
+        every = np.asarray(self._cells.lines)
+        for what, which in (
+            ("rows without the right number of columns", list(self._cells.left_out)),
+            ("rows without a readable time", every[~good].tolist()),
+        ):
+            if which:
+                self._said.append(f"left out: {len(which)} {what} ({placed(which)})")
+        for column, values in enumerate(table.T):
+            if (missing := np.isnan(values)).any():
+                self._said.append(
+                    f"missing from the fit: {int(missing.sum())} values of position {column + 1} that are no "
+                    f"numbers ({placed(lines[missing].tolist())})"
+                )
+
+    def _judge_size(self, unit: str, table: NDArray[np.float64]) -> None:
+        """Refuse an angle that no pendulum swings by."""
+        if unit not in ANGLES or not np.isfinite(table).any():
+            return
+        span = float(np.nanmax(table, axis=0).max() - np.nanmin(table, axis=0).min())
+        each = float(np.max(np.nanmax(table, axis=0) - np.nanmin(table, axis=0)))
+        if 0.5 * min(span, each) * conversion(unit, "rad") > _LARGEST_RAD:
+            raise ConfigurationError(
+                f"{self._path}: the position goes over {each:.4g} {unit}, more than a turn: is that its "
+                "unit? State another with --unit, or use a stretch (--from, --to)"
+            )
+
+    def _how_written(self) -> str:
+        cells = self._cells
+        separated = (
+            f"columns separated by {cells.separator}" if cells.separator else f"{len(self._names)} columns"
+        )
+        mark = {".": "points", ",": "commas"}[cells.writing.decimal]
+        names = f"names: {', '.join(self._names)}" if cells.names else "no names"
+        return f"{separated}, decimal {mark}; {names}"
+
+    def _split_at_decimal_commas(self) -> bool:
+        """Whether the table is likely one whose numbers were split at their decimal commas.
+
+        Then it has two columns for each name, so that no header fits, and nowhere a decimal point.
+        """
+        rows = self._cells.rows
+        return (
+            self._cells.separator == "commas"
+            and not self._cells.names
+            and len(rows[0]) >= 4
+            and not any("." in cell for row in rows[:50] for cell in row)
+        )
+
+
+def _is_time(unit: str) -> bool:
+    return bool(unit) and dict(size(unit).powers) == dict(size("s").powers)
+
+
+def _same(unit: str, other: str) -> bool:
+    try:
+        return size(unit) == size(other)
+    except ConfigurationError:
+        return unit == other
 
 
 def read_trajectory(
     path: Path, time: str | None, positions: list[str], unit: str, time_unit: str = ""
 ) -> Trajectory:
-    """Read a table: tab, comma, semicolon or space separated, .gz too, header lines allowed.
-
-    A comma is a decimal comma where tabs or semicolons separate the columns, or spaces do and every word is a
-    number with one comma or a whole number.
-
-    Parameters
-    ----------
-    time, positions
-        Columns by name (of the last header line) or by number from 1. None and empty: the first
-        column is the time, the second the position.
-    unit
-        An angle (rad, mrad, urad, nrad, arcsec, arcmin, deg) or any other word.
-    time_unit
-        ns, us, ms, s, min or h; empty: the one with which the column's name ends (time_ms), else s. Times may
-        be absolute: they are read to the ns however large they are.
-
-    Raises
-    ------
-    DataError
-        No such file, no numbers, times that do not increase.
-    ConfigurationError
-        A column or a unit of time that there is not.
-    """
-    if time_unit and time_unit not in TIME_UNITS:
-        raise ConfigurationError(
-            f"--time-unit {time_unit!r} is no unit of time; take one of {', '.join(TIME_UNITS)}"
-        )
-    if len(positions) > 2:
-        raise ConfigurationError(f"--position was given {len(positions)} times; one or two columns are used")
-    found = _columns(path, time, positions, time_unit, default=[1])
-    return replace(
-        found, unit=unit or NOT_STATED, scale_rad=conversion(unit, "rad") if unit in ANGLES else None
-    )
+    """Read a table; see `TableColumns`."""
+    return TableColumns(time, tuple(positions), unit, time_unit).read(path)
 
 
 def read_columns(path: Path, time: str | None, columns: list[str]) -> Trajectory:
-    """Time and any number of columns of a table, all but the time without names; see `read_trajectory`."""
-    return _columns(path, time, columns, "", default=None)
-
-
-def _columns(
-    path: Path, time: str | None, positions: list[str], time_unit: str, default: list[int] | None
-) -> Trajectory:
-    header, rows, skipped = _table(path)
-    width = len(rows[0])
-    t_column = _column(path, header, width, time, default=0)
-    time_unit = time_unit or (_unit_in_name(header[t_column]) if header else "") or "s"
-    p_columns = [_column(path, header, width, name, default=1) for name in positions] or (
-        default or [column for column in range(width) if column != t_column]
-    )
-    table = np.array([[_value(row[column]) for column in p_columns] for row in rows], dtype=np.float64)
-    remedy = _SORT if not _split_at_decimal_commas(header, rows) else _NO_COMMAS
-    times_ns, good, first_ns = _times_ns(path, [row[t_column] for row in rows], time_unit, remedy)
-    table = table[good]
-    return Trajectory(
-        times_ns=times_ns,
-        positions=tuple(table.T),
-        names=tuple(header[column] if header else f"column {column + 1}" for column in p_columns),
-        unit=NOT_STATED,
-        scale_rad=None,
-        skipped_rows=skipped,
-        time_unit=time_unit,
-        time_name=header[t_column] if header else f"column {t_column + 1}",
-        first_ns=first_ns,
-    )
-
-
-def _unit_in_name(name: str) -> str:
-    """The unit of time with which a name ends (time_ms, t [ms], t/ms, t (ms)); empty where it has none."""
-    found = re.search(rf"(?:_|[\s/(\[])({'|'.join(TIME_UNITS)})[)\]]?$", name.strip())
-    return found[1] if found else ""
-
-
-def _times_ns(
-    path: Path, cells: list[str], unit: str, remedy: str
-) -> tuple[NDArray[np.int64], NDArray[np.bool_], int]:
-    """Times from the first one in ns, which of the rows have one, and the first one.
-
-    `remedy` is said where they do not increase.
-    """
-    times = np.array([_value(cell) for cell in cells])
-    good = np.isfinite(times)
-    times = times[good]
-    if len(times) < 2:
-        raise DataError(f"{path}: {len(times)} rows have a time; name the time column with --time")
-    size_ns = round(conversion(unit, "ns"))
-    with np.errstate(over="ignore", invalid="ignore"):
-        backwards = np.nonzero(~(np.diff(times) >= 0))[0]
-        span_s = (times[-1] - times[0]) * seconds(size_ns)
-        exact = not np.abs(times).max() * size_ns < _EXACT
-    if not len(backwards) and not span_s <= _LONGEST_S:
-        raise DataError(
-            f"{path}: the times span {span_s:.3g} s, which no decay lasts; state their unit "
-            "(--time-unit ns), or name the time column with --time"
-        )
-    if not len(backwards):
-        if exact:
-            whole = [Decimal(cell) * size_ns for cell, kept in zip(cells, good, strict=True) if kept]
-            times_ns = np.array([round(value - whole[0]) for value in whole], dtype=np.int64)
-        else:
-            times_ns = np.round((times - times[0]) * size_ns).astype(np.int64)
-        backwards = np.nonzero(np.diff(times_ns) <= 0)[0]
-    if len(backwards):
-        row = int(backwards[0])
-        raise DataError(
-            f"{path}: time does not increase after {times[row]:.16g} {unit} (row {row + 1}): "
-            f"{times[row + 1]:.16g} {unit} follows; {remedy}"
-        )
-    return times_ns, good, round(times[0] * size_ns)
-
-
-def _table(path: Path) -> tuple[list[str], list[list[str]], int]:
-    """Header, cells of every row with numbers (a decimal point in each), number of rows left out."""
-    try:
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
-            raw = file.read(_LARGEST_TABLE_BYTES + 1)
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
-    except (OSError, EOFError, zlib.error) as error:
-        raise DataError(f"{path}: cannot be read: {error}") from None
-    except ValueError as error:
-        raise DataError(f"{str(path)!r}: is not the name of a file ({error})") from None
-    if len(raw) > _LARGEST_TABLE_BYTES:
-        raise DataError(f"{path}: is longer than {_LARGEST_TABLE_BYTES >> 20} MiB; take fewer rows")
-    text = raw.decode("utf-8-sig", errors="replace")
-    header: list[str] = []
-    rows: list[list[str]] = []
-    skipped = 0
-    for line in text.splitlines():
-        cells = _cells(line)
-        if not cells or line.lstrip().startswith("#"):
-            continue
-        if not rows and sum(not math.isnan(_value(cell)) for cell in cells) < 2:
-            header = cells
-            continue
-        if rows and len(cells) != len(rows[0]):
-            skipped += 1
-            continue
-        rows.append(cells)
-    if len(rows) < 2:
-        raise DataError(
-            f"{path}: holds {len(rows)} rows of numbers; a table of time and position is expected "
-            "(separated by tabs, commas, semicolons or spaces)"
-        )
-    if len(rows[0]) < 2:
-        raise DataError(f"{path}: has one column; time and position are needed")
-    return (header if len(header) == len(rows[0]) else []), rows, skipped
-
-
-def _split_at_decimal_commas(header: list[str], rows: list[list[str]]) -> bool:
-    """Whether a table is likely one whose numbers were split at their decimal commas.
-
-    Then it has two columns for each name, so that no header fits, and nowhere a decimal point.
-    """
-    return not header and len(rows[0]) >= 4 and not any("." in cell for row in rows[:50] for cell in row)
-
-
-def _cells(line: str) -> list[str]:
-    for separator in ("\t", ";"):
-        if separator in line:
-            return [_with_point(cell.strip().strip('"')) for cell in line.split(separator)]
-    words = line.split()
-    commas = [bool(_DECIMAL_COMMA.fullmatch(word)) for word in words]
-    if (
-        len(words) > 1
-        and any(commas)
-        and all(comma or _WHOLE.fullmatch(word) for comma, word in zip(commas, words, strict=True))
-    ):
-        return [_with_point(word) for word in words]
-    return [cell.strip().strip('"') for cell in line.split(",")] if "," in line else words
-
-
-def _with_point(cell: str) -> str:
-    """A number with a decimal comma with a point instead; anything else as it is."""
-    return cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell
-
-
-def _value(cell: str) -> float:
-    """A number; NaN for anything else."""
-    try:
-        return float(cell)
-    except ValueError:
-        return math.nan
-
-
-def _column(path: Path, header: list[str], width: int, name: str | None, default: int) -> int:
-    if name is None:
-        return default
-    if name in header:
-        return header.index(name)
-    if name.isdecimal() and 1 <= int(name) <= width:
-        return int(name) - 1
-    known = ", ".join(header) if header else f"1 to {width} (the table has no header line)"
-    raise ConfigurationError(f"{path}: has no column {name!r}; columns: {known}")
+    """Time and any number of columns of a table, all but the time without names; see `TableColumns`."""
+    return _Reading(path, TableColumns(time, tuple(columns))).columns()

@@ -23,6 +23,7 @@ from rig.analysis.beam import Beam
 from rig.analysis.contact_laws import DecayFits, fit_decay
 from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import evaluate, fit_results, rig_quantities
+from rig.analysis.decay_values import values_of_points
 from rig.analysis.drifts import believed_drifts
 from rig.analysis.fitted_drag import OPEN_DRAG, evidence_of, known_drag
 from rig.analysis.other_instruments import Reduction, reduce_run
@@ -239,6 +240,7 @@ def analyse_swings(
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
         witness=decay.witness,
+        **values_of_points(points, unit.shown_size),
     )
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
     rig = rig_quantities(config, deflections.fast_ratio(), rest_rad, u_clock)

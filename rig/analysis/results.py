@@ -16,6 +16,7 @@ from processing.fit import Budget, Combined, Determination, Disagreement, Drag, 
 from processing.quantity import STATED, Quantity
 from processing.surroundings import Surroundings
 from processing.swing import KnownMotion
+from rig.analysis.amplitude_damping import AmplitudeDamping
 from rig.analysis.beam import Beam
 from rig.analysis.contact_results import Adhesion, Fit, MonteCarlo, SurfaceEnergies
 from rig.analysis.encoding import Beside, Entries, JsonObject, Kept, Pendulum, Section
@@ -52,6 +53,9 @@ class RunResults:
     what else the record shows. `witness` is what a witness of the ground told, where one was given. What
     follows from a
     fit (`pendulum` to `notes`) is empty where there is none.
+    `period_s` and `log_decrement` are means over the decay, whether or not a law is fitted; a decrement that
+    changes, and a decay faster than a swing, have no `quality_factor`. `damping` says how it depends on the
+    amplitude; None of fewer than twelve half-cycles, and of amplitudes that do not fall.
     """
 
     record: str
@@ -95,6 +99,10 @@ class RunResults:
     surroundings: Surroundings | None = None
     clock: Annotated[RunClock | None, Kept] = None
     witness: WitnessUse | None = None
+    period_s: Estimate = NOT_DETERMINED
+    log_decrement: Estimate = NOT_DETERMINED
+    quality_factor: Estimate | None = None
+    damping: AmplitudeDamping | None = None
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.
@@ -149,30 +157,28 @@ class SessionResults:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableDecay(RunResults):
-    """One decay of a table: what a run of the rig reports, and mean period and logarithmic decrement.
+    """One decay of a table: what a run of the rig reports.
 
     `initial_amplitude` and `final_amplitude` are in the table's own unit, `amplitude_unit`; `began_s` and
-    `ended_s` are the first and the last turning point since the table's first row. A decrement that
-    changes, and a decay faster than a swing, have no `quality_factor`.
+    `ended_s` are the first and the last turning point since the table's first row.
     """
 
     began_s: float = nan
     ended_s: float = nan
-    period_s: Estimate = NOT_DETERMINED
-    log_decrement: Estimate = NOT_DETERMINED
-    quality_factor: Estimate | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableResults(TableDecay):
     """results.json of a table of positions of any instrument.
 
-    `decays` are all that were found, the values beside them those of the longest one.
+    `decays` are all that were found, the values beside them those of the longest one. `understood` says in
+    lines what the file was taken for, and which of its rows were left out.
     """
 
     schema: int = SCHEMA
     trajectory: str
     unit: str
+    understood: tuple[str, ...] = ()
     decays: tuple[TableDecay, ...] = ()
 
 
@@ -183,11 +189,13 @@ class EnvelopeResults:
     schema: int = SCHEMA
     envelope: str
     unit: str
+    understood: tuple[str, ...] = ()
     samples: int
     time_constant_s: Estimate
     first_half_s: float = nan
     last_half_s: float = nan
     chi2_per_dof: float = nan
     noise_floor: float = nan
+    damping: AmplitudeDamping | None = None
     quality_factor: Annotated[Estimate | None, Section] = None
     warnings: tuple[str, ...] = ()

@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from rig.analysis.compared_laws import law_table
+from rig.analysis.decay_values import decay_lines
 from rig.analysis.fit_remarks import remarks
 from rig.analysis.fit_tables import combined_table, parameter_table, quality_table
 from rig.analysis.results import RunResults, SessionResults
@@ -31,7 +32,10 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
             f"{origin} {number}: {run.half_cycles_text(run.amplitude_unit or '')}, {run.frames} frames, "
             f"{run.dropped_frames} dropped"
         )
-        print_run(run, head, () if run.ended is None else (f"ended: {run.ended}",), short=short)
+        lines = [] if run.ended is None else [f"ended: {run.ended}"]
+        # where a law is fitted, its tables say more
+        lines += [] if run.fits or run.instrument is not None else decay_lines(run)
+        print_run(run, head, lines, short=short)
     if combined is not None:
         print_tables([combined])
         if short:

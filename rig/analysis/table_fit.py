@@ -1,7 +1,8 @@
 """`rig fit` on a table: every decay in it, reported as a run of the rig is; or an envelope."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.digest import known_sha256_of
+from processing.contact.laws import Law
 from processing.decay_summary import DecaySummary, summarise_decay
 from processing.deflections import DeflectionUnit, slow_deflections
 from processing.envelope import EnvelopeDecay, fit_envelope
@@ -19,8 +21,11 @@ from processing.fit import Witness
 from processing.separate_decays import separate_decays
 from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
 from processing.ticks import seconds
+from rig.analysis.amplitude_damping import amplitude_damping
+from rig.analysis.compared_laws import laws_of
+from rig.analysis.decay_values import decay_values
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.position_table import ANGLES, NOT_STATED, Trajectory, read_trajectory
+from rig.analysis.position_table import ANGLES, NOT_STATED, TableColumns, Trajectory
 from rig.analysis.record_fit import analyse_swings
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
 from rig.analysis.surroundings import stated_surroundings
@@ -52,20 +57,6 @@ class AnalysedTable:
     results: TableResults
 
 
-@dataclass(frozen=True)
-class TableColumns:
-    """Which columns of a table hold what, in which units; see `read_trajectory`."""
-
-    time: str | None = None
-    positions: tuple[str, ...] = ()
-    unit: str = ""
-    time_unit: str = ""
-
-    def read(self, path: Path) -> Trajectory:
-        """The table."""
-        return read_trajectory(path, self.time, list(self.positions), self.unit, self.time_unit)
-
-
 def analyse_table(
     path: Path,
     config: Configuration | None,
@@ -78,7 +69,19 @@ def analyse_table(
     where unit and pendulum allow, with a `witness` of the ground where there is one. Raises DataError where
     no decay can be had, with the reason.
     """
-    trajectory = columns.read(path)
+    return analyse_trajectory(path, columns.read(path), config, witness=witness)
+
+
+def analyse_trajectory(
+    path: Path,
+    trajectory: Trajectory,
+    config: Configuration | None,
+    laws: Sequence[Law] = (),
+    witness: WitnessRecord | None = None,
+) -> AnalysedTable:
+    """The same of positions that were read before, from a table or a film; `laws` are compared where one is
+    fitted.
+    """
     scale = trajectory.scale_rad or 1.0
     deflection = along_motion(trajectory.positions) * scale
     noise = estimate_noise(trajectory.times_ns, deflection)
@@ -95,12 +98,13 @@ def analyse_table(
             f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}; --time and "
             "--position choose others"
         )
-    decays = [_analyse(path, part, trajectory, deflection, noise, config, witness) for part in usable]
+    decays = [_analyse(path, part, trajectory, deflection, noise, config, laws, witness) for part in usable]
     longest = max(decays, key=lambda decay: decay.summary.half_cycles)
     results = TableResults(
         **_values(longest.results),
         trajectory=path.as_posix(),
         unit=trajectory.unit,
+        understood=trajectory.understood,
         decays=tuple(decay.results for decay in decays),
     )
     passed_over = [part for part in parts if part not in usable]
@@ -119,14 +123,22 @@ def analyse_envelope(
         found = fit_envelope(times_s, trajectory.positions[0], decibel=decibel)
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
-    doubt = (
-        "the envelope is not one exponential (chi2/dof "
-        f"{found.chi2_per_dof:.3g}): its time constant is {found.first_s:.3g} s over the first half of the "
-        f"fall and {found.last_s:.3g} s over the last"
-    )
+    warnings = []
+    if found.changes:
+        warnings.append(
+            "the envelope is not one exponential: its time constant is "
+            f"{found.first_s:.3g} s a quarter down the fall and {found.last_s:.3g} s three quarters down"
+        )
+    if not found.described:
+        warnings.append(
+            "constant, linear and quadratic damping together do not describe the envelope (chi2/dof "
+            f"{found.damping.chi2_per_dof:.3g}); choose a stretch with --from and --to"
+        )
+    shown = (lambda amplitude: 20.0 * math.log10(amplitude)) if decibel else float
     return found, EnvelopeResults(
         envelope=path.as_posix(),
         unit="dB" if decibel else trajectory.unit,
+        understood=trajectory.understood,
         samples=found.samples,
         time_constant_s=Estimate(found.tau_s, found.u_tau_s),
         first_half_s=found.first_s,
@@ -134,7 +146,8 @@ def analyse_envelope(
         chi2_per_dof=found.chi2_per_dof,
         noise_floor=found.floor,
         quality_factor=None if frequency_hz is None else Estimate(*found.quality_factor(frequency_hz)),
-        warnings=(doubt,) if found.changes else (),
+        damping=amplitude_damping(found.damping, frequency_hz, shown),
+        warnings=tuple(warnings),
     )
 
 
@@ -162,6 +175,7 @@ def _analyse(
     deflection: NDArray[np.float64],
     noise: float,
     config: Configuration | None,
+    laws: Sequence[Law],
     witness: WitnessRecord | None,
 ) -> FoundDecay:
     """One decay, by the same path as a record's."""
@@ -184,17 +198,22 @@ def _analyse(
             return witness.beside(Begin(in_file_ns, in_file_ns if absolute else None))
 
         at = None if witness is None else beside
-        run = analyse_swings(path, swings, config, passing, stated_surroundings(config), witness=at).results
+        fitted = analyse_swings(path, swings, config, passing, stated_surroundings(config), witness=at)
+        run = replace(fitted.results, laws=laws_of(fitted, laws)) if laws else fitted.results
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
-    values = _values(run) | {
-        "frames": int(np.count_nonzero(inside)),
-        "half_cycles": run.half_cycles or summary.half_cycles,
-        "amplitude_unit": trajectory.unit,
-        "initial_amplitude": summary.initial_amplitude / scale,
-        "final_amplitude": summary.final_amplitude / scale,
-        "warnings": (*run.warnings, *_changes(summary)),
-    }
+    values = (
+        _values(run)
+        | decay_values(points, summary, scale)
+        | {
+            "frames": int(np.count_nonzero(inside)),
+            "half_cycles": run.half_cycles or summary.half_cycles,
+            "amplitude_unit": trajectory.unit,
+            "initial_amplitude": summary.initial_amplitude / scale,
+            "final_amplitude": summary.final_amplitude / scale,
+            "warnings": (*run.warnings, *_changes(summary)),
+        }
+    )
     if config is not None and config.lever is None and run.budget:
         values["notes"] = (
             *run.notes,
@@ -204,9 +223,6 @@ def _analyse(
         **values,
         began_s=seconds(unflagged[0]),
         ended_s=seconds(unflagged[-1]),
-        period_s=Estimate(summary.period_s.value, summary.period_s.u),
-        log_decrement=Estimate(summary.decrement.value, summary.decrement.u),
-        quality_factor=summary.quality_factor,
     )
     return FoundDecay(swings, summary, results)
 

@@ -2,19 +2,20 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-
-import numpy as np
 
 from processing.decay_summary import DecayMean
 from processing.errors import ConfigurationError
 from processing.swing import SwingFlag, turning_points
 from processing.ticks import seconds
+from rig.analysis.amplitude_damping import damping_lines
+from rig.analysis.compared_laws import chosen_laws
+from rig.analysis.position_table import TableColumns, Trajectory
 from rig.analysis.results import EnvelopeResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, write_results
 from rig.analysis.screen import print_run
-from rig.analysis.table_fit import AnalysedTable, FoundDecay, TableColumns, analyse_envelope, analyse_table
+from rig.analysis.table_fit import AnalysedTable, FoundDecay, analyse_envelope, analyse_trajectory
 from rig.analysis.witness_file import StatedWitness
 from rig.instrument import fill_from_files
 from rig.presentation import with_uncertainty
@@ -22,6 +23,8 @@ from rig.settings import Watched, load_configuration
 
 _TOO_QUIET = 0.01
 """Chi-square per degree of freedom that no scatter by the stated noise gives."""
+ReportWriter = Callable[[AnalysedTable, Path], Sequence[tuple[str, Path]]]
+"""Writes the report of a table into a folder; what it made, by names."""
 ENVELOPES = ("amplitude", "power")
 _FLAGS = {
     SwingFlag.GAP: "with a gap",
@@ -38,20 +41,42 @@ def fit_trajectory(
     config_path: Path | None,
     columns: TableColumns,
     overrides: Sequence[str],
+    report: ReportWriter | None = None,
+    laws: Sequence[str] = (),
     witness: StatedWitness | None = None,
 ) -> int:
     """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
+    return fit_read(path, columns.read(path), output, config_path, overrides, report, laws, witness)
+
+
+def fit_read(
+    path: Path,
+    trajectory: Trajectory,
+    output: Path | None,
+    config_path: Path | None,
+    overrides: Sequence[str],
+    report: ReportWriter | None = None,
+    laws: Sequence[str] = (),
+    witness: StatedWitness | None = None,
+) -> int:
+    """The same of positions that were read before; `report` draws what was found, `laws` are compared."""
     ground = None if witness is None else witness.read()
+    compared = chosen_laws(laws) if laws else ()
     if config_path:
         stated = load_configuration(config_path, overrides, needs_camera=False)
         watched = Watched(stated, overrides, "a table holds neither frames nor spots")
-        table = analyse_table(path, fill_from_files(watched.config), columns, ground)
+        table = analyse_trajectory(path, trajectory, fill_from_files(watched.config), compared, ground)
         if not table.results.problem:
             watched.refuse_unread()
     else:
-        table = analyse_table(path, None, columns)
+        table = analyse_trajectory(path, trajectory, None)
+    if laws and table.results.problem:
+        raise ConfigurationError(f"--law {laws[0]}: {table.results.problem}")
     _print(path, table)
     _write(output, table.results)
+    if output is not None and report is not None:
+        for name, made in report(table, output):
+            print(f"{name:<12} {made}")
     return 0
 
 
@@ -64,10 +89,18 @@ def fit_envelope_table(
     found, results = analyse_envelope(path, columns, decibel=kind == "power", frequency_hz=frequency_hz)
     unit = f" {results.unit}"
     print(f"{path}: an envelope of {found.samples} values, noise of one {found.noise:.3g}{unit}")
-    print(f"  {found.initial:.4g}{unit} at the start, noise floor {found.floor:.3g}{unit}")
+    for line in results.understood:
+        print(f"  {line}")
+    floor = (
+        f"noise floor {found.floor:.3g}{unit}" if math.isfinite(found.floor) else "no noise floor to be seen"
+    )
+    print(f"  {found.initial:.4g}{unit} at the start, {floor}")
     of_power = with_uncertainty(0.5 * found.tau_s, 0.5 * found.u_tau_s)
     print(f"  time constant of the amplitude {with_uncertainty(found.tau_s, found.u_tau_s)} s")
     print(f"  time constant of the power {of_power} s")
+    if results.damping is not None:
+        for line in damping_lines(results.damping, unit.strip() if kind != "power" else "sqrt(power)"):
+            print(f"  {line}")
     if results.quality_factor is not None:
         print(f"  quality factor {with_uncertainty(*results.quality_factor)}")
     for warning in results.warnings:
@@ -90,11 +123,8 @@ def _print(path: Path, table: AnalysedTable) -> None:
         f"{'' if trajectory.time_unit == 's' else f'time in {trajectory.time_unit}, '}"
         f"{len(table.decays)} {'decay' if len(table.decays) == 1 else 'decays'}"
     )
-    if trajectory.skipped_rows:
-        print(f"  {trajectory.skipped_rows} rows without the right number of columns were left out")
-    for name, position in zip(trajectory.names, trajectory.positions, strict=True):
-        if gaps := int(np.isnan(position).sum()):
-            print(f"  {gaps} values of {name} are no numbers and are missing from the fit")
+    for line in trajectory.understood:
+        print(f"  {line}")
     print(f"  noise of a sample {table.noise:.3g} {trajectory.unit}, from the scatter about a smooth curve")
     for part in table.passed_over:
         print(
@@ -116,6 +146,8 @@ def _print_decay(number: int, decay: FoundDecay) -> None:
         lines.append("the decay is faster than a swing: no quality factor")
     elif results.quality_factor is not None:
         lines.append(f"quality factor {with_uncertainty(*results.quality_factor)}")
+    if results.damping is not None:
+        lines += damping_lines(results.damping, results.amplitude_unit or "")
     if summary.period_s.chi2_per_dof < _TOO_QUIET and summary.decrement.chi2_per_dof < _TOO_QUIET:
         lines.append(
             "the half-cycles scatter far less than the noise of a sample says, which few samples a swing "

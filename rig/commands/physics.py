@@ -13,12 +13,12 @@ from rig.commands.inputs import one_record, recorded, records_in, there
 from rig.commands.outputs import folder_without
 
 if TYPE_CHECKING:
-    from rig.analysis import StatedWitness
+    from rig.analysis import AnalysedTable, StatedWitness
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    for command in (fit, plan, instruments):
+    for command in (fit, video, plan, instruments):
         app.command()(command)
 
 
@@ -39,8 +39,8 @@ def fit(
     time_unit: Annotated[
         str,
         typer.Option(
-            help="CSV: unit of the time: ns (also absolute), us, ms, s, min, h; default: as its name ends "
-            "(time_ms), else s.",
+            help="CSV: unit of the time: ns (also absolute), us, ms, s, min, h, d; default: as its header "
+            "says (time_ms, t [ms]), else s.",
             show_default=False,
         ),
     ] = "",
@@ -52,6 +52,19 @@ def fit(
         str,
         typer.Option(help="CSV: unit of the position: rad, mrad, urad, arcsec, arcmin, deg, or any word."),
     ] = "",
+    rate: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="CSV without times: rows a second, in Hz."),
+    ] = None,
+    begin: Annotated[
+        float | None, typer.Option("--from", help="CSV: use it from here on, in s since its first row.")
+    ] = None,
+    end: Annotated[
+        float | None, typer.Option("--to", help="CSV: use it up to here, in s since its first row.")
+    ] = None,
+    decimal: Annotated[
+        str, typer.Option(help="CSV: the decimal mark, point or comma, where its numbers leave that open.")
+    ] = "",
     envelope: Annotated[
         str | None,
         typer.Option(help="CSV: the column is an envelope: amplitude, or power in dB."),
@@ -61,7 +74,7 @@ def fit(
     ] = None,
     law: Annotated[
         list[str] | None,
-        typer.Option(help="Records: compare the paper's law with another one, all or none; may be repeated."),
+        typer.Option(help="Compare the paper's law with another one, all or none; may be repeated."),
     ] = None,
     witness: Annotated[
         Path | None,
@@ -97,23 +110,25 @@ def fit(
             )
         from rig.analysis import TableColumns, fit_envelope_table, fit_trajectory
 
-        if law:
-            raise ConfigurationError(
-                f"--law {law[0]}: only records are compared with several laws, not a table"
-            )
+        if law and (config is None or envelope is not None):
+            raise ConfigurationError(f"--law {law[0]}: laws need swings and --config CONFIG with [pendulum]")
         if set_ and (config is None or envelope is not None):
             raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
-        columns = TableColumns(time, tuple(position or ()), unit, time_unit)
+        if decimal not in ("", ".", ","):
+            raise ConfigurationError(f"--decimal {decimal!r}: a point or a comma")
+        if rate is not None and not rate > 0:
+            raise ConfigurationError(f"--rate {rate:g}: rows a second are more than 0")
+        columns = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, decimal)
         if ground is not None and (config is None or envelope is not None):
             raise ConfigurationError("--witness: has no effect without --config, which gives the pendulum")
         if envelope is not None:
             raise typer.Exit(fit_envelope_table(files[0], output, columns, envelope, frequency))
         raise typer.Exit(
-            fit_trajectory(files[0], output, config, columns, overrides=set_ or [], witness=ground)
+            fit_trajectory(files[0], output, config, columns, set_ or [], _decay_report, law or [], ground)
         )
     of_tables = {
         "--config": config, "--time": time, "--position": position, "--unit": unit, "--envelope": envelope,
-        "--frequency": frequency,
+        "--frequency": frequency, "--rate": rate, "--from": begin, "--to": end, "--decimal": decimal,
     }  # fmt: skip
     if stated := next((name for name, value in of_tables.items() if value), ""):
         raise ConfigurationError(f"{stated}: has no effect on records, only on a table; leave it out")
@@ -132,6 +147,74 @@ def _witness(path: Path | None, columns: Sequence[str], offset_s: float | None) 
     if stated := "--witness-column" if columns else "--witness-offset" if offset_s is not None else "":
         raise ConfigurationError(f"{stated}: has no effect without --witness")
     return None
+
+
+def video(
+    film: Annotated[
+        Path,
+        typer.Argument(help="A film, or a folder of images.", show_default=False, callback=there),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Folder for results.json, report.html and positions.csv.",
+            callback=folder_without("results.json", "report.html", "positions.csv"),
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Configuration with [pendulum] and [fit]; the pixel is an angle then.", callback=there
+        ),
+    ] = None,
+    pixel: Annotated[
+        str, typer.Option(help="Size of a pixel with its unit: '0.142 mm', '3.2 arcsec'; default: px.")
+    ] = "",
+    rate: Annotated[
+        float | None, typer.Option(min=0.001, help="Frames a second, of images or of a film that says none.")
+    ] = None,
+    force_rate: Annotated[
+        bool, typer.Option("--force-rate", help="The rate holds although the film's own times contradict it.")
+    ] = False,
+    dark: Annotated[
+        bool | None,
+        typer.Option("--dark/--bright", help="What swings is darker than its ground, or brighter."),
+    ] = None,
+    begin: Annotated[float | None, typer.Option("--from", help="Use it from here on, in s.")] = None,
+    end: Annotated[float | None, typer.Option("--to", help="Use it up to here, in s.")] = None,
+    law: Annotated[
+        list[str] | None,
+        typer.Option(help="Compare the paper's law with another one, all or none; may be repeated."),
+    ] = None,
+    set_: Set = None,
+) -> None:
+    """From a film to period, damping and a report.
+
+    \b
+    Examples:
+      rig video swing.mp4 -o runs/swing
+      rig video swing.mp4 --pixel '0.142 mm'
+    """
+    from rig.analysis import FilmAsked, film_trajectory, fit_read
+
+    if set_ and config is None:
+        raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
+    if law and config is None:
+        raise ConfigurationError(f"--law {law[0]}: laws need --config CONFIG with [pendulum], and an angle")
+    if force_rate and rate is None:
+        raise ConfigurationError("--force-rate: needs the --rate that it is to hold")
+    asked = FilmAsked(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
+    raise typer.Exit(
+        fit_read(film, film_trajectory(film, asked), output, config, set_ or [], _decay_report, law or [])
+    )
+
+
+def _decay_report(table: "AnalysedTable", folder: Path) -> Sequence[tuple[str, Path]]:
+    from rig.report import make_decay_report
+
+    return make_decay_report(table, folder)
 
 
 def fit_records(

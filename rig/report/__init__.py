@@ -2,6 +2,7 @@
 
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.comparison import compare
+from rig.report.decay_report import make_decay_report
 from rig.report.drawing import INK, ReportFigure, canvas, png, styled, svg
 from rig.report.html import check_report
 from rig.report.run_data import RunData, ShownTrajectory, ShownUnit, turning_points_again

@@ -18,6 +18,7 @@ from rig.analysis import (
     Series,
     budget_of,
     curves_of,
+    decay_lines,
     determined_text,
     dominant_text,
     remarks,
@@ -26,6 +27,7 @@ from rig.analysis import (
 )
 from rig.presentation import Table, plain, quantity
 from rig.report import figures_contact, figures_ground, figures_laws, figures_motion, html
+from rig.report.decay_report import damped_figure
 from rig.report.drawing import ReportFigure, png, styled, svg
 from rig.report.figures_instruments import instrument_figures
 from rig.report.figures_motion import place_figure
@@ -126,6 +128,7 @@ def _summary(source: ReportSource) -> list[str]:
         body.append(html.paragraph(_sentence(data)))
         if data.results.problem:
             body.append(f'<div class="warn">{html.escape("No fit: " + data.results.problem)}</div>')
+            body.append(html.notes(decay_lines(data.results)))
     if len(source.runs) == 1:
         body.append(html.notes(_notes(source.runs[0])))
     return body
@@ -289,6 +292,8 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
         ]
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
+    if run.results.damping is not None and not run.results.fits:
+        drawings.append(damped_figure(points, run.results, motion.unit, "damping"))
     if run.results.position_errors is not None:
         drawings.append(place_figure(run.results.position_errors))
     if run.results.instrument is not None:

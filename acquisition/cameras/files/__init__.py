@@ -1,3 +1,3 @@
-"""Frames recorded by another program: a folder of images, a lossless video, a .npy stack."""
+"""Frames recorded by another program: a folder of images, a film, a .npy stack."""
 
 from acquisition.cameras.files.settings import FilesSettings

@@ -3,6 +3,7 @@
 import logging
 import threading
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ from acquisition.camera import (
     CameraStatus,
     without_features,
 )
+from acquisition.cameras.files.frame_source import FrameSource, Stored, Unreadable
 from acquisition.cameras.files.settings import FilesSettings
-from acquisition.cameras.files.sources import FrameSource, Stored, Unreadable, open_source
+from acquisition.cameras.files.sources import open_source
 from acquisition.cameras.files.timestamps import FrameTimes, frame_times
 from acquisition.frame import Frame, Image
 from processing.errors import DeviceError
@@ -29,9 +31,10 @@ class FilesCamera:
     """A `Camera` that plays recorded frames from the first to the last; each `start` begins at the first,
     or, after the loss of the disk or share that they lie on, where it was; their numbers then go on.
 
-    A frame that cannot be read is skipped, counted in ``status.incomplete``, logged, and leaves a gap in the
-    sequence. Frames may have different sizes. The timestamps serve as the camera's clock. Exposure, gain and
-    bit depth cannot be changed: `configure` returns None for them. A region of interest is cut out.
+    A frame that cannot be read, or has another size than the first, is skipped, counted in
+    ``status.incomplete``, logged, and leaves a gap in the sequence. The timestamps serve as the camera's
+    clock. Exposure, gain and bit depth cannot be changed: `configure` returns None for them. A region of
+    interest is cut out.
     """
 
     def __init__(self, settings: FilesSettings) -> None:
@@ -49,7 +52,11 @@ class FilesCamera:
         self._dropped_earlier = 0
         self._reconnects = 0
         self._dtype: np.dtype[Any] | None = None
+        self._shape: tuple[int, ...] = ()
+        self._skipped: list[tuple[int, str]] = []
         self._first_label = ""
+        self.found: Sequence[str] = ()
+        self.lossy = ""
 
     def open(self) -> CameraInfo:
         """Find the frames and their times; reads the first frame that can be read."""
@@ -61,10 +68,14 @@ class FilesCamera:
         except DeviceError as error:
             raise DeviceError(f"camera.files.path: {error}") from None
         if source.lossy:
-            _log.warning("%s: codec %s loses detail; spot positions suffer from it", path, source.lossy)
-        self._times = frame_times(self._settings, source.count, source.names, source.hint)
+            _log.warning("%s: %s as a rule loses detail; spot positions suffer from it", path, source.lossy)
+        for line in source.said:
+            _log.warning("%s: %s", path, line)
+        self.lossy = source.lossy
+        self.found = [*filter(None, [source.summary]), *source.said]
+        self._times = frame_times(self._settings, source)
         image, full_scale_dn, self._first_label = self._first_image(source)
-        self._dtype = image.dtype
+        self._dtype, self._shape = image.dtype, image.shape
         self._source = source
         self._info = CameraInfo(
             driver="files",
@@ -127,26 +138,27 @@ class FilesCamera:
                     return None
                 index = self._next
                 if index >= source.count:
+                    self._say_skipped(source)
                     if self._delivered == 0:
                         raise DeviceError(
                             f"{self._settings.path}: none of the {self._incomplete} frames can be read"
                         )
                     return None
                 self._next += 1
+                number = self._times.sequence[index]
+                self._dropped_earlier += number - (self._times.sequence[index - 1] if index else -1) - 1
                 try:
                     image = self._image(source, index)
                 except Unreadable as error:
                     self._incomplete += 1
-                    _log.warning("%s: skipped: %s", source.label(index), error)
+                    self._skipped.append((index, str(error)))
                     continue
                 except OSError as error:
                     self._next, self._was_lost = index, True
                     raise CameraLost(
                         f"{self._settings.path}: is no longer available: {error.strerror}"
                     ) from None
-            number = self._times.sequence[index]
-            before = self._times.sequence[index - 1] if index else -1
-            self._dropped_earlier += number - before - 1
+                self._say_skipped(source)
             self._delivered += 1
             return Frame(image, number, self._times.time_ns[index], time.monotonic_ns())
         return None
@@ -172,6 +184,14 @@ class FilesCamera:
             incomplete=self._incomplete,
             reconnects=self._reconnects,
         )
+
+    def _say_skipped(self, source: FrameSource) -> None:
+        """One line for frames that were skipped one after another."""
+        if self._skipped:
+            (first, reason), (last, _) = self._skipped[0], self._skipped[-1]
+            more = f" and {len(self._skipped) - 1} more, to {source.label(last)}" if last > first else ""
+            _log.warning("%s%s: skipped: %s", source.label(first), more, reason)
+            self._skipped.clear()
 
     def _must_be_open(self) -> CameraInfo:
         if self._info is None:
@@ -199,6 +219,12 @@ class FilesCamera:
                 f"{source.label(index)}: its pixels are {image.dtype}, those of {self._first_label} are "
                 f"{self._dtype}; state camera.files.common_depth = true to bring them to one scale"
             )
+        if image.shape != self._shape and not self._settings.mixed_sizes:
+            raise Unreadable(
+                f"is {image.shape[1]}x{image.shape[0]} px, {self._first_label} is "
+                f"{self._shape[1]}x{self._shape[0]} "
+                "px; camera.files.mixed_sizes = true takes both"
+            )
         region = self._region
         if region.width_px is not None and region.height_px is not None:
             x0, y0 = region.offset_x_px or 0, region.offset_y_px or 0
@@ -209,7 +235,13 @@ class FilesCamera:
 
     def _grey(self, stored: Stored, label: str) -> tuple[Image, int]:
         """One channel of a frame at the requested bit depth, and its full scale."""
-        pixels, full_scale = stored
+        pixels, full_scale, coloured = stored
+        if coloured and self._settings.colour != "brightness":
+            raise DeviceError(
+                f"{label}: is in colour, with the luminance apart; to use the luminance as it is stored, "
+                "state "
+                "camera.files.colour = 'brightness'"
+            )
         if pixels.ndim == 3:
             pixels = self._one_channel(pixels, label)
         if self._settings.bit_depth is not None:
@@ -228,7 +260,7 @@ class FilesCamera:
         if np.array_equal(blue, green) and np.array_equal(green, red):
             return green
         match self._settings.colour:
-            case "mean":
+            case "mean" | "brightness":
                 total = blue.astype(np.uint32) + green + red
                 mean: NDArray[Any] = ((total + 1) // 3).astype(pixels.dtype)
                 return mean
@@ -236,5 +268,5 @@ class FilesCamera:
                 return {"red": red, "green": green, "blue": blue}[colour]
         raise DeviceError(
             f"{label}: is a colour image; to use it, state camera.files.colour = "
-            "'mean', 'red', 'green' or 'blue'"
+            "'mean', 'brightness', 'red', 'green' or 'blue'"
         )

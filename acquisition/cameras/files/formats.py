@@ -1,4 +1,4 @@
-"""What OpenCV does not tell of images in files: the maximum value of a PGM, a TIFF cut off, damaged FFV1.
+"""What libraries do not tell of images in files: the maximum value of a PGM, a TIFF cut off, damaged FFV1.
 
 OpenCV rescales some portable grey maps; the pages of a TIFF file are counted by its directories.
 """
@@ -8,7 +8,6 @@ import zlib
 from pathlib import Path
 from typing import Any, BinaryIO, Final, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -99,7 +98,6 @@ def _following(file: BinaryIO, offset: int, size: int, order: _Order, big: bool)
 _SIZE: Final = 3
 _FOOTER: Final = 8
 _ONES: Final = 0xFFFFFFFF
-_LOOKED_AT: Final = 5
 # the CRC of RFC 9043 takes the most significant bit first, zlib's the least
 _REVERSED: Final = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
@@ -122,46 +120,3 @@ def is_whole(packet: bytes) -> bool:
     """Whether a frame with checksums is undamaged."""
     slices = slices_of(packet)
     return bool(slices) and all(zlib.crc32(part.translate(_REVERSED), _ONES) == _ONES for part in slices)
-
-
-class Ffv1Checksums:
-    """Checks the frames of a FFV1 file in order, from their bytes as stored.
-
-    `present` is False if the encoder wrote no checksums, so that damage cannot be found.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._capture = self._opened()
-        first = [packet for packet in (self._next() for _ in range(_LOOKED_AT)) if packet]
-        # one of the first frames may itself be damaged
-        self.present = any(map(slices_of, first))
-        self.rewind()
-
-    def rewind(self) -> None:
-        """Begin with the first frame again."""
-        self._capture.release()
-        self._capture = self._opened()
-        self._spoilt = False
-
-    def next_is_whole(self) -> bool:
-        """Check the next frame. One that follows a damaged frame up to the next key frame is not whole."""
-        packet = self._next()
-        if not self.present or packet is None:
-            return True
-        if not is_whole(packet):
-            self._spoilt = True
-        elif self._capture.get(cv2.CAP_PROP_LRF_HAS_KEY_FRAME):
-            self._spoilt = False
-        return not self._spoilt
-
-    def close(self) -> None:
-        """Close the file."""
-        self._capture.release()
-
-    def _opened(self) -> cv2.VideoCapture:
-        return cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
-
-    def _next(self) -> bytes | None:
-        good, packet = self._capture.read()
-        return packet.tobytes() if good and packet is not None else None

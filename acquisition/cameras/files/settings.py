@@ -5,7 +5,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, Field, model_validator
 
-Colour = Literal["refuse", "mean", "red", "green", "blue"]
+Colour = Literal["refuse", "mean", "red", "green", "blue", "brightness"]
 
 
 class FilesSettings(BaseModel, frozen=True, extra="forbid"):
@@ -13,7 +13,8 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
 
     Times come from either a CSV file or a stated frame rate. If neither is given, a CSV file beside the
     frames is used: ``timestamps.csv`` in a folder of images, otherwise the name of the frames' file with the
-    suffix ``.csv``.
+    suffix ``.csv``; without one a film's own times are used. A stated rate that a film's own times contradict
+    is refused, unless `force_frame_rate` says that it is right.
 
     The CSV file has one header line and one row per frame, in the order of the frames. Columns, in any order
     (others are ignored): ``time_ns`` (integer) or ``time_s`` (decimal, any number of digits), not negative
@@ -21,16 +22,31 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
     optionally ``file`` (name of the image, which is checked).
     """
 
-    path: Path = Field(description="folder of images, video file, TIFF stack or .npy stack (n, ny, nx)")
+    path: Path = Field(description="folder of images, film, TIFF stack or .npy stack (n, ny, nx)")
     timestamps_csv: Path | None = None
     frame_rate_hz: float | None = Field(default=None, gt=0, le=1e6)
+    force_frame_rate: bool = Field(
+        default=False,
+        description="frame_rate_hz holds although the film's own times contradict it, as those of a film "
+        "that is stored to be played slowly",
+    )
+    numbering: Literal["names", "order"] = Field(
+        default="names",
+        description="with frame_rate_hz: images count by the numbers in their names, so that a missing one "
+        "leaves a gap, or by their order alone",
+    )
     bit_depth: int | None = Field(
         default=None, ge=8, le=16, description="bits really used; None: all 8 or 16 (PGM states its own)"
     )
     colour: Colour = Field(
         default="refuse",
-        description="images with three different channels are rejected, or this is made of them; equal "
-        "channels are taken as the grey image that they are",
+        description="pictures in colour are rejected, or this is made of them: of RGB the mean of the three "
+        "channels or one of them; brightness: the luma as it is stored, and of RGB the mean. Equal channels "
+        "are taken as the grey image that they are, luma without chroma as well",
+    )
+    mixed_sizes: bool = Field(
+        default=False,
+        description="frames of another size than the first are delivered too, not counted and left out",
     )
     common_depth: bool = Field(
         default=False,
@@ -42,6 +58,8 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
     def _one_clock(self) -> Self:
         if self.timestamps_csv is not None and self.frame_rate_hz is not None:
             raise ValueError("state timestamps_csv or frame_rate_hz, not both")
+        if self.force_frame_rate and self.frame_rate_hz is None:
+            raise ValueError("force_frame_rate needs the frame_rate_hz that it is to hold")
         if self.common_depth and self.bit_depth is not None:
             raise ValueError("common_depth brings all images to 16 bits; leave bit_depth out")
         return self

@@ -1,63 +1,27 @@
-"""Sources of recorded frames: folder of images, TIFF file, .npy stack, video."""
+"""Sources of recorded frames: folder of images, TIFF file, .npy stack, film."""
 
 import contextlib
-import logging
-import math
 import re
-from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.cameras.files.formats import Ffv1Checksums, is_cut_off, read_pgm
+from acquisition.cameras.files.film import FilmSource
+from acquisition.cameras.files.formats import is_cut_off, read_pgm
+from acquisition.cameras.files.frame_source import FrameSource, Stored
+from acquisition.cameras.files.frame_source import Unreadable as Unreadable
 from processing.errors import DeviceError
 
-_log = logging.getLogger(__name__)
 IMAGES = (".png", ".pgm", ".tif", ".tiff", ".bmp")
 _STACKS = (".tif", ".tiff")
-_LOSSLESS = ("FFV1", "HFYU", "FFVH", "GREY", "Y800", "Y8  ", "Y16 ", "RAW ", "\0\0\0\0")
-
-
-class Unreadable(Exception):
-    """One frame cannot be read; the message gives the reason."""
-
-
-class Stored(NamedTuple):
-    """Pixels as stored, (ny, nx) or (ny, nx, channels), and their largest possible value."""
-
-    pixels: NDArray[Any]
-    full_scale: int
-
-
-class FrameSource(ABC):
-    """A source of frames."""
-
-    count: int
-    """Number of frames."""
-    names: Sequence[str] = ()
-    """Name of each frame's file; empty if the frames have no files of their own."""
-    hint: str = ""
-    """Frame rate stated by the container, for a message; may be empty."""
-    lossy: str = ""
-    """Name of the codec if it is lossy, otherwise empty."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    @abstractmethod
-    def read(self, index: int) -> Stored:
-        """Frame `index`. Raises Unreadable for a damaged frame, OSError if the source is not accessible."""
-
-    def label(self, index: int) -> str:
-        """Name of the frame in messages."""
-        return f"{self._path}, frame {index}"
-
-    def close(self) -> None:  # noqa: B027 most hold nothing
-        """Close the files; a later `read` opens them again."""
+_LISTED = 5
+"""Places that a message names one by one."""
 
 
 def open_source(path: Path) -> FrameSource:
@@ -72,13 +36,33 @@ def open_source(path: Path) -> FrameSource:
         return TiffSource(path)
     if path.suffix.lower() in IMAGES:
         raise DeviceError(f"{path}: is one image; name the folder that holds the images")
-    return VideoSource(path)
+    return FilmSource(path)
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
     """Sort key that counts digits as numbers: frame2 before frame10."""
     parts = re.split(r"(\d+)", name)
     return [(0, int(part), part) if part.isdigit() else (1, 0, part.lower()) for part in parts if part]
+
+
+def numbers_in(names: Sequence[str]) -> list[int] | None:
+    """The number of each image by its name, from 0 in steps of 1; None where names do not count.
+
+    Names count where they differ in one number alone, which rises evenly but for images that are missing.
+    """
+    parts = [re.split(r"(\d+)", name) for name in names]
+    if len(names) < 3 or len({len(one) for one in parts}) > 1:
+        return None
+    # a number with and without leading zeros is the same number
+    changing = [k for k, column in enumerate(zip(*parts, strict=True)) if len(set(column)) > 1]
+    if len(changing) != 1 or changing[0] % 2 == 0:
+        return None
+    numbers = [int(one[changing[0]]) for one in parts]
+    steps = Counter(after - before for before, after in pairwise(numbers))
+    step, times = steps.most_common(1)[0]
+    if step <= 0 or 2 * times < len(names) - 1 or any(one % step for one in steps):
+        return None
+    return [(number - numbers[0]) // step for number in numbers]
 
 
 class FolderSource(FrameSource):
@@ -97,6 +81,8 @@ class FolderSource(FrameSource):
             raise DeviceError(
                 f"{path}: holds no image ({', '.join(IMAGES)}) among its {len(inside)} files; name another"
             )
+        self.numbers = numbers_in(self.names)
+        self.said = self._missing()
 
     def read(self, index: int) -> Stored:
         path = self._path / self.names[index]
@@ -121,6 +107,24 @@ class FolderSource(FrameSource):
 
     def label(self, index: int) -> str:
         return str(self._path / self.names[index])
+
+    def _missing(self) -> list[str]:
+        if self.numbers is None:
+            # one image, or two, cannot miss any between them
+            return (
+                ["the images' names do not count evenly: missing ones cannot be told"]
+                if self.count > 2
+                else []
+            )
+        gaps = [i for i, (before, after) in enumerate(pairwise(self.numbers)) if after - before > 1]
+        count = sum(self.numbers[i + 1] - self.numbers[i] - 1 for i in gaps)
+        places = ", ".join(f"{self.names[i]} to {self.names[i + 1]}" for i in gaps[:_LISTED])
+        more = f" and {len(gaps) - _LISTED} more places" if len(gaps) > _LISTED else ""
+        return (
+            [f"{count} images are missing by the numbers in their names: between {places}{more}"]
+            if count
+            else []
+        )
 
 
 class TiffSource(FrameSource):
@@ -172,71 +176,6 @@ class StackSource(FrameSource):
 
     def read(self, index: int) -> Stored:
         return _stored(np.array(self._stack[index]))
-
-
-class VideoSource(FrameSource):
-    """A lossless video, read through OpenCV without conversion."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._capture: cv2.VideoCapture | None = None
-        self._position = 0
-        capture = self._opened()
-        self.count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        rate_hz = capture.get(cv2.CAP_PROP_FPS)
-        codec = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode("latin-1").upper()
-        self.lossy = "" if codec in _LOSSLESS else codec.strip()
-        self._checksums: Ffv1Checksums | None = None
-        if codec == "FFV1" and self.count > 0:
-            with _quiet():
-                self._checksums = Ffv1Checksums(path)
-            if not self._checksums.present:
-                _log.warning("%s: was written without checksums; damaged frames cannot be told", path)
-        if math.isfinite(rate_hz) and rate_hz > 0:
-            self.hint = f" (the file itself says {rate_hz:g} frames/s)"
-        if self.count <= 0:
-            self.close()
-            raise DeviceError(
-                f"{path}: the video does not say how many frames it holds; convert it to FFV1 in mkv"
-            )
-
-    def read(self, index: int) -> Stored:
-        if self._capture is None or index < self._position:
-            self.close()
-            self._opened()
-            if self._checksums is not None:
-                self._checksums.rewind()
-        while True:
-            capture = self._capture
-            good, pixels = capture.read() if capture is not None else (False, None)
-            whole = self._checksums is None or self._checksums.next_is_whole()
-            self._position += 1
-            if not good or pixels is None:
-                raise Unreadable("the video ends here or is damaged")
-            if self._position > index:
-                if not whole:
-                    raise Unreadable("its checksum, or that of a frame it builds on, does not match")
-                return _stored(pixels)
-
-    def close(self) -> None:
-        if self._capture is not None:
-            self._capture.release()
-        if self._checksums is not None:
-            self._checksums.close()
-        self._capture = None
-        self._position = 0
-
-    def _opened(self) -> cv2.VideoCapture:
-        with _quiet():
-            capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
-        if not capture.isOpened():
-            raise DeviceError(
-                f"{self._path}: is no video that OpenCV can read; folders of images "
-                f"({', '.join(IMAGES)}), .tif and .npy stacks are the other choices"
-            )
-        capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
-        self._capture = capture
-        return capture
 
 
 def _decode(data: bytes) -> NDArray[Any]:

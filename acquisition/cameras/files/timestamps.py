@@ -5,14 +5,21 @@ from collections.abc import Callable, Sequence
 from decimal import Decimal, InvalidOperation
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from acquisition.cameras.files.settings import FilesSettings
 from processing.errors import DeviceError
 from processing.ticks import NS_PER_S
 
+if TYPE_CHECKING:
+    from acquisition.cameras.files.frame_source import FrameSource
+
 T = TypeVar("T")
 _MOST_DIGITS = 11
+_TICKS = 1.5
+"""Ticks of a film's clock by which its times may be off a stated rate: both ends are rounded."""
+_RATE_WITHIN = 2e-5
+"""Parts of the elapsed time as well: what a rate of six digits leaves open."""
 
 
 class FrameTimes(NamedTuple):
@@ -22,31 +29,53 @@ class FrameTimes(NamedTuple):
     sequence: Sequence[int]
 
 
-def frame_times(settings: FilesSettings, count: int, names: Sequence[str], hint: str) -> FrameTimes:
-    """Times of `count` frames.
-
-    Parameters
-    ----------
-    names
-        Names of the image files; empty if there are none.
-    hint
-        Frame rate stated by the container, for the error message; may be empty.
+def frame_times(settings: FilesSettings, source: "FrameSource") -> FrameTimes:
+    """Times of the frames of a source: from a CSV file, a stated rate, or the film itself.
 
     Raises
     ------
     DeviceError
-        Neither a CSV file nor a frame rate, or a CSV file that does not match the frames.
+        None of these, a CSV file that does not match the frames, or a rate that the film contradicts.
     """
     if settings.frame_rate_hz is not None:
-        period_ns = NS_PER_S / settings.frame_rate_hz
-        return FrameTimes([round(i * period_ns) for i in range(count)], range(count))
+        return _at_rate(settings, settings.frame_rate_hz, source)
     path = settings.timestamps_csv or _beside(settings.path)
     if settings.timestamps_csv is None and not path.is_file():
+        if source.times is not None:
+            return source.times
         raise DeviceError(
-            f"{settings.path}: when were the frames taken? State camera.files.frame_rate_hz or write "
-            f"{path}{hint}"
+            f"{settings.path}: when were the frames taken? State camera.files.frame_rate_hz or write {path}"
         )
-    return _read(path, count, names)
+    return _read(path, source.count, source.names)
+
+
+def _at_rate(settings: FilesSettings, rate_hz: float, source: "FrameSource") -> FrameTimes:
+    """Times of frames that are taken at a stated rate, those that are missing counted in."""
+    numbers: Sequence[int] = range(source.count)
+    if settings.numbering == "names" and source.numbers is not None:
+        numbers = source.numbers
+    if source.times is not None:
+        numbers = source.times.sequence
+    times_ns = [round(number * NS_PER_S / rate_hz) for number in numbers]
+    if source.times is not None and not settings.force_frame_rate:
+        _agree(settings, rate_hz, times_ns, source)
+    return FrameTimes(times_ns, numbers)
+
+
+def _agree(settings: FilesSettings, rate_hz: float, times_ns: Sequence[int], source: "FrameSource") -> None:
+    """Raise DeviceError where a stated rate puts a frame elsewhere than the film itself does."""
+    if source.times is None:
+        return
+    own_ns = source.times.time_ns
+    worst = max(range(source.count), key=lambda i: abs(times_ns[i] - own_ns[i]))
+    off_s = abs(times_ns[worst] - own_ns[worst]) / NS_PER_S
+    if off_s > max(_TICKS * source.tick_s, _RATE_WITHIN * own_ns[worst] / NS_PER_S):
+        raise DeviceError(
+            f"{settings.path}: camera.files.frame_rate_hz = {rate_hz:g} puts frame {worst} at "
+            f"{times_ns[worst] / NS_PER_S:.4f} s, the film itself at {own_ns[worst] / NS_PER_S:.4f} s; "
+            "leave the rate "
+            "out, or state camera.files.force_frame_rate = true where the film is wrong"
+        )
 
 
 def _beside(path: Path) -> Path:

@@ -13,7 +13,7 @@ from processing.angle import ARCSEC_RAD
 from processing.contact.hertz import Material, hertz_contact, material
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.instruments.circular import circular_error, ideal_excess
+from processing.instruments.circular import CircularError, circular_error, ideal_excess
 from processing.instruments.damping_fit import damping, over_places, ratio
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Limits, check
 from processing.instruments.friction_law import fit_friction_law, rolling_friction
@@ -216,6 +216,15 @@ def test_mendeleevs_observation() -> None:
     found = circular_error(points_of(simulation("knife_edge"), 0.5, seed=4))
     assert found.factor.value - 1 > 5 * found.factor.standard_uncertainty
     assert "faster than the circular-error law" in found.sentence
+
+
+def test_a_factor_that_may_be_anything_follows_no_law() -> None:
+    """44 times the law with an uncertainty of 22 is nothing that was seen."""
+    nothing = np.zeros(0)
+    found = CircularError(Estimate(2.0, 1e-4), Estimate(44.18, 22.0), 1.0, *[nothing] * 5)
+    assert "too small, or too few, to show the circular error: 44.18 ± 22 times" in found.sentence
+    seen = found._replace(factor=Estimate(1.1, 0.2))
+    assert "follows the circular-error law" in seen.sentence
     assert np.all(found.sixteenth_s <= found.law_s)
 
 

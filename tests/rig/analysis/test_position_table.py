@@ -7,6 +7,7 @@ import pytest
 
 from processing.errors import ConfigurationError, DataError
 from rig.analysis.position_table import read_trajectory
+from tests.rig.analysis.table_cases import judged, table_matrix
 
 
 def write(path: Path, text: str) -> Path:
@@ -70,18 +71,51 @@ def test_missing_file_and_missing_column(tmp_path: Path) -> None:
         read_trajectory(path, "time", ["angle"], "")
 
 
-def test_a_time_has_the_unit_of_its_name_unless_one_is_stated(tmp_path: Path) -> None:
+def test_a_time_has_the_unit_of_its_name_which_an_option_may_not_contradict(tmp_path: Path) -> None:
     for name, unit in {"time_ms": "ms", "t [ms]": "ms", "t/us": "us", "Zeit": "s", "items": "s"}.items():
         (tmp_path / "table.csv").write_text(f"{name},x\n0,1\n50,2\n100,3\n")
         found = read_trajectory(tmp_path / "table.csv", None, [], "mm")
         assert found.time_unit == unit
         assert found.times_ns[1] == 50 * {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}[unit]
     (tmp_path / "table.csv").write_text("time_ms,x\n0,1\n50,2\n")
-    stated = read_trajectory(tmp_path / "table.csv", None, [], "mm", "s")
-    assert stated.times_ns[1] == 50_000_000_000
+    assert read_trajectory(tmp_path / "table.csv", None, [], "mm", "msec").times_ns[1] == 50_000_000
+    with pytest.raises(ConfigurationError, match="'time_ms' says ms, --time-unit says s"):
+        read_trajectory(tmp_path / "table.csv", None, [], "mm", "s")
 
 
 def test_commas_for_both_are_said(tmp_path: Path) -> None:
     (tmp_path / "table.csv").write_text("time,x\n0,05,9,98\n0,10,9,7\n0,15,9,2\n")
     with pytest.raises(DataError, match="decimal commas as well as separators"):
         read_trajectory(tmp_path / "table.csv", None, [], "mm")
+
+
+CASES = {case.name: case for case in table_matrix()}
+SOME = (
+    "semicolons and commas", "a column of words", "1.000,050", "1'000.050", "points and commas",
+    "units behind",
+    "header 'Zeit [µs]'", "header 'time_minutes'", "header 'milliseconds'", "latin-1 µ",
+    "stated unit contradicts",
+    "unknown unit of time", "too large for radians", "ISO with Z", "time of day over midnight", "xlsx, dates",
+    "one column, a rate", "one column, no rate", "UTF-16, little, no mark", "mat, vectors", "npy, names",
+    "time is not first", "rows too short", "times that are words", "times start again",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_a_table_is_understood_right_or_refused_and_lost_rows_are_counted(tmp_path: Path, name: str) -> None:
+    """All of them: ``python -m tests.benchmarks tables``."""
+    outcome = judged(CASES[name], tmp_path)
+    assert outcome.kind == ("refused" if CASES[name].refused else "counted" if CASES[name].lost else "right")
+
+
+def test_rows_left_out_are_placed(tmp_path: Path) -> None:
+    said = judged(CASES["times that are words"], tmp_path).said
+    assert "left out: 3 rows without a readable time (lines 21 to 22, 91)" in said
+
+
+def test_a_time_without_header_that_is_first_is_not_taken_from_a_sequence(tmp_path: Path) -> None:
+    """The program's own tables begin with a number of each frame."""
+    path = write(tmp_path / "run-1-spots.csv", "sequence,time_s,x_px\n0,0.0,5\n1,0.1,6\n2,0.2,7\n")
+    found = read_trajectory(path, None, [], "")
+    assert (found.time_name, found.names, found.unit) == ("time_s", ("x_px",), "px")
+    assert found.times_ns.tolist() == [0, 100_000_000, 200_000_000]

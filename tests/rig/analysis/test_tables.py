@@ -9,8 +9,8 @@ import pytest
 
 from processing.envelope import fit_envelope
 from processing.errors import DataError
-from rig.analysis.position_table import read_trajectory
-from rig.analysis.table_fit import TableColumns, analyse_envelope, analyse_table
+from rig.analysis.position_table import TableColumns, read_trajectory
+from rig.analysis.table_fit import analyse_envelope, analyse_table
 from tests.rig.command_line import rig
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "tables.md"

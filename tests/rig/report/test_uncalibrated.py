@@ -17,6 +17,7 @@ from rig.analysis.results_file import write_results
 from rig.instrument.provenance import CONFIGURATION_NAME
 from rig.report.session_report import make_report
 from rig.settings.configuration import Configuration
+from tests.rig.command_line import rig
 
 EPOCH_NS = 1_700_000_000_000_000_000
 PERIOD_S = 4.0
@@ -64,6 +65,8 @@ def test_without_calibration_the_report_is_in_pixels_and_says_so(tmp_path: Path)
     assert not (files / "fig13-period.svg").exists()
     head = (files / "half-cycles.csv").read_text().splitlines()[0]
     assert head == "index,time_s,u_time_s,amplitude_px,u_amplitude_px"
+    assert "log decrement 0.04" in page
+    assert (files / "damping.svg").exists()
 
 
 def test_results_of_a_record_without_calibration_call_px_px(tmp_path: Path) -> None:
@@ -73,6 +76,13 @@ def test_results_of_a_record_without_calibration_call_px_px(tmp_path: Path) -> N
     assert run["amplitude_unit"] == "px"
     assert run["initial_amplitude"] == pytest.approx(100.0)
     assert run["final_amplitude"] == pytest.approx(68.39, abs=0.005)
+    assert run["period_s"]["value"] == pytest.approx(PERIOD_S)
+    assert run["log_decrement"]["value"] == pytest.approx(0.04, rel=1e-6)
+    assert run["quality_factor"]["value"] == pytest.approx(math.pi / 0.04, rel=1e-6)
+    assert run["damping"]["linear"]["value"] == pytest.approx(0.01, rel=1e-3)
+    printed = rig("fit", folder / "run-1.mcap", "-o", tmp_path / "fit").stdout
+    assert "period 4.0" in printed
+    assert "log decrement 0.04" in printed
 
 
 def test_a_run_without_a_spot_is_reported_as_that(tmp_path: Path) -> None:

@@ -1,0 +1,206 @@
+"""The frames that a film's container holds: one entry a packet, with its time as the container states it.
+
+Nothing is decoded here. A rate that the file states is believed only where every packet lies on it; it then
+takes the rounding to the container's ticks (whole ms in Matroska) off the times.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from acquisition.cameras.files.ffmpeg import ffmpeg_error, opened_film
+from processing.errors import DeviceError
+
+if TYPE_CHECKING:
+    from av.video.stream import VideoStream
+
+_SECOND_NS: Final = 1_000_000_000
+_JUMP: Final = 1.75
+"""Usual steps of time from which on a longer one is taken for missing frames."""
+_LISTED: Final = 5
+"""Places that a message names one by one."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilmIndex:
+    """Packets of a film that are shown, in the order of their times.
+
+    `ticks` are the container's own times, `time_ns` those since the first frame, `sequence` counts the frames
+    that are missing between others too. `rate_hz` is the constant rate on which all lie, else None. `said`
+    are lines on what is not as it should be. `cut_off` frames at the end are announced by the container and
+    absent; they have times.
+    """
+
+    ticks: Sequence[int]
+    time_ns: Sequence[int]
+    sequence: Sequence[int]
+    tick_s: Fraction
+    rate_hz: Fraction | None
+    key_ticks: Sequence[int]
+    cut_off: int
+    said: tuple[str, ...]
+    codec: str
+    pixel_format: str
+    first_packets: Sequence[bytes]
+
+
+def film_index(path: Path, keep_packets: int = 0) -> FilmIndex:
+    """Read through the container once.
+
+    Raises
+    ------
+    DeviceError
+        No film, no picture in it, or packets without times.
+    """
+    container = opened_film(path)
+    try:
+        if not container.streams.video:
+            raise DeviceError(f"{path}: holds no picture; name a film")
+        stream = container.streams.video[0]
+        return _index(path, container, stream, keep_packets)
+    finally:
+        container.close()
+
+
+def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int) -> FilmIndex:
+    said: list[str] = []
+    shown: dict[int, bool] = {}
+    dts_before: int | None = None
+    total = twice = 0
+    kept: list[bytes] = []
+    last_duration = 0
+    tick_s: Fraction = stream.time_base or Fraction(1, _SECOND_NS)
+    try:
+        for packet in container.demux(stream):
+            # AVI repeats a frame by a packet without bytes; the last one of all flushes a decoder
+            if not packet.size:
+                continue
+            total += 1
+            if len(kept) < keep_packets:
+                kept.append(bytes(packet))
+            if packet.pts is None:
+                raise DeviceError(
+                    f"{path}: packet {total} has no time to show it at; put the film into another container "
+                    "(ffmpeg -fflags +genpts -i FILM -c copy NEW.mkv), or convert it to images and state "
+                    "their rate"
+                )
+            if packet.dts is not None:
+                if dts_before is not None and packet.dts < dts_before:
+                    raise DeviceError(
+                        f"{path}: the times go back at packet {total}, as in films that were joined; cut "
+                        "it there"
+                    )
+                dts_before = packet.dts
+            if packet.is_discard:
+                continue
+            if packet.pts in shown:
+                twice += 1
+                continue
+            shown[packet.pts] = packet.is_keyframe
+            last_duration = packet.duration or 0
+    except ffmpeg_error() as error:
+        said.append(f"cannot be read beyond packet {total}: {error}")
+    if not shown:
+        raise DeviceError(f"{path}: holds no frame; name another film")
+    if twice:
+        said.append(f"{twice} packets have the time of another and are left out")
+    ticks = sorted(shown)
+    rate_hz, numbers = _constant_rate(
+        ticks, tick_s, [stream.average_rate, stream.base_rate, stream.guessed_rate]
+    )
+    if rate_hz is not None:
+        time_ns = [round(number * _SECOND_NS / rate_hz) for number in numbers]
+    else:
+        numbers = _numbers_by_steps(ticks)
+        time_ns = [round((tick - ticks[0]) * tick_s * _SECOND_NS) for tick in ticks]
+    said += _gaps(time_ns, numbers)
+    cut_off = _cut_off(container, stream, ticks, total, tick_s, last_duration)
+    if cut_off:
+        said.append(f"ends {cut_off} frames before what it announces: it is cut off, copy it again")
+        step_ns = time_ns[-1] // numbers[-1] if numbers[-1] else _SECOND_NS
+        time_ns += [time_ns[-1] + step_ns * (k + 1) for k in range(cut_off)]
+        numbers += [numbers[-1] + k + 1 for k in range(cut_off)]
+    context = stream.codec_context
+    return FilmIndex(
+        ticks=ticks,
+        time_ns=time_ns,
+        sequence=numbers,
+        tick_s=tick_s,
+        rate_hz=rate_hz,
+        key_ticks=[tick for tick in ticks if shown[tick]],
+        cut_off=cut_off,
+        said=tuple(said),
+        codec=context.name,
+        pixel_format=context.pix_fmt or "",
+        first_packets=kept,
+    )
+
+
+def _constant_rate(
+    ticks: Sequence[int], tick_s: Fraction, stated: Iterable[Fraction | None]
+) -> tuple[Fraction | None, list[int]]:
+    """The stated rate on which every time lies, to the rounding of a tick, and each frame's number on it."""
+    for rate_hz in dict.fromkeys(stated):
+        if not rate_hz or rate_hz * tick_s > 1 or len(ticks) < 3:
+            continue
+        for start in (Fraction(0), Fraction(1, 2), Fraction(-1, 2)):
+            exact = [(tick - ticks[0] + start) * tick_s * rate_hz for tick in ticks]
+            numbers = [round(one) for one in exact]
+            off = [one - number for one, number in zip(exact, numbers, strict=True)]
+            steps = [after - before for before, after in pairwise(numbers)]
+            # a microsecond more than a tick, for rates of which the file keeps nine digits
+            width = tick_s + Fraction(1, 1_000_000) if tick_s * rate_hz != 1 else 0
+            if min(steps) > 0 and _middle(steps) == 1 and max(off) - min(off) <= width * rate_hz:
+                return Fraction(rate_hz), [number - numbers[0] for number in numbers]
+    return None, []
+
+
+def _numbers_by_steps(ticks: Sequence[int]) -> list[int]:
+    """Numbers of frames with a varying rate, in which only clearly longer steps count as missing frames."""
+    steps = [after - before for before, after in pairwise(ticks)]
+    usual = _middle(steps) if steps else 1
+    numbers = [0]
+    for step in steps:
+        numbers.append(numbers[-1] + (round(step / usual) if step >= _JUMP * usual else 1))
+    return numbers
+
+
+def _middle(values: Sequence[int]) -> int:
+    return sorted(values)[len(values) // 2]
+
+
+def _gaps(time_ns: Sequence[int], numbers: Sequence[int]) -> list[str]:
+    """What is to be said of frames that are missing between others."""
+    gaps = [
+        (time_ns[i] / _SECOND_NS, numbers[i + 1] - numbers[i] - 1)
+        for i in range(len(numbers) - 1)
+        if numbers[i + 1] - numbers[i] > 1
+    ]
+    if not gaps:
+        return []
+    places = ", ".join(f"{count} after {time_s:.3f} s" for time_s, count in gaps[:_LISTED])
+    more = f" and {len(gaps) - _LISTED} more places" if len(gaps) > _LISTED else ""
+    return [f"{sum(count for _, count in gaps)} frames are missing by the container's times: {places}{more}"]
+
+
+def _cut_off(
+    container: Any, stream: "VideoStream", ticks: Sequence[int], total: int, tick_s: Fraction, last: int
+) -> int:
+    """How many frames the container announces beyond its last packet, of containers that do so exactly."""
+    steps = [after - before for before, after in pairwise(ticks)]
+    step = _middle(steps) if steps else last
+    start, kind = stream.start_time or 0, container.format.name
+    if "avi" in kind and stream.average_rate and tick_s * stream.average_rate == 1:
+        # a chunk without bytes, which repeats a frame, counts too
+        return max(stream.frames - 1 - ticks[-1], 0)
+    if step and stream.duration and stream.frames:
+        missing = int((start + stream.duration - ticks[-1] - max(last, step)) / step + 0.25)
+        return max(min(missing, stream.frames - total), 0)
+    if step and "matroska" in kind and container.duration and len(container.streams) == 1:
+        # from zero on, not from the first frame
+        announced = round(container.duration / (1_000_000 * tick_s))
+        return max(int((announced - ticks[-1] - max(last, step)) / step + 0.25), 0)
+    return 0

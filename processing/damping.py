@@ -1,0 +1,256 @@
+"""Damping that depends on the amplitude: constant, linear and quadratic parts of the fall of any decay
+together.
+
+    dA/dt = -(c + g A + q A^2)
+
+c is friction that does not depend on speed (Coulomb), g is viscous or structural, which a decay at one
+frequency cannot tell apart, q is drag that grows with the square of the speed. tau(A) = -A / (dA/dt) is the
+time constant at an amplitude. A = x/y solves it with x' = -g x/2 - c y, y' = q x + g y/2, whose matrix
+squared is (g^2/4 - q c) times the unit matrix.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import exp, inf, log, nan, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from processing.arrays import Floats
+from processing.errors import DataError
+from processing.estimate import Estimate
+
+PARTS: Final = ("constant", "linear", "quadratic")
+_FEWEST: Final = 12
+"""Eight degrees of freedom beside four parameters."""
+_DB: Final = 10.0 / log(10.0)
+_LOWEST: Final = 1e-9
+"""Amplitude, in units of the largest, below which nothing is told apart."""
+_ENDS: Final = np.array([0.0, 1.0])
+_FLOOR_CHI2: Final = 12.0
+"""What a floor has to explain, in chi-square, to be taken for one: by chance once in 2000 decays."""
+
+
+class Part(NamedTuple):
+    """One part of the damping with its standard uncertainty, and the probability that the decay needs it."""
+
+    value: float
+    u: float
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
+class Damping:
+    """The parts of dA/dt = -(constant + linear A + quadratic A^2), in the amplitude's unit and s.
+
+    Uncertainties and `covariance` (of the three in order) are grown where `chi2_per_dof` is above 1. `floor`
+    is the noise floor of the amplitude, added in power, where the end shows one, else NaN; `first` and `last`
+    are the fitted amplitudes at both ends, without the floor. `exponential` is the time constant of the
+    linear part alone, s. The probability of a part weighs all combinations of parts by their likelihood
+    (Schwarz).
+    """
+
+    samples: int
+    constant: Part
+    linear: Part
+    quadratic: Part
+    covariance: Floats
+    first: float
+    last: float
+    floor: float
+    chi2_per_dof: float
+    exponential: Estimate
+    exponential_chi2_per_dof: float
+
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """Parts that are needed with a probability of more than 95 %; without any, the likeliest."""
+        parts = {name: getattr(self, name).probability for name in PARTS}
+        sure = tuple(name for name in PARTS if parts[name] > 0.95)
+        return sure or (max(PARTS, key=lambda name: parts[name]),)
+
+    @property
+    def is_exponential(self) -> bool:
+        """Whether one time constant is enough: the decay needs neither a constant nor a quadratic part."""
+        return max(self.constant.probability, self.quadratic.probability) < 0.95
+
+    def time_constant_s(self, amplitude: Floats) -> tuple[Floats, Floats]:
+        """tau at these amplitudes (n,) with standard uncertainties, s."""
+        powers = np.stack([1.0 / amplitude, np.ones_like(amplitude), amplitude])
+        rate = np.array([self.constant.value, self.linear.value, self.quadratic.value]) @ powers
+        u_rate = np.sqrt(np.einsum("ik,ij,jk->k", powers, self.covariance, powers))
+        return 1.0 / rate, u_rate / rate**2
+
+    def amplitudes(self, count: int = 25) -> Floats:
+        """Amplitudes from the first to the last, evenly in their logarithm."""
+        return np.geomspace(self.first, max(self.last, 0.02 * self.first), count)
+
+
+class _Found(NamedTuple):
+    """First amplitude and the three parts with their covariance, the floor (NaN: none), and chi-square."""
+
+    values: Floats
+    covariance: Floats
+    floor: float
+    chi2: float
+
+
+def amplitude_at(times_s: Floats, first: float, constant: float, linear: float, quadratic: float) -> Floats:
+    """A at times (n,) since it was `first`; not less than zero."""
+    square = 0.25 * linear**2 - quadratic * constant
+    s = sqrt(abs(square))
+    x = s * times_s
+    if square > 0 and s * times_s[-1] > 1e-6:
+        # times exp(-x), which the quotient does not see, so that nothing overflows
+        cosine, sine = 0.5 * (1.0 + np.exp(-2.0 * x)), -0.5 * np.expm1(-2.0 * x) / s
+    elif square < 0 and s * times_s[-1] > 1e-6:
+        # beyond a quarter the amplitude has been zero
+        x = np.minimum(x, 0.5 * np.pi)
+        cosine, sine = np.cos(x), np.sin(x) / s
+    else:
+        cosine, sine = np.ones_like(times_s), times_s
+    above = first * (cosine - 0.5 * linear * sine) - constant * sine
+    below = quadratic * first * sine + cosine + 0.5 * linear * sine
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.where(below > 0, above / below, inf)
+    return np.asarray(np.clip(found, 0.0, 1e6 * abs(first) + 1.0))
+
+
+def fit_damping(
+    times_s: Floats, values: Floats, u_values: Floats, *, decibel: bool = False, floor: bool = False
+) -> Damping:
+    """Fit all parts of the damping to amplitudes, or to powers in dB.
+
+    Parameters
+    ----------
+    times_s : (n,) ascending
+    values, u_values : (n,) amplitudes in any unit, or powers in dB (`decibel`), with standard uncertainties
+    floor
+        whether the measurement has a noise floor: it is fitted where the end of the decay shows it
+
+    Raises
+    ------
+    DataError
+        Fewer than 12 values, or values that do not fall.
+    """
+    good = np.isfinite(values) & np.isfinite(u_values)
+    t, y, u = times_s[good] - times_s[good][:1], values[good], u_values[good]
+    if len(y) < _FEWEST:
+        raise DataError(f"the decay has {len(y)} amplitudes; at least {_FEWEST} are needed")
+    scale = 1.0 if decibel else float(np.max(np.abs(y)))
+    span_s = float(t[-1])
+    level_db = float(np.max(y)) if decibel else 0.0
+    fit = _Fit(t / span_s, (y - level_db) if decibel else y / scale, u if decibel else u / scale, decibel)
+    start = fit.start()
+    bare, level = fit.parts(PARTS, start), nan
+    if floor:
+        at_floor = fit.parts(PARTS, start, floor=True)
+        below = amplitude_at(_ENDS, *at_floor.values[:4])[1] < at_floor.floor
+        if below and bare.chi2 - at_floor.chi2 > _FLOOR_CHI2:
+            bare, level = at_floor, at_floor.floor
+    unit = 10 ** (level_db / 20.0) if decibel else scale
+    alone = {
+        kept: fit.parts(kept, start, floor=bool(np.isfinite(level)))
+        for size in (1, 2)
+        for kept in combinations(PARTS, size)
+    } | {PARTS: bare}
+    freedom = len(y) - 4 - (1 if np.isfinite(level) else 0)
+    chi2_per_dof = bare.chi2 / freedom
+    # where even all parts leave more than the stated noise, the noise is what they leave
+    grown = max(1.0, chi2_per_dof)
+    weights = {kept: found.chi2 / grown + (len(kept) + 1) * log(len(y)) for kept, found in alone.items()}
+    best = min(weights.values())
+    chances = {kept: exp(-0.5 * (weight - best)) for kept, weight in weights.items()}
+    total = sum(chances.values())
+    # amplitude in `unit`, time in spans: constant unit/span, linear 1/span, quadratic 1/(unit span)
+    sizes = np.array([unit, 1.0, 1.0 / unit]) / span_s
+    covariance = bare.covariance[1:4, 1:4] * np.outer(sizes, sizes) * grown
+    parts = [
+        Part(
+            float(bare.values[k + 1] * sizes[k]),
+            sqrt(covariance[k, k]),
+            float(sum(chance for kept, chance in chances.items() if name in kept) / total),
+        )
+        for k, name in enumerate(PARTS)
+    ]
+    ends = amplitude_at(_ENDS, *bare.values[:4])
+    single = alone[("linear",)]
+    single_chi2 = single.chi2 / (freedom + 2)
+    rate, u_rate = float(single.values[2]), sqrt(single.covariance[2, 2] * max(1.0, single_chi2))
+    if not rate > 3.0 * u_rate:
+        raise DataError("the amplitude does not fall: it is no ring-down, or too short a part of one")
+    tau_s = span_s / rate
+    return Damping(
+        samples=len(y),
+        constant=parts[0],
+        linear=parts[1],
+        quadratic=parts[2],
+        covariance=covariance,
+        first=float(ends[0] * unit),
+        last=float(ends[1] * unit),
+        floor=level * unit,
+        chi2_per_dof=chi2_per_dof,
+        exponential=Estimate(tau_s, tau_s * u_rate / rate),
+        exponential_chi2_per_dof=single_chi2,
+    )
+
+
+class _Fit:
+    """Least squares with amplitudes of about one and times from zero to one."""
+
+    def __init__(self, t: Floats, y: Floats, u: Floats, decibel: bool) -> None:
+        self._t, self._y, self._u, self._decibel = t, y, u, decibel
+        self._lowest = float(np.min(10 ** (y / 20.0))) if decibel else float(max(np.min(y), _LOWEST))
+
+    def start(self) -> Floats:
+        """First amplitude, and a linear part by the time in which the amplitude falls to the half."""
+        amplitude = 10 ** (self._y / 20.0) if self._decibel else self._y
+        head = max(len(amplitude) // 50, 1)
+        first = float(np.median(amplitude[:head]))
+        below = np.nonzero(amplitude < 0.5 * first)[0]
+        half = float(self._t[below[0]]) if len(below) and below[0] > 0 else 1.0
+        return np.array([first, 0.0, max(log(2.0) / half, 0.05), 0.0])
+
+    def parts(self, kept: Sequence[str], start: Floats, *, floor: bool = False) -> _Found:
+        """Fit these parts, and a floor where there is one."""
+        free = np.array([True, *(name in kept for name in PARTS)])
+        begin = start.copy()
+        if "linear" not in kept:
+            # the same first fall by another part
+            rate, begin[2] = begin[2], 0.0
+            begin[1 if "constant" in kept else 3] = 0.5 * rate / (1.0 if "constant" in kept else begin[0])
+        count = int(free.sum())
+
+        def residual(p: Floats) -> Floats:
+            values = np.zeros(4)
+            values[free] = p[:count]
+            return self._residual(values, exp(min(p[count], 5.0)) if floor else nan)
+
+        at_start = np.append(begin[free], log(self._lowest + _LOWEST)) if floor else begin[free]
+        found, own, chi2 = _solved(residual, at_start)
+        values, covariance = np.zeros(4), np.zeros((4, 4))
+        values[free] = found[:count]
+        covariance[np.ix_(free, free)] = own[:count, :count]
+        return _Found(values, covariance, exp(min(found[count], 5.0)) if floor else nan, chi2)
+
+    def _residual(self, p: Floats, floor: float) -> Floats:
+        amplitude = amplitude_at(self._t, *p)
+        if np.isfinite(floor):
+            amplitude = np.hypot(amplitude, floor)
+        if self._decibel:
+            amplitude = 2.0 * _DB * np.log(np.maximum(amplitude, _LOWEST))
+        return np.asarray((amplitude - self._y) / self._u)
+
+
+def _solved(residual: Callable[[Floats], Floats], start: Floats) -> tuple[Floats, Floats, float]:
+    """Values, covariance and chi-square of a least-squares fit."""
+    # imported here, since every command imports this module and few fit a decay
+    from scipy.optimize import least_squares
+
+    found = least_squares(residual, start, x_scale="jac", max_nfev=400)
+    slopes: Floats = np.asarray(found.jac)
+    size = np.linalg.norm(slopes, axis=0)
+    size[size == 0] = 1.0
+    covariance = np.linalg.pinv((slopes / size).T @ (slopes / size)) / np.outer(size, size)
+    return np.asarray(found.x), covariance, float(2.0 * found.cost)

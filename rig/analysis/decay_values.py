@@ -1,0 +1,53 @@
+"""What every decay has, whether or not a law can be fitted: period, decrement, damping, in its own unit."""
+
+from typing import Any
+
+from processing.damping import fit_damping
+from processing.decay_summary import DecaySummary, summarise_decay
+from processing.errors import DataError
+from processing.estimate import Estimate
+from processing.swing import TurningPoints
+from rig.analysis.amplitude_damping import AmplitudeDamping, amplitude_damping, damping_lines
+from rig.analysis.results import RunResults
+from rig.presentation import with_uncertainty
+
+
+def decay_values(points: TurningPoints, summary: DecaySummary, unit_size: float) -> dict[str, Any]:
+    """Fields of `RunResults`; amplitudes in a unit that is `unit_size` in that of the points."""
+    return {
+        "period_s": Estimate(summary.period_s.value, summary.period_s.u),
+        "log_decrement": Estimate(summary.decrement.value, summary.decrement.u),
+        "quality_factor": summary.quality_factor,
+        "damping": _damping(points, summary, unit_size),
+    }
+
+
+def values_of_points(points: TurningPoints, unit_size: float) -> dict[str, Any]:
+    """The same of turning points alone; nothing where there are too few of them."""
+    try:
+        return decay_values(points, summarise_decay(points), unit_size)
+    except DataError:
+        return {}
+
+
+def decay_lines(results: RunResults) -> list[str]:
+    """Lines for a person; none of a run without them."""
+    if not results.period_s.value > 0:
+        return []
+    lines = [
+        f"period {with_uncertainty(*results.period_s)} s",
+        f"log decrement {with_uncertainty(*results.log_decrement)}",
+    ]
+    if results.quality_factor is not None:
+        lines.append(f"quality factor {with_uncertainty(*results.quality_factor)}")
+    if results.damping is not None:
+        lines += damping_lines(results.damping, results.amplitude_unit or "")
+    return lines
+
+
+def _damping(points: TurningPoints, summary: DecaySummary, unit_size: float) -> AmplitudeDamping | None:
+    try:
+        found = fit_damping(points.time_s, points.amplitude / unit_size, points.u_amplitude / unit_size)
+    except DataError:
+        return None
+    return amplitude_damping(found, 1.0 / summary.period_s.value)

@@ -1,0 +1,177 @@
+"""Positions of the spot, or of a dark object, in a film or a folder of images: a trajectory in px."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.camera import CameraSettings
+from acquisition.cameras.files.camera import FilesCamera
+from acquisition.cameras.files.settings import FilesSettings
+from acquisition.frame import Image
+from processing.errors import ConfigurationError, DataError
+from processing.spot import SensorModel, SpotFlag, SpotTracker
+from processing.ticks import seconds
+from processing.units import conversion
+from rig.analysis.position_table import ANGLES, Trajectory
+from rig.analysis.tables import known_unit
+
+_DARK = 1.5
+"""How much further the darkest pixels are from the middle than the brightest where the object is dark."""
+_WELL_E = 10_000.0
+"""Electrons of a full pixel where nothing states them: a usual small sensor. The uncertainty of positions is
+afterwards taken from their scatter, so that this only weighs pixels."""
+_LOSSY = (
+    "compression ({}): its noise is in the uncertainties, but not what it does the same way in every swing: "
+    "it makes amplitudes too small by some hundredths of a px"
+)
+_FEWEST_FOUND = 0.5
+"""Share of the frames below which what was followed is hardly what swings."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilmAsked:
+    """How a film is read. `size` is the size of a pixel with its unit (``0.142 mm``, ``3.2 arcsec``); empty:
+    px.
+
+    `rate_hz` is the rate where the film's own times do not hold (`force`) or images have none. `dark`: the
+    object is darker than its ground; None: it is judged by the first frame.
+    """
+
+    rate_hz: float | None = None
+    force: bool = False
+    colour: str = "brightness"
+    dark: bool | None = None
+    size: str = ""
+    begin_s: float | None = None
+    end_s: float | None = None
+
+
+def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
+    """Follow the spot through a film.
+
+    Raises
+    ------
+    DeviceError
+        No film, or one that cannot be read right.
+    DataError
+        Nothing to follow in most of its frames.
+    ConfigurationError
+        A size of a pixel that is none.
+    """
+    factor, unit = _pixel(asked.size)
+    settings = FilesSettings.model_validate(
+        {
+            "path": path,
+            "frame_rate_hz": asked.rate_hz,
+            "force_frame_rate": asked.force,
+            "colour": asked.colour,
+        }
+    )
+    camera = FilesCamera(settings)
+    info = camera.open()
+    try:
+        camera.configure(CameraSettings())
+        camera.start()
+        gain = _WELL_E / info.full_scale_dn
+        tracker = SpotTracker(SensorModel(gain, gain, info.full_scale_dn))
+        dark, times_ns, places, flags = asked.dark, list[int](), list[tuple[float, float]](), Counter[str]()
+        while (frame := camera.read(1.0)) is not None:
+            if dark is None:
+                dark = looks_dark(frame.image)
+            image = inverted(frame.image, info.full_scale_dn) if dark else frame.image
+            spot = tracker.track(image)
+            times_ns.append(frame.device_time_ns or 0)
+            places.append((spot.x_px, spot.y_px))
+            flags.update(flag.name or "" for flag in SpotFlag(spot.flags))
+        status = camera.status
+    finally:
+        camera.close()
+    lost = f"{status.dropped_by_camera} missing, {status.incomplete} damaged or of another size"
+    followed = "a dark object (the picture is inverted)" if dark else "a bright spot"
+    said = [
+        *camera.found,
+        *([_LOSSY.format(camera.lossy)] if camera.lossy else []),
+        f"frames: {status.delivered} read, {lost}",
+        f"followed: {followed}; {flags['LOST']} frames without one" + _flagged(flags, status.delivered),
+        f"position: x and y, in {unit}" + (f", {asked.size} a pixel" if asked.size else ""),
+    ]
+    if flags["LOST"] > (1.0 - _FEWEST_FOUND) * status.delivered:
+        raise DataError(
+            f"{path}: in {flags['LOST']} of {status.delivered} frames there is nothing to follow; a bright "
+            "spot on a dark ground or a dark object on an even one is needed (--dark, --bright)"
+        )
+    since_ns = np.array(times_ns, dtype=np.int64) - times_ns[0]
+    xy = np.array(places) * factor
+    inside = _inside(seconds(since_ns), asked)
+    return Trajectory(
+        times_ns=since_ns[inside],
+        positions=tuple(xy[inside].T),
+        names=("x", "y"),
+        unit=unit,
+        scale_rad=conversion(unit, "rad") if unit in ANGLES else None,
+        time_name="the film's times" if asked.rate_hz is None else "the stated rate",
+        understood=tuple(said),
+    )
+
+
+def looks_dark(image: Image) -> bool:
+    """Whether the object in a picture is darker than its ground."""
+    low, middle, high = np.percentile(image, [0.1, 50.0, 99.9])
+    return bool(middle - low > _DARK * (high - middle))
+
+
+def inverted(image: Image, full_scale_dn: int) -> Image:
+    """Dark becomes bright; what is above full scale is black."""
+    turned: NDArray[np.int64] = full_scale_dn - np.minimum(image, full_scale_dn).astype(np.int64)
+    return np.asarray(turned.astype(image.dtype))
+
+
+def with_positions(trajectory: Trajectory) -> list[Sequence[str]]:
+    """Rows of a table of the positions, the names first."""
+    unit = trajectory.unit
+    rows: list[Sequence[str]] = [("time_s", *(f"{name} [{unit}]" for name in trajectory.names))]
+    for time_ns, *place in zip(trajectory.times_ns.tolist(), *trajectory.positions, strict=True):
+        rows.append((f"{time_ns // 10**9}.{time_ns % 10**9:09d}", *(f"{value:.6g}" for value in place)))
+    return rows
+
+
+def _flagged(flags: Counter[str], count: int) -> str:
+    """What else was noticed of a good part of the frames."""
+    doubts = [
+        f"{name.lower().replace('_', ' ')} in {100 * flags[name] / count:.0f} %"
+        for name in ("SATURATED", "EDGE", "POOR_FIT", "MULTIPLE")
+        if flags[name] > 0.05 * count
+    ]
+    return f"; {', '.join(doubts)}" if doubts else ""
+
+
+def _pixel(text: str) -> tuple[float, str]:
+    """Size of a pixel and its unit."""
+    if not text:
+        return 1.0, "px"
+    number, _, unit = text.strip().partition(" ")
+    known = known_unit(unit)
+    try:
+        size = float(number)
+    except ValueError:
+        size = 0.0
+    if not known or not size > 0:
+        raise ConfigurationError(
+            f"--pixel {text!r}: a number and a unit are needed, as '0.142 mm' or '3.2 arcsec'"
+        )
+    return size, known
+
+
+def _inside(since_s: NDArray[np.float64], asked: FilmAsked) -> NDArray[np.bool_]:
+    begin_s = 0.0 if asked.begin_s is None else asked.begin_s
+    end_s = float(since_s[-1]) if asked.end_s is None else asked.end_s
+    inside = (since_s >= begin_s) & (since_s <= end_s)
+    if np.count_nonzero(inside) < 2:
+        raise ConfigurationError(
+            f"--from {begin_s:g} --to {end_s:g} leaves no frames of 0 to {since_s[-1]:.6g} s"
+        )
+    return np.asarray(inside)

@@ -1,0 +1,126 @@
+"""Bytes of a table's file as text or as rows of cells: text in any encoding, .gz, .xlsx, .npy, .mat."""
+
+import gzip
+import io
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from processing.errors import DataError
+from rig.analysis.tables.workbook import rows_of_workbook
+
+_LARGEST_BYTES: Final = 1024 * 1024 * 1024
+_MARKS: Final = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig"))
+
+
+def bytes_of(path: Path) -> bytes:
+    """The file, unpacked. Raises DataError in one line where it cannot be had."""
+    try:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            raw = file.read(_LARGEST_BYTES + 1)
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file") from None
+    except (OSError, EOFError, zlib.error) as error:
+        raise DataError(f"{path}: cannot be read: {error}") from None
+    except ValueError as error:
+        raise DataError(f"{str(path)!r}: is not the name of a file ({error})") from None
+    if len(raw) > _LARGEST_BYTES:
+        raise DataError(f"{path}: is longer than {_LARGEST_BYTES >> 20} MiB; take fewer rows")
+    return raw
+
+
+def text_of(raw: bytes) -> str:
+    """Text in UTF-8, UTF-16 with or without its mark, or Windows' Western alphabet."""
+    for mark, encoding in _MARKS:
+        if raw.startswith(mark):
+            return raw.decode(encoding, errors="replace")
+    head = raw[:4000]
+    # of digits and separators, UTF-16 makes every second byte zero
+    if len(head) > 3 and head.count(0) > len(head) // 3:
+        little = head[1::2].count(0) > head[::2].count(0)
+        return raw.decode("utf-16-le" if little else "utf-16-be", errors="replace")
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return raw.decode("cp1252", errors="replace")
+
+
+def rows_of(path: Path, raw: bytes) -> list[list[str]] | None:
+    """Rows of cells of a file that is no text, a header first where it has names; None for a text."""
+    name = path.name.lower().removesuffix(".gz")
+    if name.endswith(".npy"):
+        return _rows_of_array(path, raw)
+    if name.endswith(".mat"):
+        return _rows_of_matlab(path, raw)
+    if name.endswith((".xlsx", ".xlsm")):
+        try:
+            return rows_of_workbook(raw)
+        except (zipfile.BadZipFile, KeyError, ValueError, SyntaxError) as error:
+            raise DataError(f"{path}: is no workbook that can be read: {error}") from None
+    if name.endswith((".xls", ".ods")):
+        raise DataError(f"{path}: save it as .xlsx or as text (CSV); {path.suffix} is not read")
+    return None
+
+
+def _rows_of_array(path: Path, raw: bytes) -> list[list[str]]:
+    try:
+        array = np.load(io.BytesIO(raw), allow_pickle=False)
+    # whatever Python's own parser raises at a changed header
+    except Exception as error:
+        raise DataError(f"{path}: is no .npy array that can be read: {error}") from None
+    if not isinstance(array, np.ndarray):
+        raise DataError(f"{path}: holds several arrays; save one of them (.npy)")
+    if array.dtype.names:
+        return _with_names({name: array[name] for name in array.dtype.names}, path)
+    return _rows_of_matrix(path, "the array", array)
+
+
+def _rows_of_matlab(path: Path, raw: bytes) -> list[list[str]]:
+    from scipy.io import loadmat
+
+    try:
+        variables = loadmat(io.BytesIO(raw), squeeze_me=True)  # type: ignore[arg-type]
+    except NotImplementedError:
+        raise DataError(f"{path}: is a .mat file of version 7.3; save it with -v7") from None
+    # as above
+    except Exception as error:
+        raise DataError(f"{path}: is no .mat file that can be read: {error}") from None
+    numbers = {
+        name: value
+        for name, value in variables.items()
+        if not name.startswith("__") and isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
+    }
+    vectors = {name: value for name, value in numbers.items() if value.ndim == 1 and len(value) > 2}
+    matrices = {name: value for name, value in numbers.items() if value.ndim == 2}
+    if len(matrices) == 1 and not vectors:
+        return _rows_of_matrix(path, *next(iter(matrices.items())))
+    if not vectors or matrices:
+        raise DataError(
+            f"{path}: one matrix, or vectors of equal length, are needed; it holds "
+            f"{', '.join(numbers) or 'none'}"
+        )
+    return _with_names(vectors, path)
+
+
+def _rows_of_matrix(path: Path, name: str, array: Any) -> list[list[str]]:
+    if array.dtype.kind not in "iuf" or array.ndim not in (1, 2):
+        raise DataError(
+            f"{path}: {name} has shape {array.shape} and type {array.dtype}; columns of numbers are needed"
+        )
+    columns = array[:, None] if array.ndim == 1 else array
+    # few rows of many values are columns that lie on their side
+    if columns.shape[0] <= 4 < columns.shape[1]:
+        columns = columns.T
+    return [[repr(value) for value in row] for row in columns.tolist()]
+
+
+def _with_names(columns: dict[str, Any], path: Path) -> list[list[str]]:
+    lengths = {name: len(np.atleast_1d(value)) for name, value in columns.items()}
+    if len(set(lengths.values())) != 1:
+        said = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise DataError(f"{path}: its vectors have different lengths ({said}); save those of one measurement")
+    rows = zip(*(np.asarray(value).tolist() for value in columns.values()), strict=True)
+    return [list(columns), *([repr(value) for value in row] for row in rows)]

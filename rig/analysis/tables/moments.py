@@ -1,0 +1,60 @@
+"""Dates and times of day as nanoseconds."""
+
+from datetime import UTC, date, datetime, timedelta, timezone
+from typing import Final
+
+from rig.analysis.tables.numbers import MOMENT
+
+_SECOND_NS: Final = 1_000_000_000
+_DAY_NS: Final = 86_400 * _SECOND_NS
+_DAY_1970: Final = date(1970, 1, 1).toordinal()
+
+
+def moments_ns(cells: list[str]) -> list[int | None]:
+    """Times in ns since 1970, or since midnight where no date stands; None for a cell that is no moment.
+
+    Times of day without a date go on over midnight: where one falls by more than half a day, a day has
+    passed.
+    """
+    found: list[int | None] = []
+    days, before = 0, None
+    for cell in cells:
+        match = MOMENT.fullmatch(cell.strip())
+        if match is None or not (match["date"] or match["clock"]):
+            found.append(None)
+            continue
+        value = _clock_ns(match["clock"] or "0:00") if match["clock"] or match["date"] else 0
+        if match["date"]:
+            value += _day(match["date"]) * _DAY_NS - _zone_ns(match["zone"])
+        else:
+            if before is not None and value < before - _DAY_NS // 2:
+                days += 1
+            before = value
+            value += days * _DAY_NS
+        found.append(value)
+    return found
+
+
+def _clock_ns(text: str) -> int:
+    hours, minutes, *rest = text.replace(",", ".").split(":")
+    whole, _, part = (rest[0] if rest else "0").partition(".")
+    whole_s = (int(hours) * 60 + int(minutes)) * 60 + int(whole)
+    return whole_s * _SECOND_NS + int(f"{part:0<9}"[:9])
+
+
+def _day(text: str) -> int:
+    try:
+        if "." in text:
+            return datetime.strptime(text, "%d.%m.%Y").replace(tzinfo=UTC).toordinal() - _DAY_1970
+        return date.fromisoformat(text.replace("/", "-")).toordinal() - _DAY_1970
+    except ValueError:
+        return 0
+
+
+def _zone_ns(text: str | None) -> int:
+    if not text or text == "Z":
+        return 0
+    sign = -1 if text[0] == "-" else 1
+    digits = text[1:].replace(":", "")
+    offset = timezone(timedelta(hours=int(digits[:2]), minutes=int(digits[2:]))).utcoffset(None)
+    return sign * round(offset.total_seconds()) * _SECOND_NS

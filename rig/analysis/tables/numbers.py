@@ -1,0 +1,129 @@
+"""How numbers are written in a table: decimal point or comma, thousands marks, units behind them.
+
+One way of writing holds for a whole table. Where its numbers leave two ways open, nothing is guessed.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
+
+from processing.errors import ConfigurationError
+
+_EXPONENT: Final = r"(?:[eEdD][+-]?\d+)?"
+_SPACES: Final = "  ’'"
+_POINT: Final = re.compile(rf"[+-]?(?:\d+\.\d*|\.\d+){_EXPONENT}")
+_COMMA: Final = re.compile(rf"[+-]?(?:\d+,\d*|,\d+){_EXPONENT}")
+_WHOLE: Final = re.compile(rf"[+-]?\d+{_EXPONENT}")
+_POINTED: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
+_COMMAED: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?")
+_SPACED: Final = re.compile(rf"[+-]?\d{{1,3}}(?:[{_SPACES} ]\d{{3}})+(?:[.,]\d+)?")
+_NOT: Final = re.compile(r"[+-]?(?:nan|inf(?:inity)?|n/?a|null|none|--?|)", re.IGNORECASE)
+_KINDS: Final = (_WHOLE, _POINT, _COMMA, _COMMAED, _POINTED, _SPACED, _NOT)
+_EASY: Final = re.compile(r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?")
+_WITH_UNIT: Final = re.compile(r"(?P<number>[+-]?[\d.,].*?)\s*(?P<unit>[^\d\s.,+-][^\d,.+]*)")
+MOMENT: Final = re.compile(
+    r"(?P<date>\d{4}-\d\d-\d\d|\d{4}/\d\d/\d\d|\d\d\.\d\d\.\d{4})?(?:(?<=\d)[T ])?"
+    r"(?P<clock>\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?)?(?P<zone>Z|[+-]\d\d:?\d\d)?"
+)
+
+
+class Writing(NamedTuple):
+    """The decimal mark of a table, and the marks between thousands that are taken out."""
+
+    decimal: str = "."
+    thousands: str = ""
+
+    def plain(self, cell: str) -> str:
+        """The cell as Python writes numbers; one that is no number is left as it is."""
+        if self.decimal == "." and _EASY.fullmatch(cell):
+            return cell
+        text = cell.strip(f" \t{_SPACES}")
+        if _SPACED.fullmatch(text):
+            text = re.sub(rf"[{_SPACES} ]", "", text)
+        if self.thousands and self.thousands in text:
+            pattern = _POINTED if self.thousands == "." else _COMMAED
+            # a mark elsewhere is a slip of the pen: not a number
+            text = text.replace(self.thousands, "") if pattern.fullmatch(text) else f"?{text}"
+        if self.decimal == "," and _COMMA.fullmatch(text):
+            text = text.replace(",", ".")
+        return re.sub(r"(?<=\d)[dD](?=[+-]?\d+$)", "e", text)
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number in any way of writing, or stands for a missing one."""
+    return bool(_EASY.fullmatch(cell)) or any(
+        kind.fullmatch(cell) for kind in (_WHOLE, _POINT, _COMMA, _COMMAED, _POINTED, _SPACED, _NOT)
+    )
+
+
+def is_moment(cell: str) -> bool:
+    """Whether a cell is a date, a time of day, or both."""
+    found = MOMENT.fullmatch(cell)
+    return found is not None and bool(found["date"] or found["clock"])
+
+
+def is_value(cell: str) -> bool:
+    """A number, a moment, or a number with a unit behind it."""
+    if is_number(cell) or is_moment(cell):
+        return True
+    found = _WITH_UNIT.fullmatch(cell)
+    return found is not None and len(found["unit"]) < 8 and is_number(found["number"])
+
+
+def writing_of(cells: Iterable[str], stated: str, where: str) -> Writing:
+    """The one way in which all these numbers can be written; `stated` is the decimal mark, or empty.
+
+    Raises
+    ------
+    ConfigurationError
+        Points and commas that both are decimal marks, or commas that may be one or the other.
+    """
+    point, comma, either, pointed = "", "", "", False
+    mixed = {".": "", ",": ""}
+    for cell in cells:
+        if "." in cell and "," in cell:
+            decimal = max(".,", key=cell.rindex)
+            if (_POINTED if decimal == "," else _COMMAED).fullmatch(cell):
+                mixed[decimal] = cell
+        elif "," in cell and _COMMA.fullmatch(cell):
+            if _COMMAED.fullmatch(cell):
+                either = either or cell
+            else:
+                comma = comma or cell
+        elif "." in cell and _POINT.fullmatch(cell):
+            pointed |= bool(_POINTED.fullmatch(cell))
+            if not _POINTED.fullmatch(cell):
+                point = point or cell
+    comma, point = comma or mixed[","], point or mixed["."]
+    if stated:
+        return Writing(stated, {".": ",", ",": "."}[stated])
+    if comma and point:
+        raise ConfigurationError(
+            f"{where}: {comma!r} has a decimal comma and {point!r} a decimal point; write one of them "
+            "everywhere, or state --decimal"
+        )
+    if comma:
+        return Writing(",", ".")
+    if point:
+        return Writing(".", ",")
+    if either and not pointed:
+        raise ConfigurationError(
+            f"{where}: {either!r} may be a number with a decimal comma or one with a mark for thousands; "
+            "state "
+            "--decimal , or --decimal ."
+        )
+    return Writing(",", ".") if either else Writing()
+
+
+def unit_behind(column: Sequence[str]) -> tuple[str, list[str]]:
+    """The unit that stands behind the numbers of a column (``12.5°``), and the numbers without it."""
+    found = [None if is_number(cell) or is_moment(cell) else _WITH_UNIT.fullmatch(cell) for cell in column]
+    units = Counter(match["unit"].strip() for match in found if match is not None)
+    if not units or 2 * units.total() < len(column):
+        return "", list(column)
+    unit, _ = units.most_common(1)[0]
+    return unit, [
+        match["number"].strip() if match is not None and match["unit"].strip() == unit else cell
+        for match, cell in zip(found, column, strict=True)
+    ]

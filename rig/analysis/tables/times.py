@@ -1,0 +1,93 @@
+"""A column of times as nanoseconds, exactly, and the lines of rows that are left out."""
+
+import math
+from collections.abc import Sequence
+from decimal import Decimal
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.errors import DataError
+from processing.ticks import seconds
+from processing.units import conversion
+
+_LONGEST_S: Final = 1e9  # thirty years; 64 bits of nanoseconds hold nine times as much
+_EXACT: Final = 2**53
+"""Largest whole number of ns that a floating-point number holds."""
+_LISTED: Final = 5
+"""Lines that a message names one by one."""
+
+
+def placed(lines: Sequence[int]) -> str:
+    """``lines 4, 9 to 12``: the first few stretches of lines."""
+    stretches: list[list[int]] = []
+    for line in lines:
+        if stretches and line == stretches[-1][1] + 1:
+            stretches[-1][1] = line
+        else:
+            stretches.append([line, line])
+    said = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in stretches[:_LISTED])
+    more = f" and {len(stretches) - _LISTED} more places" if len(stretches) > _LISTED else ""
+    return f"line{'s' if len(lines) > 1 else ''} {said}{more}"
+
+
+def rising(path: Path, times_ns: NDArray[np.int64], cells: Sequence[str], remedy: str) -> None:
+    """Raise DataError where times do not increase."""
+    if len(times_ns) < 2:
+        raise DataError(f"{path}: {len(times_ns)} rows have a time; name the time column with --time")
+    backwards = np.nonzero(np.diff(times_ns) <= 0)[0]
+    if len(backwards):
+        row = int(backwards[0])
+        raise DataError(
+            f"{path}: time does not increase after {cells[row]} (row {row + 1}): {cells[row + 1]} follows; "
+            f"{remedy}"
+        )
+
+
+def read_times(
+    path: Path, cells: list[str], unit: str, remedy: str
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], int]:
+    """Times from the first one in ns, which of the rows have one, and the first one.
+
+    `remedy` is said where they do not increase.
+    """
+    times = np.array([number(cell) for cell in cells])
+    good = np.isfinite(times)
+    times = times[good]
+    if len(times) < 2:
+        raise DataError(f"{path}: {len(times)} rows have a time; name the time column with --time")
+    size_ns = round(conversion(unit, "ns"))
+    with np.errstate(over="ignore", invalid="ignore"):
+        backwards = np.nonzero(~(np.diff(times) >= 0))[0]
+        span_s = (times[-1] - times[0]) * seconds(size_ns)
+        exact = not np.abs(times).max() * size_ns < _EXACT
+    if not len(backwards) and not span_s <= _LONGEST_S:
+        raise DataError(
+            f"{path}: the times span {span_s:.3g} s, which no decay lasts; state their unit "
+            "(--time-unit ns), or name the time column with --time"
+        )
+    if not len(backwards):
+        if exact:
+            whole = [Decimal(cell) * size_ns for cell, kept in zip(cells, good, strict=True) if kept]
+            times_ns = np.array([round(value - whole[0]) for value in whole], dtype=np.int64)
+        else:
+            times_ns = np.round((times - times[0]) * size_ns).astype(np.int64)
+        backwards = np.nonzero(np.diff(times_ns) <= 0)[0]
+    if len(backwards):
+        row = int(backwards[0])
+        raise DataError(
+            f"{path}: time does not increase after {times[row]:.16g} {unit} (row {row + 1}): "
+            f"{times[row + 1]:.16g} {unit} follows; {remedy}"
+        )
+    first = next(cell for cell, kept in zip(cells, good, strict=True) if kept)
+    return times_ns, good, round(Decimal(first) * size_ns)
+
+
+def number(cell: str) -> float:
+    """A number; NaN for anything else."""
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan

@@ -1,0 +1,29 @@
+"""Tables as other programs write them: understood right, refused, rows left out counted, and nothing else."""
+
+import tempfile
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from tests.rig.analysis.table_cases import judged, table_matrix
+
+
+def run(quick: bool = False) -> dict[str, Any]:
+    """How often which; `quick` takes every fifth table."""
+    shown = Table("table", "outcome", "said")
+    counts: Counter[str] = Counter()
+    wrong = []
+    for case in table_matrix()[:: 5 if quick else 1]:
+        with tempfile.TemporaryDirectory() as folder:
+            outcome = judged(case, Path(folder))
+        counts[outcome.kind] += 1
+        if outcome.kind == "wrong":
+            wrong.append(case.name)
+        shown.add_row(case.name, outcome.kind, outcome.said[-120:])
+    Console(width=180).print(shown)
+    results = {"tables": counts.total(), **counts, "wrong ones": wrong}
+    print(results)
+    return results

@@ -1,0 +1,95 @@
+"""Damping of all parts is fitted with its uncertainty; truth from an integration of its own.
+
+Hundreds of decays: ``python -m tests.benchmarks damping``.
+"""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from processing.damping import amplitude_at, fit_damping
+from processing.envelope import fit_envelope
+from processing.errors import DataError
+
+T = np.linspace(0.0, 30.0, 300)
+NOISE = 0.003
+KINDS = {
+    "viscous": (0.0, 0.1, 0.0),
+    "quadratic": (0.0, 0.0, 0.15),
+    "Coulomb": (0.025, 0.0, 0.0),
+    "viscous and quadratic": (0.0, 0.05, 0.08),
+    "viscous and Coulomb": (0.01, 0.06, 0.0),
+    "all": (0.006, 0.05, 0.05),
+}
+
+
+def true_amplitude(parts: tuple[float, float, float]) -> NDArray[np.float64]:
+    """The amplitude, integrated step by step."""
+    c, g, q = parts
+    found = solve_ivp(
+        lambda _, a: -(c + g * a + q * a**2), (0.0, T[-1]), [1.0], t_eval=T, rtol=1e-10, atol=1e-12
+    )
+    return np.asarray(found.y[0])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_solution_is_that_of_the_differential_equation(kind: str) -> None:
+    np.testing.assert_allclose(amplitude_at(T, 1.0, *KINDS[kind]), true_amplitude(KINDS[kind]), atol=1e-8)
+
+
+def test_friction_that_does_not_depend_on_speed_ends_the_swing() -> None:
+    assert amplitude_at(T, 1.0, 0.1, 0.0, 0.0)[-1] == 0.0
+    assert amplitude_at(T, 1.0, 0.1, 0.0, 0.3)[-1] == 0.0
+    assert amplitude_at(T, 1.0, 0.1, 0.2, 0.0)[-1] == 0.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_time_constant_at_every_amplitude_is_within_its_uncertainty(kind: str) -> None:
+    parts, truth = KINDS[kind], true_amplitude(KINDS[kind])
+    amplitudes = np.geomspace(1.0, truth[-1], 4)
+    true_s = 1.0 / (parts[0] / amplitudes + parts[1] + parts[2] * amplitudes)
+    z = []
+    for seed in range(8):
+        noise = NOISE * np.random.default_rng(seed).standard_normal(len(T))
+        found = fit_damping(T, truth + noise, np.full(len(T), NOISE), floor=True)
+        tau_s, u_tau_s = found.time_constant_s(amplitudes)
+        z.append((tau_s - true_s) / u_tau_s)
+        assert np.isnan(found.floor), "no floor is invented"
+        needed = tuple(
+            name for name, part in zip(("constant", "linear", "quadratic"), parts, strict=True) if part
+        )
+        assert found.needed == needed
+    # of 32 values of which those of one decay hang together
+    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.6
+
+
+def test_a_floor_is_found_where_the_end_shows_it_and_only_there() -> None:
+    noise = 0.002 * np.random.default_rng(3).standard_normal(len(T))
+    long = fit_envelope(T, np.sqrt(4.0 * np.exp(-2 * T / 5.0) + 1e-4) + noise, decibel=False)
+    assert long.floor == pytest.approx(0.01, rel=0.2)
+    assert abs(long.tau_s - 5.0) < 4 * long.u_tau_s
+    short = fit_envelope(T, 2.0 * np.exp(-T / 25.0) + noise, decibel=False)
+    assert np.isnan(short.floor)
+    assert abs(short.tau_s - 25.0) < 4 * short.u_tau_s
+
+
+def test_powers_in_decibel_give_the_same_parts() -> None:
+    truth = true_amplitude(KINDS["viscous and quadratic"])
+    noise = 0.03 * np.random.default_rng(5).standard_normal(len(T))
+    found = fit_damping(T, 20 * np.log10(truth) + 40.0 + noise, np.full(len(T), 0.03), decibel=True)
+    assert found.needed == ("linear", "quadratic")
+    assert abs(found.linear.value - 0.05) < 4 * found.linear.u
+    # a hundred times the amplitude, a hundredth of the part that grows with it
+    assert abs(found.quadratic.value - 0.08 / 100) < 4 * found.quadratic.u
+    assert found.first == pytest.approx(100.0, rel=0.01)
+
+
+def test_values_that_do_not_fall_are_no_decay() -> None:
+    rising = 1.0 + 0.01 * T + NOISE * np.random.default_rng(1).standard_normal(len(T))
+    with pytest.raises(DataError, match="does not fall"):
+        fit_damping(T, rising, np.full(len(T), NOISE))
+    with pytest.raises(DataError, match="at least 12"):
+        fit_damping(T[:11], rising[:11], np.full(11, NOISE))
+    with pytest.raises(DataError, match="does not fall"):
+        fit_envelope(T, rising, decibel=False)

@@ -1,0 +1,448 @@
+"""A matrix of tables with known truth: each is understood right, or refused in one line, or what is left out
+is counted.
+"""
+
+import gzip
+import io
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from processing.errors import ConfigurationError, DataError
+from rig.analysis.position_table import TableColumns
+
+ROWS = 240
+STEP_MS = 50
+
+
+@dataclass(frozen=True)
+class TableCase:
+    """`content` is the file, `ending` of its name. `scale` is the true unit over that of the truth, 1.
+
+    `lost` rows are left out and counted; `refused` is a part of the line that refuses the table.
+    """
+
+    name: str
+    content: bytes
+    asked: TableColumns = field(default_factory=TableColumns)
+    ending: str = "csv"
+    unit: str = "unit"
+    refused: str = ""
+    lost: int = 0
+    rows: int = ROWS
+
+
+@dataclass(frozen=True)
+class TableOutcome:
+    """What became of a table; `wrong` is what must not be."""
+
+    kind: str
+    said: str
+
+
+def true_ms() -> list[int]:
+    """Times of the rows, ms."""
+    return [STEP_MS * k for k in range(ROWS)]
+
+
+def true_values() -> list[float]:
+    """Positions of the rows."""
+    t = np.array(true_ms()) / 1000.0
+    return [round(float(x), 3) for x in 1500.0 * np.exp(-t / 20.0) * np.sin(2.0 * t) + 40.0]
+
+
+def judged(case: TableCase, folder: Path) -> TableOutcome:
+    """Read a table, and compare times and positions of every row."""
+    path = folder / f"table.{case.ending}"
+    path.write_bytes(case.content)
+    try:
+        found = case.asked.read(path)
+    except (DataError, ConfigurationError) as error:
+        one_line = "\n" not in str(error)
+        right = one_line and bool(case.refused) and case.refused in str(error)
+        return TableOutcome("refused" if right else "wrong", str(error))
+    if case.refused:
+        return TableOutcome("wrong", "was read: " + "; ".join(found.understood))
+    times_s = np.array(true_ms()) / 1000.0
+    if case.rows != ROWS:
+        times_s = times_s[: case.rows]
+    values = np.array(true_values())
+    which = np.rint(found.times_ns / (1e6 * STEP_MS)).astype(np.int64)
+    same = (
+        len(found.times_ns) == case.rows - case.lost
+        and bool(np.all(which < len(times_s)))
+        and np.allclose(found.times_ns * 1e-9, times_s[which], rtol=0, atol=1.1e-6)
+        and np.allclose(found.positions[0], values[which], rtol=1e-9, atol=1e-9)
+        and found.unit == case.unit
+    )
+    said = "; ".join(found.understood)
+    if case.lost and f"left out: {case.lost} rows" not in said:
+        same = False
+    kind = "wrong" if not same else "counted" if case.lost else "right"
+    return TableOutcome(kind, said)
+
+
+Cell = Callable[[float], str]
+
+
+def point(digits: int) -> Cell:
+    return lambda value: f"{value:.{digits}f}"
+
+
+def comma(digits: int) -> Cell:
+    return lambda value: f"{value:.{digits}f}".replace(".", ",")
+
+
+def marked(digits: int, thousands: str, decimal: str) -> Cell:
+    """With a mark between thousands."""
+
+    def cell(value: float) -> str:
+        text = f"{value:,.{digits}f}"
+        return text.replace(",", "\0").replace(".", decimal).replace("\0", thousands)
+
+    return cell
+
+
+def text(
+    separator: str = ",",
+    header: str | Sequence[str] = (),
+    time: Cell | None = None,
+    value: Cell | None = None,
+    per_s: float = 1.0,
+    end: str = "\n",
+) -> str:
+    """A table of times (in units of which one second has `per_s`) and values."""
+    time, value = time or point(3), value or point(3)
+    lines = [header] if isinstance(header, str) else list(header)
+    lines += [
+        f"{time(ms / 1000.0 * per_s)}{separator}{value(x)}"
+        for ms, x in zip(true_ms(), true_values(), strict=True)
+    ]
+    return end.join(lines) + end
+
+
+def table_matrix() -> list[TableCase]:
+    """Every case."""
+    return [*_separators(), *_writing(), *_units(), *_times(), *_files(), *_losses()]
+
+
+def _case(name: str, content: str | bytes, asked: TableColumns | None = None, **more: Any) -> TableCase:
+    data = content.encode() if isinstance(content, str) else content
+    return TableCase(name, data, asked or TableColumns(), **more)
+
+
+def _separators() -> list[TableCase]:
+    plain = {
+        "tab": "\t",
+        "comma": ",",
+        "semicolon": ";",
+        "blank": " ",
+        "blanks": "    ",
+        "bar": "|",
+        "comma blank": ", ",
+    }
+    found = [
+        _case(f"{name} header {bool(head)}", text(mark, head))
+        for name, mark in plain.items()
+        for head in ((), f"t{mark}x")
+    ]
+    rows = text(" ").splitlines()
+    mixed = "\n".join(row.replace(" ", "\t" if k % 2 else "  ") for k, row in enumerate(rows))
+    both = "\n".join(row.replace(" ", ";" if k % 2 else ", ") for k, row in enumerate(rows))
+    trailing = "\n".join(f"{row};" for row in text(";").splitlines())
+    leading = "\n".join(f"  {row}" for row in rows)
+    quoted = "\n".join('"{}","{}"'.format(*row.split(",")) for row in text(",").splitlines())
+    words = "\n".join(f"{row},good" for row in text(",").splitlines())
+    return [
+        *found,
+        _case("tabs and blanks", mixed),
+        _case("semicolons and commas", both),
+        _case("a separator at each end", trailing),
+        _case("blanks before", leading),
+        _case("quoted", quoted),
+        _case("a column of words", f"t,x,state\n{words}"),
+        _case("carriage returns", text(",", end="\r\n")),
+        _case("comments", "# made by hand\n# t x\n" + text(" ")),
+        _case("percent comments", "% t x\n" + text(" ")),
+        _case("many header lines", "Instrument 7\nOperator, A. B.\n\nt,x\n" + text(",")),
+    ]
+
+
+def _writing() -> list[TableCase]:
+    english = [row.split(";") for row in text(";", (), None, marked(3, ",", ".")).splitlines()]
+    german = {"time": marked(3, ".", ","), "value": marked(3, ".", ",")}
+    return [
+        _case("decimal commas, semicolons", text(";", "t;x", comma(3), comma(3))),
+        _case("decimal commas, tabs", text("\t", "t\tx", comma(3), comma(3))),
+        _case("decimal commas, blanks", text(" ", (), comma(3), comma(3))),
+        _case(
+            "decimal commas, quoted",
+            "\n".join(
+                '"{}","{}"'.format(*row.split(";")) for row in text(";", (), comma(3), comma(3)).splitlines()
+            ),
+        ),
+        _case("1.000,050", text(";", "t;x", **german)),
+        _case("1,000.050", text(";", "t;x", marked(3, ",", "."), marked(3, ",", "."))),
+        _case("1 000.050", text(";", "t;x", marked(3, " ", "."), marked(3, " ", "."))),
+        _case("1 000,050, narrow", text(";", "t;x", marked(3, " ", ","), marked(3, " ", ","))),
+        _case("1'000.050", text(";", "t;x", marked(3, "'", "."), marked(3, "'", "."))),
+        _case("1,000.050 quoted", "\n".join(f'{t},"{x}"' for t, x in english)),
+        _case("exponents", text(",", "t,x", lambda v: f"{v:.9e}", lambda v: f"{v:.12E}")),
+        _case("Fortran's exponents", text(" ", (), None, lambda v: f"{v:.12e}".replace("e", "D"))),
+        _case("plus signs", text(",", "t,x", None, lambda v: f"{v:+.3f}")),
+        _case("points and commas", text(";", "t;x", point(3), comma(3)), refused="has a decimal comma and"),
+        _case(
+            "commas for both",
+            text(",", "t,x", comma(3), comma(3)),
+            refused="decimal commas as well as separators",
+        ),
+        _case(
+            "degree signs",
+            text(";", "t;phi", None, lambda v: f"{v:.3f}°"),
+            refused="more than a turn",
+            unit="deg",
+        ),
+        _case("units behind", text(";", "t;x", lambda v: f"{v:.3f} s", lambda v: f"{v:.3f} mm"), unit="mm"),
+    ]
+
+
+def _units() -> list[TableCase]:
+    ms, us, minutes = (point(0), 1000.0), (point(0), 1e6), (point(9), 1 / 60.0)
+    heads = {
+        "time_ms": ms,
+        "t [ms]": ms,
+        "t/ms": ms,
+        "t (ms)": ms,
+        "Zeit in ms": ms,
+        "Zeit [msec]": ms,
+        "milliseconds": ms,
+        "Time (milliseconds)": ms,
+        "Zeit [µs]": us,
+        "Zeit [μs]": us,
+        "t_usec": us,
+        "time_us": us,
+        "t, us": us,
+        "time_minutes": minutes,
+        "Zeit [Minuten]": minutes,
+        "time_min": minutes,
+        "t / min": minutes,
+        "Time_Sec": (point(3), 1.0),
+        "TIME (S)": (point(3), 1.0),
+        "t [ns]": (point(0), 1e9),
+        "t/h": (point(12), 1 / 3600.0),
+    }
+    found = [
+        _case(f"header {name!r}", text(";", f"{name};x", cell, None, per_s))
+        for name, (cell, per_s) in heads.items()
+    ]
+    values = {
+        "x [mm]": "mm",
+        "U / V": "V",
+        "x_px": "px",
+        "x (µm)": "um",
+        "phi [arcsec]": "arcsec",
+        "phi (″)": "arcsec",
+        "Winkel [Bogensekunden]": "arcsec",
+        "x": "unit",
+    }
+    found += [_case(f"header {name!r}", text(";", f"t;{name}"), unit=unit) for name, unit in values.items()]
+    return [
+        *found,
+        _case("units in a line of their own", "t;x\n(s);(mm)\n" + text(";"), unit="mm"),
+        _case(
+            "units in a line, bare", "Zeit;Weg\nms;mm\n" + text(";", (), point(0), None, 1000.0), unit="mm"
+        ),
+        _case("latin-1 µ", text(";", "Zeit [µs];x", point(0), None, 1e6).encode("cp1252")),
+        _case(
+            "stated unit agrees", text(";", "t;phi [arcsec]"), TableColumns(unit="arcseconds"), unit="arcsec"
+        ),
+        _case(
+            "stated unit contradicts",
+            text(";", "t;phi [arcsec]"),
+            TableColumns(unit="deg"),
+            refused="'phi [arcsec]' says arcsec, --unit says deg",
+        ),
+        _case(
+            "stated time contradicts",
+            text(";", "t [ms];x", ms[0], None, ms[1]),
+            TableColumns(time_unit="s"),
+            refused="'t [ms]' says ms, --time-unit says s",
+        ),
+        _case(
+            "unknown unit of time",
+            text(";", "t [ticks];x"),
+            refused="'ticks' in 't [ticks]' is no unit of time",
+        ),
+        _case("unknown unit of position", text(";", "t;x [foo]"), refused="'foo' in 'x [foo]' is no unit"),
+        _case("unknown unit, another stated", text(";", "t;x [foo]"), TableColumns(unit="mm"), unit="mm"),
+        _case("time in mm", text(";", "a [mm];b [mm]"), refused="which is no unit of time"),
+        _case("too large for radians", text(";", "t;phi [rad]"), refused="more than a turn"),
+        _case(
+            "no unit of time stated",
+            text(";", "t;x"),
+            TableColumns(time_unit="parsec"),
+            refused="is no unit of time",
+        ),
+    ]
+
+
+def _moments(form: Callable[[datetime], str], start: datetime) -> Cell:
+    return lambda s: form(start + timedelta(milliseconds=round(1000 * s)))
+
+
+def _times() -> list[TableCase]:
+    start = datetime(2024, 5, 1, 12, 0, 0, 250_000, tzinfo=UTC)
+    naive = start.replace(tzinfo=None)
+    late = datetime(2024, 5, 1, 23, 59, 58)
+    ns = 1_763_800_000_123_456_789
+    one = "".join(f"{x}\n" for x in true_values())
+    restarted = text(",") + text(",")
+    return [
+        _case("ISO", text(",", "time,x", _moments(lambda m: m.isoformat(), start))),
+        _case(
+            "ISO with Z", text(",", "time,x", _moments(lambda m: m.isoformat().replace("+00:00", "Z"), start))
+        ),
+        _case("ISO, a blank in it", text(",", "time,x", _moments(lambda m: m.isoformat(sep=" "), naive))),
+        _case("ISO, blanks between", text(" ", (), _moments(lambda m: m.isoformat(sep=" "), naive))),
+        _case("German dates", text(";", "Datum;x", _moments(lambda m: f"{m:%d.%m.%Y %H:%M:%S.%f}", naive))),
+        _case(
+            "date and time apart", text(";", "d;t;x", _moments(lambda m: f"{m:%Y-%m-%d;%H:%M:%S.%f}", naive))
+        ),
+        _case("time of day over midnight", text(",", "t,x", _moments(lambda m: f"{m:%H:%M:%S.%f}", late))),
+        _case(
+            "ns since 1970",
+            "".join(f"{ns + 1_000_000 * ms},{x}\n" for ms, x in zip(true_ms(), true_values(), strict=True)),
+            TableColumns(time_unit="ns"),
+        ),
+        _case(
+            "ns since 1970, nothing stated",
+            "".join(f"{ns + 1_000_000 * ms},{x}\n" for ms, x in zip(true_ms(), true_values(), strict=True)),
+            refused="which no decay lasts",
+        ),
+        _case("one column, a rate", one, TableColumns(rate_hz=20.0)),
+        _case("one column, named", "x\n" + one, TableColumns(rate_hz=20.0)),
+        _case("one column, no rate", one, refused="--rate HZ"),
+        _case("a rate and a time", text(), TableColumns(rate_hz=20.0, time="1"), refused="leave --time"),
+        _case("a rate, two columns", text(), TableColumns(rate_hz=20.0), refused="--position"),
+        _case("a rate, two columns, named", text(), TableColumns(rate_hz=20.0, positions=("2",))),
+        _case(
+            "time is not first",
+            "".join(
+                f"{k},{ms},{x}\n" if k else "sequence,time_ms,x\n" + f"0,0,{x}\n"
+                for k, (ms, x) in enumerate(zip(true_ms(), true_values(), strict=True))
+            ),
+        ),
+        _case("a stretch", text(), TableColumns(end_s=4.95), rows=100),
+        _case("an empty stretch", text(), TableColumns(begin_s=99.0), refused="leaves no rows"),
+        _case("times start again", restarted, refused="time does not increase"),
+    ]
+
+
+def workbook(rows: Sequence[Sequence[Any]], dates: bool = False) -> bytes:
+    """A small .xlsx; with `dates` the first column is shown as a date."""
+    main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    texts: list[str] = []
+    lines = []
+    for number, row in enumerate(rows, 1):
+        cells = []
+        for letter, value in zip("ABC", row, strict=False):
+            if isinstance(value, str):
+                texts.append(value)
+                cells.append(f'<c r="{letter}{number}" t="s"><v>{len(texts) - 1}</v></c>')
+            else:
+                style = ' s="1"' if dates and letter == "A" else ""
+                cells.append(f'<c r="{letter}{number}"{style}><v>{value!r}</v></c>')
+        lines.append(f'<row r="{number}">{"".join(cells)}</row>')
+    shared = "".join(f"<si><t>{text}</t></si>" for text in texts)
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("xl/worksheets/sheet1.xml", f'<worksheet xmlns="{main}"><sheetData/></worksheet>')
+        archive.writestr(
+            "xl/worksheets/sheet2.xml",
+            f'<worksheet xmlns="{main}"><sheetData>{"".join(lines)}</sheetData></worksheet>',
+        )
+        archive.writestr("xl/sharedStrings.xml", f'<sst xmlns="{main}">{shared}</sst>')
+        archive.writestr(
+            "xl/styles.xml",
+            f'<styleSheet xmlns="{main}"><cellXfs><xf numFmtId="0"/>'
+            '<xf numFmtId="22"/></cellXfs></styleSheet>',
+        )
+    return out.getvalue()
+
+
+def _files() -> list[TableCase]:
+    from scipy.io import savemat
+
+    t, x = np.array(true_ms()) / 1000.0, np.array(true_values())
+    pairs = np.column_stack([t, x])
+
+    def npy(array: Any) -> bytes:
+        out = io.BytesIO()
+        np.save(out, array)
+        return out.getvalue()
+
+    def mat(**variables: Any) -> bytes:
+        out = io.BytesIO()
+        savemat(out, variables)
+        return out.getvalue()
+
+    named = np.zeros(ROWS, dtype=[("time_ms", float), ("x_mm", float)])
+    named["time_ms"], named["x_mm"] = 1000 * t, x
+    days = 45_000.5 + t / 86_400.0
+    plain = text(";", "Zeit [µs];x [mm]", point(0), None, 1e6)
+    return [
+        _case("UTF-16 with its mark", plain.encode("utf-16"), unit="mm"),
+        _case("UTF-16, little, no mark", plain.encode("utf-16-le"), unit="mm"),
+        _case("UTF-16, big, no mark", plain.encode("utf-16-be"), unit="mm"),
+        _case("UTF-8 with its mark", plain.encode("utf-8-sig"), unit="mm"),
+        _case("gzip", gzip.compress(plain.encode()), ending="csv.gz", unit="mm"),
+        _case("npy, two columns", npy(pairs), ending="npy"),
+        _case("npy, two rows", npy(pairs.T), ending="npy"),
+        _case("npy, names", npy(named), ending="npy", unit="mm"),
+        _case("npy, one column", npy(x), TableColumns(rate_hz=20.0), ending="npy"),
+        _case(
+            "npy, pictures", npy(np.zeros((3, 4, 5))), ending="npy", refused="columns of numbers are needed"
+        ),
+        _case("mat, a matrix", mat(data=pairs), ending="mat"),
+        _case("mat, vectors", mat(t=t, x=x), ending="mat"),
+        _case("mat, unequal vectors", mat(t=t, x=x[:-1]), ending="mat", refused="different lengths"),
+        _case("mat, no mat", b"x" * 300, ending="mat", refused="is no .mat file"),
+        _case(
+            "xlsx",
+            workbook([("t [s]", "x [mm]"), *zip(t.tolist(), x.tolist(), strict=True)]),
+            ending="xlsx",
+            unit="mm",
+        ),
+        _case(
+            "xlsx, dates",
+            workbook([("Datum", "x"), *zip(days.tolist(), x.tolist(), strict=True)], True),
+            ending="xlsx",
+        ),
+        _case("xlsx, no zip", b"no zip", ending="xlsx", refused="is no workbook"),
+        _case("xls", b"old", ending="xls", refused="save it as .xlsx"),
+        _case("empty", b"", refused="holds 0 rows"),
+        _case("words alone", b"only words\nand more\n", refused="holds 0 rows"),
+    ]
+
+
+def _losses() -> list[TableCase]:
+    rows = text(",").splitlines()
+    short, wordy, missing = list(rows), list(rows), list(rows)
+    for k in (20, 21, 90):
+        short[k] = short[k].split(",")[0]
+        wordy[k] = f"bad,{wordy[k].split(',')[1]}"
+        missing[k] = f",{missing[k].split(',')[1]}"
+    cut = "\n".join([*rows[:-1], rows[-1].split(",")[0] + ","])
+    return [
+        _case("rows too short", "\n".join(short), lost=3),
+        _case("times that are words", "\n".join(wordy), lost=3),
+        _case("times that are missing", "\n".join(missing), lost=3),
+        _case("a line of words between", "\n".join([*rows[:50], "paused", *rows[50:]])),
+        replace(_case("the last row cut off", "\n".join([*rows[:-1], "11."])), lost=1),
+        _case("an empty value at the end", cut, TableColumns(end_s=11.9), rows=ROWS - 1),
+    ]

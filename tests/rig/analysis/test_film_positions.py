@@ -1,0 +1,86 @@
+"""A film gives period, damping and a report with nothing but the file; dark objects, the size of a pixel."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from processing.errors import ConfigurationError, DataError
+from rig.analysis import FilmAsked, film_trajectory
+from rig.analysis.film_positions import inverted, looks_dark
+from tests.acquisition.cameras.made_films import NX, NY, Film, write_film
+from tests.rig.command_line import rig
+
+PERIOD_S, TAU_S, RATE_HZ = 1.7, 6.0, 30
+DECREMENT = PERIOD_S / TAU_S
+
+
+def swing(dark: bool = False, count: int = 450) -> list[np.ndarray]:
+    """Pictures of a swing that dies away, with noise."""
+    rng = np.random.default_rng(2)
+    y, x = np.mgrid[:NY, :NX]
+    pictures = []
+    for k in range(count):
+        t = k / RATE_HZ
+        at = 80.3 + 50.0 * np.exp(-t / TAU_S) * np.sin(2.0 * np.pi * t / PERIOD_S)
+        away = np.hypot(x - at, y - 47.8)
+        light = 180.0 * np.exp(-(away**2) / 50.0) + 20.0
+        if dark:
+            light = 190.0 - 150.0 / (1.0 + np.exp(1.5 * (away - 7.0)))
+        noisy = light + 1.5 * rng.standard_normal(light.shape)
+        pictures.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+    return pictures
+
+
+def test_from_a_film_to_a_report_with_one_command(tmp_path: Path) -> None:
+    film = write_film(tmp_path / "swing.mkv", swing(), Film())
+    done = rig("video", film, "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "450 frames in 14.9667 s, 30 frames/s, ffv1, gray" in done.stdout
+    assert "followed: a bright spot; 0 frames without one" in done.stdout
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    for name, true in (("period_s", PERIOD_S), ("log_decrement", DECREMENT)):
+        found = results[name]
+        assert abs(found["value"] - true) < 4 * found["standard_uncertainty"] < 0.01 * true
+    assert results["unit"] == results["amplitude_unit"] == "px"
+    assert results["damping"]["needed"] == ["linear"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count("<svg") + page.count("image/svg+xml") >= 2
+    with (tmp_path / "out" / "positions.csv").open() as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["time_s", "x [px]", "y [px]"]
+    assert len(rows) == 451
+    again = rig("fit", tmp_path / "out" / "positions.csv", "--position", "x [px]")
+    assert "x [px] in px, 1 decay" in again.stdout
+
+
+def test_a_dark_object_is_followed_and_a_pixel_has_a_size(tmp_path: Path) -> None:
+    film = write_film(tmp_path / "dark.mkv", swing(dark=True, count=120), Film())
+    found = film_trajectory(film, FilmAsked(size="0.2 mm"))
+    assert any(
+        "a dark object (the picture is inverted); 0 frames without one" in line for line in found.understood
+    )
+    t = np.arange(120) / RATE_HZ
+    true_mm = 0.2 * (80.3 + 50.0 * np.exp(-t / TAU_S) * np.sin(2.0 * np.pi * t / PERIOD_S))
+    assert found.unit == "mm"
+    assert np.abs(found.positions[0] - true_mm).max() < 0.2 * 0.1
+    with pytest.raises(ConfigurationError, match="a number and a unit are needed"):
+        film_trajectory(film, FilmAsked(size="0.2"))
+
+
+def test_a_film_without_anything_to_follow_is_refused(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    pictures = [rng.integers(90, 110, (NY, NX)).astype(np.uint8) for _ in range(12)]
+    film = write_film(tmp_path / "nothing.mkv", pictures, Film())
+    with pytest.raises(DataError, match="there is nothing to follow"):
+        film_trajectory(film, FilmAsked())
+
+
+def test_dark_is_what_is_darker_than_the_middle() -> None:
+    picture = np.full((50, 50), 100, np.uint8)
+    picture[10:14, 10:14] = 20
+    assert looks_dark(picture)
+    assert not looks_dark(inverted(picture, 255))
+    assert inverted(np.array([[0, 235, 250]], np.uint8), 235).tolist() == [[235, 0, 0]]

@@ -1,0 +1,41 @@
+"""Laws are compared on a table as on a record, or one line says what is missing."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from tests.rig.command_line import rig
+
+
+def swings(path: Path) -> Path:
+    """A decay of 40 half-cycles by friction that is nearly constant, with noise, in arcsec."""
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, 80.0, 0.05)
+    amplitude = 124.0 * np.exp(-0.002 * t) - 0.2 * t
+    phi = amplitude * np.cos(2.0 * np.pi * t / 4.0) + 0.02 * rng.standard_normal(len(t))
+    path.write_text(
+        "t [s],phi [arcsec]\n" + "".join(f"{a:.2f},{b:.4f}\n" for a, b in zip(t, phi, strict=True))
+    )
+    return path
+
+
+def test_laws_are_compared_on_a_table(tmp_path: Path) -> None:
+    config = tmp_path / "mine.toml"
+    config.write_text(
+        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
+        'ball_material = "steel"\nflat_material = "glass_k8"\n'
+    )
+    done = rig(
+        "fit", swings(tmp_path / "t.csv"), "--config", config, "--law", "viscous", "-o", tmp_path / "out"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "linear drag alone" in done.stdout
+    laws = json.loads((tmp_path / "out" / "results.json").read_text())["laws"]
+    assert {"paper", "viscous"} <= set(laws["laws"])
+
+
+def test_without_a_pendulum_one_line_says_so(tmp_path: Path) -> None:
+    done = rig("fit", swings(tmp_path / "t.csv"), "--law", "all")
+    assert done.returncode != 0
+    assert done.stderr.strip() == "rig: --law all: laws need swings and --config CONFIG with [pendulum]"
