@@ -10,12 +10,13 @@ import os
 import signal
 import tempfile
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from processing.errors import RigError
 from rig.channel import Line
 from tests.rig.desk.board_process import BoardProcess, board_process
 from tests.rig.desk.conftest import RIG
@@ -66,6 +67,8 @@ def _series(
             page.key("4")
             page.click("Start …")
             page.in_dialog()
+            # it would take the port of the next series' board
+            stack.callback(_signal, folder / "runs", signal.SIGKILL)
         board.wait_lit(True, 120)
         for _ in range(clicks):
             took_ms.append(_clicked(page, board, folder / "runs", bool(frozen), busy))
@@ -73,10 +76,8 @@ def _series(
             if frozen is None:
                 _lit_again(page, board)
             else:
-                _ordered_again(folder / "runs")
+                _ordered_again(folder / "runs", board)
             board.wait_lit(True, 120)
-        if frozen is not None:
-            _signal(folder / "runs", signal.SIGTERM)
     return took_ms
 
 
@@ -87,24 +88,31 @@ def _lit_again(page: Page, board: BoardProcess) -> None:
     page.wait_text("No live picture yet")
     page.click("Live picture")
     page.wait_text("nearest edge")
-    again = "[...document.querySelectorAll('.cries button')].find(b => b.innerText === 'LIGHT AGAIN')"
+    seen = "[...document.querySelectorAll('.cries button')].find(b => b.innerText.startsWith('{}'))"
+    again, trip = seen.format("LIGHT AGAIN"), seen.format("ACKNOWLEDGE TRIP")
     end_s = time.monotonic() + 300.0
     while not board.lit:
         assert time.monotonic() < end_s, page.text()
         # also a trip that comes meanwhile; what moves just when it is clicked is missed
-        page.acknowledge()
+        if page.ask(f"{trip}?.offsetParent != null"):
+            page.acknowledge()
         if page.ask(f"{again}?.offsetParent != null"):
             page.point_at(again)
         time.sleep(1.0)
 
 
-def _ordered_again(runs: Path) -> None:
-    """Before the frames of that camera are found to show light."""
+def _ordered_again(runs: Path, board: BoardProcess) -> None:
+    """Acknowledge and ask for light until there is light: a session that was stopped trips once more."""
+    end_s = time.monotonic() + 120.0
     with Line(next(runs.glob("*/.channel.json")).parent) as line:
-        while (trip := line.news()["safety"]["trip"]) is None:
-            time.sleep(0.01)
-        line.order(f"acknowledge {trip['number']} the benchmark")
-        line.order("light")
+        while not board.lit:
+            assert time.monotonic() < end_s, line.news()["safety"]
+            trip = line.news()["safety"]["trip"]
+            with suppress(RigError):
+                if trip is not None:
+                    line.order(f"acknowledge {trip['number']} the benchmark")
+                line.order("light")
+            time.sleep(0.05)
 
 
 def _clicked(page: Page, board: BoardProcess, runs: Path, frozen: bool, busy: bool) -> float:
