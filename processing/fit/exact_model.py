@@ -294,7 +294,7 @@ class ExactModel:
             noise.limit,
             gains,
             held,
-            *(NOT_WITNESSED if self.witnessed is None else self.witnessed.known(columns, matrix.shape[1])),
+            *(NOT_WITNESSED if self.witnessed is None else self.witnessed.known(columns, loss_by.shape[1])),
         )  # fmt: skip
         return Filtered(innovations.ravel(), jacobian.reshape(2 * count, -1), state, log_det, gains)
 

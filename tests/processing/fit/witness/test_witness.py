@@ -10,6 +10,7 @@ import pytest
 
 from processing.arrays import Floats
 from processing.fit import FitResult, Witness, WitnessVerdict, fit_exact, fit_with_witness
+from processing.fit.exact_model import Errors, ExactModel
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_path
@@ -77,6 +78,27 @@ def test_what_it_explains_is_taken_off_and_its_response_found() -> None:
     assert found.fit.names == alone.names
     assert found.fit.chi2_per_dof == pytest.approx(1.0, abs=0.25)
     assert found.fit.dof == alone.dof - 2
+
+
+def test_derivatives_by_errors_of_the_law_know_nothing_of_the_witness() -> None:
+    """The filter has columns of the drive for all that it derives by, zero but for the witness itself."""
+    points, alone = on_white()
+    found = fit_with_witness(points, PENDULUM, witness(white(3)), alone, averaged=False)
+    fit = found.fit
+    assert found.use.used
+    model, columns = ExactModel.of(points, PENDULUM, fit)
+    assert model.witnessed is not None
+
+    def errors(amplitude: Floats, _: Floats) -> Floats:
+        return np.ones((len(amplitude), 64))
+
+    found = model.filtered(columns, model.noise_of(fit), errors=Errors(errors, errors))
+    by_law, by_errors = np.split(found.jacobian, [len(columns)], axis=1)
+    assert np.array_equal(by_law, model.filtered(columns, model.noise_of(fit)).jacobian)
+    # all of a kind are the same error
+    losses, durations = np.split(by_errors, 2, axis=1)
+    assert np.all(losses == losses[:, :1])
+    assert np.all(durations == durations[:, :1])
 
 
 def test_its_own_noise_leaves_what_it_must() -> None:
