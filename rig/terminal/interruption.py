@@ -4,19 +4,28 @@ The ``with`` blocks that clean up after any error then also clean up here: the r
 the laser is switched off, ports are closed.
 """
 
+import _thread
 import contextlib
 import os
 import signal
 import stat
+import sys
+import threading
 from collections.abc import Iterator
 from types import FrameType
 
 BY_USER = "stopped by the user"
 _SAID = {"SIGTERM": "terminated", "SIGHUP": "terminated: the terminal was closed"}
+_AGAIN_S = 0.05
+"""So long after it was lost an interrupt is raised again: by then the callback has returned."""
 
 
 class Terminated(KeyboardInterrupt):
-    """The program must end without asking the user anything; the text says why."""
+    """The program must end without asking the user anything: why, and the signal's number."""
+
+    def __init__(self, why: str, number: int = signal.SIGTERM) -> None:
+        super().__init__(why)
+        self.number = number
 
 
 def reason_of(interrupt: KeyboardInterrupt) -> str:
@@ -31,7 +40,11 @@ def terminated_by_signals() -> Iterator[None]:
     Further signals interrupt nothing, so that laser and record are closed; they discard all further output,
     because a reader that does not read would hold that up for ever. Signals that are already ignored
     (``nohup``) stay ignored. After SIGHUP the output is discarded at once, because writing to the closed
-    terminal would raise an error. To be entered in the main thread.
+    terminal would raise an error.
+
+    An interrupt that comes up where nobody can catch it (in a finalizer, or in a callback of a library
+    written in C, such as that by which compiled kernels are loaded) would be forgotten by Python, and with
+    it what the user asked for: Ctrl-C too is raised again after it. To be entered in the main thread.
     """
     known = [getattr(signal, name) for name in _SAID if hasattr(signal, name)]
     terminals = [fd for fd in (0, 1, 2) if os.isatty(fd)]
@@ -47,18 +60,44 @@ def terminated_by_signals() -> Iterator[None]:
         name = signal.Signals(number).name
         if name == "SIGHUP":
             _silence(terminals)
-        raise Terminated(_SAID[name])
+        raise Terminated(_SAID[name], number)
+
+    usual = sys.unraisablehook
+
+    def discarded(lost: "sys.UnraisableHookArgs") -> None:
+        nonlocal heard
+        if not issubclass(lost.exc_type, KeyboardInterrupt):
+            usual(lost)
+            return
+        number: int = signal.SIGINT
+        if isinstance(lost.exc_value, Terminated):
+            number, heard = lost.exc_value.number, False
+        # raised inside of this hook it would be lost once more
+        again = threading.Timer(_AGAIN_S, _interrupt_main, (number,))
+        again.daemon = True
+        again.start()
 
     before = {each: signal.getsignal(each) for each in known}
     # None: a handler not set from Python, which could not be restored
     taken = {each: handler for each, handler in before.items() if handler not in (None, signal.SIG_IGN)}
     try:
+        sys.unraisablehook = discarded
         for each in taken:
             signal.signal(each, end)
         yield
     finally:
+        sys.unraisablehook = usual
         for each, handler in taken.items():
             signal.signal(each, handler)
+
+
+def _interrupt_main(number: int) -> None:
+    """Raise a signal in the main thread, also where that waits for something."""
+    main = threading.main_thread().ident
+    if sys.platform == "win32" or main is None:
+        _thread.interrupt_main(signal.Signals(number))
+    else:
+        signal.pthread_kill(main, number)
 
 
 def _may_block(descriptor: int) -> bool:

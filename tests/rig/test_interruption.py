@@ -1,6 +1,9 @@
 """Signals raise an exception once, in the main thread, and the previous handlers are restored."""
 
+import ctypes
 import signal
+import threading
+from collections.abc import Callable
 from contextlib import ExitStack
 from types import FrameType
 
@@ -38,6 +41,37 @@ def test_a_second_signal_does_not_break_off_the_closing() -> None:
     with pytest.raises(Terminated):
         work()
     assert closed
+
+
+def by_a_callback(raising: Callable[[], None]) -> None:
+    """A library written in C calls back, as that does which loads compiled kernels."""
+    ctypes.CFUNCTYPE(None)(raising)()
+
+
+def by_a_finalizer(raising: Callable[[], None]) -> None:
+    class Finalized:
+        def __del__(self) -> None:
+            raising()
+
+    Finalized()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("somewhere", [by_a_callback, by_a_finalizer])
+def test_a_signal_that_python_discards_is_raised_again(
+    somewhere: Callable[[Callable[[], None]], None], number: signal.Signals
+) -> None:
+    if number == signal.SIGINT and signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        pytest.skip("Ctrl-C has another handler here")
+
+    def work() -> None:
+        with terminated_by_signals():
+            somewhere(lambda: signal.raise_signal(number))
+            threading.Event().wait(30.0)
+
+    with pytest.raises(KeyboardInterrupt) as raised:
+        work()
+    assert isinstance(raised.value, Terminated) == (number == signal.SIGTERM)
 
 
 def test_reasons() -> None:

@@ -15,6 +15,8 @@ import cv2
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 LIMIT_S = 50.0
+IN_DIALOG = "[...document.querySelectorAll('.q-dialog [data-deliberate]')].at(-1)"
+HIT = "window.__hit"
 SIZE = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
 
 
@@ -64,7 +66,14 @@ class Page:
             self.ask(f"{found}.click()")
 
     def point_at(self, element: str) -> None:
-        """Click an element (an expression) with the mouse, as a person does."""
+        """Click an element (an expression) with the mouse, as a person does, until it has been hit.
+
+        What stands above it may go away between the look and the click, and move it.
+        """
+        self.wait_while(f"{HIT} === 1", lambda: self._aim_at(element))
+        self.ask(f"delete {HIT}")
+
+    def _aim_at(self, element: str) -> None:
         # a dialog that is just opening still moves
         middle = "[Math.round(r.x + r.width / 2), Math.round(r.y + r.height / 2)]"
         spot = f"(r => {middle})({element}.getBoundingClientRect())"
@@ -73,29 +82,34 @@ class Page:
             "!document.querySelector('[class*=enter-active]') && "
             f"{element}.contains(document.elementFromPoint(...{spot}))"
         )
+        self.ask(f"{element}.addEventListener('click', () => {{ {HIT} = 1 }}, {{capture: true, once: true}})")
         x, y = self.ask(spot)
         for kind in ("mousePressed", "mouseReleased"):
             self.browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def in_dialog(self) -> None:
         """Press the button of the open dialog that lights, or allows light."""
-        button = "[...document.querySelectorAll('.q-dialog [data-deliberate]')].at(-1)"
-        self.wait(f"{button} != null")
-        self.point_at(button)
+        self.wait(f"{IN_DIALOG} != null")
+        self.point_at(IN_DIALOG)
 
     def acknowledge(self) -> None:
         """Acknowledge what is latched, again and again while that is refused."""
-        hidden = (
-            "![...document.querySelectorAll('.cries button')].some(b => b.offsetParent && "
+        button = (
+            "[...document.querySelectorAll('.cries button')].find(b => b.offsetParent && "
             "b.innerText.startsWith('ACKNOWLEDGE'))"
         )
 
         def ask() -> None:
-            self.click("Acknowledge trip")
-            self.in_dialog()
-            self.wait(f"document.querySelector('.q-notification') || {hidden}")
+            # what was said of the try before
+            self.ask("document.querySelectorAll('.q-notification button').forEach(b => b.click())")
+            self.wait("!document.querySelector('.q-notification')")
+            self.ask(f"{button}?.click()")
+            # the try before may have done it meanwhile, and there is nothing more to ask
+            if self.wait(f"{IN_DIALOG} != null ? 'ask' : {button} == null ? 'done' : null") == "ask":
+                self.point_at(IN_DIALOG)
+                self.wait(f"document.querySelector('.q-notification') || {button} == null")
 
-        self.wait_while(hidden, ask)
+        self.wait_while(f"{button} == null", ask)
 
     def type(self, text: str) -> None:
         """Type a text wherever the focus is; `\\r` is the key Enter."""
