@@ -24,6 +24,14 @@ def known_sha256_of(path: Path) -> str:
     return _known(path.resolve(), (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
 
 
+def known_sha256_of_any(path: Path) -> str:
+    """The same; of a folder that of the names and hashes of its files, in order. Raises RecordError."""
+    if not path.is_dir():
+        return known_sha256_of(path)
+    lines = [f"{known_sha256_of(each)}  {each.name}\n" for each in sorted(path.iterdir()) if each.is_file()]
+    return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+
 def sha256_of(path: Path) -> str:
     """Hexadecimal SHA-256 of a file, read in pieces.
 

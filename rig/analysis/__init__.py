@@ -10,7 +10,7 @@ from rig.analysis.curves import Curves, curves_of
 from rig.analysis.decay_values import decay_lines
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.encoding import JsonObject, units_of
-from rig.analysis.film_positions import FilmAsked, film_trajectory, with_positions
+from rig.analysis.film_positions import FilmAsked, film_trajectory
 from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.fitted_drag import FittedDrag, evidence_of, known_drag
@@ -25,6 +25,7 @@ from rig.analysis.instrument_results import (
 )
 from rig.analysis.law_results import ComparedLaws, MomentsWithoutLaw
 from rig.analysis.position_table import TableColumns, Trajectory
+from rig.analysis.positions_file import POSITIONS_NAME, read_positions, write_positions
 from rig.analysis.record_fit import (
     AnalysedRun,
     analyse_record,
@@ -34,12 +35,13 @@ from rig.analysis.record_fit import (
     session_results,
     with_dropped_frames,
 )
-from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults, TableResults
+from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults, TableDecay, TableResults
 from rig.analysis.results_file import (
     RESULTS_NAME,
     decoded,
     encoded,
     free_path,
+    read_any_results,
     read_results,
     recorded_results,
     results_path,
@@ -51,7 +53,7 @@ from rig.analysis.settled import loss_of, points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import expected_drag, recorded_surroundings, stated_surroundings
-from rig.analysis.table_fit import AnalysedTable, FoundDecay, along_motion, analyse_table
+from rig.analysis.table_fit import AnalysedTable, FoundDecay, along_and_across, analyse_table
 from rig.analysis.table_screen import fit_envelope_table, fit_read, fit_trajectory
 from rig.analysis.waveform_results import waveform_table
 from rig.analysis.witness_file import StatedWitness, WitnessRecord

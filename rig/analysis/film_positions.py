@@ -1,7 +1,6 @@
 """Positions of the spot, or of a dark object, in a film or a folder of images: a trajectory in px."""
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -128,15 +127,6 @@ def inverted(image: Image, full_scale_dn: int) -> Image:
     """Dark becomes bright; what is above full scale is black."""
     turned: NDArray[np.int64] = full_scale_dn - np.minimum(image, full_scale_dn).astype(np.int64)
     return np.asarray(turned.astype(image.dtype))
-
-
-def with_positions(trajectory: Trajectory) -> list[Sequence[str]]:
-    """Rows of a table of the positions, the names first."""
-    unit = trajectory.unit
-    rows: list[Sequence[str]] = [("time_s", *(f"{name} [{unit}]" for name in trajectory.names))]
-    for time_ns, *place in zip(trajectory.times_ns.tolist(), *trajectory.positions, strict=True):
-        rows.append((f"{time_ns // 10**9}.{time_ns % 10**9:09d}", *(f"{value:.6g}" for value in place)))
-    return rows
 
 
 def _flagged(flags: Counter[str], count: int) -> str:

@@ -62,10 +62,15 @@ def results_path(source: Path) -> Path:
 
 
 def read_results(source: Path) -> SessionResults:
-    """results.json of a session's folder, or a results file made from records.
+    """results.json of a session's folder, or a results file: of records, or of the decays of a table.
 
     Raises RecordError with one line: no such file, or the key that cannot be understood.
     """
+    return runs_of(read_any_results(source))
+
+
+def read_any_results(source: Path) -> SessionResults | TableResults:
+    """The same, with what a table's results say of the table."""
     path = results_path(source)
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
@@ -80,16 +85,33 @@ def read_results(source: Path) -> SessionResults:
         raise RecordError(f"{path}: is no results file; name {RESULTS_NAME} or its folder") from None
     except (ValueError, RecursionError) as error:
         raise RecordError(f"{path}: cannot be read: it is not JSON ({error}); {_REMEDY}") from None
-    return decoded(tree, path)
+    return _decoded(tree, path)
 
 
 def decoded(tree: Any, path: Path) -> SessionResults:
     """Results from what `encoded` gives of them; RecordError names the file and the key at fault."""
-    if not isinstance(tree, dict) or not isinstance(tree.get("runs"), list) or not tree["runs"]:
-        raise RecordError(f"{path}: names no runs; it was not made from records of rig run")
+    return runs_of(_decoded(tree, path))
+
+
+def runs_of(results: SessionResults | TableResults) -> SessionResults:
+    """Results of a table with every decay of it as a run."""
+    if isinstance(results, SessionResults):
+        return results
+    return SessionResults(schema=results.schema, runs=results.decays)
+
+
+def _decoded(tree: Any, path: Path) -> SessionResults | TableResults:
+    if isinstance(tree, dict) and "envelope" in tree:
+        raise RecordError(
+            f"{path}: is of an envelope, which has no half-cycles; the table it was made from has"
+        )
+    kind = TableResults if isinstance(tree, dict) and "trajectory" in tree else SessionResults
+    runs = tree.get("runs" if kind is SessionResults else "decays") if isinstance(tree, dict) else None
+    if not isinstance(runs, list) or not runs:
+        raise RecordError(f"{path}: names no runs; it was not made by rig run or rig fit")
     try:
         today, _ = migrated(tree, str(path), _STEPS)
-        found: SessionResults = _codec(SessionResults).read(today)
+        found: SessionResults | TableResults = _codec(kind).read(today)
     except ConfigurationError as error:
         raise RecordError(str(error)) from None
     except ValidationError as error:
@@ -99,6 +121,8 @@ def decoded(tree: Any, path: Path) -> SessionResults:
 
 def _with_amplitudes(tree: Mapping[str, Any]) -> Mapping[str, Any]:
     """Schema 1 had amplitudes under one name only, in whichever unit the record has."""
+    if "runs" not in tree:
+        return tree
     ends = ("initial", "final")
     runs = [
         {f"{end}_amplitude": run.get(f"{end}_amplitude_arcsec") for end in ends} | run

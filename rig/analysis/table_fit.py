@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.digest import known_sha256_of
+from acquisition.record.digest import known_sha256_of_any
 from processing.contact.laws import Law
 from processing.decay_summary import DecaySummary, summarise_decay
 from processing.deflections import DeflectionUnit, slow_deflections
@@ -28,6 +28,8 @@ from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.position_table import ANGLES, NOT_STATED, TableColumns, Trajectory
 from rig.analysis.record_fit import analyse_swings
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
+from rig.analysis.results_file import relative_record
+from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import stated_surroundings
 from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
 from rig.settings import Configuration
@@ -83,7 +85,7 @@ def analyse_trajectory(
     fitted.
     """
     scale = trajectory.scale_rad or 1.0
-    deflection = along_motion(trajectory.positions) * scale
+    deflection = along_and_across(trajectory.positions)[0] * scale
     noise = estimate_noise(trajectory.times_ns, deflection)
     detector = SwingDetector()
     swings = detector.update(trajectory.times_ns, deflection, np.full(len(deflection), noise))
@@ -151,21 +153,23 @@ def analyse_envelope(
     )
 
 
-def along_motion(positions: tuple[NDArray[np.float64], ...]) -> NDArray[np.float64]:
-    """Position (n,) along the motion: a single one unchanged, of two the component of the largest variance.
+def along_and_across(
+    positions: tuple[NDArray[np.float64], ...],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Positions (n,) along the motion and across it: of two the components of the largest and the smallest
+    variance; a single one unchanged, and NaN.
 
     Raises DataError if there is no sample with both positions.
     """
     if len(positions) == 1:
-        return positions[0]
+        return positions[0], np.full(len(positions[0]), np.nan)
     both = np.column_stack(positions)
     good = np.isfinite(both).all(axis=1)
     if not good.any():
         raise DataError("no row of the table has both positions; name other columns with --position")
     centred = both - both[good].mean(axis=0)
     _, _, axes = np.linalg.svd(centred[good], full_matrices=False)
-    along: NDArray[np.float64] = centred @ axes[0]
-    return along
+    return centred @ axes[0], centred @ axes[1]
 
 
 def _analyse(
@@ -186,7 +190,9 @@ def _analyse(
         trajectory.times_ns < swings[-1].turn_time_ns + edge_ns
     )
     problem = _why_no_laws(trajectory, config)
-    run = RunResults(record=path.name, sha256=known_sha256_of(path), problem=problem)
+    run = RunResults(
+        record=relative_record(path, Path.cwd()), sha256=known_sha256_of_any(path), problem=problem
+    )
     if config is not None and not problem:
         samples = slow_deflections(trajectory.times_ns[inside], deflection[inside], noise)
         passing = PassingDeflections([samples], DeflectionUnit.RAD)
@@ -214,6 +220,9 @@ def _analyse(
             "warnings": (*run.warnings, *_changes(summary)),
         }
     )
+    if run.turning_points is None:
+        unit = DeflectionUnit.OWN if trajectory.scale_rad is None else DeflectionUnit.RAD
+        values["turning_points"] = StoredTurningPoints.of(points, swings, unit, 1.0)
     if config is not None and config.lever is None and run.budget:
         values["notes"] = (
             *run.notes,

@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from processing.decay_summary import DecayMean
@@ -13,7 +14,7 @@ from rig.analysis.amplitude_damping import damping_lines
 from rig.analysis.compared_laws import chosen_laws
 from rig.analysis.position_table import TableColumns, Trajectory
 from rig.analysis.results import EnvelopeResults, TableResults
-from rig.analysis.results_file import RESULTS_NAME, write_results
+from rig.analysis.results_file import RESULTS_NAME, relative_record, write_results
 from rig.analysis.screen import print_run
 from rig.analysis.table_fit import AnalysedTable, FoundDecay, analyse_envelope, analyse_trajectory
 from rig.analysis.witness_file import StatedWitness
@@ -73,7 +74,7 @@ def fit_read(
     if laws and table.results.problem:
         raise ConfigurationError(f"--law {laws[0]}: {table.results.problem}")
     _print(path, table)
-    _write(output, table.results)
+    _write(path, output, table.results)
     if output is not None and report is not None:
         for name, made in report(table, output):
             print(f"{name:<12} {made}")
@@ -105,13 +106,17 @@ def fit_envelope_table(
         print(f"  quality factor {with_uncertainty(*results.quality_factor)}")
     for warning in results.warnings:
         print(f"  note: {warning}")
-    _write(output, results)
+    _write(path, output, results)
     return 0
 
 
-def _write(output: Path | None, results: TableResults | EnvelopeResults) -> None:
+def _write(path: Path, output: Path | None, results: TableResults | EnvelopeResults) -> None:
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
+        if isinstance(results, TableResults):
+            record = relative_record(path, output)
+            decays = tuple(replace(decay, record=record) for decay in results.decays)
+            results = replace(results, record=record, decays=decays)
         write_results(output / RESULTS_NAME, results)
         print(f"results      {output / RESULTS_NAME}")
 

@@ -7,7 +7,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from acquisition.record.digest import sha256_of
+from acquisition.record.digest import known_sha256_of_any, sha256_of
 from acquisition.record.events import CUT_SHORT, end_of
 from acquisition.record.proof import data_crc_matches, identity_of, thinning_of
 from acquisition.record.reader import RecordReader
@@ -18,7 +18,7 @@ from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.ticks import seconds
-from rig.analysis import RunResults, read_results, recorded_surroundings, results_path
+from rig.analysis import RunResults, TableDecay, read_results, recorded_surroundings, results_path
 from rig.archive.columns import DERIVED, OF_INSTRUMENTS, PARAMETERS
 
 Row = dict[str, Any]
@@ -41,11 +41,14 @@ def session_rows(folder: Path) -> SessionRows:
     flaws: list[str] = []
     source = results_path(folder)
     by_record: dict[Path, RunResults] = {}
+    decays: list[TableDecay] = []
     results_sha256 = ""
     if source.is_file():
         results_sha256 = sha256_of(source)
         try:
-            by_record = {folder / run.record: run for run in read_results(source).runs}
+            runs = read_results(source).runs
+            decays = [run for run in runs if isinstance(run, TableDecay)]
+            by_record = {folder / run.record: run for run in runs if not isinstance(run, TableDecay)}
         except RecordError as error:
             flaws.append(str(error))
     rows = []
@@ -71,6 +74,11 @@ def session_rows(folder: Path) -> SessionRows:
         rows.append(row)
         if row["flaw"]:
             flaws.append(f"{path}: {row['state']}: {row['flaw']}")
+    for number, decay in enumerate(decays, start=1):
+        row = _of_table(folder, decay, number)
+        rows.append(row | {"results": source.name, "results_sha256": results_sha256})
+        if row["flaw"]:
+            flaws.append(f"{folder / decay.record}: {row['state']}: {row['flaw']}")
     session = hashlib.sha256("".join(sorted({row["sha256"] for row in rows})).encode()).hexdigest()
     for row in rows:
         row["session"] = session
@@ -89,6 +97,29 @@ def _row(folder: Path, path: Path, run: RunResults | None) -> tuple[Row, bool]:
         row |= _of_record(path)
         stale = run is not None and bool(run.sha256) and run.sha256 != row["sha256"]
     return (row if run is None or stale else row | row_of_results(run)), stale
+
+
+def _of_table(folder: Path, decay: TableDecay, number: int) -> Row:
+    """The row of a decay, counted from 1, of a table or a film.
+
+    The first is known by the table's hash, the others by one that follows from it.
+    """
+    path = folder / decay.record
+    known = decay.sha256
+    row: Row = {
+        "run": path.stem if number == 1 else f"{path.stem}-decay-{number}",
+        "record": decay.record,
+        "sha256": known if number == 1 else hashlib.sha256(f"{known} decay {number}".encode()).hexdigest(),
+        "record_bytes": path.stat().st_size if path.is_file() else None,
+        "duration_s": _number(decay.ended_s - decay.began_s),
+        "state": "whole",
+        "flaw": "",
+    }
+    if not path.exists():
+        row |= {"state": "missing", "flaw": "results name a table that is not there"}
+    elif known_sha256_of_any(path) != known:
+        row |= {"state": "damaged", "flaw": "the table is not as it was when the results were made"}
+    return row | row_of_results(decay)
 
 
 def _of_record(path: Path) -> Row:
@@ -151,6 +182,9 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
         yield "mass_kg", run.pendulum.mass_kg
         yield "ball_radius_m", run.pendulum.ball_radius_m
     fit = run.fits.get(FitMethod.EXACT)
+    if fit is None and run.period_s.value > 0:
+        yield from _estimate("mean_period_s", run.period_s)
+        yield from _estimate("log_decrement", run.log_decrement)
     if fit is not None:
         yield "law", fit.law
         yield "chi2_per_dof", _number(fit.chi2_per_dof)

@@ -124,7 +124,7 @@ def fit(
         if envelope is not None:
             raise typer.Exit(fit_envelope_table(files[0], output, columns, envelope, frequency))
         raise typer.Exit(
-            fit_trajectory(files[0], output, config, columns, set_ or [], _decay_report, law or [], ground)
+            fit_trajectory(files[0], output, config, columns, set_ or [], _table_report, law or [], ground)
         )
     of_tables = {
         "--config": config, "--time": time, "--position": position, "--unit": unit, "--envelope": envelope,
@@ -207,14 +207,14 @@ def video(
         raise ConfigurationError("--force-rate: needs the --rate that it is to hold")
     asked = FilmAsked(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
     raise typer.Exit(
-        fit_read(film, film_trajectory(film, asked), output, config, set_ or [], _decay_report, law or [])
+        fit_read(film, film_trajectory(film, asked), output, config, set_ or [], _table_report, law or [])
     )
 
 
-def _decay_report(table: "AnalysedTable", folder: Path) -> Sequence[tuple[str, Path]]:
-    from rig.report import make_decay_report
+def _table_report(table: "AnalysedTable", folder: Path) -> Sequence[tuple[str, Path]]:
+    from rig.report import make_table_report
 
-    return make_decay_report(table, folder)
+    return make_table_report(table, folder)
 
 
 def fit_records(

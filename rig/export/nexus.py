@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from acquisition.record.whole_file import being_written
 from processing.errors import MissingPackage
-from processing.units import in_ascii, unit_of_name
+from processing.units import in_ascii
 from rig.export.run import ExportedRun, columns_of
 
 _NEXUS_UNITS = {"px": "pixel", "DN": "count", "1": "", "°C": "degC", "%": "percent"}
@@ -51,10 +51,8 @@ def _entry(file: Any, run: ExportedRun) -> None:
     entry["program_name"] = "optical-pendulum-rig"
     entry["program_name"].attrs["version"] = about.get("versions.optical-pendulum-rig", "")
     _about_the_rig(entry, about)
-    slow = "y_rad" if "y_rad" in (run.spots.dtype.names or ()) else "y_deflection_px"
-    amplitude = "amplitude_rad" if "amplitude_rad" in (run.swings.dtype.names or ()) else "amplitude_px"
-    _data(entry, "spots", columns_of(run.spots), slow, "time_ns")
-    _data(entry, "swings", columns_of(run.swings), amplitude, "turn_time_ns")
+    _data(entry, "spots", run.spots, ("y_rad", "y_deflection_px", "position_1"), run)
+    _data(entry, "swings", run.swings, ("amplitude",), run)
     note = _group(entry, "provenance", "NXnote")
     note["type"] = "application/json"
     note["description"] = json.dumps(dict(about))
@@ -93,16 +91,18 @@ def _group(above: Any, name: str, nexus_class: str) -> Any:
     return group
 
 
-def _data(entry: Any, name: str, columns: Mapping[str, NDArray[Any]], signal: str, axis: str) -> None:
-    group = _group(entry, name, "NXdata")
-    if signal in columns:
+def _data(entry: Any, name: str, table: NDArray[Any], signals: tuple[str, ...], run: ExportedRun) -> None:
+    """Columns, the first that begins like one of `signals` against the time."""
+    group, columns = _group(entry, name, "NXdata"), columns_of(table)
+    signal = next((key for begin in signals for key in columns if key.startswith(begin)), "")
+    axis = next((key for key in ("time_ns", "turn_time_ns", "time_s") if key in columns), "")
+    if signal and axis:
         group.attrs["signal"] = signal
         group.attrs["axes"] = [axis]
         group.attrs[f"{axis}_indices"] = [0]
     for key, values in columns.items():
-        _with_unit(
-            group.create_dataset(key, data=values, compression="gzip", shuffle=True), unit_of_name(key)
-        )
+        field = group.create_dataset(key, data=values, compression="gzip", shuffle=True)
+        _with_unit(field, run.unit_of(key))
     for key in columns:
         if key.startswith("u_") and key[2:] in columns:
             group[f"{key[2:]}_errors"] = group[key]

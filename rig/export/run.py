@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from acquisition.record.topics import SPOT, SWING
 from acquisition.record.utc import utc
 from processing.errors import RecordError
 from processing.units import unit_of_name
-from rig.analysis import RESULTS_NAME, JsonObject, RunResults, encoded, read_results, units_of
+from rig.analysis import RESULTS_NAME, JsonObject, RunResults, TableDecay, encoded, read_results, units_of
 from rig.instrument import CONFIGURATION_NAME
 
 
@@ -27,7 +27,7 @@ class ExportedRun:
     `results` is empty if the run was not fitted; `units` are those of its numbers by dotted name.
     `provenance` maps names to texts, including the record's hash and its complete configuration. `notes` say
     what the record lacks: that it was cut short, what is damaged. `began` and `ended` are the UTC of its
-    first and its last message, as ISO 8601.
+    first and its last message, as ISO 8601; `column_units` are units of columns whose names do not say them.
     """
 
     name: str
@@ -39,17 +39,30 @@ class ExportedRun:
     notes: tuple[str, ...] = ()
     began: str = ""
     ended: str = ""
+    column_units: Mapping[str, str] = field(default_factory=dict)
+
+    def unit_of(self, column: str) -> str:
+        """Unit of a column of `spots` or `swings`."""
+        return self.column_units.get(column) or unit_of_name(column)
 
 
-def runs_in(source: Path) -> list[tuple[Path, RunResults | None]]:
-    """Records with their results: of a folder with results.json, or one with those next to it, if any."""
-    if source.is_dir():
-        return [(source / run.record, run) for run in read_results(source).runs]
+def runs_in(source: Path) -> list[tuple[str, Path, RunResults | None]]:
+    """Names and records with their results: of a folder with results.json or such a file, or one record with
+    those next to it, if any.
+    """
+    if source.is_dir() or source.suffix == ".json":
+        folder = source if source.is_dir() else source.parent
+        runs = read_results(source).runs
+        several = len(runs) > 1 and isinstance(runs[0], TableDecay)
+        return [
+            (Path(run.record).stem + (f"-decay-{k}" if several else ""), folder / run.record, run)
+            for k, run in enumerate(runs, start=1)
+        ]
     results = None
     if (source.parent / RESULTS_NAME).exists():
         runs = read_results(source.parent).runs
         results = next((run for run in runs if run.record == source.name), None)
-    return [(source, results)]
+    return [(source.stem, source, results)]
 
 
 def read_run(path: Path, results: RunResults | None) -> ExportedRun:

@@ -4,8 +4,10 @@ from pathlib import Path
 from typing import Literal
 
 from processing.errors import ConfigurationError, RecordError
+from rig.analysis import TableDecay
 from rig.export.nexus import write_nexus
 from rig.export.run import read_run, runs_in
+from rig.export.table_run import read_table_decay
 from rig.export.tables import TABLES, table_path, write_csv, write_parquet
 from rig.presentation import say
 
@@ -13,7 +15,7 @@ Format = Literal["csv", "parquet", "hdf5"]
 
 
 def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
-    """Export a session's folder or one record; returns the files made.
+    """Export a session's folder, that of a table's results, or one record; returns the files made.
 
     What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, three
     files a run. HDF5: `output` is the file, one
@@ -23,14 +25,21 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     """
     found = runs_in(source)
     suffix = "csv" if kind == "csv" else "parquet"
-    made = [table_path(output, path.stem, what, suffix) for path, _ in found for what in TABLES]
+    names = [name for name, _, _ in found]
+    made = [table_path(output, name, what, suffix) for name in names for what in TABLES]
     if len(set(made)) < len(made):
         raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
     for path in [output] if kind == "hdf5" else made:
         if path.exists():
             place = "name" if kind == "hdf5" else "folder"
             raise ConfigurationError(f"{path}: exists already and is not overwritten; choose another {place}")
-    runs = [read_run(path, results) for path, results in found]
+    folder = source if source.is_dir() else source.parent
+    runs = [
+        read_table_decay(folder, results, name)
+        if isinstance(results, TableDecay)
+        else read_run(path, results)
+        for name, path, results in found
+    ]
     for run in runs:
         for note in run.notes:
             say(f"{run.name}: {note}" if source.is_dir() else note)

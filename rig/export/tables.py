@@ -8,7 +8,6 @@ import pyarrow as pa
 from pyarrow import csv, parquet
 
 from acquisition.record.whole_file import being_written
-from processing.units import unit_of_name
 from rig.export.run import ExportedRun, columns_of, flat_results
 from rig.presentation import harmless_text
 
@@ -59,7 +58,7 @@ def _tables(
     tables = {"spots": columns_of(run.spots), "swings": columns_of(run.swings)}
     for name, columns in tables.items():
         fields = [
-            pa.field(key, pa.from_numpy_dtype(values.dtype), metadata={"unit": unit_of_name(key)})
+            pa.field(key, pa.from_numpy_dtype(values.dtype), metadata={"unit": run.unit_of(key)})
             for key, values in columns.items()
         ]
         yield (

@@ -2,10 +2,11 @@
 
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.comparison import compare
-from rig.report.decay_report import make_decay_report
 from rig.report.drawing import INK, ReportFigure, canvas, png, styled, svg
 from rig.report.html import check_report
-from rig.report.run_data import RunData, ShownTrajectory, ShownUnit, turning_points_again
+from rig.report.run_data import RunData, ShownTrajectory, ShownUnit
 from rig.report.session_report import draw_run, make_report, save_figures, save_tables
+from rig.report.source import turning_points_again
+from rig.report.table_report import make_table_report
 from rig.report.tables_instruments import instrument_table
 from rig.report.tables_uncertainty import series_table

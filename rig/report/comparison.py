@@ -17,6 +17,7 @@ from processing.fit import (
     FitMethod,
     FittedContact,
     SeriesResult,
+    combine,
     compare_series,
 )
 from rig.analysis import Fit, SessionResults, determined_text, read_results, series_verdicts
@@ -33,6 +34,8 @@ from rig.report.figures_contact import comparison_figure
 from rig.report.session_report import save_figures, save_tables
 
 _ENERGY = "surface_energy_table2_j_per_m2"
+_OF_ANY_DECAY = {"mean_period_s": "period_s", "log_decrement": "log_decrement"}
+"""What is compared where no run was fitted: names of quantities, and of fields of `RunResults`."""
 DIFFERENT = 0.05
 """Chance, shared between all pairs and parameters, below which series are said to differ."""
 
@@ -52,8 +55,9 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     labels = [
         _label(folder, folders) + _of_origin(found) for folder, found in zip(folders, sessions, strict=True)
     ]
+    fitted = any(run.fits for session in sessions for run in session.runs)
     series = {
-        label: series_of(found, folder)
+        label: (series_of if fitted else decays_of)(found, folder)
         for label, folder, found in zip(labels, folders, sessions, strict=True)
     }
     seen = seen_runs(dict(zip(labels, sessions, strict=True)), over) if over else []
@@ -64,7 +68,8 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     tables += [against_table(seen, over)] if over else []
     if output is not None:
         files = output.parent / output.stem
-        names = [name for name in DEFAULT_LAW.names() if all(name in s.parameters for s in series.values())]
+        compared = (*DEFAULT_LAW.names(), *_OF_ANY_DECAY)
+        names = [name for name in compared if all(name in s.parameters for s in series.values())]
         bars = {
             label: {
                 name: (item.value, item.expanded_uncertainty_95) for name, item in found.parameters.items()
@@ -103,12 +108,32 @@ def series_of(session: SessionResults, folder: Path) -> SeriesResult:
     """
     combined = _combined_of(session)
     if combined:
-        parameters = dict(combined)
+        parameters: Mapping[str, Combined] = combined
     else:
         fitted = [run for run in session.runs if run.fits]
         if not fitted:
             raise RecordError(f"{folder}: no run of it was fitted ({session.runs[0].problem})")
         parameters = _single(fitted[0].fits[FitMethod.EXACT])
+    return _series(parameters)
+
+
+def decays_of(session: SessionResults, folder: Path) -> SeriesResult:
+    """Period and decrement of a session of which nothing was fitted: its mean, or those of its one decay.
+
+    Raises RecordError where it has no decay.
+    """
+    runs = [run for run in session.runs if run.period_s.value > 0]
+    if not runs:
+        raise RecordError(f"{folder}: has no decay ({session.runs[0].problem})")
+    parameters = {}
+    for name, field in _OF_ANY_DECAY.items():
+        values = [getattr(run, field) for run in runs]
+        dof = max(runs[0].half_cycles - 2, 1)
+        parameters[name] = _alone(values[0], dof) if len(values) == 1 else combine(name, values)
+    return _series(parameters)
+
+
+def _series(parameters: Mapping[str, Combined]) -> SeriesResult:
     names = tuple(parameters)
     u = np.array([parameters[name].standard_uncertainty for name in names])
     together = FittedContact(
@@ -145,17 +170,21 @@ def _single(fit: Fit) -> dict[str, Combined]:
     for name in DEFAULT_LAW.names():
         value, u = fit.estimate(name)
         if isfinite(value) and isfinite(u):
-            half = float(stdtrit(dof, 0.975)) * u
-            found[name] = Combined(
-                value=value,
-                standard_uncertainty=u,
-                expanded_uncertainty_95=half,
-                degrees_of_freedom=dof,
-                within_runs=u,
-                between_runs=0.0,
-                runs=(Estimate(value, u),),
-            )
+            found[name] = _alone(Estimate(value, u), dof)
     return found
+
+
+def _alone(estimate: Estimate, dof: int) -> Combined:
+    value, u = estimate
+    return Combined(
+        value=value,
+        standard_uncertainty=u,
+        expanded_uncertainty_95=float(stdtrit(dof, 0.975)) * u,
+        degrees_of_freedom=dof,
+        within_runs=u,
+        between_runs=0.0,
+        runs=(estimate,),
+    )
 
 
 def values_table(
@@ -164,9 +193,8 @@ def values_table(
     energies: Sequence[Estimate | None],
 ) -> Table:
     """One row a parameter, one column a series; what is not determined as interval or bound."""
-    names = [
-        name for name in DEFAULT_LAW.names() if any(name in found.parameters for found in series.values())
-    ]
+    known = {name for found in series.values() for name in found.parameters}
+    names = [name for name in (*DEFAULT_LAW.names(), *_OF_ANY_DECAY) if name in known]
     rows: list[list[Cell]] = []
     shown = []
     for name in names:
@@ -180,22 +208,23 @@ def values_table(
             )
         rows.append(cells)
         texts = [
-            "–" if item is None else determined_text(name, item.estimate, known)
-            for item, known in zip(items, verdicts, strict=True)
+            "–" if item is None else determined_text(name, item.estimate, verdict)
+            for item, verdict in zip(items, verdicts, strict=True)
         ]
         shown.append([quantity(name).label, *texts])
     if any(energies):
         rows.append([_ENERGY, *(number for found in energies for number in (*(found or (nan, nan)), nan))])
         texts = [
-            "–" if found is None else determined_text(_ENERGY, found, known)
-            for found, known in zip(energies, verdicts, strict=True)
+            "–" if found is None else determined_text(_ENERGY, found, verdict)
+            for found, verdict in zip(energies, verdicts, strict=True)
         ]
         shown.append([quantity(_ENERGY).label, *texts])
     columns = [f"{label}_{what}" for label in series for what in ("value", "u", "expanded_95")]
     runs = ", ".join(f"{label}: {len(_runs(found))}" for label, found in series.items())
     return Table(
         "values", "Parameters of each series", ("parameter", *columns), rows, ("", *series), shown,
-        f"Exact fits, value ± standard uncertainty of the swings. Runs: {runs}.",
+        ("Means over the decays" if known <= set(_OF_ANY_DECAY) else "Exact fits")
+        + f", value ± standard uncertainty of the swings. Runs: {runs}.",
     )  # fmt: skip
 
 

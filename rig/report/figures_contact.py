@@ -151,6 +151,4 @@ def comparison_figure(
         axes.tick_params(axis="y", labelsize=7)
     for axes in list(panels.flat)[len(names) :]:
         axes.set_visible(False)
-    return ReportFigure(
-        "comparison", "Series compared", "Exact fits; bars are 95 % intervals of each series.", figure
-    )
+    return ReportFigure("comparison", "Series compared", "Bars are 95 % intervals of each series.", figure)

@@ -1,38 +1,19 @@
-"""What a report is made of: results.json, and what only the records that it names hold."""
+"""What a report is made of: runs with their results and what only the records hold."""
 
-import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
-from acquisition.record.digest import known_sha256_of
-from acquisition.record.proof import measured_sha256_of
-from acquisition.record.reader import RecordReader
 from acquisition.record.recorded_camera import RecordedCamera
-from processing.deflections import Deflections, DeflectionUnit
-from processing.errors import DataError, RecordError, RigError
-from processing.fit import measured_again
-from processing.instruments import DEGREE_RAD
-from processing.swing import ResidualSpectrum, TurningPoints, residual_spectrum
-from rig.analysis import (
-    JsonObject,
-    RunResults,
-    Series,
-    StoredTurningPoints,
-    points_in_true_time,
-    read_results,
-    results_path,
-)
-from rig.instrument import CONFIGURATION_NAME, recorded_configuration
+from processing.swing import ResidualSpectrum, TurningPoints
+from rig.analysis import RunResults, Series, StoredTurningPoints, TableDecay
 
 Array = NDArray[np.float64]
-_LONG_LIST = 20
 
 
 class ShownUnit(NamedTuple):
@@ -87,6 +68,11 @@ class RunData:
         return RecordedCamera.of(self.provenance).simulated
 
     @property
+    def of_table(self) -> bool:
+        """Whether it is a decay of a table or a film, which knows nothing of frames and cameras."""
+        return isinstance(self.results, TableDecay)
+
+    @property
     def points(self) -> TurningPoints:
         """The turning points as the fits took them."""
         return self.stored.points()
@@ -103,120 +89,3 @@ class ReportSource:
     results: tuple[str, str]
     series: Series | None
     runs: Sequence[RunData]
-
-
-def read_source(source: Path) -> ReportSource:
-    """Results of a folder (or a results file) and the records they were made from.
-
-    Raises RecordError for a folder without results, or with a record that is not there.
-    """
-    results = read_results(source)
-    folder = source if source.is_dir() else source.parent
-    runs = [_read_run(folder, run, number) for number, run in enumerate(results.runs, start=1)]
-    path = results_path(source)
-    return ReportSource(folder, (path.name, known_sha256_of(path)), results.series, runs)
-
-
-def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
-    path = folder / results.record
-    notes: list[str] = []
-    with RecordReader(path) as reader:
-        spots = reader.spots()
-        picture = _picture(reader, spots, notes)
-        deflections = reader.deflections(spots)
-        provenance: dict[str, Mapping[str, str]] = {
-            "file": {
-                "record": path.name,
-                "sha256": results.sha256,
-                **{f"sha256 of {name}": value for name, value in results.inputs_sha256.items()},
-            },
-            **reader.metadata,
-        }
-        configuration = reader.attachments.get(CONFIGURATION_NAME)
-        rate = _clock_rate(reader, notes)
-        stored = results.turning_points or turning_points_again(reader, results)
-        spectrum = _spectrum(reader, deflections) if results.fits else None
-        if len(spots):
-            provenance["file"] = {
-                **provenance["file"],
-                "began": f"{reader.utc(int(spots['time_ns'][0])):%Y-%m-%d %H:%M:%S} UTC",
-            }
-        notes += [line for line in reader.doubts() if line not in results.warnings]
-    if results.sha256 != measured_sha256_of(path, known=True):
-        notes.append("the record is not the one that the results were made from: its hash differs")
-    if configuration is not None:
-        provenance["configuration"] = _flat(json.loads(configuration))
-    first_ns = stored.first_ns or (int(spots["time_ns"][0]) if len(spots) else 0)
-    unit = ShownUnit(deflections.unit.shown, deflections.unit.shown_size)
-    if results.instrument is not None and deflections.unit is DeflectionUnit.RAD:
-        unit = ShownUnit("deg", DEGREE_RAD)
-    motion = ShownTrajectory(
-        (spots["time_ns"] - first_ns) * 1e-9 * rate,
-        deflections.x / unit.shown_size,
-        deflections.y / unit.shown_size,
-        unit,
-    )
-    if results.calibration:
-        provenance["calibration"] = _flat(results.calibration)
-    return RunData(f"Run {number}", results, stored, motion, picture, provenance, spectrum, notes)
-
-
-def turning_points_again(reader: RecordReader, results: RunResults) -> StoredTurningPoints:
-    """Turning points for results of schema 1, which do not hold them.
-
-    Those that were fitted where the results say on which motion they were measured again; else as detected.
-    """
-    clock_rate = _clock_rate(reader, [])
-    motion, swings = results.measured_again_on, reader.swings()
-    if motion is not None:
-        swings = measured_again(swings, reader.deflection_blocks(), motion)
-    points = points_in_true_time(swings, clock_rate)
-    return StoredTurningPoints.of(points, swings, reader.deflection_unit, clock_rate)
-
-
-def _spectrum(reader: RecordReader, deflections: Deflections) -> ResidualSpectrum | None:
-    try:
-        return residual_spectrum(deflections.times_ns, deflections.y, reader.swings())
-    except DataError:
-        return None
-
-
-def _clock_rate(reader: RecordReader, notes: list[str]) -> float:
-    """True seconds per second of the camera's clock, with which the fits counted too."""
-    try:
-        timebase = recorded_configuration(reader).timebase
-    except RecordError as error:
-        notes.append(f"times are the camera's own: {error}")
-        return 1.0
-    return 1.0 if timebase is None else timebase.camera_rate
-
-
-def _picture(reader: RecordReader, spots: NDArray[Any], notes: list[str]) -> RecordedPicture | None:
-    """The first whole frame with a spot in it; a record without one is reported without one."""
-    try:
-        for frame in reader.images():
-            rows = np.nonzero(spots["sequence"] == frame.sequence)[0]
-            if len(rows) and math.isfinite(float(spots["x_px"][rows[0]])):
-                row = spots[rows[0]]
-                sigma = 0.5 * float(row["sigma_x_px"] + row["sigma_y_px"])
-                return RecordedPicture(frame, float(row["x_px"]), float(row["y_px"]), sigma)
-    except (RigError, ValueError) as error:
-        notes.append(f"no frame could be read: {error}")
-    return None
-
-
-def _flat(tree: JsonObject, above: str = "") -> dict[str, str]:
-    """Nested tables as dotted keys, what is not stated left out."""
-    found: dict[str, str] = {}
-    for key, value in tree.items():
-        name = f"{above}{key}"
-        if isinstance(value, dict):
-            found |= _flat(value, f"{name}.")
-        elif isinstance(value, list) and all(isinstance(item, dict) for item in value):
-            for place, item in enumerate(value, start=1):
-                found |= _flat(item, f"{name}.{place}.") if isinstance(item, dict) else {}
-        elif isinstance(value, list) and len(value) > _LONG_LIST:
-            found[name] = f"{len(value)} entries"
-        elif value is not None and value != "":
-            found[name] = f"{value:.10g}" if isinstance(value, float) else str(value)
-    return found

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from acquisition.record import whole_file
 from processing.contact import SurfaceEnergy
 from processing.contact.laws import DEFAULT_LAW
@@ -27,11 +29,12 @@ from rig.analysis import (
 )
 from rig.presentation import Table, plain, quantity
 from rig.report import figures_contact, figures_ground, figures_laws, figures_motion, html
-from rig.report.decay_report import damped_figure
 from rig.report.drawing import ReportFigure, png, styled, svg
+from rig.report.figures_damping import damped_figure
 from rig.report.figures_instruments import instrument_figures
 from rig.report.figures_motion import place_figure
-from rig.report.run_data import ReportSource, RunData, read_source
+from rig.report.run_data import ReportSource, RunData
+from rig.report.source import read_source
 from rig.report.tables import run_tables
 from rig.report.tables_instruments import headline
 from rig.report.tables_uncertainty import budget_table, series_table
@@ -84,18 +87,21 @@ def draw_run(source: Path, number: int) -> list[ReportFigure]:
 
 
 def _title(source: ReportSource) -> tuple[str, str]:
-    session = source.runs[0].provenance.get("session", {})
-    title = session.get("sample") or source.folder.resolve().name
-    words = [f"{len(source.runs)} run{'s' if len(source.runs) > 1 else ''}"]
+    first = source.runs[0]
+    session = first.provenance.get("session", {})
+    name = Path(first.results.record).name if first.of_table else source.folder.resolve().name
+    title = session.get("sample") or name
+    counted = "decay" if first.of_table else "run"
+    words = [f"{len(source.runs)} {counted}{'s' if len(source.runs) > 1 else ''}"]
     if session.get("operator"):
         words.append(f"operator {session['operator']}")
     words += [word for word in (session.get("contact_history"), session.get("notes")) if word]
     if any(run.simulated for run in source.runs):
         title = f"SIMULATED: {title}"
-    first = source.runs[0].results
-    what = "Free decay of a pendulum on one ball" if first.fits else "Free decay of a pendulum"
-    if first.instrument is not None:
-        what = INSTRUMENTS[first.instrument.kind].title
+    results = first.results
+    what = "Free decay of a pendulum on one ball" if results.fits else "Free decay of a pendulum"
+    if results.instrument is not None:
+        what = INSTRUMENTS[results.instrument.kind].title
     return title, f"{what}: " + ", ".join(words)
 
 
@@ -150,12 +156,16 @@ def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
         rows.append((run.title, text if alike else f"{text}; {surroundings or f'air {_NOT_STATED}'}"))
     if alike:
         rows.append(("surroundings", around[0] or _NOT_STATED))
-    rows.append(("frames from", "the simulated rig" if first.simulated else "a camera"))
+    if first.of_table:
+        rows.append(("positions from", first.results.record))
+    else:
+        rows.append(("frames from", "the simulated rig" if first.simulated else "a camera"))
     return [(name, text) for name, text in rows if text]
 
 
 def _lasted(run: RunData) -> str:
-    length_s = run.motion.time_s[-1] - run.motion.time_s[0] if len(run.motion.time_s) else 0.0
+    time_s = run.motion.time_s if len(run.motion.time_s) else run.points.time_s
+    length_s = time_s[-1] - time_s[0] if len(time_s) else 0.0
     return f"{length_s / 60:.1f} min"
 
 
@@ -207,9 +217,13 @@ def _key_results(
 def _sentence(run: RunData) -> str:
     results, unit = run.results, run.motion.unit.shown
     left_out = len(run.stored.left_out_flags)
+    taken = (
+        f"{results.frames} rows"
+        if run.of_table
+        else f"{results.frames} frames, {results.dropped_frames} dropped"
+    )
     return (
-        f"{run.title}: {results.half_cycles_text(unit, ' from ')} in "
-        f"{_lasted(run)}; {results.frames} frames, {results.dropped_frames} dropped; "
+        f"{run.title}: {results.half_cycles_text(unit, ' from ')} in {_lasted(run)}; {taken}; "
         f"{left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left out."
     )
 
@@ -285,23 +299,25 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     period_s = _period(run) if fit is None else fit.mean_period_s.value
     drawings = [figures_motion.frame_figure(run.picture)] if run.picture else []
     if len(motion.time_s) > 1:
-        drawings += [
-            figures_motion.slow_figure(motion, period_s),
-            figures_motion.fast_figure(motion, period_s),
-            figures_motion.trajectory_figure(motion, period_s),
-        ]
+        drawings.append(figures_motion.slow_figure(motion, period_s))
+        if np.isfinite(motion.x).any():
+            drawings += [
+                figures_motion.fast_figure(motion, period_s),
+                figures_motion.trajectory_figure(motion, period_s),
+            ]
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
     if run.results.damping is not None and not run.results.fits:
         drawings.append(damped_figure(points, run.results, motion.unit, "damping"))
     if run.results.position_errors is not None:
         drawings.append(place_figure(run.results.position_errors))
-    if run.results.instrument is not None:
+    if run.results.instrument is not None or run.of_table:
         # figures of the paper have its numbers, which mean nothing here
         drawings = [
             replace(each, title=re.sub(r"^Fig\. \d+: (.)", lambda found: found[1].upper(), each.title))
             for each in drawings
         ]
+    if run.results.instrument is not None:
         drawings += instrument_figures(run.results.instrument, points)
     if run.results.laws is not None and run.results.laws.without_law is not None:
         drawings.append(figures_laws.moments_figure(run.results.laws, run.results.laws.without_law))

@@ -1,0 +1,148 @@
+"""A table that was fitted is a run like any other: report, compare, archive and export take its results."""
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from rig.analysis import read_results
+from rig.archive.session_rows import session_rows
+from tests.rig.analysis.test_film_positions import swing
+from tests.rig.analysis.test_table_laws import swings
+from tests.rig.analysis.test_tables import ring_downs, write
+from tests.rig.command_line import rig
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two tables of ring-downs in mm with other decrements, of two decays and of one, and their results."""
+    folder = tmp_path_factory.mktemp("tables")
+    for name, starts_s, decrement in (("brass", [1.0, 41.0], 0.2), ("steel", [1.0], 0.3)):
+        columns = ring_downs(starts_s, [10.0, 8.0][: len(starts_s)], decrement)
+        table = write(folder / f"{name}.txt", *columns)
+        done = rig("fit", table, "--unit", "mm", "-o", folder / name, figures=True)
+        assert done.returncode == 0, done.stderr
+    return folder
+
+
+def exported(path: Path) -> dict[str, np.ndarray]:
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    values = np.array([line.split(",") for line in lines[1:]], dtype=float)
+    return {name.strip('"'): column for name, column in zip(lines[0].split(","), values.T, strict=True)}
+
+
+def test_its_results_are_those_of_runs(fitted: Path) -> None:
+    runs = read_results(fitted / "brass").runs
+    assert len(runs) == 2
+    for run, start_s in zip(runs, (1.0, 41.0), strict=True):
+        assert run.record == str(fitted / "brass.txt")
+        stored = run.turning_points
+        assert stored is not None
+        assert stored.unit == "own"
+        assert len(stored.points()) == run.half_cycles
+        # a turning point stands every half period; the swing begins at zero, so a quarter after its start
+        turns_s = stored.first_ns * 1e-9 + stored.time_s
+        assert np.allclose((turns_s - start_s) % 1.0, 0.5, atol=0.1)
+
+
+def test_the_report_is_made_again_from_what_lies_in_the_folder(fitted: Path, tmp_path: Path) -> None:
+    shutil.copytree(fitted / "brass", tmp_path / "moved")
+    before = (tmp_path / "moved" / "report.html").read_text()
+    assert before.count("image/svg+xml") == 6
+    assert "brass.txt" in before
+    done = rig("report", tmp_path / "moved", figures=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "moved" / "report.html").read_text().count("image/svg+xml") == 6
+    (tmp_path / "moved" / "positions.csv").unlink()
+    assert rig("report", tmp_path / "moved", figures=True).returncode == 0
+    page = (tmp_path / "moved" / "report.html").read_text()
+    assert "no motion is drawn" in page
+    assert page.count("image/svg+xml") == 4
+
+
+def test_two_tables_are_compared_by_period_and_decrement(fitted: Path) -> None:
+    done = rig("compare", fitted / "brass", fitted / "steel")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert any(line.startswith("brass − steel") and "log decrement" in line for line in lines)
+    assert not any("brass − steel" in line and "T, mean" in line for line in lines)
+
+
+def test_the_archive_lists_its_decays(fitted: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "archive"
+    assert rig("archive", "add", fitted, "--archive", archive).returncode == 0
+    columns = "run,state,mean_period_s,log_decrement,amplitude_unit"
+    done = rig("archive", "list", "--archive", archive, "--columns", columns)
+    assert done.returncode == 0, done.stderr
+    found = {line.split()[0]: line for line in done.stdout.splitlines()[1:4]}
+    assert set(found) == {"brass", "brass-decay-2", "steel"}
+    assert all(" whole " in line and line.rstrip().endswith("mm") for line in found.values())
+
+
+def test_the_archive_says_what_became_of_a_table(tmp_path: Path) -> None:
+    table = swings(tmp_path / "t.csv")
+    assert rig("fit", table, "-o", tmp_path / "out").returncode == 0
+    assert [row["state"] for row in session_rows(tmp_path / "out").rows] == ["whole"]
+    table.write_text(table.read_text() + "80.0,0.0\n")
+    assert [row["state"] for row in session_rows(tmp_path / "out").rows] == ["damaged"]
+    table.unlink()
+    assert [row["state"] for row in session_rows(tmp_path / "out").rows] == ["missing"]
+
+
+def test_it_is_exported(fitted: Path, tmp_path: Path) -> None:
+    done = rig("export", fitted / "brass", "-o", tmp_path / "csv")
+    assert done.returncode == 0, done.stderr
+    for number, run in enumerate(read_results(fitted / "brass").runs, start=1):
+        rows = exported(tmp_path / "csv" / f"brass-decay-{number}-swings.csv")
+        assert run.turning_points is not None
+        assert np.allclose(rows["amplitude_mm"], run.turning_points.amplitude, rtol=1e-12)
+    positions = exported(tmp_path / "csv" / "brass-decay-1-spots.csv")
+    table = np.loadtxt(fitted / "brass.txt")
+    assert np.isin(np.round(positions["time_s"], 6), np.round(table[:, 0], 6)).all()
+    h5py = pytest.importorskip("h5py")
+    assert rig("export", fitted / "steel", "-o", tmp_path / "x.h5", "--format", "hdf5").returncode == 0
+    with h5py.File(tmp_path / "x.h5") as file:
+        entry = file["steel"]
+        assert entry["spots"].attrs["signal"] == "position_1_mm"
+        assert entry["swings"]["amplitude_mm"].attrs["units"] == "mm"
+
+
+def test_a_fitted_table_gives_the_report_and_the_plan_of_a_run(tmp_path: Path) -> None:
+    config = tmp_path / "mine.toml"
+    config.write_text(
+        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
+        'ball_material = "steel"\nflat_material = "glass_k8"\n'
+    )
+    done = rig("fit", swings(tmp_path / "t.csv"), "--config", config, "-o", tmp_path / "out", figures=True)
+    assert done.returncode == 0, done.stderr
+    made = {path.name for path in (tmp_path / "out" / "report" / "run-1").iterdir()}
+    assert {"parameters.csv", "budget.csv", "residuals.svg", "table4-loops.svg"} <= made
+    rows = session_rows(tmp_path / "out").rows
+    assert rows[0]["b"] > 0
+    assert rows[0]["law"] == "paper"
+
+
+def test_a_folder_of_images_is_analysed_and_known_again(tmp_path: Path) -> None:
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    for k, picture in enumerate(swing(count=240)):
+        cv2.imwrite(str(frames / f"f{k:04d}.png"), picture)
+    done = rig("video", frames, "--rate", "30", "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert len(results["sha256"]) == 64
+    assert [row["state"] for row in session_rows(tmp_path / "out").rows] == ["whole"]
+    (frames / "f0100.png").unlink()
+    assert [row["state"] for row in session_rows(tmp_path / "out").rows] == ["damaged"]
+
+
+def test_an_envelope_has_no_runs(tmp_path: Path) -> None:
+    t = np.arange(0.0, 60.0, 0.5)
+    table = write(tmp_path / "e.txt", t, 10.0 * np.exp(-t / 20.0) + 0.01 * np.sin(37.0 * t))
+    assert rig("fit", table, "--envelope", "amplitude", "-o", tmp_path / "out").returncode == 0
+    done = rig("report", tmp_path / "out")
+    assert done.returncode != 0
+    assert "is of an envelope, which has no half-cycles" in done.stderr
