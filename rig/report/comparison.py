@@ -55,7 +55,7 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     labels = [
         _label(folder, folders) + _of_origin(found) for folder, found in zip(folders, sessions, strict=True)
     ]
-    fitted = any(run.fits for session in sessions for run in session.runs)
+    fitted = any(_combined_of(found) or any(run.fits for run in found.runs) for found in sessions)
     series = {
         label: (series_of if fitted else decays_of)(found, folder)
         for label, folder, found in zip(labels, folders, sessions, strict=True)
