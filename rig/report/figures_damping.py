@@ -5,24 +5,32 @@ from typing import Any
 import numpy as np
 
 from processing.damping import amplitude_at
-from processing.swing import TurningPoints
-from rig.analysis import RunResults
+from rig.analysis import RunResults, StoredTurningPoints
 from rig.report.drawing import DATA, EXACT, INK, ReportFigure, canvas
 from rig.report.run_data import ShownUnit
 
-_WIDE = 0.09
+_WIDE = 0.11
 
 
-def damped_figure(points: TurningPoints, results: RunResults, unit: ShownUnit, name: str) -> ReportFigure:
-    """Amplitude against time with its residuals, period, and time constant against amplitude."""
+def damped_figure(
+    stored: StoredTurningPoints, results: RunResults, unit: ShownUnit, name: str
+) -> ReportFigure:
+    """Amplitude against time with its residuals and what was left out, period, and time constant against
+    amplitude.
+    """
+    points = stored.points()
     amplitude, u_amplitude = points.amplitude / unit.shown_size, points.u_amplitude / unit.shown_size
     figure = canvas(4.6)
     ((top, tau), (below, period)) = figure.subplots(2, 2, height_ratios=[1.5, 1.0])
-    figure.subplots_adjust(left=_WIDE, right=0.985, bottom=0.1, top=0.98, hspace=0.28, wspace=0.24)
+    figure.subplots_adjust(left=_WIDE, right=0.985, bottom=0.1, top=0.98, hspace=0.28, wspace=0.32)
     bars: dict[str, Any] = {"color": DATA, "ecolor": DATA, "elinewidth": 0.7}
     top.errorbar(
         points.time_s, amplitude, u_amplitude, fmt="o", mfc="none", mec=DATA, ecolor=DATA, ms=3.5, lw=0.7
     )
+    if len(stored.left_out_time_s):
+        left_out = np.abs(stored.left_out_amplitude) / unit.shown_size
+        top.plot(stored.left_out_time_s, left_out, "x", color=INK, ms=4, lw=0, label="flagged, left out")
+        top.legend(loc="upper right")
     top.set_yscale("log")
     top.set_ylabel(f"amplitude / {unit.shown}")
     found = results.damping

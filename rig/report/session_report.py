@@ -281,7 +281,9 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
     body += take("instrument", "parameters")
     body.append(html.side_by_side(take("quality", "hertz")))
     body += take("conditions")
-    body += take("fig12-decay", "fig13-period", "fig14-smoother", "residuals", "position-errors", "spectrum")
+    body += take(
+        "fig12-decay", "damping", "fig13-period", "fig14-smoother", "residuals", "position-errors", "spectrum"
+    )
     body += take("table4-loops", "work", "losses", "laws", "waveform", "moments")
     body.append(html.side_by_side(take("drag", "identifiability")))
     body += take("correlation", "budget", "monte-carlo")
@@ -308,7 +310,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
     if run.results.damping is not None and not run.results.fits:
-        drawings.append(damped_figure(points, run.results, motion.unit, "damping"))
+        drawings.append(damped_figure(run.stored, run.results, motion.unit, "damping"))
     if run.results.position_errors is not None:
         drawings.append(place_figure(run.results.position_errors))
     if run.results.instrument is not None or run.of_table:
