@@ -97,6 +97,11 @@ def _drag_sentence(drag: Drag) -> str:
     match drag.finding:
         case DragFinding.SEEN:
             said = f"{shown.text(*drag.drag_s)} s; {moved}"
+        case DragFinding.OPEN if _by_the_data(drag):
+            said = (
+                f"they bound it to less than {plain(drag.upper_95_s, 2)} s (95 %), and its doubt, "
+                f"{shown.text(*drag.of_data_s)} s, is in every uncertainty; {moved}"
+            )
         case DragFinding.OPEN if drag.known_s is not None:
             said = (
                 f"it is what is known of the air, {shown.text(*drag.known_s)} s, whose doubt is in every "
@@ -107,3 +112,9 @@ def _drag_sentence(drag: Drag) -> str:
         case _:
             said = f"{shown.text(*drag.of_data_s)} s, chance {plain(drag.p_value, 2)}"
     return f"{drag.finding.capitalize()}: {said}.".replace("-", "−")
+
+
+def _by_the_data(drag: Drag) -> bool:
+    """Whether the data know the drag better than what is known of the air."""
+    u_s = drag.of_data_s.standard_uncertainty
+    return isfinite(drag.upper_95_s) and (drag.known_s is None or u_s < drag.known_s.standard_uncertainty)

@@ -8,7 +8,8 @@ from processing.fit import Determination, FitMethod, FitQuality
 from processing.quantity import quantities_of
 from rig.analysis.contact_results import Fit, SurfaceEnergies
 from rig.analysis.determined import determined_text, series_verdicts
-from rig.analysis.results import SessionResults
+from rig.analysis.headline import SURFACE_ENERGY, budget_of, dominant_text
+from rig.analysis.results import RunResults, SessionResults
 from rig.presentation import Cell, Table, plain, quantity
 
 _LARGEST_BIAS = 0.3
@@ -57,6 +58,38 @@ def parameter_table(
         ("", *map(_heading, methods), "unit"),
         shown,
         "Value ± standard uncertainty of the swings alone; the budget adds the apparatus. " + _of_bias(fits),
+    )
+
+
+def whole_table(run: RunResults) -> Table:
+    """The exact fit with the uncertainty of swings and apparatus together, and what makes most of it.
+
+    Without content where no apparatus is stated that could add to the swings'.
+    """
+    exact, verdicts, energy = run.fits.get(FitMethod.EXACT), run.verdicts(), run.surface_energy_j_per_m2
+    found = {} if exact is None else dict(exact.parameters)
+    if energy is not None:
+        found |= {SURFACE_ENERGY: energy.table2, "surface_energy_eq2_j_per_m2": energy.eq2}
+    order = [*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY, "surface_energy_eq2_j_per_m2"]
+    rows: list[list[Cell]] = []
+    shown = []
+    for name in (each for each in order if each in found):
+        whole = budget_of(name, run.budget, verdicts)
+        estimate = found[name] if whole is None else Estimate(whole.value, whole.standard_uncertainty)
+        rows.append([name, *estimate])
+        cause = "" if whole is None else dominant_text(whole)
+        shown.append(
+            [quantity(name).symbol, determined_text(name, estimate, verdicts), quantity(name).unit, cause]
+        )
+    return Table(
+        "whole",
+        "Parameters of the contact, exact fit",
+        ("parameter", "value", "standard_uncertainty"),
+        rows if any(row[-1] for row in shown) else (),
+        ("", "value", "unit", "of its variance"),
+        shown,
+        "Value ± standard uncertainty of swings and apparatus together. -v, and the report, show the "
+        "uncertainty of the swings alone, and the paper's Eqs. 5 and 6 beside.",
     )
 
 

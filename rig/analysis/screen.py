@@ -9,7 +9,7 @@ from rich.console import Console
 from rig.analysis.compared_laws import law_table
 from rig.analysis.decay_values import decay_lines
 from rig.analysis.fit_remarks import remarks
-from rig.analysis.fit_tables import combined_table, parameter_table, quality_table
+from rig.analysis.fit_tables import combined_table, parameter_table, quality_table, whole_table
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.waveform_results import waveform_table
 from rig.presentation import print_tables
@@ -21,7 +21,8 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
     """The runs, then the `paths` that were written, by what they hold.
 
     Of several fitted runs one combined table, and of each run only what was not as it should be; tables and
-    remarks of every run where this logger is enabled for INFO (``rig -v``), or where there is only one.
+    remarks of every run where this logger is enabled for INFO (``rig -v``), or where there is only one: its
+    exact fit with the whole budget, and with ``-v`` both fits with the uncertainties of the swings alone.
     """
     console = Console()
     combined = combined_table(results)
@@ -59,8 +60,12 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
     if run.problem:
         console.print(f"  no fit: {run.problem}", highlight=False, markup=False, soft_wrap=True)
     if run.fits and not short:
-        parameters = parameter_table(run.fits, run.surface_energy_j_per_m2, run.verdicts())
-        print_tables([parameters, quality_table(run.fits)])
+        whole, quality = whole_table(run), quality_table(run.fits)
+        if whole.rows and not logger.isEnabledFor(logging.INFO):
+            print_tables([whole, quality])
+        else:
+            parameters = parameter_table(run.fits, run.surface_energy_j_per_m2, run.verdicts())
+            print_tables([*([whole] if whole.rows else []), parameters, quality])
     if run.laws is not None:
         print_tables([law_table(run.laws), waveform_table(run.laws)])
         console.print(f"  {run.laws.verdict}", highlight=False, markup=False, soft_wrap=True)

@@ -2,13 +2,15 @@
 
 import logging
 import re
+from dataclasses import replace
+from math import nan
 from pathlib import Path
 
 import pytest
 
 from processing.contact import SurfaceEnergy
 from processing.estimate import Determinacy, Estimate
-from processing.fit import Determination
+from processing.fit import Budget, BudgetSource, Determination, Drag
 from rig.analysis import (
     Fit,
     RunResults,
@@ -18,6 +20,7 @@ from rig.analysis import (
     print_results,
     quality_table,
     read_results,
+    remarks,
 )
 
 _RUN = RunResults(
@@ -63,6 +66,58 @@ def test_the_terminal_shows_the_report_s_tables(capsys: pytest.CaptureFixture[st
     for table in tables:
         for row in table.shown:
             assert all(cell in printed for cell in row), row
+
+
+def with_apparatus() -> RunResults:
+    """The run where E of the flat makes most of the doubt of b."""
+    sources = (
+        BudgetSource("flat_youngs_modulus_pa", "B", 1e9, 1e-13, 1e-4, 0.99),
+        BudgetSource("swings", "A", nan, nan, 1e-5, 0.01),
+    )
+    whole = Budget(
+        value=3.5e-3,
+        standard_uncertainty=1e-4,
+        coverage_factor_95=2.0,
+        expanded_uncertainty_95=2e-4,
+        sources=sources,
+    )
+    return replace(_RUN, budget={"b": whole})
+
+
+@pytest.mark.parametrize("verbose", [False, True])
+def test_the_terminal_shows_the_whole_uncertainty_and_that_of_the_swings_alone_where_asked(
+    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, verbose: bool
+) -> None:
+    caplog.set_level(logging.INFO if verbose else logging.WARNING, logger="rig.analysis.screen")
+    print_results(SessionResults(runs=(with_apparatus(),)), [])
+    printed = capsys.readouterr().out
+    (line, *others) = [line for line in printed.splitlines() if line.startswith("b ")]
+    assert "(3.50 ± 0.10) × 10⁻³" in line
+    assert "E of the flat 99 %" in line
+    # never only the swings' uncertainty, which is a tenth of it
+    assert [("(3.500 ± 0.010) × 10⁻³" in each) for each in others] == [True] * verbose
+    bound = next(line for line in printed.splitlines() if line.startswith("c "))
+    assert "< 6.1 × 10⁻⁸ (95 %)" in bound
+
+
+@pytest.mark.parametrize(
+    ("of_data", "known", "words"),
+    [
+        (Estimate(1e-7, 1e-6), Estimate(1.8e-3, 1.3e-3), "they bound it to less than 2.0 × 10⁻⁶ s (95 %)"),
+        (
+            Estimate(1e-3, 5e-3),
+            Estimate(1.8e-3, 1.3e-3),
+            "it is what is known of the air, (1.8 ± 1.3) × 10⁻³ s",
+        ),
+        (Estimate(1e-3, 5e-3), None, "they bound it to less than"),
+    ],
+)
+def test_whose_drag_it_is(of_data: Estimate, known: Estimate | None, words: str) -> None:
+    drag = Drag(
+        of_data_s=of_data, known_s=known, upper_95_s=of_data.value + 1.9 * of_data.standard_uncertainty
+    )
+    (line,) = [line for line in remarks(replace(_RUN, drag=drag)) if "tell a drag" in line]
+    assert words in line
 
 
 def test_what_is_not_determined_is_a_bound_in_the_default_fit_alone() -> None:
