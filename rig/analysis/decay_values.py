@@ -1,5 +1,7 @@
 """What every decay has, whether or not a law can be fitted: period, decrement, damping, in its own unit."""
 
+from dataclasses import fields, replace
+from math import hypot
 from typing import Any
 
 from processing.damping import fit_damping
@@ -7,13 +9,33 @@ from processing.decay_summary import DecaySummary, summarise_decay
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.swing import TurningPoints
-from rig.analysis.amplitude_damping import AmplitudeDamping, amplitude_damping, damping_lines
+from rig.analysis.amplitude_damping import (
+    AmplitudeDamping,
+    DampingAt,
+    amplitude_damping,
+    damping_lines,
+)
 from rig.analysis.results import RunResults
 from rig.presentation import with_uncertainty
 
 
-def decay_values(points: TurningPoints, summary: DecaySummary, unit_size: float) -> dict[str, Any]:
-    """Fields of `RunResults`; amplitudes in a unit that is `unit_size` in that of the points."""
+def decay_values(
+    points: TurningPoints, summary: DecaySummary, unit_size: float, u_common: float = 0.0
+) -> dict[str, Any]:
+    """Fields of `RunResults`; amplitudes in a unit that is `unit_size` in that of the points.
+
+    `u_common` is the standard uncertainty of an error that all amplitudes share, in the unit of the points:
+    what it would change is in the uncertainties.
+    """
+    found = _of(points, summary, unit_size)
+    if not u_common > 0:
+        return found
+    moved = replace(points, amplitude=points.amplitude + u_common)
+    other = _of(moved, summarise_decay(moved), unit_size)
+    return {name: _wider(value, other[name]) for name, value in found.items()}
+
+
+def _of(points: TurningPoints, summary: DecaySummary, unit_size: float) -> dict[str, Any]:
     return {
         "period_s": Estimate(summary.period_s.value, summary.period_s.u),
         "log_decrement": Estimate(summary.decrement.value, summary.decrement.u),
@@ -43,6 +65,25 @@ def decay_lines(results: RunResults) -> list[str]:
     if results.damping is not None:
         lines += damping_lines(results.damping, results.amplitude_unit or "")
     return lines
+
+
+def _wider(found: Any, other: Any) -> Any:
+    """An estimate, or the damping with all of its estimates, with the change to another one in its u."""
+    if isinstance(found, Estimate):
+        if other is None:
+            return found
+        return Estimate(found.value, hypot(found.standard_uncertainty, other.value - found.value))
+    if isinstance(found, AmplitudeDamping | DampingAt) and other is not None:
+        names = [each.name for each in fields(found)]
+        changed = {
+            name: _wider(getattr(found, name), getattr(other, name))
+            for name in names
+            if isinstance(getattr(found, name), Estimate)
+        }
+        if isinstance(found, AmplitudeDamping) and len(found.curve) == len(other.curve):
+            changed["curve"] = tuple(map(_wider, found.curve, other.curve))
+        return replace(found, **changed)
+    return found
 
 
 def _damping(points: TurningPoints, summary: DecaySummary, unit_size: float) -> AmplitudeDamping | None:

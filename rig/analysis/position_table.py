@@ -41,7 +41,8 @@ class Trajectory:
     `scale_rad` is the unit in rad, None where the unit is no angle (volts, px, mm): decay and
     period can then be had, contact parameters not. `time_unit` is that of the table's times,
     `time_name` their column, `first_ns` the first of them as it stands there. `understood` says in lines what
-    the file was taken for, and which rows were left out.
+    the file was taken for, and which rows were left out. `u_common_in_noises` is the standard uncertainty of
+    an error that all amplitudes share, as a multiple of the noise of one position.
     """
 
     times_ns: NDArray[np.int64]
@@ -53,6 +54,7 @@ class Trajectory:
     time_name: str = ""
     understood: tuple[str, ...] = ()
     first_ns: int = 0
+    u_common_in_noises: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -144,8 +144,8 @@ def _print_decay(number: int, decay: FoundDecay) -> None:
     results, summary = decay.results, decay.summary
     flagged = len(decay.swings) - summary.half_cycles
     lines = [
-        f"period {_mean_text(summary.period_s, ' s')}",
-        f"log decrement {_mean_text(summary.decrement, '')}",
+        f"period {_mean_text(summary.period_s, ' s', results.period_s.standard_uncertainty)}",
+        f"log decrement {_mean_text(summary.decrement, '', results.log_decrement.standard_uncertainty)}",
     ]
     if summary.decrement.value > math.pi:
         lines.append("the decay is faster than a swing: no quality factor")
@@ -173,11 +173,11 @@ def _reasons(decay: FoundDecay) -> str:
     return "".join(f"{', ' if k else ': '}{n} {name}" for k, (name, n) in enumerate(counts.most_common()))
 
 
-def _mean_text(mean: DecayMean, unit: str) -> str:
-    """A mean with its uncertainty, or the range over which it changes."""
+def _mean_text(mean: DecayMean, unit: str, u: float) -> str:
+    """A mean with its uncertainty `u`, or the range over which it changes."""
     if not mean.changes:
         constant = f"chi2/dof of a constant one {mean.chi2_per_dof:.3g}"
-        return f"{with_uncertainty(mean.value, mean.u)}{unit} ({constant})"
+        return f"{with_uncertainty(mean.value, u)}{unit} ({constant})"
     if math.isnan(mean.first):
         return f"about {mean.value:.3g}{unit}, not constant"
     first, last = with_uncertainty(mean.first, mean.u_first), with_uncertainty(mean.last, mean.u_last)

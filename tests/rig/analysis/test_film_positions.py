@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from processing.errors import ConfigurationError, DataError
 from rig.analysis import FilmAsked, film_trajectory
 from rig.analysis.film_positions import inverted, looks_dark
+from rig.analysis.table_fit import analyse_trajectory
 from tests.acquisition.cameras.made_films import NX, NY, Film, write_film
 from tests.rig.command_line import rig
 
@@ -68,6 +70,24 @@ def test_a_dark_object_is_followed_and_a_pixel_has_a_size(tmp_path: Path) -> Non
     assert np.abs(found.positions[0] - true_mm).max() < 0.2 * 0.1
     with pytest.raises(ConfigurationError, match="a number and a unit are needed"):
         film_trajectory(film, FilmAsked(size="0.2"))
+
+
+def test_what_compression_does_to_all_amplitudes_is_in_the_uncertainty(tmp_path: Path) -> None:
+    """H.264 makes amplitudes too small, which the scatter does not show."""
+    film = Film(codec="libx264", ending="mp4", pixels="yuv420p", options={"crf": "28"})
+    trajectory = film_trajectory(write_film(tmp_path / "lossy.mp4", swing(), film), FilmAsked())
+    found = analyse_trajectory(tmp_path / "lossy.mp4", trajectory, None).results
+    blind = replace(trajectory, u_common_in_noises=0.0)
+    of_scatter = analyse_trajectory(tmp_path / "lossy.mp4", blind, None).results
+    error = found.log_decrement.value - DECREMENT
+    assert abs(error) > 4 * of_scatter.log_decrement.standard_uncertainty
+    assert abs(error) < 3 * found.log_decrement.standard_uncertainty
+    assert found.damping is not None
+    assert of_scatter.damping is not None
+    for wide, narrow in zip(found.damping.curve, of_scatter.damping.curve, strict=True):
+        assert wide.time_constant_s.standard_uncertainty > narrow.time_constant_s.standard_uncertainty
+    # times are not moved by it
+    assert found.period_s == of_scatter.period_s
 
 
 def test_a_film_without_anything_to_follow_is_refused(tmp_path: Path) -> None:
