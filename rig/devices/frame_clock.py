@@ -27,6 +27,8 @@ _LEAST_NS = 2_000_000.0
 """Smaller disagreements are those of the computer's readings of frames, or of the exposure."""
 _BY_HOST_NS = 60_000_000.0
 """Disagreements with the computer's clock that late readings explain."""
+_BEHIND_NS = 800_000_000.0
+"""The same of a frame that its reader had not waited for, which may have lain in the driver as long."""
 _REGULAR = 0.2
 """Mean deviation of frame times, of one, up to which a camera keeps a rate."""
 _LEAST_SCATTER_NS = 20_000.0
@@ -68,6 +70,7 @@ class FrameClock:
     def begin_again(self) -> None:
         """The camera was opened again: whatever its clock shows now is new."""
         self._last: Frame | None = None
+        self._waited_for = False
         self._interval_ns = self._deviation_ns = 0.0
         self._learned = 0
         self._waiting: list[tuple[Frame, float]] = []
@@ -127,8 +130,11 @@ class FrameClock:
         numbers = frame.sequence - last.sequence
         by_rate_ns = numbers * self._interval_ns if numbers > 0 else by_host_ns
         if not self._regular:
-            # it came when the computer says, or was read late
-            return None if 0 < passed_ns <= by_host_ns + _BY_HOST_NS else passed_ns - by_host_ns
+            # it came when the computer says, or was read late; so was the one before, of those that had
+            # gathered while nobody read
+            latest_ns = by_host_ns + (_BY_HOST_NS if self._waited_for else _BEHIND_NS)
+            by_rate = self._learned > 0 and abs(passed_ns - by_rate_ns) < _REGULAR * by_rate_ns
+            return None if passed_ns > 0 and (passed_ns <= latest_ns or by_rate) else passed_ns - by_host_ns
         off_ns = passed_ns - by_rate_ns
         # a camera may change its rate, and lose frames that have no number
         by_either = abs(off_ns) < self._allowed_ns or abs(passed_ns - by_host_ns) < 0.5 * abs(off_ns)
@@ -143,6 +149,9 @@ class FrameClock:
 
     def _joined(self, frame: Frame) -> Frame:
         last, self._last = self._last, frame
+        if last is not None:
+            passed_ns = frame.device_time_ns - last.device_time_ns
+            self._waited_for = frame.host_time_ns - last.host_time_ns > 0.5 * passed_ns
         if last is not None and frame.sequence > last.sequence:
             each_ns = (frame.device_time_ns - last.device_time_ns) / (frame.sequence - last.sequence)
             if self._learned:
@@ -172,7 +181,10 @@ class FrameClock:
             for frame, _ in agreed
         )
         if not self._regular:
-            return ClockStep(round(by_host_ns), round(self._scatter_ns))
+            # times go on after the last one, however late that was read
+            most_ns = agreed[0][0].device_time_ns + self._offset_ns - last.device_time_ns - 1
+            beyond_ns = max(by_host_ns - most_ns, 0.0)
+            return ClockStep(round(by_host_ns - beyond_ns), round(self._scatter_ns + beyond_ns))
         by_rate_ns = sum(off_ns for _, off_ns in agreed) / len(agreed)
         counters = [-round_ns for round_ns in _COUNTERS_NS if abs(by_rate_ns + round_ns) < self._allowed_ns]
         if counters:
@@ -189,8 +201,13 @@ class FrameClock:
         self.rejected += alone
         self._waiting.clear()
         self._offset_ns -= step.step_ns
-        moved = [one._replace(device_time_ns=one.device_time_ns + self._offset_ns) for one in agreed]
-        frames = [self._joined(one) for one in moved]
+        frames: list[Frame] = []
+        for one in agreed:
+            time_ns = one.device_time_ns + self._offset_ns
+            if self._last is None or time_ns > self._last.device_time_ns:
+                frames.append(self._joined(one._replace(device_time_ns=time_ns)))
+            else:
+                self.rejected += 1
         again = step.step_ns < 0 and any(abs(step.step_ns - ns) < _BY_HOST_NS for ns in self._steps_ns)
         self._steps_ns.append(step.step_ns)
         if again:

@@ -1,5 +1,7 @@
 """A camera's clock that errs: nothing of it ends a run, and every frame keeps a time or is counted."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -197,3 +199,35 @@ def test_a_step_says_its_size_and_what_is_not_known_of_it() -> None:
     assert all(step.u_ns == 0 for step in wraps)
     assert len(others) == 1
     assert abs(others[0].step_ns - 130_000_000) < 4 * others[0].u_ns < 100_000
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 10.0, 30.0])
+def test_first_frames_that_waited_for_their_reader_are_no_step(rate_hz: float) -> None:
+    """All that came while the program began is read at once: the first by far later than the fourth."""
+    each_ns = round(1e9 / rate_hz)
+    times = [10**9 + n * each_ns for n in range(60)]
+    host_ns = [max(10**12 + t, 10**12 + times[3] + 5_000_000 + n * 300_000) for n, t in enumerate(times)]
+    frames, _, notes = carried(times, host_ns)
+    assert notes == []
+    assert [one.device_time_ns for one in frames] == times
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    rate_hz=st.sampled_from([5.0, 30.0, 200.0]),
+    late_ms=st.lists(st.floats(0.0, 400.0), min_size=12, max_size=12),
+    lost=st.sets(st.integers(1, 12), max_size=6),
+    step_ms=st.sampled_from([0.0, 0.0, 130.0, -130.0, 2000.0]),
+    at=st.integers(2, 40),
+)
+def test_times_never_run_backwards_however_irregularly_a_camera_without_numbers_begins(
+    rate_hz: float, late_ms: list[float], lost: set[int], step_ms: float, at: int
+) -> None:
+    each_ns = round(1e9 / rate_hz)
+    true = [n * each_ns for n in range(60) if n not in lost]
+    late = [*late_ms, *[0.0] * 60]
+    read_ns = np.maximum.accumulate([t + round(1e6 * late[n]) + 1000 * n for n, t in enumerate(true)])
+    times = [10**9 + t + round(1e6 * step_ms) * (n >= at) for n, t in enumerate(true)]
+    frames, _, _ = carried(times, [10**12 + int(ns) for ns in read_ns])
+    found = [one.device_time_ns for one in frames]
+    assert all(later > earlier for earlier, later in pairwise(found))
