@@ -105,6 +105,7 @@ def look(
             policy=frame_policy(config),
             timeout_s=config.camera.patience_s,
             permit=devices.permit,
+            applied=camera.applied,
         )
         light = LightWatch(devices)
         try:

@@ -16,6 +16,7 @@ from rig.devices.backlog import Backlog, most_waiting
 from rig.devices.frame_clock import FrameClock, Seen
 from rig.devices.frame_line import FrameLine
 from rig.devices.host_clock import ClockWatch, wait_for_network_clock
+from rig.instrument import setting_differences, with_read_back
 
 _log = logging.getLogger(__name__)
 _LOOK_NS = 250_000_000
@@ -27,7 +28,8 @@ class FrameStream:
     With `policy` "wait" the camera waits while the queue is full, otherwise frames are dropped and
     counted, and a camera whose clock cannot be right is refused. `ended` is a text that says why the stream
     ended, `failure` the error that ended it. `permit` learns that frames arrive and are taken, on which the
-    light of a laser depends. `time_shift_ns` is added to the camera's timestamps.
+    light of a laser depends. `time_shift_ns` is added to the camera's timestamps. `applied` are the settings
+    as the camera read them back: one that comes back has lost those that nobody asked for, too.
     """
 
     def __init__(
@@ -40,10 +42,12 @@ class FrameStream:
         reconnect_s: float = 60.0,
         permit: LightPermit | None = None,
         time_shift_ns: int = 0,
+        applied: CameraSettings | None = None,
     ) -> None:
         self._camera = camera
         self.permit = permit or LightPermit()
         self._settings = settings
+        self._kept = settings if applied is None else with_read_back(settings, applied)
         self.policy: Policy = policy
         self._timeout_s = timeout_s
         self._reconnect_s = reconnect_s
@@ -253,7 +257,7 @@ class FrameStream:
             try:
                 self._camera.close()
                 self._camera.open()
-                self._camera.configure(self._settings)
+                differences = self._configure_again()
                 if self._settings.ptp:
                     wait_for_network_clock(self._camera, ended=self._stop)
                 self._camera.start()
@@ -263,8 +267,19 @@ class FrameStream:
                 # a driver that has noticed the loss counts on, any other begins again
                 if self._camera.status.reconnects == before.reconnects:
                     self._counts_before += before
+                if differences:
+                    self._events.append((EventKind.CAMERA_BACK, f"with other settings: {differences}"))
                 return
         raise CameraLost(f"{lost}; it was not to be opened again within {self._reconnect_s:g} s")
+
+    def _configure_again(self) -> str:
+        """Set what was asked for and what the camera had besides; returns what is different now."""
+        try:
+            now = self._camera.configure(self._kept)
+        except DeviceError:
+            # not all that can be read can be set
+            now = self._camera.configure(self._settings)
+        return "; ".join(setting_differences(self._kept, now))
 
     def _fail(self, error: Exception, reason: str) -> None:
         if self.failure is None:

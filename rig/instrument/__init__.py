@@ -20,6 +20,7 @@ from rig.instrument.configured_camera import (
     setting_differences,
     shift_to_light_ns,
     shutter_of,
+    with_read_back,
 )
 from rig.instrument.kernels import prepare_kernels
 from rig.instrument.pendulum import balls, check_materials, material, pendulum_on_ball

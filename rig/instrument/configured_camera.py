@@ -25,6 +25,18 @@ def camera_settings(config: Configuration) -> CameraSettings:
     return CameraSettings(**{name: getattr(config.camera, name) for name in CameraSettings.model_fields})
 
 
+_OF_THE_IMAGE = (
+    "exposure_us", "gain_db", "frame_rate_hz", "pixel_format",
+    "width_px", "height_px", "offset_x_px", "offset_y_px",
+)  # fmt: skip
+
+
+def with_read_back(asked: CameraSettings, applied: CameraSettings) -> CameraSettings:
+    """The settings that make the same images again: where nothing was asked for, what the camera has."""
+    unasked = [name for name in _OF_THE_IMAGE if getattr(asked, name) is None]
+    return asked.model_copy(update={name: getattr(applied, name) for name in unasked})
+
+
 def setting_differences(asked: CameraSettings, applied: CameraSettings) -> list[str]:
     """One line for each setting in which the camera differs from the request."""
     lines = []

@@ -48,6 +48,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
             timeout_s=config.camera.timeout_s,
             permit=devices.permit,
             time_shift_ns=camera.time_shift_ns,
+            applied=camera.applied,
         )
         prepare_kernels(optics.sensor, say)
         ask_leave(devices)

@@ -147,6 +147,7 @@ def _execute(
             timeout_s=config.camera.patience_s,
             permit=devices.permit,
             time_shift_ns=camera.time_shift_ns,
+            applied=camera.applied,
         ),
         optics=optics,
         record=RecordFile(record, config, plan.source, camera, optics),

@@ -3,6 +3,7 @@
 import sys
 import threading
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from acquisition.camera import (
     CameraInfo,
@@ -20,6 +21,10 @@ from acquisition.frame import Frame
 from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError
 
+if TYPE_CHECKING:
+    # Linux alone has its calls
+    from acquisition.cameras.v4l2.devices import VideoDevice
+
 _QUEUED_FRAMES = 64
 """Kept for a reader that is late, where OpenCV reads."""
 _STOP_S = 0.4
@@ -33,12 +38,15 @@ class V4l2Camera:
     If the driver numbers frames, its numbers are used. Gaps count as lost by the host if all buffers were
     full, else as lost on the bus; frames that the driver marks as damaged have an error status. OpenCV
     provides none of this: frames are numbered in order of arrival, and what is lost before is not known.
+    A camera that is opened again is the same one, although its device may have another number; OpenCV knows
+    the number alone.
     """
 
     def __init__(self, settings: V4l2Settings | None = None) -> None:
         self._settings = settings or V4l2Settings()
         self._lock = threading.RLock()
         self._source: FrameDevice | None = None
+        self._known: VideoDevice | None = None
         self._run: _Run | None = None
         self._before = CameraStatus()
         self._was_lost = False
@@ -46,9 +54,9 @@ class V4l2Camera:
     def open(self) -> CameraInfo:
         self.close()
         with self._lock:
-            source = _make_source(self._settings)
+            source = _make_source(self._settings, self._known)
             info = source.open()
-            self._source = source
+            self._source, self._known = source, getattr(source, "found", None)
             return info
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -156,7 +164,7 @@ class _Run:
         return Frame(raw.image, self._number, raw.device_time_ns, raw.host_time_ns)
 
 
-def _make_source(settings: V4l2Settings) -> FrameDevice:
+def _make_source(settings: V4l2Settings, known: "VideoDevice | None") -> FrameDevice:
     reading = settings.reading
     if reading == "auto":
         reading = "kernel" if sys.platform == "linux" else "opencv"
@@ -165,7 +173,7 @@ def _make_source(settings: V4l2Settings) -> FrameDevice:
             raise DeviceError("camera.v4l2.reading = 'kernel' works on Linux only; use 'opencv'")
         from acquisition.cameras.v4l2.linux import LinuxSource
 
-        return LinuxSource(settings)
+        return LinuxSource(settings, known)
     return ReadAhead(OpenCvSource(settings))
 
 

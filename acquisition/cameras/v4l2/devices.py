@@ -88,6 +88,24 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
     return usable[0]
 
 
+def find_again(known: VideoDevice) -> VideoDevice:
+    """The device that was open before: whoever holds its old number, it may have come back with another.
+
+    Raises DeviceError while it is not there, or cannot be opened.
+    """
+    same = [one for one in list_devices() if (one.name, one.serial) == (known.name, known.serial)]
+    # of two cameras of one kind without serial numbers their place on the bus tells which is which
+    for told in ("bus", "path"):
+        if len(same) > 1:
+            same = [one for one in same if getattr(one, told) == getattr(known, told)]
+    if not same:
+        who = f"{known.name} {known.serial}".strip()
+        raise DeviceError(f"{known.path}: {who} is not connected any more; plug it in again")
+    if same[0].problem:
+        raise DeviceError(same[0].problem)
+    return same[0]
+
+
 def _is_readable(formats: list[str]) -> bool:
     return bool(possible(formats) or possible(formats, mosaic=True))
 

@@ -22,7 +22,7 @@ from acquisition.camera import (
 from acquisition.cameras.colour_plane import in_plane_px, in_sensor_px
 from acquisition.cameras.kept_frames import kept_frames
 from acquisition.cameras.v4l2 import kernel
-from acquisition.cameras.v4l2.devices import find_device, refusal
+from acquisition.cameras.v4l2.devices import VideoDevice, find_again, find_device, refusal
 from acquisition.cameras.v4l2.layouts import LAYOUTS, choose, image_bytes, possible, to_image
 from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.cameras.v4l2.source import RawFrame
@@ -33,10 +33,14 @@ _EXPOSURE_STEP_US = 100.0  # the kernel's unit of V4L2_CID_EXPOSURE_ABSOLUTE
 
 
 class LinuxSource:
-    """See `source.Source`. Timestamps are the driver's, on the host's monotonic clock."""
+    """See `source.Source`. Timestamps are the driver's, on the host's monotonic clock.
 
-    def __init__(self, settings: V4l2Settings) -> None:
+    `found` is the device; one that is `known` from before is looked for by what it is, not by its number.
+    """
+
+    def __init__(self, settings: V4l2Settings, known: VideoDevice | None = None) -> None:
         self._settings = settings
+        self.found = known
         self._device = -1
         self._name = "video device"
         self._layout = kernel.PixelLayout(0, 0, "", 0, 0)
@@ -49,7 +53,10 @@ class LinuxSource:
 
     def open(self) -> CameraInfo:
         """Find and open the device; if its format is not supported, set the preferred one that it offers."""
-        found = find_device(self._settings.device, self._settings.serial)
+        if self.found is None:
+            found = find_device(self._settings.device, self._settings.serial)
+        else:
+            found = find_again(self.found)
         self._name = f"{found.path} ({found.name})"
         try:
             self._device = kernel.open_device(found.path)
@@ -63,13 +70,14 @@ class LinuxSource:
             now = kernel.get_layout(self._device)
             if now.fourcc not in LAYOUTS:
                 now = kernel.set_layout(self._device, now.width_px, now.height_px, fourcc)
+            driver = kernel.capabilities(self._device).driver
         except OSError as error:
             self.close()
             raise DeviceError(refusal(self._name, error)) from None
         except DeviceError:
             self.close()
             raise
-        self._layout = now
+        self.found, self._layout = found, now
         region = kernel.get_selection(self._device, kernel.CROP)
         self._bounds = None if region is None else kernel.get_selection(self._device, kernel.CROP_BOUNDS)
         return CameraInfo(
@@ -82,7 +90,7 @@ class LinuxSource:
             full_scale_dn=2 ** BITS_OF_FORMAT[LAYOUTS[now.fourcc].pixel_format] - 1,
             has_clock=True,
             # UVC cameras state when an exposure began, all others when its last pixel has arrived
-            stamped="start" if kernel.capabilities(self._device).driver == "uvcvideo" else "end",
+            stamped="start" if driver == "uvcvideo" else "end",
         )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:

@@ -24,6 +24,7 @@ from acquisition.frame import Frame
 from acquisition.frame_losses import FrameLosses
 from processing.errors import DeviceError
 from rig.devices.frame_stream import FrameStream
+from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 
@@ -48,12 +49,13 @@ class Unnoticing(Usb3VisionCamera):
 class Run:
     """A stream at default settings, and what came out of it."""
 
-    def __init__(self, driver: type[Usb3VisionCamera]) -> None:
+    def __init__(self, driver: type[Usb3VisionCamera], asked: CameraSettings = ASKED) -> None:
         self.device = VisionDevice()
         self.camera = driver(backend=InProcessBackend(self.device))
         self.camera.open()
+        # what another program has left in the camera
         self.camera.configure(ASKED)
-        self.stream = FrameStream(self.camera, ASKED)
+        self.stream = FrameStream(self.camera, asked, applied=self.camera.configure(asked))
         self.stream.start_camera()
         assert self.stream.begin() is not None
         self.frames: list[Frame] = []
@@ -90,6 +92,41 @@ def test_a_run_goes_on_when_its_camera_comes_back(driver: type[Usb3VisionCamera]
     assert run.stream.losses.while_unplugged > 0
     assert numbers[-1] + 1 - len(numbers) == run.stream.losses.total
     assert delivered >= 20
+
+
+@pytest.mark.parametrize("refused", [False, True])
+def test_one_that_has_lost_its_power_makes_the_same_images_again_or_it_is_said(
+    refused: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing was asked for, so that the camera kept what it had, which it has no more."""
+    run = Run(Usb3VisionCamera, CameraSettings())
+    run.until(lambda: len(run.frames) > 20)
+    run.device.unplug()
+    run.until(lambda: "camera lost" in run.kinds)
+    fresh = VisionDevice()
+    for place in (layout.WIDTH, layout.HEIGHT, layout.EXPOSURE_TICKS):
+        run.device.poke(place, fresh.peek(place))
+    configure = run.camera.configure
+
+    def configured(settings: CameraSettings) -> CameraSettings:
+        if refused and settings.exposure_us is not None:
+            raise DeviceError("the exposure cannot be set")
+        return configure(settings)
+
+    monkeypatch.setattr(run.camera, "configure", configured)
+    before = len(run.frames)
+    run.device.plug()
+    run.until(lambda: "camera back" in run.kinds and len(run.frames) > before + 20)
+    run.close()
+    assert run.stream.failure is None
+    said = "; ".join(text for kind, text in run.texts if kind == "camera back")
+    shapes = {frame.image.shape for frame in run.frames}
+    if refused:
+        assert "with other settings: camera.exposure_us = 100.0 was requested" in said
+        assert len(shapes) == 2
+    else:
+        assert "other settings" not in said
+        assert shapes == {(32, 32)}
 
 
 def test_a_run_goes_on_when_its_camera_resets_itself_on_the_bus() -> None:
