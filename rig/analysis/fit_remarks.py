@@ -22,6 +22,7 @@ def remarks(run: RunResults) -> list[str]:
     of_drag = drag_headline(run.drag, fitted=DRAG.key in parameters) if parameters else ""
     lines = list(filter(None, [headline(run.budget, run.verdicts()), of_drag]))
     lines += [] if run.beam is None else [run.beam.sentence]
+    lines += [] if run.clock is None else [f"Camera's clock: {run.clock.text}."]
     lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
     lines += [] if run.witness is None else witness_sentences(run.witness)
     lines += [_drag_sentence(run.drag)] if run.drag is not None else []

@@ -8,6 +8,7 @@ from enum import StrEnum
 from acquisition.frame_losses import FrameLosses
 from processing.estimate import Estimate
 from rig.control import DevicesNow
+from rig.instrument.camera_clock import CameraClock
 
 
 class Phase(StrEnum):
@@ -32,8 +33,8 @@ class Snapshot:
     `progress` says how far the phase is. `frame_age_s` is the time between the arrival of the oldest frame of
     the last block and the start of its processing; it grows if processing is too slow. `losses` are the
     dropped frames by cause, as counted by the camera. `instruction` is a request to the operator, `devices`
-    the state of laser and controller, `beam` what is fitted to the spot, `alarm` what is wrong with light or
-    disk, empty if nothing is.
+    the state of laser and controller, `beam` what is fitted to the spot, `clock` the camera's against the
+    computer's, `alarm` what is wrong with light or disk, empty if nothing is.
     `estimates` are the contact's parameters by key, from the first `estimated_from` half-cycles; empty before
     there are enough.
     """
@@ -60,6 +61,7 @@ class Snapshot:
     instruction: str = ""
     alarm: str = ""
     beam: str = ""
+    clock: CameraClock = field(default_factory=CameraClock)
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     estimated_from: int = 0
 

@@ -14,7 +14,8 @@ from processing.errors import DeviceError
 from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
-from rig.instrument import Block, Phase, Pipeline, Snapshot, Wall
+from rig.devices import ClockRate
+from rig.instrument import Block, CameraClock, Phase, Pipeline, Snapshot, Wall
 from rig.measure.camera_state import TemperatureWatch, features_json
 from rig.measure.clock_anchors import ClockAnchors
 from rig.measure.end_of_run import EndOfRun, StopRequest
@@ -28,6 +29,7 @@ from rig.posterior import Posterior
 _LOST_IMAGE_INTERVAL_S = 1.0
 _LIVE_FIT = "the live fit"
 _ANCHORS = "the reading of the computer's clocks"
+_CLOCK_RATE = "the reading of the camera's clock"
 _TEMPERATURE = "the camera's temperature"
 
 
@@ -154,6 +156,7 @@ class Recording:
         self._recorder = recorder
         self._judge = judge
         self._wall = wall
+        self._clock = CameraClock()
 
     def make(self, begun: list[Frame], events: list[Event]) -> str:
         """Record until the run ends; returns why the start was rejected, else an empty text.
@@ -183,6 +186,7 @@ class Recording:
         steps = StepEvents(parts.optics.unit)
         # frames made on demand have a clock of their own, which no other one says anything about
         anchors = None if stream.policy == "wait" else ClockAnchors()
+        rate = None if stream.policy == "wait" else ClockRate()
         temperature = None if parts.camera is None else TemperatureWatch(parts.camera)
         status.begin_record()
         if parts.posterior is not None:
@@ -214,6 +218,9 @@ class Recording:
             clock, clock_steps = nothing
             if anchors is not None:
                 clock, clock_steps = self._wall.past(_ANCHORS, nothing, anchors.take, counts.last_ns)
+            camera_steps = [one for one in stream.take_clock_steps() if one.time_ns > counts.start_ns]
+            if rate is not None:
+                self._clock = self._wall.past(_CLOCK_RATE, self._clock, rate.take, frames, camera_steps)
             stepped: list[Event] = self._wall.past("the watch for steps", [], steps.take, block)
             new = [*entry.events, *stepped, *clock_steps, *self._device_events(counts.last_ns)]
             self._recorder.put(
@@ -226,7 +233,7 @@ class Recording:
                     temperature=None
                     if temperature is None
                     else self._wall.past(_TEMPERATURE, None, temperature.take, counts.last_ns),
-                    camera_steps=[one for one in stream.take_clock_steps() if one.time_ns > counts.start_ns],
+                    camera_steps=camera_steps,
                 )
             )
             # frames made on demand have no age
@@ -319,6 +326,7 @@ class Recording:
                 dropped_frames=counts.missing,
                 lost_spots=counts.lost_spots,
                 beam=counts.beam_text,
+                clock=self._clock,
                 queue_frames=len(self._stream),
                 frame_age_s=age_s,
                 losses=self._losses.now,

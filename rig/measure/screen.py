@@ -196,6 +196,7 @@ class RunDisplay:
             ("transverse", self._transverse(balance)),
             ("rest position", self._rest(balance)),
             ("camera", f"{self._rates.frames_hz:.1f} frames/s, {snapshot.frames} in all, {_age(snapshot)}"),
+            ("clock", snapshot.clock.text or "-"),
             ("beam", snapshot.beam or "-"),
             ("losses", f"{losses}, {snapshot.queue_frames} waiting"),
             ("record", f"{self._rates.bytes_per_s / 1e6:.2f} MB/s, {snapshot.record_bytes / 1e6:.1f} MB"),

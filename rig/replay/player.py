@@ -221,6 +221,7 @@ class Player:
             dropped_frames=self._missing,
             lost_spots=self._lost,
             beam=replay.beam.text,
+            clock=replay.clock,
             half_cycles=self._half_cycles,
             amplitude=self._amplitude,
             period_s=self._period_s,

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,14 +11,14 @@ from numpy.typing import NDArray
 from acquisition.frame import Frame
 from acquisition.record.proof import thinning_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import WINDOW, RecordedWindow
+from acquisition.record.topics import CAMERA_STEP, WINDOW, RecordedClockStep, RecordedWindow
 from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
-from rig.devices import MendedTimes, mended_times
-from rig.instrument import Block, frame_shape, optics_of, recorded_configuration, shutter_of
+from rig.devices import ClockRate, MendedTimes, mended_times
+from rig.instrument import Block, CameraClock, frame_shape, optics_of, recorded_configuration, shutter_of
 from rig.replay.comparison import ReplayComparison, ReplayDifferences
 from rig.settings import Configuration
 
@@ -114,7 +115,11 @@ class Replay:
         self._last_ns = max(reader.contents.end_ns - reader.epoch_offset_ns, self.start_ns)
         # frames made on demand have host times that say nothing
         self._mended = None if self._config.on_demand else _mended_times(reader)
+        self._steps = [
+            (one.time_ns, one.step_ns) for one in reader.values(CAMERA_STEP.topic, RecordedClockStep)
+        ]
         if self._mended is not None:
+            self._steps += [(time_ns, step.step_ns) for time_ns, step in self._mended.steps]
             self._last_ns = max(self._last_ns + int(self._mended.added_ns[-1]), self.start_ns)
         if from_s > seconds(self._last_ns - self.start_ns):
             length_s = seconds(self._last_ns - self.start_ns)
@@ -163,6 +168,13 @@ class Replay:
     def beam(self) -> BeamUse:
         """What the spots so far say of the beam."""
         return self._beam
+
+    @property
+    def clock(self) -> CameraClock:
+        """The camera's clock as the frames so far show it; not of frames made on demand."""
+        known = [step for time_ns, step in self._steps if time_ns <= self._position_ns]
+        largest_s = max((seconds(step_ns) for step_ns in known), key=abs, default=0.0)
+        return replace(self._clock, steps=len(known), largest_step_s=largest_s)
 
     def restart(self, time_s: float) -> None:
         """Start again at a time; the results so far are discarded."""
@@ -223,6 +235,8 @@ class Replay:
         self._swings: list[Swing] = []
         self._deflections: list[Deflections] = []
         self._beam = BeamUse()
+        self._rate = None if self._config.on_demand else ClockRate(beside=False)
+        self._clock = CameraClock()
         self._first_sequence, self._last_sequence = -1, -1
         self._comparison = ReplayComparison(self.start_ns)
 
@@ -269,6 +283,8 @@ class Replay:
         self._swings += block.swings
         self._deflections.append(block.deflections)
         self._beam.take(rows["sequence"], [spot.flags for spot in block.spots])
+        if self._rate is not None:
+            self._clock = self._rate.take_rows(rows)
         if self._first_sequence < 0:
             self._first_sequence = int(rows["sequence"][0])
         self._last_sequence = int(rows["sequence"][-1])

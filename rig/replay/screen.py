@@ -75,10 +75,11 @@ class ReplayLine:
             return f"go to (seconds from the start, Enter): {prompt}"
         part = 100 * snapshot.elapsed_s / length_s if length_s > 0 else 100.0
         amplitude = "" if math.isnan(snapshot.amplitude) else f"  {snapshot.amplitude:.2f} {self._unit}"
+        clock = f"  clock {snapshot.clock.text}" if snapshot.clock.text else ""
         left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
         return (
             f"{snapshot.phase}  {snapshot.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %  "
-            f"{snapshot.frames} frames  {snapshot.half_cycles} half-cycles{amplitude}{left}"
+            f"{snapshot.frames} frames  {snapshot.half_cycles} half-cycles{amplitude}{clock}{left}"
         )
 
 

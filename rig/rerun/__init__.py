@@ -3,6 +3,7 @@
 from rig.rerun.messages import (
     LENGTH,
     BalanceNumbers,
+    ClockDrift,
     Curve,
     Estimates,
     Finish,

@@ -15,6 +15,7 @@ from rig.rerun.lissajous import Lissajous
 from rig.rerun.marks import spot_cross
 from rig.rerun.messages import (
     BalanceNumbers,
+    ClockDrift,
     Estimates,
     Fits,
     Floats,
@@ -97,6 +98,8 @@ class Drawing:
                 self._draw_balance(message)
             case Estimates():
                 self._draw_estimates(message)
+            case ClockDrift():
+                self._draw_clock(message)
             case Picture():
                 self._draw_picture(message)
             case Losses():
@@ -179,6 +182,14 @@ class Drawing:
                 self._gather_uncertain(
                     message.run, path, at, np.array([value]), np.array([u]), label, colour, gap_periods=np.inf
                 )
+
+    def _draw_clock(self, message: ClockDrift) -> None:
+        at = np.array([message.time_s])
+        drift_ppm, u_ppm = np.array([message.drift_ppm]), np.array([message.u_drift_ppm])
+        label = "camera's clock / ppm"
+        self._gather_uncertain(
+            message.run, layout.CLOCK, at, drift_ppm, u_ppm, label, palette.SKY_BLUE, gap_periods=np.inf
+        )
 
     def _draw_picture(self, message: Picture) -> None:
         last = self._last_picture_s.get(message.run, -np.inf)

@@ -43,6 +43,7 @@ SPOT: Final = "camera/spot"
 BALANCE_ROOT: Final = "balance"
 LOSSES_ROOT: Final = "losses"
 PARAMETERS_ROOT: Final = "parameters"
+CLOCK: Final = "clock"
 LANES: Final = ("run", "spot", "frames", "laser")
 """What a run can be in, each below the run's name itself: the viewer titles a lane with its whole path."""
 STATE: Final = "state"
@@ -111,7 +112,11 @@ class _Views:
     def measuring(self) -> rrb.Container:
         return rrb.Horizontal(
             rrb.Vertical(
-                self.trajectory(), self.losses(), self.lanes(), self.events(), row_shares=[8, 3, 5, 3]
+                self.trajectory(),
+                rrb.Horizontal(self.losses(), self.history(CLOCK, "Clock drift / ppm")),
+                self.lanes(),
+                self.events(),
+                row_shares=[8, 3, 5, 3],
             ),
             rrb.Vertical(
                 self.deflection(Y, "Y(t), slow mode"),

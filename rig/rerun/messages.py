@@ -88,6 +88,15 @@ class Estimates(NamedTuple):
     numbers: Mapping[str, tuple[float, float]]
 
 
+class ClockDrift(NamedTuple):
+    """Rate of the camera's clock against the computer's, less 1, and its standard uncertainty."""
+
+    run: str
+    time_s: float
+    drift_ppm: float
+    u_drift_ppm: float
+
+
 _DRAWN_FROM = 0.5
 """Relative uncertainty from which on a parameter is drawn."""
 
@@ -173,6 +182,7 @@ Message = (
     | Swings
     | BalanceNumbers
     | Estimates
+    | ClockDrift
     | Picture
     | Losses
     | State

@@ -18,7 +18,8 @@ from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import SpotFlag
 from processing.ticks import nanoseconds, seconds
-from rig.instrument import advice_for, recorded_configuration
+from rig.devices import ClockRate
+from rig.instrument import CameraClock, advice_for, recorded_configuration
 from rig.presentation import balance_numbers, say
 from rig.rerun import LayoutName, ShowMode
 from rig.view.analysis_curves import analysis_curves, report_text, run_analysis
@@ -192,6 +193,7 @@ def _draw_spots(viewer: Viewer, reader: RecordReader, run: str, start_ns: int) -
     lost = missing = 0
     last: int | None = None
     viewer.losses(0.0, {"missing_frames": 0, "lost_spots": 0}, own=False, run=run)
+    rate, shown = _clock_rate(reader), CameraClock()
     for table in spot_tables(reader):
         deflections = reader.deflections(table)
         time_s = seconds(deflections.times_ns - start_ns)
@@ -203,10 +205,21 @@ def _draw_spots(viewer: Viewer, reader: RecordReader, run: str, start_ns: int) -
         last = int(sequence[-1])
         counts = {"missing_frames": missing, "lost_spots": lost}
         viewer.losses(float(time_s[-1]), counts, own=False, run=run)
+        if rate is not None and (now := rate.take_rows(table)) != shown and now.known:
+            shown = now
+            viewer.clock(float(time_s[-1]), now.drift_ppm, now.u_drift_ppm, run=run)
         sequences.append(sequence.copy())
         places.append(np.column_stack((table["x_px"], table["y_px"])).astype(np.float32))
         viewer.wait_room()
     return {"sequence": np.concatenate(sequences), "place": np.concatenate(places)}
+
+
+def _clock_rate(reader: RecordReader) -> ClockRate | None:
+    """What reads the camera's clock; None for frames made on demand, and where no record says so."""
+    try:
+        return None if recorded_configuration(reader).on_demand else ClockRate(beside=False)
+    except RecordError:
+        return None
 
 
 def _draw_images(

@@ -24,6 +24,8 @@ def state_text(snapshot: Snapshot, unit: DeflectionUnit, at: str, empty: list[st
     if not math.isnan(snapshot.period_s):
         lines.append(f"period {snapshot.period_s:.4f} s")
     lines.append(f"{snapshot.frames} frames, {dropped} dropped, {lost} spots lost")
+    if clock := snapshot.clock.text:
+        lines.append(f"camera's clock {clock}")
     if snapshot.beam:
         lines.append(f"beam: {snapshot.beam}")
     if not math.isnan(snapshot.frame_age_s):
@@ -48,6 +50,8 @@ def empty_panels(
     if not snapshot.half_cycles:
         when = "the record begins" if snapshot.phase in _BEFORE else "a half-cycle has been measured"
         found.append(f"amplitude and period are empty until {when}")
+    if not snapshot.clock.known:
+        found.append("the clock is empty until the rate of the camera's is known; frames on demand have none")
     if not balanced:
         found.append("the balance is empty until some periods of swing have been seen")
     if parameters and not snapshot.estimates:

@@ -30,10 +30,11 @@ from processing.estimate import Estimate
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
 from processing.ticks import seconds
-from rig.instrument import Block, Phase, Snapshot
+from rig.instrument import Block, CameraClock, Phase, Snapshot
 from rig.presentation import Shown, balance_numbers, quantity
 from rig.rerun import (
     BalanceNumbers,
+    ClockDrift,
     Curve,
     Estimates,
     Fits,
@@ -178,6 +179,7 @@ class Viewer:
         self._advise = advise
         self._parameters = {key: _in_panel(key) for key in parameters}
         self._estimated_from = 0
+        self._shown_clock = CameraClock()
         self._balanced = False
         self._start_ns = 0
         self._gathered: list[Deflections] = []
@@ -278,10 +280,13 @@ class Viewer:
         self.log(time_s, event.level, event.line, kind=event.kind, run=run)
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """State and losses, at most twice a second, and when the phase changes; every new estimate."""
+        """State and losses, at most twice a second, and when the phase changes; all that is newly known."""
         if snapshot.estimated_from != self._estimated_from:
             self._estimated_from = snapshot.estimated_from
             self.estimates(snapshot.elapsed_s, snapshot.estimates)
+        if snapshot.clock != self._shown_clock and snapshot.clock.known:
+            self._shown_clock = snapshot.clock
+            self.clock(snapshot.elapsed_s, snapshot.clock.drift_ppm, snapshot.clock.u_drift_ppm)
         now_s = time.monotonic()
         if now_s < self._next_state_s and snapshot.phase is self._shown_phase:
             return
@@ -334,6 +339,10 @@ class Viewer:
         }
         if shown:
             self._put(Estimates("", float(time_s), shown))
+
+    def clock(self, time_s: float, drift_ppm: float, u_drift_ppm: float, *, run: str = "") -> None:
+        """Rate of the camera's clock against the computer's, less 1, with its standard uncertainty."""
+        self._put(ClockDrift(run, float(time_s), float(drift_ppm), float(u_drift_ppm)))
 
     def image(
         self,
