@@ -63,7 +63,7 @@ def made(run: Whole) -> Ended:
         began_s = time.monotonic()
         done = rig_process("run", run.config, "-o", folder, "--runs", "1", *set_words(run.values))
         took_s = time.monotonic() - began_s
-        last = (done.stderr.strip().splitlines() or [""])[-1]
+        last = " | ".join(done.stderr.strip().splitlines()[-4:])
         if not (folder / "session.json").exists():
             return Ended(run.name, "not begun", last, "no session", took_s)
         session = json.loads((folder / "session.json").read_text(encoding="utf-8"))

@@ -68,9 +68,12 @@ def test_buffers_that_the_driver_drops_are_counted(results: dict[str, Any]) -> N
     assert seen["dropped_by_bus"] > 5
     # the host's are frames for which a slow guest had no buffer
     assert seen["dropped_by_bus"] + seen["dropped_by_host"] == missing
-    # The numbers are the driver's: the time between frames is their distance, whatever is missing.
-    period_ms = np.array(seen["ms_per_number"])
-    assert np.median(np.abs(period_ms / np.median(period_ms) - 1)) < 0.05
+    # The numbers are the driver's: over what is missing as much time passes as over as many frames that came;
+    # single ones are late on a busy machine.
+    per_number_ms, distances = np.array(seen["ms_per_number"]), np.diff(numbers)
+    gaps = distances > 1
+    over_gaps = float(np.sum((per_number_ms * distances)[gaps]) / np.sum(distances[gaps]))
+    assert 0.7 < over_gaps / float(np.mean(per_number_ms[~gaps])) < 1.4
     # vivid stamps a frame when it is due, which may be a frame ahead; a slow guest fetches some late
     assert np.median(np.abs(seen["age_ms"])) < 100
 
