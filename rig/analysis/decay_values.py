@@ -20,18 +20,27 @@ from rig.presentation import with_uncertainty
 
 
 def decay_values(
-    points: TurningPoints, summary: DecaySummary, unit_size: float, u_common: float = 0.0
+    points: TurningPoints,
+    summary: DecaySummary,
+    unit_size: float,
+    *,
+    u_clock: float = 0.0,
+    u_common: float = 0.0,
 ) -> dict[str, Any]:
     """Fields of `RunResults`; amplitudes in a unit that is `unit_size` in that of the points.
 
-    `u_common` is the standard uncertainty of an error that all amplitudes share, in the unit of the points:
-    what it would change is in the uncertainties.
+    `u_clock` is what the second of the times is uncertain by, relative; `u_common` the standard uncertainty
+    of an error that all amplitudes share, in the unit of the points: what it would change is in the
+    uncertainties.
     """
     found = _of(points, summary, unit_size)
+    period_s, u_s = found["period_s"]
+    found["period_s"] = Estimate(period_s, hypot(u_s, u_clock * period_s))
     if not u_common > 0:
         return found
     moved = replace(points, amplitude=points.amplitude + u_common)
     other = _of(moved, summarise_decay(moved), unit_size)
+    other["period_s"] = found["period_s"]
     return {name: _wider(value, other[name]) for name, value in found.items()}
 
 
@@ -44,10 +53,10 @@ def _of(points: TurningPoints, summary: DecaySummary, unit_size: float) -> dict[
     }
 
 
-def values_of_points(points: TurningPoints, unit_size: float) -> dict[str, Any]:
+def values_of_points(points: TurningPoints, unit_size: float, u_clock: float = 0.0) -> dict[str, Any]:
     """The same of turning points alone; nothing where there are too few of them."""
     try:
-        return decay_values(points, summarise_decay(points), unit_size)
+        return decay_values(points, summarise_decay(points), unit_size, u_clock=u_clock)
     except DataError:
         return {}
 

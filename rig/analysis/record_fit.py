@@ -229,6 +229,7 @@ def analyse_swings(
             {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
         )
     errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
+    u_second = u_clock if config.timebase is None else max(config.timebase.u_camera_rate, u_clock)
     results = replace(
         _head(path, points, unit),
         measured_again_on=settled.motion,
@@ -240,7 +241,7 @@ def analyse_swings(
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
         witness=decay.witness,
-        **values_of_points(points, unit.shown_size),
+        **values_of_points(points, unit.shown_size, u_second),
     )
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
     rig = rig_quantities(config, deflections.fast_ratio(), rest_rad, u_clock)

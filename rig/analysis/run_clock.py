@@ -14,6 +14,7 @@ from processing.errors import DataError
 from processing.quantity import Quantity
 from processing.ticks import seconds
 from rig.devices import U_FREE_RUNNING, U_QUARTZ, U_SYNCHRONISED, mended_times
+from rig.instrument import rate_text
 from rig.presentation import Verdict
 from rig.settings import Configuration
 
@@ -51,10 +52,9 @@ class RunClock:
     def text(self) -> str:
         """The clock in one line."""
         known = math.isfinite(self.drift_ppm)
-        rate = f"{self.drift_ppm:+.2f} ± {self.u_drift_ppm:.2f} ppm" if known else "rate unknown"
-        stepped = (
-            f", stepped {self.steps} times, by at most {self.largest_step_s:+.4g} s" if self.steps else ""
-        )
+        rate = rate_text(self.drift_ppm, self.u_drift_ppm) if known else "rate unknown"
+        times = "once" if self.steps == 1 else f"{self.steps} times, at most"
+        stepped = f", stepped {times} by {self.largest_step_s:+.4g} s" if self.steps else ""
         return f"{rate}, second within {1e6 * self.u_rate:.2g} ppm{stepped}"
 
 

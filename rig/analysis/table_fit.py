@@ -210,7 +210,7 @@ def _analyse(
     scale = trajectory.scale_rad or 1.0
     values = (
         _values(run)
-        | decay_values(points, summary, scale, trajectory.u_common_in_noises * noise)
+        | decay_values(points, summary, scale, u_common=trajectory.u_common_in_noises * noise)
         | {
             "frames": int(np.count_nonzero(inside)),
             "half_cycles": run.half_cycles or summary.half_cycles,

@@ -11,7 +11,7 @@ from rig.instrument.balance import (
 )
 from rig.instrument.beam_verdict import beam_quality
 from rig.instrument.calibration import fill_from_files, judge_calibration
-from rig.instrument.camera_clock import CameraClock
+from rig.instrument.camera_clock import CameraClock, rate_text
 from rig.instrument.configured_camera import (
     camera_settings,
     check_full_scale,

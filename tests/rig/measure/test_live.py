@@ -7,6 +7,7 @@ frames, are made at once.
 
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -17,7 +18,7 @@ import pytest
 
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
-from tests.rig.command_line import CONFIGS, set_words
+from tests.rig.command_line import CONFIGS, rig, set_words
 from tests.rig.pseudo_terminal import Terminal
 
 pytestmark = [
@@ -52,12 +53,22 @@ FAULTS = {
     "faults.laser_fade_duration_s": "1",
     "faults.draught_at_s": "14",
 }
+DRIFT_PPM = 80.0
+"""Of a camera's clock that nobody has calibrated."""
+FAST_CLOCK = {
+    "session.max_duration_s": "40",
+    "simulation.sensor.height_px": "320",
+    "simulation.ground.model": '"none"',
+    "simulation.disturbances.air_arcsec": "0",
+    "simulation.disturbances.pointing_walk_px_per_sqrt_s": "0",
+}
 RUNS: Mapping[str, dict[str, str]] = {
     "from 7 arcsec": LIVE | FROM_7_ARCSEC,
     "10/s": LIVE | LASTING_20_S | {"camera.frame_rate_hz": "10"},
     "200/s": LIVE | LASTING_20_S | {"camera.frame_rate_hz": "200"},
     "faults": LIVE | LASTING_20_S | FAULTS,
     "clock": LIVE | LASTING_20_S | {"faults.clock_zero_at_s": "5", "faults.clock_steps_at_s": "10"},
+    "fast clock": LIVE | FAST_CLOCK | {"simulation.clock.drift_ppm": f"{DRIFT_PPM:g}"},
     "32 bits": LIVE | LASTING_20_S | {"faults.clock_bits": "32"},
 }
 
@@ -160,3 +171,31 @@ def test_a_faulty_clock_is_named_and_its_times_go_on(name: str, said: list[str],
     # no step is left in the times: between frames lie 40 ms each
     frame_times_s = np.diff(spots["time_ns"]) / np.diff(spots["sequence"]) * 1e-9
     assert np.all(np.abs(frame_times_s - 0.04) < 0.02)
+
+
+def test_what_an_uncalibrated_clock_does_is_said_and_in_the_budget(made: Made, tmp_path: Path) -> None:
+    """The same swing by a true clock, made on demand, says what the period is."""
+    run = made["fast clock"].result()
+    twin = LIVE | FAST_CLOCK | {"simulation.real_time": "false"}
+    done = rig("run", CONFIGS / "basement.toml", "-o", tmp_path / "twin", *set_words(twin))
+    assert "Traceback" not in done.stderr
+    (found,), (true,) = (
+        json.loads((folder / "results.json").read_text())["runs"]
+        for folder in (run.folder, tmp_path / "twin")
+    )
+    clock = found["clock"]
+    assert clock["drift_ppm"] == pytest.approx(DRIFT_PPM, abs=max(4 * clock["u_drift_ppm"], 1.0))
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", run.screen)
+    assert re.search(r"clock +\+(79|80)\.\d+ ± [\d.]+ ppm against", plain), plain[-3000:]
+    shift_s = found["period_s"]["value"] - true["period_s"]["value"]
+    assert shift_s / true["period_s"]["value"] == pytest.approx(1e-6 * DRIFT_PPM, rel=0.15)
+    assert abs(shift_s) < 2.0 * found["period_s"]["standard_uncertainty"]
+    budget = found["budget"]["period0_s"]
+    (line,) = [source for source in budget["sources"] if source["source"] == "clock"]
+    # no less and not much more than what is there: 50 ppm of the computer's are added
+    assert 0.9 * DRIFT_PPM < 1e6 * line["u_source"] < 2.0 * DRIFT_PPM
+    assert 0.9 * abs(shift_s) < line["contribution"] <= budget["standard_uncertainty"]
+    assert "clock" not in [one["source"] for one in true["budget"]["period0_s"]["sources"]]
+    # γ follows from ratios of periods, which no rate changes
+    gamma = found["budget"]["gamma_pa"]
+    assert abs(gamma["value"] - 28.97e6) < 3.0 * gamma["standard_uncertainty"]

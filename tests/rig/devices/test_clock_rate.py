@@ -1,0 +1,76 @@
+"""The rate of the camera's clock as it is read during a run."""
+
+import numpy as np
+import pytest
+
+from acquisition.frame import Frame
+from acquisition.record.topics import RecordedClockStep
+from rig.devices import clock_rate
+from rig.devices.clock_rate import ClockRate
+from rig.instrument import CameraClock
+
+IMAGE = np.zeros((2, 2), np.uint8)
+RATE_HZ = 50.0
+
+
+def frames(seconds: float, drift_ppm: float, *, seed: int = 3, clock: bool = True) -> list[Frame]:
+    """Frames of a camera whose clock runs fast, which arrive half a millisecond late on average."""
+    rng = np.random.default_rng(seed)
+    true_ns = np.arange(round(seconds * RATE_HZ)) * 1e9 / RATE_HZ
+    device_ns = 10**9 + np.round(true_ns * (1 + 1e-6 * drift_ppm)).astype(np.int64)
+    host_ns = 10**12 + np.round(true_ns + 5e5 * rng.exponential(size=len(true_ns))).astype(np.int64)
+    host_ns = np.maximum.accumulate(host_ns)
+    times = zip(device_ns.tolist(), host_ns.tolist(), strict=True)
+    return [Frame(IMAGE, n, device if clock else -1, host) for n, (device, host) in enumerate(times)]
+
+
+def read(given: list[Frame], size: int = 5, steps: tuple[RecordedClockStep, ...] = ()) -> list[CameraClock]:
+    rate = ClockRate(beside=False)
+    return [
+        rate.take(given[first : first + size], steps if not first else ())
+        for first in range(0, len(given), size)
+    ]
+
+
+@pytest.mark.parametrize("drift_ppm", [-40.0, 75.0])
+def test_the_rate_is_known_within_its_uncertainty_ever_more_closely(drift_ppm: float) -> None:
+    off, wide = [], []
+    for seed in range(6):
+        found = read(frames(120.0, drift_ppm, seed=seed))
+        last = found[-1]
+        assert last.known
+        off.append((last.drift_ppm - drift_ppm) / last.u_drift_ppm)
+        wide.append([one.u_drift_ppm for one in found if one.known][:: len(found) // 2])
+    assert np.sqrt(np.mean(np.square(off))) < 1.8
+    assert all(each[0] > 3.0 * each[-1] for each in wide)
+
+
+def test_steps_are_counted_with_the_largest() -> None:
+    steps = (RecordedClockStep(0, 130_000_000, 1000), RecordedClockStep(1, -2_000_000_000, 1000))
+    now = read(frames(1.0, 0.0), steps=steps)[-1]
+    assert (now.steps, now.largest_step_s) == (2, -2.0)
+    assert now.text == "stepped 2 times, at most by -2 s"
+    assert CameraClock(30.0, 0.25, 1, 0.13).text == (
+        "+30.00 ± 0.25 ppm against the computer's, stepped once by +0.13 s"
+    )
+
+
+def test_a_camera_without_a_clock_has_no_rate_and_few_frames_tell_none() -> None:
+    assert read(frames(60.0, 0.0, clock=False))[-1].text == ""
+    early = read(frames(3.5, 0.0), size=40)[-1]
+    assert not early.known
+    assert early.text == ""
+
+
+def test_what_fails_in_the_thread_is_raised_where_the_wall_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise ValueError("no line")
+
+    monkeypatch.setattr(clock_rate, "relate_clocks", fails)
+    rate = ClockRate()
+    rate.take(frames(10.0, 0.0)[::5])
+    assert rate._thread is not None
+    rate._thread.join()
+    with pytest.raises(ValueError, match="no line"):
+        rate.take([])
+    assert rate.take([]).text == ""
