@@ -14,6 +14,7 @@ from processing.balance import Balance
 from processing.deflections import DeflectionUnit, no_deflections
 from processing.estimate import Estimate
 from processing.swing import Swing
+from rig.instrument.camera_clock import CameraClock
 from rig.instrument.pipeline import Block
 from rig.instrument.snapshot import Phase, Snapshot
 from rig.measure.run_panel import estimate_texts
@@ -27,6 +28,7 @@ SEEN = Snapshot(
     frame_age_s=0.0123,
     losses=FrameLosses(by_bus=3, by_host=1),
     estimates={"c": Estimate(1e-8, math.inf)},
+    clock=CameraClock(31.204, 0.052, 1, 0.13),
 )
 
 
@@ -153,6 +155,16 @@ def test_json_lines_name_each_loss(capsys: pytest.CaptureFixture[str]) -> None:
         "wrong_id": 0,
     }
     assert state["estimates"] == {"c": {"value": 1e-8, "standard_uncertainty": None}}
+
+
+def test_screen_json_and_view_say_how_the_camera_s_clock_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    said = "+31.204 ± 0.052 ppm against the computer's, stepped once by +0.13 s"
+    assert said[:40] in screen(SEEN)
+    assert said in state_text(SEEN, DeflectionUnit.RAD, "12:00:00", [])
+    display(io.StringIO(), json_lines=True).show(SEEN)
+    state = json.loads(capsys.readouterr().out.splitlines()[0])
+    assert state["clock"] == {"drift_ppm": 31.204, "u_drift_ppm": 0.052, "steps": 1, "largest_step_s": 0.13}
+    assert "clock" not in state_text(Snapshot(), DeflectionUnit.RAD, "12:00:00", [])
 
 
 def test_the_view_says_how_old_frames_are() -> None:

@@ -41,6 +41,7 @@ def play(viewer: Viewer, *, run: str = "", seed: int = 1, seconds: float = SECON
                 end_s, {"dropped_frames": round(end_s / 10), "lost_spots": round(end_s / 20)}, run=run
             )
             viewer.state(f"**measuring**\n\n- time {end_s:.0f} s\n- 2 frames dropped", time_s=end_s, run=run)
+            viewer.clock(end_s, 31.0 + 0.02 * end_s, 12.0 / (1.0 + 0.1 * end_s), run=run)
             viewer.log(end_s, "warning", "gap: 1 frame is missing", run=run)
     if fits:
         viewer.fits(

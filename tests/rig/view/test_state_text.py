@@ -7,12 +7,13 @@ import pytest
 
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
-from rig.instrument import Phase, Snapshot
+from rig.instrument import CameraClock, Phase, Snapshot
 from rig.presentation import Shown
 from rig.rerun.page_server import CLOCK, POLICY, with_clock
 from rig.view.state_text import empty_panels, state_text
 
 PARAMETERS = {"b": Shown("b", "", "exponent"), "gamma": Shown("γ", "MPa", "pressure")}
+KNOWN = CameraClock(30.0, 0.1)
 BEGUN = Snapshot(phase=Phase.MEASURING, frame_age_s=0.001)
 
 
@@ -32,6 +33,7 @@ def test_every_empty_panel_has_a_reason() -> None:
     text = said(BEGUN, balanced=False)
     assert "amplitude and period are empty until a half-cycle" in text
     assert "the balance is empty until" in text
+    assert "the clock is empty until" in text
     assert "enough half-cycles for a first fit" in text
     assert "until the record begins" in said(replace(BEGUN, phase=Phase.WARM_UP))
     assert "without [lever]" in said(BEGUN, with_lever=False)
@@ -40,7 +42,7 @@ def test_every_empty_panel_has_a_reason() -> None:
 @pytest.mark.parametrize(("u", "vague"), [(0.4, False), (0.6, True), (math.nan, True)])
 def test_a_parameter_that_is_not_drawn_is_named(u: float, vague: bool) -> None:
     found = {"b": Estimate(1.0, 0.01), "gamma": Estimate(1.0, u)}
-    text = said(replace(BEGUN, half_cycles=90, estimates=found, estimated_from=80))
+    text = said(replace(BEGUN, clock=KNOWN, half_cycles=90, estimates=found, estimated_from=80))
     assert text == ("not known to a half of their values yet, hence not drawn: γ" if vague else "")
 
 
