@@ -49,7 +49,7 @@ from rig.analysis.results_file import (
     write_results,
 )
 from rig.analysis.screen import print_results
-from rig.analysis.settled import loss_of, points_in_true_time, settled_swings
+from rig.analysis.settled import loss_of, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import expected_drag, recorded_surroundings, stated_surroundings

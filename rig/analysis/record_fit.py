@@ -14,7 +14,14 @@ from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import RecordError
-from processing.fit import FitMethod, FitResult, RigQuantities, Witness, delay_of_rows
+from processing.fit import (
+    FitMethod,
+    FitResult,
+    RigQuantities,
+    Witness,
+    delay_of_rows,
+    points_in_true_time,
+)
 from processing.periods import mean_period
 from processing.spot import BeamUse
 from processing.surroundings import Surroundings
@@ -33,7 +40,7 @@ from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.run_clock import run_clock
 from rig.analysis.run_conditions import run_conditions
-from rig.analysis.settled import points_in_true_time, settled_swings
+from rig.analysis.settled import settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import doubts_of, recorded_surroundings

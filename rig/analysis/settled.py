@@ -1,7 +1,6 @@
 """Half-cycles as they stand once the motion, and the errors of position that the sensor has, are known."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,16 +9,15 @@ from processing.contact import PendulumOnBall
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import (
-    Evidence,
+    FitOfSwings,
     FitResult,
     PlaceErrors,
     describes_as_well,
-    fit_exact,
     known_motion,
     measured_again,
     place_errors,
+    settlement,
     shift_of,
-    widened,
     with_place_errors,
 )
 from processing.least_squares import Loss
@@ -30,17 +28,9 @@ from processing.swing import (
     KnownMotion,
     Swing,
     SwingHarmonics,
-    TurningPoints,
-    turning_points,
 )
 from rig.analysis.fitted_drag import OPEN_DRAG, FittedDrag, evidence_of
 from rig.settings import FitSettings
-
-
-def points_in_true_time(swings: Sequence[Swing], clock_rate: float) -> TurningPoints:
-    """Unflagged swings; `clock_rate` is how many true seconds pass in one of the swings' clock."""
-    found = turning_points(swings)
-    return replace(found, time_s=found.time_s * clock_rate, u_time_s=found.u_time_s * clock_rate)
 
 
 class Settled(NamedTuple):
@@ -84,18 +74,17 @@ def settled_swings(
     for block in blocks:
         waveform.update(block)
     harmonics = waveform.found()
-    points = points_in_true_time(swings, clock_rate)
-    fit = _Fit(pendulum, settings, clock_rate, drag.fitted, evidence_of(drag, harmonics))
+    fit = FitOfSwings(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
     try:
         first = fit.of(swings)
-        motion = known_motion(first.parameters, pendulum, float(points.amplitude[0]), clock_rate)
+        motion = fit.motion(first, swings)
     except DataError:
         return Settled(swings, None, harmonics=harmonics)
     watch = CycleWatch(swings, motion)
     turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turned), max(turned), watch.cycles)
     again = measured_again(swings, _watched(blocks, watch, search), motion)
-    settled = _settled(swings, again, motion, first, fit)._replace(harmonics=harmonics)
+    settled = Settled(*settlement(swings, again, motion, first, fit), harmonics=harmonics)
     found = search.found()
     if found is None:
         return settled
@@ -109,26 +98,6 @@ def settled_swings(
     return corrected._replace(harmonics=harmonics)
 
 
-class _Fit(NamedTuple):
-    """How half-cycles are fitted."""
-
-    pendulum: PendulumOnBall
-    settings: FitSettings
-    clock_rate: float
-    drag: bool
-    evidence: Evidence
-
-    def of(self, swings: Sequence[Swing], near: FitResult | None = None) -> FitResult:
-        return fit_exact(
-            points_in_true_time(swings, self.clock_rate),
-            self.pendulum,
-            drag=self.drag,
-            evidence=self.evidence,
-            loss=loss_of(self.settings),
-            near=near,
-        )
-
-
 def _watched(
     blocks: Iterable[Deflections], watch: CycleWatch, search: PositionMapSearch
 ) -> Iterator[Deflections]:
@@ -138,35 +107,13 @@ def _watched(
         yield block
 
 
-def _settled(
-    swings: Sequence[Swing], again: Sequence[Swing], motion: KnownMotion, first: FitResult, fit: _Fit
-) -> Settled:
-    """The second measurement if the laws describe it as well as the first."""
-    shift = shift_of(swings, again)
-    reason = f"only {shift.found:.0%} of the half-cycles were found again"
-    if shift.complete:
-        try:
-            second = fit.of(again, first)
-            if describes_as_well(second, first):
-                return Settled(again, motion, second)
-            reason = "the laws would describe them worse"
-        except DataError as error:
-            reason = str(error)
-    doubt = (
-        f"the turning points stand as detected ({reason}): measured again on the fitted motion they would "
-        f"move by {shift.time:.2g} standard uncertainties in time and {shift.amplitude:.2g} in amplitude; "
-        "the uncertainties hold that"
-    )
-    return Settled(widened(swings, shift), None, None, doubt)
-
-
 def _without_position_errors(
     swings: Sequence[Swing],
     blocks: Iterable[Deflections],
     motion: KnownMotion,
     before: FitResult,
     found: PositionMap,
-    fit: _Fit,
+    fit: FitOfSwings,
 ) -> Settled | None:
     """Measured again in deflections without the map's errors; None where the laws describe that worse.
 
@@ -193,12 +140,14 @@ def _without_position_errors(
     return Settled(again, motion, with_place_errors(exact, left, exact.names), "", final)
 
 
-def _place_errors(found: PositionMap, swings: Sequence[Swing], exact: FitResult, fit: _Fit) -> PlaceErrors:
+def _place_errors(
+    found: PositionMap, swings: Sequence[Swing], exact: FitResult, fit: FitOfSwings
+) -> PlaceErrors:
     """What the fit says of errors of place that the residuals leave open."""
     good = [swing for swing in swings if not swing.flags]
     amplitude, centre, side = np.array([(one.amplitude, one.centre, one.side) for one in good]).T
     errors = found.amplitude_errors(amplitude, centre, side)
-    return place_errors(points_in_true_time(swings, fit.clock_rate), fit.pendulum, exact, errors)
+    return place_errors(fit.points(swings), fit.pendulum, exact, errors)
 
 
 def loss_of(settings: FitSettings) -> Loss:

@@ -4,18 +4,12 @@ from collections.abc import Sequence
 
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
+from processing.fit import Evidence, points_in_true_time
 from processing.periods import mean_period
 from processing.swing import Swing, SwingHarmonics
-from rig.analysis import (
-    clock_rate_of,
-    evidence_of,
-    known_drag,
-    loss_of,
-    points_in_true_time,
-    stated_surroundings,
-)
+from rig.analysis import clock_rate_of, evidence_of, known_drag, loss_of, stated_surroundings
 from rig.instrument import pendulum_on_ball
-from rig.posterior import Fitted, FittedModel, LivePosterior
+from rig.posterior import FittedModel, LivePosterior
 from rig.settings import Configuration
 
 
@@ -26,15 +20,15 @@ def live_posterior(config: Configuration) -> LivePosterior | None:
         return None
     clock_rate = clock_rate_of(config)
 
-    def asked_of(swings: Sequence[Swing], harmonics: SwingHarmonics) -> Fitted:
-        points = points_in_true_time(swings, clock_rate)
-        drag, _ = known_drag(config, stated_surroundings(config), pendulum, mean_period(points))
-        return Fitted(points, evidence_of(drag, harmonics))
+    def evidence(swings: Sequence[Swing], harmonics: SwingHarmonics) -> Evidence:
+        period_s = mean_period(points_in_true_time(swings, clock_rate))
+        drag, _ = known_drag(config, stated_surroundings(config), pendulum, period_s)
+        return evidence_of(drag, harmonics)
 
-    model = FittedModel(pendulum, config.fit.fits_drag, loss_of(config.fit))
+    model = FittedModel(pendulum, config.fit.fits_drag, loss_of(config.fit), clock_rate)
     # frames on demand wait for what decides over the end, so that such a run repeats exactly
     in_step = config.on_demand and bool(config.session.stop_when)
-    return LivePosterior(model, asked_of, in_step=in_step)
+    return LivePosterior(model, evidence, in_step=in_step)
 
 
 def check_stop_when(config: Configuration) -> None:

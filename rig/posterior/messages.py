@@ -1,21 +1,26 @@
 """What goes to the process that fits, and what comes back."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from processing.contact import DEFAULT_LAW, PendulumOnBall
+from processing.deflections import Deflections
 from processing.estimate import Estimate
 from processing.fit import NO_EVIDENCE, Evidence
 from processing.least_squares import Loss
-from processing.swing import TurningPoints
+from processing.swing import Swing
 
 
 class FittedModel(NamedTuple):
-    """The exact fit as the final analysis makes it."""
+    """The exact fit as the final analysis makes it.
+
+    `clock_rate` is how many true seconds pass in one of the swings' clock.
+    """
 
     pendulum: PendulumOnBall
     drag: bool = True
     loss: Loss = "linear"
+    clock_rate: float = 1.0
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -23,10 +28,15 @@ class FittedModel(NamedTuple):
         return DEFAULT_LAW.fit_names(calibrated=True, drag=self.drag)[:-2]
 
 
-class Fitted(NamedTuple):
-    """What is fitted at one time: turning points, and what restrains the fit beside them."""
+class Asked(NamedTuple):
+    """What has come since the last message: half-cycles without a flag, and the deflections, in rad.
 
-    points: TurningPoints
+    All of the same `run` are fitted, restrained by the `evidence`.
+    """
+
+    run: int
+    swings: Sequence[Swing]
+    deflections: Deflections
     evidence: Evidence = NO_EVIDENCE
 
 

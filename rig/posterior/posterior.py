@@ -1,4 +1,4 @@
-"""Parameters and uncertainties while a run is measured, from its half-cycles, in a process of its own."""
+"""Parameters and uncertainties while a run is measured, in a process of its own."""
 
 import pickle
 import subprocess
@@ -8,10 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from processing.deflections import Deflections
+from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.estimate import Estimate
+from processing.fit import Evidence
 from processing.swing import HarmonicsWatch, Swing, SwingHarmonics
-from rig.posterior.messages import Fitted, FittedModel, FittedParameters
+from rig.posterior.messages import Asked, FittedModel, FittedParameters
 from rig.rerun import start_python
 
 
@@ -34,7 +35,7 @@ class FittingProcess:
     def pid(self) -> int:
         return self._process.pid
 
-    def fit(self, asked: Fitted) -> FittedParameters | None:
+    def fit(self, asked: Asked) -> FittedParameters | None:
         """Fit, and wait for the answer; None if the process has died."""
         self._send(asked)
         if self._process.stdout is None:
@@ -70,8 +71,10 @@ FIRST_HALF_CYCLES = 40
 """Fewer determine nothing: u of b and c is then larger than their values for every pair of the paper."""
 _GROWTH = 1.04
 """So many times more half-cycles are worth another fit: u falls by a tenth where it falls fastest."""
-_SHARE = 0.05
+_SHARE = 0.02
 """Largest part of a core that fits may have."""
+_EARLY_NS = 120_000_000_000
+"""Deflections that are kept until the first half-cycles are found in them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +94,7 @@ def following(half_cycles: int) -> int:
 
 
 class LivePosterior:
-    """Fits the half-cycles of a run again and again in a process of its own, at most in 5 % of its time.
+    """Fits the half-cycles of a run again and again in a process of its own, at most in 2 % of its time.
 
     `begin`, `take` and `latest` return at once and are called by the thread that processes the frames. A fit
     that fails changes nothing; a process that dies ends the fits, and `take_remark` says so.
@@ -100,8 +103,8 @@ class LivePosterior:
     ----------
     model
         What is fitted.
-    asked_of
-        Turning points of swings and their harmonics, on a true clock, and what restrains their fit.
+    evidence_of
+        What restrains the fit of half-cycles beside them, from these and their harmonics.
     in_step
         Frames are made on demand: `take` waits for every fit that is due, whatever its share of a core, so
         that a run that ends by what it knows repeats exactly.
@@ -110,13 +113,15 @@ class LivePosterior:
     def __init__(
         self,
         model: FittedModel,
-        asked_of: Callable[[Sequence[Swing], SwingHarmonics], Fitted],
+        evidence_of: Callable[[Sequence[Swing], SwingHarmonics], Evidence],
         *,
         in_step: bool = False,
     ) -> None:
-        self._model, self._asked_of, self._in_step = model, asked_of, in_step
+        self._model, self._evidence_of, self._in_step = model, evidence_of, in_step
         self._changed = threading.Condition()
         self._swings: list[Swing] = []
+        self._sent = 0
+        self._unsent: list[Deflections] = []
         self._waveform = HarmonicsWatch()
         self._run = 0
         self._due_half_cycles = FIRST_HALF_CYCLES
@@ -147,6 +152,8 @@ class LivePosterior:
         with self._changed:
             self._run += 1
             self._swings = []
+            self._sent = 0
+            self._unsent = []
             self._waveform = HarmonicsWatch()
             self._due_half_cycles = FIRST_HALF_CYCLES
             self._latest = NOTHING
@@ -159,6 +166,7 @@ class LivePosterior:
         with self._changed:
             self._waveform.update(deflections)
             self._waveform.add(swings)
+            self._keep(deflections)
             self._swings += good
             if not good:
                 return
@@ -169,6 +177,16 @@ class LivePosterior:
             self._changed.notify_all()
             while self._in_step and not self._over and len(self._swings) >= self._due_half_cycles:
                 self._changed.wait()
+
+    def _keep(self, deflections: Deflections) -> None:
+        if not len(deflections):
+            return
+        self._unsent.append(deflections)
+        if not self._swings:
+            # where nothing swings, what half-cycles may need that are found late
+            early_ns = int(deflections.times_ns[-1]) - _EARLY_NS
+            while int(self._unsent[0].times_ns[-1]) < early_ns:
+                self._unsent.pop(0)
 
     def take_remark(self) -> str:
         """Why there are no fits any more; once, else an empty text."""
@@ -201,21 +219,21 @@ class LivePosterior:
 
     def _fit_with(self, process: FittingProcess) -> None:
         while (asked := self._next()) is not None:
-            run, swings, harmonics = asked
-            found = process.fit(self._asked_of(swings, harmonics))
+            count, message = asked
+            found = process.fit(message)
             if found is None:
                 self._end("the process that fits while the run is measured has died")
                 return
             with self._changed:
                 self._due_s = time.monotonic() + found.cpu_s / _SHARE
-                if run == self._run:
-                    self._due_half_cycles = following(len(swings))
+                if message.run == self._run:
+                    self._due_half_cycles = following(count)
                     if found.estimates:
-                        self._latest = Posterior(len(swings), found.estimates)
+                        self._latest = Posterior(count, found.estimates)
                 self._changed.notify_all()
 
-    def _next(self) -> tuple[int, list[Swing], SwingHarmonics] | None:
-        """Run, swings and harmonics of the next fit once it is due; None at the end."""
+    def _next(self) -> tuple[int, Asked] | None:
+        """Number of half-cycles and message of the next fit once it is due; None at the end."""
         with self._changed:
             while not self._over:
                 left_s = 0.0 if self._in_step else self._due_s - time.monotonic()
@@ -224,8 +242,14 @@ class LivePosterior:
                 elif left_s > 0:
                     self._changed.wait(left_s)
                 else:
-                    return self._run, list(self._swings), self._waveform.found()
-        return None
+                    break
+            else:
+                return None
+            run, swings, harmonics = self._run, list(self._swings), self._waveform.found()
+            new, self._sent = swings[self._sent :], len(swings)
+            unsent, self._unsent = self._unsent, []
+        samples = joined(unsent, DeflectionUnit.RAD)
+        return len(swings), Asked(run, new, samples, self._evidence_of(swings, harmonics))
 
     def _end(self, why: str) -> None:
         with self._changed:

@@ -1,4 +1,4 @@
-"""The process that fits: turning points come in on its standard input, parameters go out on its output.
+"""The process that fits: half-cycles come in on its standard input, parameters go out on its output.
 
 Messages are pickled. It ends when its input does, and thus with the process that started it.
 """
@@ -10,8 +10,9 @@ import time
 from contextlib import suppress
 
 from processing.errors import DataError
-from processing.fit import FitResult, fit_exact, with_misfit
-from rig.posterior.messages import Fitted, FittedModel, FittedParameters
+from processing.fit import FitOfSwings
+from rig.posterior.measured_run import MeasuredRun
+from rig.posterior.messages import Asked, FittedModel, FittedParameters
 
 
 def main() -> None:
@@ -21,37 +22,30 @@ def main() -> None:
     os.dup2(2, 1)
     if hasattr(os, "nice"):
         os.nice(10)
-    near: FitResult | None = None
+    of_run, run = -1, MeasuredRun()
     warm = False
     # the end of the input, or of who reads the answers
     with suppress(EOFError, OSError):
         model: FittedModel = pickle.load(incoming)
         while True:
-            asked: Fitted = pickle.load(incoming)
+            asked: Asked = pickle.load(incoming)
+            if asked.run != of_run:
+                of_run, run = asked.run, MeasuredRun()
+            run.take(asked.swings, asked.deflections)
             if not warm:
                 # the first fit of a process loads its kernels, which says nothing of what a fit costs
-                _fitted(asked, model, None)
+                _fitted(run, asked, model)
                 warm = True
-            near, answer = _fitted(asked, model, near)
-            pickle.dump(answer, outgoing)
+            pickle.dump(_fitted(run, asked, model), outgoing)
             outgoing.flush()
 
 
-def _fitted(
-    asked: Fitted, model: FittedModel, near: FitResult | None
-) -> tuple[FitResult | None, FittedParameters]:
+def _fitted(run: MeasuredRun, asked: Asked, model: FittedModel) -> FittedParameters:
     began_s = time.process_time()
+    how = FitOfSwings(model.pendulum, model.clock_rate, model.drag, asked.evidence, model.loss)
     try:
-        fit = fit_exact(
-            asked.points,
-            model.pendulum,
-            drag=model.drag,
-            evidence=asked.evidence,
-            loss=model.loss,
-            near=near,
-        )
-        described = with_misfit(asked.points, model.pendulum, fit)
+        fit = run.fitted(how)
     except DataError as error:
-        return near, FittedParameters({}, str(error), time.process_time() - began_s)
-    found = {name: described.estimate(name) for name in fit.contact_names}
-    return fit, FittedParameters(found, "", time.process_time() - began_s)
+        return FittedParameters({}, str(error), time.process_time() - began_s)
+    found = {name: fit.estimate(name) for name in fit.contact_names}
+    return FittedParameters(found, "", time.process_time() - began_s)

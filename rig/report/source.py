@@ -14,7 +14,7 @@ from acquisition.record.proof import measured_sha256_of
 from acquisition.record.reader import RecordReader
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
-from processing.fit import measured_again
+from processing.fit import measured_again, points_in_true_time
 from processing.instruments import DEGREE_RAD
 from processing.swing import ResidualSpectrum, residual_spectrum
 from rig.analysis import (
@@ -22,7 +22,6 @@ from rig.analysis import (
     RunResults,
     SessionResults,
     StoredTurningPoints,
-    points_in_true_time,
     read_any_results,
     results_path,
 )

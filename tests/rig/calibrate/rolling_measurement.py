@@ -23,10 +23,11 @@ from calibration.shutter import GLOBAL, Shutter, ShutterFit, fit_row_time
 from processing.angle import ARCSEC_RAD
 from processing.contact import PendulumOnBall
 from processing.deflections import slow_deflections
+from processing.fit import points_in_true_time
 from processing.fit.exact import fit_exact
 from processing.spot import Spot
 from processing.swing import SwingDetector, TurningPoints
-from rig.analysis import points_in_true_time, settled_swings
+from rig.analysis import settled_swings
 from rig.instrument import Deflector, complete, pendulum_on_ball
 from rig.settings.configuration import Configuration, FitSettings
 
