@@ -1,0 +1,83 @@
+"""Half-cycles of a run that goes on: measured again as its final analysis does, in bounded memory."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from processing.angle import ARCSEC_RAD
+from processing.contact.laws import PAPER
+from processing.deflections import Deflections, DeflectionUnit, slow_deflections
+from processing.fit import FitOfSwings, FitResult, with_misfit
+from processing.swing import HarmonicsWatch, Swing, SwingDetector
+from rig.analysis import evidence_of, settled_swings
+from rig.analysis.fitted_drag import OPEN_DRAG
+from rig.posterior.measured_run import MeasuredRun
+from rig.settings import FitSettings
+from tests.processing.fit.decays import paper_pair
+from tests.processing.fit.driven import driven_path
+
+PARAMETERS, PENDULUM = paper_pair("glass_k8", 1.7e-3)
+STEPS = (60, 90, 120, 150)
+
+
+@cache
+def measured() -> tuple[list[Swing], Deflections]:
+    """Half-cycles on ground that moves, and what they were found in: 25 frames a second, 0.02 arcsec."""
+    _, _, path = driven_path(PARAMETERS, PENDULUM, q=1e-9, seed=3, frames_per_s=25.0)
+    path = path[: 25 * 320]
+    noise = 0.02 * ARCSEC_RAD
+    seen = path + noise * np.random.default_rng(11).standard_normal(len(path))
+    samples = slow_deflections(np.arange(len(path), dtype=np.int64) * 40_000_000, seen, noise)
+    return SwingDetector().update(samples.times_ns, samples.y, samples.u_y), samples
+
+
+def fed(run: MeasuredRun) -> FitResult:
+    """What is known in the end, fitted in between, too, as the half-cycles come."""
+    swings, samples = measured()
+    before, since = 0, int(samples.times_ns[0])
+    for count in STEPS:
+        end_ns = swings[count].turn_time_ns
+        new = samples.since(since)
+        run.take(swings[before:count], new[: int(np.searchsorted(new.times_ns, end_ns))])
+        before, since = count, end_ns
+        fit = run.fitted(how(swings[:count], samples))
+    return fit
+
+
+def how(swings: list[Swing], samples: Deflections) -> FitOfSwings:
+    watch = HarmonicsWatch(swings)
+    watch.update(samples)
+    return FitOfSwings(PENDULUM, evidence=evidence_of(OPEN_DRAG, watch.found()))
+
+
+def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> None:
+    swings, samples = measured()
+    swings = swings[: STEPS[-1]]
+    upto = samples[: int(np.searchsorted(samples.times_ns, measured()[0][STEPS[-1]].turn_time_ns))]
+    live = fed(MeasuredRun())
+    settled = settled_swings(swings, [upto], DeflectionUnit.RAD, PENDULUM, FitSettings())
+    assert settled.exact is not None
+    assert settled.motion is not None
+    fit = how(swings, samples)
+    final = with_misfit(fit.points(settled.swings), PENDULUM, settled.exact)
+    detected = fit.of(swings)
+    moved = 0.0
+    for name in PAPER.names(drag=True):
+        value, u = final.estimate(name)
+        assert live.estimate(name).standard_uncertainty == pytest.approx(u, rel=0.02), name
+        assert live.estimate(name).value == pytest.approx(value, abs=0.02 * u), name
+        moved = max(moved, abs(detected.estimate(name).value - value) / u)
+    # else the half-cycles as they were detected would do
+    assert moved > 0.1
+
+
+def test_deflections_are_let_go_where_there_are_many_and_the_fit_stays() -> None:
+    every, few = MeasuredRun(), MeasuredRun(most=4000)
+    whole, bounded = fed(every), fed(few)
+    assert every.samples > 7000
+    assert few.samples < 4500
+    for name in PAPER.names(drag=True):
+        value, u = whole.estimate(name)
+        assert bounded.estimate(name).standard_uncertainty == pytest.approx(u, rel=0.1), name
+        assert bounded.estimate(name).value == pytest.approx(value, abs=0.25 * u), name
