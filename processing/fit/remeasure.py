@@ -18,7 +18,7 @@ from processing.contact import ContactParameters, PendulumOnBall, scaled_contact
 from processing.deflections import Deflections
 from processing.errors import DataError
 from processing.fit.result import FitResult
-from processing.swing import KnownMotion, Swing, SwingDetector, SwingFlag
+from processing.swing import KnownMotion, Swing, SwingDetector, SwingFlag, with_learned_weights
 from processing.ticks import seconds
 
 _MOST = 0.95
@@ -84,6 +84,10 @@ def measured_again(
     blocks
         The deflections in rad in which they were detected, along the slow axis, in order and in pieces of
         any length, so that they need not be in memory together.
+
+    Returns
+    -------
+    The half-cycles, the first ones with uncertainties from the noise that is learned later.
     """
     detector = SwingDetector(motion)
     found = [swing for block in blocks for swing in detector.update(block.times_ns, block.y, block.u_y)]
@@ -107,7 +111,7 @@ def measured_again(
                     else math.nan,
                 )
         again.append(swing)
-    return again
+    return with_learned_weights(again)
 
 
 def _nearest(swings: Sequence[Swing], times_ns: Ints, time_ns: int) -> Swing | None:

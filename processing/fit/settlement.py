@@ -12,7 +12,7 @@ from processing.fit.exact import fit_exact
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
 from processing.fit.result import FitResult
 from processing.least_squares import Loss
-from processing.swing import KnownMotion, Swing, TurningPoints, turning_points
+from processing.swing import KnownMotion, Swing, TurningPoints, turning_points, with_learned_weights
 
 
 def points_in_true_time(swings: Sequence[Swing], clock_rate: float) -> TurningPoints:
@@ -112,7 +112,7 @@ def fitted_twice(
     DataError
         They cannot be fitted.
     """
-    every = [*before, *swings]
+    every = with_learned_weights([*before, *swings])
     first = fit.of(every, near)
     try:
         motion = fit.motion(first, every)

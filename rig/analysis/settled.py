@@ -28,6 +28,7 @@ from processing.swing import (
     KnownMotion,
     Swing,
     SwingHarmonics,
+    with_learned_weights,
 )
 from rig.analysis.fitted_drag import OPEN_DRAG, FittedDrag, evidence_of
 from rig.settings import FitSettings
@@ -70,6 +71,7 @@ def settled_swings(
     """
     if pendulum is None or unit is not DeflectionUnit.RAD:
         return Settled(swings, None)
+    swings = with_learned_weights(swings)
     waveform = HarmonicsWatch(swings)
     for block in blocks:
         waveform.update(block)

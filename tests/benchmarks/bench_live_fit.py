@@ -1,9 +1,9 @@
 """What a run says while it is measured: errors of the live fit over its uncertainties.
 
 Run as ``python -m tests.benchmarks.bench_live_fit [--quick] [--seeds N] [--set KEY=VALUE]...`` from the
-repository. Frames of configs/basement.toml, from the beam's way on the sensor: the simulated rig integrates the
-motion, and shares no formula with the fit. `LivePosterior` fits them in its process; beside it stands the fit of
-the same half-cycles as they were detected.
+repository. Frames of configs/basement.toml, from the beam's way on the sensor: the simulated rig integrates
+the motion, and shares no formula with the fit. `LivePosterior` fits them in its process; beside it stands the
+fit of the same half-cycles as they were detected.
 """
 
 import argparse
@@ -35,7 +35,7 @@ from rig.settings import Configuration, load_configuration
 from tests.rig.command_line import CONFIGS
 
 LOOKS = (40, 60, 100, 150, 220, 300)
-"""Half-cycles after which the run is fitted, each fit near the one before; the second, fourth and last count."""
+"""Half-cycles after which the run is fitted, each fit near the one before."""
 SHOWN = LOOKS[1::2]
 NAMES = PAPER.names(drag=True)
 STILL = ("simulation.disturbances.air_arcsec=0", "simulation.disturbances.pointing_walk_px_per_sqrt_s=0")
@@ -88,12 +88,13 @@ def as_detected(basement: Basement, swings: Sequence[Swing], samples: Deflection
     return {name: fit.estimate(name) for name in NAMES}
 
 
-def looked_at(basement: Basement, seed: int) -> tuple[dict[int, list[dict[str, Estimate]]], list[float]]:
+def looked_at(
+    basement: Basement, posterior: LivePosterior, seed: int
+) -> tuple[dict[int, list[dict[str, Estimate]]], list[float]]:
     """Estimates as detected and live by number of half-cycles, and processor seconds of each fit."""
     period_s = basement.config.simulation.contact.period0_s
     samples = basement.deflections(seed, (LOOKS[-1] / 2 + 10) * 1.01 * period_s)
     good = [s for s in SwingDetector().update(samples.times_ns, samples.y, samples.u_y) if not s.flags]
-    posterior = LivePosterior(FittedModel(basement.pendulum), basement.evidence, in_step=True)
     posterior.begin()
     found, cost_s, begun, since, used_s = {}, [], 0, 0, 0.0
     for count in LOOKS:
@@ -109,7 +110,6 @@ def looked_at(basement: Basement, seed: int) -> tuple[dict[int, list[dict[str, E
                 as_detected(basement, good[:count], samples[:end]),
                 dict(posterior.latest.estimates),
             ]
-    posterior.close()
     return found, cost_s
 
 
@@ -125,9 +125,10 @@ def measure(seeds: int, wanted: Sequence[str]) -> dict[str, Any]:
     pulls: dict[int, list[Floats]] = {count: [] for count in SHOWN}
     u: dict[int, list[Floats]] = {count: [] for count in SHOWN}
     costs, failed = [], 0
+    posterior = LivePosterior(FittedModel(basement.pendulum), basement.evidence, in_step=True)
     for seed in range(seeds):
         try:
-            found, cost_s = looked_at(basement, seed)
+            found, cost_s = looked_at(basement, posterior, seed)
         except RigError as error:
             failed += 1
             print(f"  seed {seed}: {error}", flush=True)
@@ -137,6 +138,7 @@ def measure(seeds: int, wanted: Sequence[str]) -> dict[str, Any]:
             values = np.array([[[*one[name]] for name in NAMES] for one in both])
             pulls[count].append((values[:, :, 0] - basement.truth) / values[:, :, 1])
             u[count].append(values[:, :, 1])
+    posterior.close()
     out: dict[str, Any] = {"changes": list(wanted), "seeds": seeds, "failed": failed, "looks": {}}
     for count in SHOWN:
         z = np.array(pulls[count])
