@@ -121,13 +121,18 @@ def _left(amplitude: Floats, sine: Floats) -> Floats:
 
 
 def _whole_scatter(amplitude: Floats, sine: Floats, whitening: Floats) -> Floats:
-    """Covariance of whitened harmonics (4, 4), from what they scatter, with the stated one as a prior."""
+    """Covariance of whitened harmonics (4, 4), from what they scatter, with the stated one as a prior.
+
+    Where they scatter more than stated, as in air, the prior says how the orders share the noise and not how
+    much of it there is: it would else take a third off the variance of a dozen pieces.
+    """
     left = np.einsum("nab,nb->na", whitening, _left(amplitude, sine))
     # pieces far off are judged against the others
     size = 1.4826 * np.median(np.abs(left), axis=0)
     left = np.clip(left, -_GATE * size, _GATE * size)
-    scatter = left.T @ left
-    return np.asarray((scatter + _STATED * np.eye(len(_ODD))) / (len(amplitude) - 3 + _STATED))
+    scatter, degrees = left.T @ left, len(amplitude) - 3
+    louder = max(1.0, float(np.trace(scatter)) / len(_ODD) / degrees)
+    return np.asarray((scatter + _STATED * louder * np.eye(len(_ODD))) / (degrees + _STATED))
 
 
 @dataclass(frozen=True)
