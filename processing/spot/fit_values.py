@@ -45,6 +45,14 @@ class Place(NamedTuple):
     sensor_ny: int
 
 
+class HalfPlane(NamedTuple):
+    """Pixels (i, j) with ``along_x i + along_y j > distance``: those that an obstacle hides."""
+
+    along_x: float
+    along_y: float
+    distance: float
+
+
 class Workspace(NamedTuple):
     """Parameters and working arrays of a fit."""
 
@@ -76,6 +84,12 @@ class Fitted(NamedTuple):
 
 
 WORKSPACE_SHAPE = (1 + 2 * PARAMETERS, PARAMETERS)
+
+
+@kernel
+def nothing_hidden() -> HalfPlane:
+    """A half-plane without pixels."""
+    return HalfPlane(0.0, 0.0, math.inf)
 
 
 @kernel

@@ -15,6 +15,7 @@ from processing.spot.fit_values import (
     Fitted,
     Place,
     as_kind,
+    nothing_hidden,
     workspace_of,
 )
 from processing.spot.general_fit import fit_general
@@ -85,7 +86,7 @@ def follow(
         expect(memory, place, work.parameters)
     if moved(image, work.parameters, noise):
         return without_spot(SEARCH)
-    fitted = fit_general(image, work, tilted, two, noise, REACH)
+    fitted = fit_general(image, work, tilted, two, noise, REACH, nothing_hidden())
     if not fitted.done or not _plausible(work.parameters, memory, noise, fitted):
         return without_spot(SEARCH)
     return finish(image, place, memory, work, noise, fitted, followed=True)

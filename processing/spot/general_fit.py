@@ -40,6 +40,7 @@ from processing.spot.fit_values import (
     TILTED,
     UPRIGHT,
     Fitted,
+    HalfPlane,
     Window,
     Workspace,
     X,
@@ -101,6 +102,7 @@ def score_general(
     two: bool,
     noise: PixelNoise,
     gate: float,
+    hidden: HalfPlane,
     gradient: Floats,
     matrix: Floats,
     step_x: int = 1,
@@ -125,6 +127,8 @@ def score_general(
         Noise model of a pixel.
     gate
         Limit of the squared residual, in variances.
+    hidden
+        Pixels that are passed over, and counted nowhere.
     gradient, matrix : (PARAMETERS,), (PARAMETERS, PARAMETERS)
         Overwritten with the gradient and the information matrix. A parameter that is not fitted has the
         gradient 0 and the row and column of a unit matrix.
@@ -151,7 +155,10 @@ def score_general(
     for j in range(window.y0 + step_y // 2, window.y1, step_y):
         v = j - p[Y]
         v2 = j - p[SECOND_Y]
+        seen = hidden.distance - hidden.along_y * j
         for i in range(window.x0 + step_x // 2, window.x1, step_x):
+            if hidden.along_x * i > seen:
+                continue
             f, qx, qy = _light_at(i - p[X], v, pxx, pyy, pxy)
             light = p[AMPLITUDE] * f
             # dg/dC = g q q^T / 2. With C_xx = sigma_x^2 this gives dg/dsigma_x = g q_x^2 sigma_x. The
@@ -221,7 +228,13 @@ def window_of(p: Floats, nx: int, ny: int, reach: float) -> Window:
 
 @kernel
 def fit_general(
-    image: Image, work: Workspace, tilted: bool, two: bool, noise: PixelNoise, reach: float
+    image: Image,
+    work: Workspace,
+    tilted: bool,
+    two: bool,
+    noise: PixelNoise,
+    reach: float,
+    hidden: HalfPlane,
 ) -> Fitted:
     """Fisher scoring until convergence; `work.parameters` holds the start values and is updated in place.
 
@@ -229,7 +242,8 @@ def fit_general(
     residuals of poor start values are not taken for outliers, and it stays wide where the beam is not
     Gaussian, in proportion to the misfit.
 
-    `reach` is the half-width of the window in standard deviations of the spot. The result has
+    `reach` is the half-width of the window in standard deviations of the spot; pixels that are `hidden` are
+    passed over. The result has
     ``done = False`` if there is no convergence, too few pixels are left, or the parameters leave their
     physical range.
     """
@@ -246,7 +260,7 @@ def fit_general(
         if window.x1 - window.x0 < 3 or window.y1 - window.y0 < 3:
             break
         chi2, pixels, saturated, outliers = score_general(
-            image, window, p, tilted, two, noise, gate, gradient, work.information
+            image, window, p, tilted, two, noise, gate, hidden, gradient, work.information
         )
         if pixels < 12 or not cholesky(work.information, size, work.factor):
             break

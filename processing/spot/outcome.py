@@ -26,11 +26,13 @@ from processing.spot.fit_values import (
     Y,
     as_kind,
     misfit_limit,
+    nothing_hidden,
     poor_fit_limit,
 )
 from processing.spot.general_fit import fit_general, inverse_covariance, score_general, window_of
 from processing.spot.linear_algebra import cholesky, inverse_diagonal
 from processing.spot.memory import ALONE, POOR_FRAMES, forget, remember
+from processing.spot.obstacle import CUT, FEWEST_OUTLIERS, HIDDEN, fit_uncovered
 from processing.spot.sensor_model import PixelNoise, background_variance
 from processing.spot.spot import Image, SpotFlag
 
@@ -91,6 +93,13 @@ def finish(
     """
     p = work.parameters
     limit = misfit_limit(fitted.pixels) * max(fitted.pixels - UPRIGHT, 1)
+    if fitted.chi2 > limit or fitted.outliers >= FEWEST_OUTLIERS:
+        seen, fitted = fit_uncovered(image, work, noise, fitted)
+        if seen == HIDDEN:
+            return lost(memory)
+        if seen == CUT:
+            remember(memory, place, p, fitted, followed)
+            return _report(image, place, work, noise, fitted, _EDGE)
     if not (followed or fitted.two or memory[ALONE] > 0.0) and fitted.chi2 > limit:
         fitted = try_second(image, work, noise, fitted)
         # the fit of two spots has overwritten the information matrix, which the uncertainties are taken from
@@ -102,7 +111,7 @@ def finish(
         # the second spot has become negligible: fit a single spot from the next frame on
         fitted = as_kind(fitted, fitted.size, fitted.tilted, False)
     remember(memory, place, p, fitted, followed)
-    result = _report(place, work, noise, fitted)
+    result = _report(image, place, work, noise, fitted, 0)
     memory[POOR_FRAMES] = memory[POOR_FRAMES] + 1.0 if result[10] & _POOR_FIT else 0.0
     return result
 
@@ -121,25 +130,30 @@ def _information(image: Image, work: Workspace, noise: PixelNoise, fitted: Fitte
         fitted.two,
         noise,
         gate,
+        nothing_hidden(),
         np.empty(PARAMETERS),
         work.information,
     )
 
 
 @kernel
-def _report(place: Place, work: Workspace, noise: PixelNoise, fitted: Fitted) -> Result:
-    """Fields of the `Spot`: position on the sensor, uncertainties, principal axes and flags."""
+def _report(
+    image: Image, place: Place, work: Workspace, noise: PixelNoise, fitted: Fitted, flags: int
+) -> Result:
+    """Fields of the `Spot`: position on the sensor, uncertainties, principal axes, and `flags` and more."""
     p = work.parameters
     x = p[X] + place.origin_x
     y = p[Y] + place.origin_y
     unknowns = UPRIGHT + (1 if fitted.tilted else 0) + (3 if fitted.two else 0)
     chi2_per_dof = fitted.chi2 / max(fitted.pixels - unknowns, 1)
-    # u^2 = (information^-1)_kk max(1, chi2/dof): a misfit enlarges the uncertainty, but a chi-square that
-    # happens to be small does not reduce it
-    inflate = math.sqrt(max(1.0, chi2_per_dof))
+    # u^2 = (information^-1)_kk max(1, excess): noise beyond the model's enlarges the uncertainty, but a
+    # chi-square that happens to be small does not reduce it
+    excess = chi2_per_dof
+    if chi2_per_dof > misfit_limit(fitted.pixels):
+        excess = min(excess, excess_noise(image, p, fitted.two, noise, chi2_per_dof))
+    inflate = math.sqrt(max(1.0, excess))
     u_x = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, X))
     u_y = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, Y))
-    flags = 0
     if fitted.saturated > 0:
         flags |= _SATURATED
     if (
@@ -163,6 +177,50 @@ def _report(place: Place, work: Workspace, noise: PixelNoise, fitted: Fitted) ->
             p[SIGMA_X] * p[SIGMA_X], p[SIGMA_Y] * p[SIGMA_Y], p[COVARIANCE]
         )
     return x, y, u_x, u_y, sigma_1, sigma_2, rotation, p[AMPLITUDE], p[BACKGROUND], chi2_per_dof, flags
+
+
+@kernel
+def excess_noise(image: Image, p: Floats, two: bool, noise: PixelNoise, chi2_per_dof: float) -> float:
+    """Variance of the residuals from pixel to pixel, over that of the noise model.
+
+    Of a beam that is no Gaussian, chi-square per degree of freedom is large because the residuals have a
+    shape. It moves with the spot and does not scatter the place: what scatters it is the noise. Differences
+    of four neighbours, across rows and columns, take a smooth shape out and leave the noise.
+    """
+    ny, nx = image.shape
+    window = window_of(p, nx, ny, REACH)
+    pxx, pyy, pxy = inverse_covariance(p)
+    floor = background_variance(p[BACKGROUND], noise)
+    gate = 4.0 * GATE * max(chi2_per_dof, 1.0)
+    before = np.zeros((2, window.x1 - window.x0))
+    total = expected = 0.0
+    for j in range(window.y0, window.y1):
+        last = last_variance = 0.0
+        for i in range(window.x0, window.x1):
+            k = i - window.x0
+            u, v = i - p[X], j - p[Y]
+            light = p[AMPLITUDE] * math.exp(-0.5 * (pxx * u * u + 2.0 * pxy * u * v + pyy * v * v))
+            if two:
+                u, v = i - p[SECOND_X], j - p[SECOND_Y]
+                light += p[SECOND_AMPLITUDE] * math.exp(
+                    -0.5 * (pxx * u * u + 2.0 * pxy * u * v + pyy * v * v)
+                )
+            left = image[j, i] - p[BACKGROUND] - light
+            # the noise is that of the light there is, which here is not what the model expects
+            lit = max(light + left, 0.0)
+            variance = floor + lit * (noise.dn_per_e + lit * noise.prnu2)
+            if j > window.y0 and i > window.x0:
+                difference = left - last - before[0, k] + before[0, k - 1]
+                four = variance + last_variance + before[1, k] + before[1, k - 1]
+                saturated = image[j, i] + 3.0 * math.sqrt(variance) >= noise.full_scale_dn
+                if difference * difference < gate * four and not saturated:
+                    total += difference * difference
+                    expected += four
+            if i > window.x0:
+                before[0, k - 1], before[1, k - 1] = last, last_variance
+            last, last_variance = left, variance
+        before[0, window.x1 - window.x0 - 1], before[1, window.x1 - window.x0 - 1] = last, last_variance
+    return total / expected if expected > 0.0 else chi2_per_dof
 
 
 @kernel
@@ -246,7 +304,13 @@ def try_second(image: Image, work: Workspace, noise: PixelNoise, one: Fitted) ->
     if not find_second(image, trial, noise):
         return one
     two = fit_general(
-        image, Workspace(trial, work.information, work.factor), one.tilted, True, noise, REACH + 1.0
+        image,
+        Workspace(trial, work.information, work.factor),
+        one.tilted,
+        True,
+        noise,
+        REACH + 1.0,
+        nothing_hidden(),
     )
     if not two.done:
         return one

@@ -22,6 +22,7 @@ from processing.spot.fit_values import (
     X,
     Y,
     as_kind,
+    nothing_hidden,
     workspace_of,
 )
 from processing.spot.general_fit import fit_general
@@ -74,7 +75,7 @@ def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> Fitted:
     The result has ``done = False`` also for a spot that is too small or not significant.
     """
     p = work.parameters
-    fitted = fit_general(image, work, True, False, noise, REACH)
+    fitted = fit_general(image, work, True, False, noise, REACH, nothing_hidden())
     tilted = False
     if fitted.done and cholesky(work.information, TILTED, work.factor):
         u_c = math.sqrt(inverse_diagonal(work.factor, TILTED, COVARIANCE))
@@ -82,7 +83,7 @@ def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> Fitted:
         tilted = abs(p[COVARIANCE]) > 5.0 * u_c
     if fitted.done and not tilted:
         p[COVARIANCE] = 0.0
-        fitted = fit_general(image, work, False, False, noise, REACH)
+        fitted = fit_general(image, work, False, False, noise, REACH, nothing_hidden())
     if fitted.done and min(p[SIGMA_X], p[SIGMA_Y]) > _SMALLEST_SPOT_PX and significant(p, noise, fitted):
         return as_kind(fitted, fitted.size, tilted, False)
     return Fitted(

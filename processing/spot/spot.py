@@ -16,7 +16,7 @@ class SpotFlag(IntFlag):
     SATURATED = 1
     """Pixels that the model expects at full scale were left out."""
     EDGE = 2
-    """The spot is cut by the edge of the sensor."""
+    """The spot is cut by the edge of the sensor, or by an obstacle: what is left of it was fitted."""
     LOST = 4
     """No spot: position and uncertainties are NaN."""
     LOW_SNR = 8
@@ -35,10 +35,13 @@ class Spot(NamedTuple):
     """Spot of one frame. The centre of pixel (0, 0) is at (0.0, 0.0); x points right, y down.
 
     `u_x_px` and `u_y_px` are standard uncertainties: square roots of the diagonal of the inverse Fisher
-    information, times sqrt(max(1, chi2_per_dof)). `sigma_x_px` is the standard deviation of the light
-    along the principal axis at the angle `rotation_rad` from x towards y, `sigma_y_px` that along the
-    other principal axis; with the flag LEARNED they are those of the Gaussian that fits the beam best.
-    If the spot is lost, every field but `flags` is NaN.
+    information, times sqrt(max(1, chi2_per_dof)). Where the residuals have a shape (a beam that is no
+    Gaussian), their scatter from pixel to pixel stands for chi2_per_dof; where the spot is wider or narrower
+    than it was at first, what that may have done to its place is added.
+
+    `sigma_x_px` is the standard deviation of the light along the principal axis at the angle `rotation_rad`
+    from x towards y, `sigma_y_px` that along the other; with the flag LEARNED they are those of the Gaussian
+    that fits the beam best. If the spot is lost, every field but `flags` is NaN.
     """
 
     x_px: float

@@ -26,6 +26,7 @@ from processing.spot.fit_values import (
     Window,
     X,
     Y,
+    nothing_hidden,
 )
 from processing.spot.general_fit import inverse_covariance, score_general
 from processing.spot.sensor_model import PixelNoise
@@ -148,8 +149,9 @@ def information_tilted(
     or column.
     """
     score_general(
-        image, window, p, True, False, noise, math.inf, np.empty(PARAMETERS), matrix, step_x, step_y
-    )
+        image, window, p, True, False, noise, math.inf, nothing_hidden(), np.empty(PARAMETERS), matrix,
+        step_x, step_y,
+    )  # fmt: skip
     width, height = window.x1 - window.x0, window.y1 - window.y0
     columns = (width - step_x // 2 + step_x - 1) // step_x
     rows = (height - step_y // 2 + step_y - 1) // step_y

@@ -23,6 +23,7 @@ from processing.spot.fit_values import (
 )
 from processing.spot.following import SEARCH, follow
 from processing.spot.hot_pixels import HotPixels
+from processing.spot.known_width import KnownWidth
 from processing.spot.memory import ALONE, FOLLOWS, LAST, POOR_FRAMES, STEP_X, STEP_Y, TWO, empty_memory
 from processing.spot.model_choice import ModelChoice, SpotModel
 from processing.spot.outcome import Result
@@ -117,6 +118,7 @@ class SpotTracker:
         self._hot = HotPixels(sensor.hot_pixels_xy) if sensor.hot_pixels_xy else None
         self._choice = ModelChoice(self._pixel_noise, self._one_gaussian)
         self._settled = False
+        self._width = KnownWidth()
         self._follower: ProfileFollower | None = None
 
     @property
@@ -169,10 +171,10 @@ class SpotTracker:
             if found[10] != SEARCH:
                 spot = _SPOT(Spot, found)
                 self._judge(spot, image, Place(x0, y0, nx, ny))
-                return spot
+                return self._width.widened(spot)
             if self._memory[TWO] and not self._settled:
                 self._memory[ALONE] = 1.0  # two Gaussians have not lasted
-        return _SPOT(Spot, self._find(image, Place(x0, y0, nx, ny)))
+        return self._width.widened(_SPOT(Spot, self._find(image, Place(x0, y0, nx, ny))))
 
     def _follow(self, image: Image, place: Place) -> Result:
         return follow(image, *place, self._memory, self._work, self._tables, self._noise)
@@ -219,6 +221,7 @@ class SpotTracker:
         if self._settled:
             if choice.changed(spot.chi2_per_dof, memory[POOR_FRAMES]):
                 choice.begin()
+                self._width.begin()
                 self._settled, self._follower = False, None
                 memory[ALONE] = 0.0
                 self.reset()
@@ -231,10 +234,12 @@ class SpotTracker:
             origin_px = left + place.origin_x, top + place.origin_y
             return cut if self._hot is None else self._hot.smoothed(cut, origin_px), origin_px
 
+        self._width.see(spot)
         fitted = (2.0 * REACH) ** 2 * spot.sigma_x_px * spot.sigma_y_px
         choice.see(spot.chi2_per_dof, spot.flags, fitted, window)
         if choice.model is not None:
             self._settled = True
+            self._width.settle()
             memory[ALONE] = 0.0 if choice.model is SpotModel.TWO else 1.0
             memory[POOR_FRAMES] = 0.0
             if choice.profile is not None:

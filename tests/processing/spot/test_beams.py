@@ -54,6 +54,11 @@ def test_a_lopsided_beam_is_followed_by_its_own_profile() -> None:
     claimed = np.array([(spot.u_x_px, spot.u_y_px) for spot in spots])
     ratio = errors[change:].std(axis=0) / claimed[change:].mean(axis=0)
     assert ratio == pytest.approx([1, 1], abs=0.15)
+    # and so it does before: what a Gaussian misses moves with the beam and scatters nothing
+    chi2_per_dof = np.mean([spot.chi2_per_dof for spot in spots[:change]])
+    before = errors[:change].std(axis=0) / claimed[:change].mean(axis=0)
+    assert chi2_per_dof > 2.0
+    assert before == pytest.approx([1, 1], abs=0.2)
     u_jump = errors[:change].std(axis=0) / math.sqrt(change / 4)
     assert np.all(np.abs(errors[change:].mean(axis=0) - errors[:change].mean(axis=0)) < 5 * u_jump)
 

@@ -251,3 +251,42 @@ def test_a_matched_filter_of_four_standard_deviations_decides(read_noise_e: floa
         p[AMPLITUDE] = ratio * math.sqrt(sensor.dark_variance_dn2 / (math.pi * 12))
         assert significant(p, sensor.pixel_noise, fitted) is seen
     assert not significant(p, sensor.pixel_noise, fitted._replace(outliers=31))
+
+
+def cut_by(
+    offset: float, *, angle: float = 0.0, blur_px: float = 0.0
+) -> Callable[[float, float, np.random.Generator], Image]:
+    """Frames with an obstacle that covers what lies beyond a line, so far from the middle."""
+    y_px, x_px = np.mgrid[:N, :N]
+    beyond = (x_px - 48) * math.cos(angle) + (y_px - 48) * math.sin(angle) - offset
+    left = 0.5 * (1.0 - np.tanh(beyond / blur_px)) if blur_px else (beyond < 0.0).astype(float)
+    return lambda x, y, rng: exposed(left * light((N, N), x, y, 6, 180), rng)
+
+
+@pytest.mark.parametrize(("offset", "angle"), [(-3.0, 0.0), (3.0, 0.0), (6.0, 0.5), (10.0, 2.2), (15.0, 0.0)])
+@pytest.mark.parametrize("cold", [False, True])
+def test_what_an_obstacle_leaves_of_a_spot_tells_its_place(offset: float, angle: float, cold: bool) -> None:
+    spots, errors = run(cut_by(offset, angle=angle), cold=cold, frames=40)
+    assert not any(spot.flags & SpotFlag.LOST for spot in spots)
+    assert np.mean([bool(spot.flags & SpotFlag.EDGE) for spot in spots]) > 0.95
+    assert claimed_over_actual(spots, errors) == pytest.approx(1, abs=0.03 + rms_tolerance(errors.size))
+
+
+def test_a_spot_of_which_hardly_anything_is_left_is_lost() -> None:
+    spots, _ = run(cut_by(-12.0), cold=True, frames=20)
+    assert all(spot.flags & SpotFlag.LOST for spot in spots)
+
+
+@pytest.mark.parametrize(("offset", "blur_px"), [(0.0, 4.0), (3.0, 2.0), (6.0, 4.0), (6.0, 2.0)])
+def test_an_obstacle_without_a_sharp_edge_widens_what_is_known_of_the_place(
+    offset: float, blur_px: float
+) -> None:
+    rng = np.random.default_rng(11)
+    tracker = SpotTracker(EIGHT_BIT)
+    while tracker.model is None:
+        tracker.track(exposed(light((N, N), *(48 + rng.uniform(-0.5, 0.5, 2)), 6, 180), rng))
+    covered = cut_by(offset, blur_px=blur_px)
+    for _ in range(20):
+        x, y = 48 + rng.uniform(-0.5, 0.5, 2)
+        spot = tracker.track(covered(x, y, rng))
+        assert spot.flags & SpotFlag.LOST or abs(spot.x_px - x) < 3.0 * spot.u_x_px

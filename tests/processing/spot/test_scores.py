@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from processing.spot import SensorModel, upright_score
-from processing.spot.fit_values import PARAMETERS, TILTED, UPRIGHT, Window
+from processing.spot.fit_values import PARAMETERS, TILTED, UPRIGHT, Window, nothing_hidden
 from processing.spot.general_fit import score_general
 from processing.spot.sensor_model import background_variance
 from processing.spot.tilted_score import information_tilted, score_tilted
@@ -76,7 +76,7 @@ def test_the_general_fit(p: Floats, size: int) -> None:
     gradient, matrix = np.empty(PARAMETERS), np.empty((PARAMETERS, PARAMETERS))
     tilted, two = size >= TILTED, size == PARAMETERS
     chi2, pixels, saturated, outliers = score_general(
-        image, WINDOW, p, tilted, two, NOISE, math.inf, gradient, matrix
+        image, WINDOW, p, tilted, two, NOISE, math.inf, nothing_hidden(), gradient, matrix
     )
     expected_gradient, information, expected_chi2 = wanted(p, values, size)
     assert_same(gradient[:size], matrix[:size, :size], expected_gradient, information)
@@ -92,13 +92,13 @@ def test_the_general_fit_leaves_out_what_is_wild_and_what_would_be_clipped() -> 
     image[5, 5] += 200
     gradient, matrix = np.empty(PARAMETERS), np.empty((PARAMETERS, PARAMETERS))
     _, pixels, saturated, outliers = score_general(
-        image, WINDOW, TILTED_SPOT, True, False, NOISE, 30.0, gradient, matrix
+        image, WINDOW, TILTED_SPOT, True, False, NOISE, 30.0, nothing_hidden(), gradient, matrix
     )
     assert (pixels, saturated, outliers) == (image.size - 1, 0, 1)
     # the model decides which are clipped, not the value seen
     clipping = NOISE._replace(full_scale_dn=120.0)
     _, pixels, saturated, outliers = score_general(
-        image, WINDOW, TILTED_SPOT, True, False, clipping, 30.0, gradient, matrix
+        image, WINDOW, TILTED_SPOT, True, False, clipping, 30.0, nothing_hidden(), gradient, matrix
     )
     assert outliers == 1
     mu = expected(TILTED_SPOT)
