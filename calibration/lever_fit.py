@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.birge import birge_ratio
+from calibration.ladder_evidence import STEEPEST, Along, notes_of, scale_evidence
 from calibration.light_lever import Lever
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
@@ -22,8 +23,6 @@ _STANDS_OUT = 3.5
 _ASKEW = 0.1
 """Skew that shifts the fitted friction and period of a simulated rig with little noise by about their
 standard uncertainty; a skew of 0.03 shifts them by a tenth of it."""
-_STEEPEST = 0.3
-"""Skew of a sensor tilted by 17 degrees, which nobody overlooks: the largest doubt of a skew taken as 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +47,12 @@ class LadderFit:
     """Result of the fit of a ladder (regression with errors in both variables).
 
     The model is ``spot = origin + scale (t + skew t^2) direction``, where t is the tangent of twice the tilt,
-    or the shift in m. `scale` is in px per unit of t; `direction_rad` is the direction of positive t, from
-    the sensor's upward vertical towards +x. `skew` is the value fitted for the test of linearity, and
-    `nonlinear_probability` the probability of one at least as large if the true value is 0; the other
-    results include it only if `nonlinear`; otherwise its doubt is part of `u_scale`. `hysteresis` is the
-    difference between settings approached
+    or the shift in m. `scale` is in px per unit of t, that at zero, from all models of `scale_evidence`;
+    `direction_rad` is the direction of positive t, from the sensor's upward vertical towards +x. `skew` is
+    the value fitted for the test of linearity, and `nonlinear_probability` the probability of one at least as
+    large if the true value is 0; origin, direction and hysteresis include it only if `nonlinear`, and `scale`
+    always, by its likely value. `cubic_probability` is that of a cubic part, `cubic` its likely size at
+    the ladder's end, relative to the way there. `hysteresis` is the difference between settings approached
     from below and from above, in the reference's unit; NaN if all were approached from one side.
     `leave_one_out` (n,) is the change of the scale without each step, over its standard uncertainty.
     `residual_px` (n, 2) are the residuals in x and y. `scale_dof` are the degrees of freedom of `u_scale`:
@@ -72,6 +72,9 @@ class LadderFit:
     u_skew: float
     nonlinear_probability: float
     nonlinear: bool
+    cubic_probability: float
+    cubic: float
+    u_cubic: float
     hysteresis: float
     u_hysteresis: float
     chi2: float
@@ -124,24 +127,20 @@ def fit_ladder(
     probability = float(chdtrc(1, gain) if known else fdtrc(1, bent.along_dof, gain))
     nonlinear = probability < _IMPROBABLE
     used = bent if nonlinear else straight
-    scale, u_scale = used.scale()
-    if not nonlinear:
-        # a ladder that is longer on one side takes a part of the skew for scale
-        by_skew = (bent.scale()[0] - scale) / bent.values[4] if bent.values[4] else 0.0
-        doubt = min(bent.u(4), _STEEPEST) if kind == "tilt" else bent.u(4)
-        u_scale = math.hypot(u_scale, by_skew * doubt)
+    evidence = scale_evidence(_along(steps, kind, way, used), kind, used.scale()[0])
+    scale, u_scale = evidence.scale, evidence.u_scale
     if not scale > 5.0 * u_scale:
         raise DataError(
             f"lever: the spot does not follow the {kind}s (scale {scale:.4g} +- {u_scale:.2g} px per unit); "
             "check the order of the steps"
         )
-    loo = _leave_one_out(steps, kind, way, nonlinear, scale, u_scale)
-    notes = []
+    loo = _leave_one_out(steps, kind, way, nonlinear, *used.scale())
+    notes = notes_of(evidence)
     for side, birge in (("along", used.birge), ("across", used.birge_across)):
         if birge > 1.0:
             notes.append(
-                f"the steps scatter {birge:.2g} times as much as stated {side} the motion; uncertainties "
-                "were enlarged"
+                f"the steps scatter {birge:.2g} times as much as stated {side} the motion; "
+                + ("uncertainties were enlarged" if side == "across" or evidence.birge > 1.0 else _EXPLAINED)
             )
     if nonlinear:
         notes.append(f"not linear: skew {bent.values[4]:.3g} +- {bent.u(4):.2g} is part of the lever")
@@ -173,7 +172,7 @@ def fit_ladder(
         kind=kind,
         scale=scale,
         u_scale=(u_both := math.hypot(u_scale, u_reference_relative * scale)),
-        scale_dof=used.along_dof * (u_both / u_scale) ** 4,
+        scale_dof=evidence.dof * (u_both / u_scale) ** 4,
         origin_px=(float(used.values[0]), float(used.values[1])),
         u_origin_px=(used.u(0), used.u(1)),
         direction_rad=math.atan2(kx, -ky),
@@ -182,6 +181,9 @@ def fit_ladder(
         u_skew=bent.u(4),
         nonlinear_probability=probability,
         nonlinear=nonlinear,
+        cubic_probability=evidence.bent,
+        cubic=evidence.cubic,
+        u_cubic=evidence.u_cubic,
         hysteresis=hysteresis,
         u_hysteresis=u_hysteresis,
         chi2=used.chi2,
@@ -190,6 +192,23 @@ def fit_ladder(
         residual_px=used.residual_px,
         notes=tuple(notes),
     )
+
+
+_EXPLAINED = "the scale allows for what explains it"
+
+
+def _along(steps: LadderSteps, kind: str, way: Floats | None, used: "_Solution") -> Along:
+    """The ladder along its motion, the references' uncertainties added to the places'."""
+    tilt = kind == "tilt"
+    t = np.tan(2.0 * steps.reference) if tilt else steps.reference
+    slope = 2.0 / np.cos(2.0 * steps.reference) ** 2 if tilt else np.ones_like(t)
+    scale = used.scale()[0]
+    x, y = used.values[2:4] / scale
+    place_px = x * (steps.x_px - used.values[0]) + y * (steps.y_px - used.values[1])
+    u_px = np.sqrt(
+        (x * steps.u_x_px) ** 2 + (y * steps.u_y_px) ** 2 + (scale * slope * steps.u_reference) ** 2
+    )
+    return Along(t, place_px, u_px, None if way is None else 0.5 * way * slope)
 
 
 def lever_from_tilts(fit: LadderFit, pixel_pitch_m: float) -> Lever:
@@ -203,7 +222,7 @@ def lever_from_tilts(fit: LadderFit, pixel_pitch_m: float) -> Lever:
         arm_dof=_stated(fit.scale_dof),
         pixel_pitch_m=pixel_pitch_m,
         skew=fit.skew if fit.nonlinear else 0.0,
-        u_skew=min(fit.u_skew, _STEEPEST),
+        u_skew=min(fit.u_skew, STEEPEST),
         reference_x_px=fit.origin_px[0],
         reference_y_px=fit.origin_px[1],
     )
