@@ -46,5 +46,12 @@ from processing.fit.uncertainty import Budget, BudgetSource, Propagated, budgets
 from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes
 from processing.fit.waveform import CONTRADICTED, predicted_harmonics, waveform_chances
 from processing.fit.without_law import FreeMoments, fit_without_law
-from processing.fit.witness import Response, Witness, WitnessUse, WitnessVerdict, fit_with_witness
+from processing.fit.witness import (
+    Response,
+    Witness,
+    WitnessSpectra,
+    WitnessUse,
+    WitnessVerdict,
+    fit_with_witness,
+)
 from processing.fit_method import FitMethod

@@ -57,3 +57,4 @@ from rig.analysis.table_fit import AnalysedTable, FoundDecay, along_and_across, 
 from rig.analysis.table_screen import fit_envelope_table, fit_read, fit_trajectory
 from rig.analysis.waveform_results import waveform_table
 from rig.analysis.witness_file import StatedWitness, WitnessRecord
+from rig.analysis.witnessed_fits import witness_sentences

@@ -44,6 +44,11 @@ def witness_sentences(use: WitnessUse) -> list[str]:
         f"it explains {100 * use.explained:.4g} % of the drive at the pendulum's frequency, which falls from "
         f"{with_uncertainty(*before)} to {with_uncertainty(*left)} rad/s²/√Hz"
     )
+    if use.spectra is not None and isfinite(use.spectra.coherence_near):
+        explained += (
+            f" (squared coherence within a tenth of it {use.spectra.coherence_near:.4g}, over "
+            f"{use.spectra.stretches} stretches)"
+        )
     responses = "; ".join(map(_response_text, use.responses))
     lines = [f"Witness of the ground: {explained}. Its response: {responses}."]
     saved = ", ".join(

@@ -33,6 +33,7 @@ from rig.report.drawing import ReportFigure, png, styled, svg
 from rig.report.figures_damping import damped_figure
 from rig.report.figures_instruments import instrument_figures
 from rig.report.figures_motion import place_figure
+from rig.report.figures_witness import witness_figure
 from rig.report.run_data import ReportSource, RunData
 from rig.report.source import read_source
 from rig.report.tables import run_tables
@@ -284,6 +285,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
     body += take(
         "fig12-decay", "damping", "fig13-period", "fig14-smoother", "residuals", "position-errors", "spectrum"
     )
+    body += take("witness")
     body += take("table4-loops", "work", "losses", "laws", "waveform", "moments")
     body.append(html.side_by_side(take("drag", "identifiability")))
     body += take("correlation", "budget", "monte-carlo")
@@ -339,6 +341,9 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
             drawings.append(
                 figures_ground.spectrum_figure(run.spectrum, unit.shown, unit.shown_size, fit.ground)
             )
+        witness = run.results.witness
+        if witness is not None and witness.spectra is not None:
+            drawings.append(witness_figure(witness.spectra))
     return drawings
 
 

@@ -17,6 +17,7 @@ from processing.fit.exact import fit_exact
 from processing.fit.result import FitResult
 from processing.fit.witness.clock import Clock, clock_of, found_offset
 from processing.fit.witness.signals import PAIR, SLOPES, Term, Witness
+from processing.fit.witness.spectra import spectra_of
 from processing.fit.witness.terms import Drives, Terms, gain_of_prediction, started
 from processing.fit.witness.use import WitnessUse, WitnessVerdict, use_of
 from processing.swing import TurningPoints
@@ -125,7 +126,8 @@ class _Search:
             delay_s, drift = said.delay_s.value, said.drift.value
         found = self._with(drives, found, SLOPES, pays)
         use = replace(use, gain_of_prediction=found.gain, delay_s=said.delay_s, clock_drift=said.drift)
-        return Witnessed(found.fit, use_of(use, self.alone, found.fit, drives.names, found.chosen))
+        use = use_of(use, self.alone, found.fit, drives.names, found.chosen)
+        return Witnessed(found.fit, replace(use, spectra=spectra_of(self.points, self.pendulum, found.fit)))
 
     def _with(self, drives: Drives, accepted: _Accepted, kinds: tuple[Term, ...], pays: float) -> _Accepted:
         """With those components whose terms of these kinds pay as well, the best one first.

@@ -9,6 +9,7 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.fit.exact_model import ExactModel
+from processing.fit.ground import Noise
 from processing.fit.known_drive import KnownDrive, known_drive
 from processing.fit.result import FitResult
 from processing.fit.witness.signals import Term, Witness, signals_of
@@ -68,13 +69,17 @@ def model_of(
     return ExactModel(points, pendulum, law=fit.law, drag=fit.has_drag, evidence=evidence)
 
 
+def at_fit(model: ExactModel, fit: FitResult) -> tuple[Floats, Noise]:
+    """Columns of a model, and its noise, where a fit ended."""
+    assert fit.ground is not None
+    columns = model.columns.from_physical({name: fit.estimate(name).value for name in model.names})
+    return columns, replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
+
+
 def residuals_with(model: ExactModel, fit: FitResult) -> tuple[Floats, Floats, Floats]:
     """Whitened residuals at a fit, their derivatives by the gains of the drive and by the other columns."""
-    assert fit.ground is not None
     assert model.witnessed is not None
-    columns = model.columns.from_physical({name: fit.estimate(name).value for name in model.names})
-    noise = replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
-    found = model.filtered(columns, noise)
+    found = model.filtered(*at_fit(model, fit))
     by_gains = found.jacobian[:, : model.witnessed.terms] / model.witnessed.unit
     return found.residuals, by_gains, found.jacobian[:, model.witnessed.terms :]
 

@@ -11,6 +11,7 @@ import numpy as np
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.result import FitResult
 from processing.fit.witness.signals import Term
+from processing.fit.witness.spectra import WitnessSpectra
 from processing.quantity import Quantity
 
 
@@ -59,6 +60,8 @@ class WitnessUse:
         run shows it; it was added where it is seen at four standard uncertainties.
     saved
         For each parameter how many times smaller its uncertainty is.
+    spectra
+        Of the drive before and after, and its coherence with what the witness predicts.
     """
 
     verdict: WitnessVerdict = WitnessVerdict.NO_GAIN
@@ -74,6 +77,7 @@ class WitnessUse:
     delay_s: Estimate = NOT_DETERMINED
     clock_drift: Estimate = NOT_DETERMINED
     saved: Mapping[str, float] = field(default_factory=dict)
+    spectra: WitnessSpectra | None = None
 
     @property
     def used(self) -> bool:

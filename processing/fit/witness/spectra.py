@@ -1,0 +1,169 @@
+"""Spectra of what drove the pendulum, as its turning points show it and as a witness predicts it.
+
+From one turning point to the next an acceleration f moves amplitude and time by two integrals (`known_drive`).
+Together they are one complex number, ``int f exp(-i w t) dt / w`` over the half-swing: f as heard at the
+pendulum's frequency, twice in a period. Its spectrum is that of f on both sides of that frequency.
+"""
+
+from dataclasses import dataclass, replace
+from math import nan
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.arrays import Flags, Floats
+from processing.contact import PendulumOnBall
+from processing.fit.ground import density_of_step
+from processing.fit.known_drive import KnownDrive
+from processing.fit.result import FitResult
+from processing.fit.witness.terms import at_fit, model_of
+from processing.periods import mean_period
+from processing.quantity import Quantity
+from processing.swing import TurningPoints
+
+_LONGEST, _SHORTEST = 64, 16
+"""Half-swings of a stretch, of which each gives one spectrum."""
+_STRETCHES = 6
+"""Stretches that a run is divided into, where it is long enough: fewer tell no coherence."""
+_SHOWN = 0.5
+"""Detuning, in the pendulum's frequencies, up to which spectra are given: beyond it the integral over a
+half-swing hears frequencies of the other side as well."""
+_NEAR = 0.1
+"""Detuning within which one number is given for the coherence."""
+_DRIVE = Quantity("", "", unit="rad/s^2/sqrt(Hz)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WitnessSpectra:
+    """Spectra near the pendulum's frequency, of one length; densities of angular acceleration.
+
+    Attributes
+    ----------
+    frequency_hz
+        Rising, on both sides of the pendulum's.
+    pendulum
+        What moved the pendulum from one turning point to the next, the noise of their measurement included.
+    witness
+        What the witness predicts of it.
+    left
+        What remains of the pendulum's motion without that.
+    measurement
+        What the stated uncertainties of the turning points alone would make.
+    coherence
+        Squared coherence of the pendulum's motion with the prediction.
+    stretches
+        Over how many stretches of the run the spectra are averaged. Things unrelated have a squared
+        coherence of about one over their number.
+    coherence_near
+        The squared coherence within a tenth of the pendulum's frequency, without what the measurement adds.
+    """
+
+    frequency_hz: Annotated[tuple[float, ...], Quantity("", "frequency", unit="Hz")] = ()
+    pendulum_rad_per_s2_rthz: Annotated[tuple[float, ...], _DRIVE] = ()
+    witness_rad_per_s2_rthz: Annotated[tuple[float, ...], _DRIVE] = ()
+    left_rad_per_s2_rthz: Annotated[tuple[float, ...], _DRIVE] = ()
+    measurement_rad_per_s2_rthz: Annotated[tuple[float, ...], _DRIVE] = ()
+    coherence: Annotated[tuple[float, ...], Quantity("", "squared coherence")] = ()
+    stretches: int = 0
+    coherence_near: Annotated[float, Quantity("", "squared coherence near the pendulum's frequency")] = nan
+
+
+def spectra_of(
+    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult
+) -> WitnessSpectra | None:
+    """Of a fit with a witness; None for a run that is too short."""
+    drive = fit.evidence.drive
+    assert drive is not None
+    halves = mean_period(points) / 2
+    usable = _usable(points, drive)
+    length = _length(int(np.count_nonzero(usable)))
+    if length == 0:
+        return None
+    seen = np.conj(_steps(points, pendulum, fit, drive.with_gains(np.zeros(drive.terms))))
+    left = np.conj(_steps(points, pendulum, fit, drive))
+    parts = _stretches(usable, length)
+    if len(parts) < 2:
+        return None
+    window = np.hanning(length)
+
+    def spectrum(steps: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        cut = np.stack([steps[part] for part in parts]) * window
+        return np.asarray(np.fft.fftshift(np.fft.fft(cut, axis=1), axes=1) / np.sqrt(np.sum(window**2)))
+
+    of_seen, of_left = spectrum(seen), spectrum(left)
+    of_witness = of_seen - of_left
+    powers = [np.mean(np.abs(one) ** 2, axis=0) for one in (of_seen, of_witness, of_left)]
+    cross = np.mean(of_seen * np.conj(of_witness), axis=0)
+    nu = np.fft.fftshift(np.fft.fftfreq(length))
+    # a point's error is in the step to it and, the other way, in the step from it
+    measured = _measurement(points) * 4 * np.sin(np.pi * nu) ** 2
+    shown = np.abs(2 * nu) <= _SHOWN
+    frequency = (1 + 2 * nu) / (2 * halves)
+
+    def density(power: Floats) -> tuple[float, ...]:
+        # either quadrature has half of it
+        unit = density_of_step(1.0, halves)
+        return tuple((unit * np.sqrt(0.5 * power[shown])).tolist())
+
+    squared = np.abs(cross) ** 2 / (powers[0] * powers[1])
+    near = np.abs(2 * nu) <= _NEAR
+    heard = np.sum(np.abs(cross[near]) ** 2 / powers[1][near])
+    moved = np.sum(np.maximum(powers[0] - measured, 0.0)[near])
+    return WitnessSpectra(
+        frequency_hz=tuple(frequency[shown].tolist()),
+        pendulum_rad_per_s2_rthz=density(powers[0]),
+        witness_rad_per_s2_rthz=density(powers[1]),
+        left_rad_per_s2_rthz=density(powers[2]),
+        measurement_rad_per_s2_rthz=density(measured),
+        coherence=tuple(squared[shown].tolist()),
+        stretches=len(parts),
+        coherence_near=float(min(heard / moved, 1.0)) if moved > 0 else nan,
+    )
+
+
+def _steps(
+    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, drive: KnownDrive
+) -> NDArray[np.complex128]:
+    """From each turning point, as measured, to the next: what law and drive do not say, as one number, rad.
+
+    A filter that takes each measurement as the state makes its innovations of that.
+    """
+    model = model_of(points, pendulum, fit, drive)
+    columns, noise = at_fit(model, fit)
+    as_measured = np.tile([1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 1.0], (len(points), 1))
+    found = model.filtered(columns, replace(noise, limit=np.inf), as_measured).residuals
+    amplitude, time_s = np.split(-found, 2)
+    rate = 2 * np.pi / mean_period(points)
+    return np.asarray(rate * points.amplitude * time_s - 1j * amplitude * model.reference)
+
+
+def _usable(points: TurningPoints, drive: KnownDrive) -> Flags:
+    """Which turning points follow their neighbour by one half-swing that the witness saw."""
+    after = np.diff(points.index, prepend=points.index[0] - 2) == 1
+    return np.asarray(after & ~drive.missing[points.index - points.index[0]])
+
+
+def _length(usable: int) -> int:
+    """Half-swings of a stretch, a power of 2; 0 for too few."""
+    most = 2 * usable // (_STRETCHES + 1)
+    return 0 if most < _SHORTEST else min(_LONGEST, 1 << (most.bit_length() - 1))
+
+
+def _stretches(usable: Flags, length: int) -> list[slice]:
+    """Stretches without a gap, each half over the one before."""
+    found, begin = [], 0
+    while begin + length <= len(usable):
+        lost = np.flatnonzero(~usable[begin : begin + length])
+        if len(lost):
+            begin += int(lost[-1]) + 1
+        else:
+            found.append(slice(begin, begin + length))
+            begin += length // 2
+    return found
+
+
+def _measurement(points: TurningPoints) -> float:
+    """Variance of the one number that an error of a turning point makes, rad^2."""
+    of_time = 2 * np.pi / mean_period(points) * points.amplitude * points.u_time_s
+    return float(np.mean(points.u_amplitude**2 + of_time**2))
