@@ -147,6 +147,10 @@ def drive_filter(
             p_aa = keep * keep * p_aa + s2
             a += 0.5 * s2 / a - loss - loss_slope * beyond
             if witnessed:
+                # the amplitude changes while the half-swing lasts, on average in its middle
+                t += 0.5 * time_slope * known[0, number]
+                for j in range(columns):
+                    t_by[j] += 0.5 * time_slope * known_by[0, number, j]
                 # counted from the phase in the middle of the half-swing, which has no second order
                 a += 0.5 * known[0, number]
                 t += known[1, number] / a

@@ -84,6 +84,8 @@ COLUMNS: Final[Mapping[str, Column]] = {
         f"u_total_{name}": Column("number", f"of {name} with all sources of the budget")
         for name in PARAMETERS[:-1]
     },
+    "witness": Column("text", "of the ground: used, or why it was refused; empty without one"),
+    "witness_explained": Column("number", "share of the drive that the witness explains"),
     "chi2_per_dof": Column("number", "of the exact fit"),
     "degrees_of_freedom": Column("count", "of the exact fit"),
     **_estimated("mean_period_s", "over the fitted half-cycles"),

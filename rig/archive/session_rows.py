@@ -192,6 +192,9 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
         for name in PARAMETERS:
             yield from _estimate(name, fit.estimate(name))
         yield from _estimate("mean_period_s", fit.mean_period_s)
+    if run.witness is not None:
+        yield "witness", run.witness.verdict.value
+        yield "witness_explained", _number(run.witness.explained)
     for name, item in run.verdicts().items():
         yield f"verdict_{name}", item.verdict.value
     for name, budget in run.budget.items():

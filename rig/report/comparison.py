@@ -1,6 +1,7 @@
 """`rig compare`: series of several samples, days, humidities beside each other."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import isfinite, nan
 from pathlib import Path
 
@@ -63,7 +64,8 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     seen = seen_runs(dict(zip(labels, sessions, strict=True)), over) if over else []
     verdicts = [verdicts_of(found) for found in sessions]
     energies = [energy_of(found) for found in sessions]
-    tables = [values_table(series, verdicts, energies)]
+    values = values_table(series, verdicts, energies)
+    tables = [with_witnesses(values, dict(zip(labels, sessions, strict=True)))]
     tables += [differences_table(compare_series(series))] if len(series) > 1 else []
     tables += [against_table(seen, over)] if over else []
     if output is not None:
@@ -226,6 +228,17 @@ def values_table(
         ("Means over the decays" if known <= set(_OF_ANY_DECAY) else "Exact fits")
         + f", value ± standard uncertainty of the swings. Runs: {runs}.",
     )  # fmt: skip
+
+
+def with_witnesses(table: Table, sessions: Mapping[str, SessionResults]) -> Table:
+    """The table, and under it which of the series were fitted with a witness of the ground."""
+    said = []
+    for label, session in sessions.items():
+        used = sum(run.witness is not None and run.witness.used for run in session.runs)
+        said += [f"{label}: {used} of {len(session.runs)} runs"] if used else []
+    if not said:
+        return table
+    return replace(table, note=f"{table.note} With a witness of the ground: {', '.join(said)}.")
 
 
 def _runs(found: SeriesResult) -> tuple[Estimate, ...]:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from processing.errors import ConfigurationError
 from rig.analysis import (
     SessionResults,
     StatedWitness,
@@ -73,6 +74,7 @@ def fit_table(
     time: str | None = None,
     positions: Sequence[str] = (),
     time_unit: str = "",
+    witness: str | Path | None = None,
 ) -> TableResults:
     """Determine decay and period from a table of positions of any instrument, and fit the contact laws.
 
@@ -90,6 +92,8 @@ def fit_table(
     time_unit
         ns, us, ms, s, min or h; empty: the one with which the column's name ends (time_ms), else s. Times may
         be absolute.
+    witness
+        What a seismometer or tiltmeter recorded beside the decays, as for `fit`; needs a configuration.
 
     Returns
     -------
@@ -99,9 +103,14 @@ def fit_table(
     Raises
     ------
     RigError
-        The table has no numbers or lacks a column, or the samples are not a free decay.
+        The table has no numbers or lacks a column, or the samples are not a free decay; a witness without a
+        configuration.
     """
+    if witness is not None and configuration is None:
+        raise ConfigurationError("witness: has no effect without configuration, which gives the pendulum")
+    ground = None if witness is None else StatedWitness(Path(witness)).read()
     config = None
     if configuration is not None:
         config = load_configuration(Path(configuration), needs_camera=False)
-    return analyse_table(Path(path), config, TableColumns(time, tuple(positions), unit, time_unit)).results
+    columns = TableColumns(time, tuple(positions), unit, time_unit)
+    return analyse_table(Path(path), config, columns, ground).results

@@ -1,8 +1,9 @@
 """Spectra of what drove the pendulum, as its turning points show it and as a witness predicts it.
 
-From one turning point to the next an acceleration f moves amplitude and time by two integrals (`known_drive`).
-Together they are one complex number, ``int f exp(-i w t) dt / w`` over the half-swing: f as heard at the
-pendulum's frequency, twice in a period. Its spectrum is that of f on both sides of that frequency.
+From one turning point to the next an acceleration f moves amplitude and time by two integrals
+(`known_drive`). Together they are one complex number, ``int f exp(-i w t) dt / w`` over the half-swing:
+f as heard at the pendulum's frequency, twice in a period. Its spectrum is that of f on both sides of that
+frequency.
 """
 
 from dataclasses import dataclass, replace

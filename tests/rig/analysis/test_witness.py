@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import rig
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Response, WitnessUse, WitnessVerdict
@@ -16,6 +17,8 @@ from rig.analysis.results_file import decoded, encoded
 from rig.analysis.table_fit import TableColumns, analyse_table
 from rig.analysis.witness_file import Begin, StatedWitness
 from rig.analysis.witnessed_fits import witness_sentences
+from rig.archive.session_rows import row_of_results
+from rig.report import make_decay_report
 from rig.settings import load_configuration
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
@@ -90,6 +93,31 @@ def test_a_table_is_fitted_with_a_witness_and_says_what_it_saved(decay: Path) ->
     said = " ".join(witness_sentences(found.witness))
     assert "it explains" in said
     assert "smaller by factors of b" in said
+
+
+def test_the_python_interface_takes_a_witness_of_a_table_as_the_terminal_does(decay: Path) -> None:
+    words = {"configuration": decay / "rig.toml", "witness": decay / "witness.csv"}
+    found = rig.fit_table(decay / "decay.csv", "arcsec", **words)
+    assert found.witness is not None
+    assert found.witness == fitted(decay, "east", "north").witness
+    assert dict(row_of_results(found))["witness"] == "used"
+    assert dict(row_of_results(found))["witness_explained"] == found.witness.explained > 0.9
+    with pytest.raises(ConfigurationError, match="witness: has no effect without configuration"):
+        rig.fit_table(decay / "decay.csv", "arcsec", witness=decay / "witness.csv")
+
+
+def test_the_report_of_a_table_draws_what_its_witness_explains(decay: Path, tmp_path: Path) -> None:
+    config = load_configuration(decay / "rig.toml", needs_camera=False)
+    witness = StatedWitness(decay / "witness.csv", ("north",)).read()
+    table = analyse_table(decay / "decay.csv", config, TableColumns(unit="arcsec"), witness)
+    make_decay_report(table, tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "What the witness of the ground explains" in page
+    assert "it explains" in page
+    assert (tmp_path / "report" / "witness-1.svg").exists()
+    assert table.results.witness is not None
+    write_results(tmp_path / "results.json", table.results)
+    assert read_table_results(tmp_path).witness == table.results.witness
 
 
 def test_an_unrelated_witness_changes_nothing_but_what_is_said(decay: Path) -> None:

@@ -61,6 +61,18 @@ def test_a_simulated_series_is_called_so(tmp_path: Path) -> None:
     assert differences.rows[0][0] == "a (SIMULATED)"
 
 
+def test_a_series_fitted_with_a_witness_is_called_so(tmp_path: Path) -> None:
+    folders = [session(tmp_path / name) for name in ("a", "b")]
+    tree = json.loads((folders[0] / "results.json").read_text())
+    tree["runs"][1]["witness"] = {"verdict": "used"}
+    tree["runs"][2]["witness"] = {"verdict": "refused: it does not cover the run"}
+    (folders[0] / "results.json").write_text(json.dumps(tree))
+    values, _ = compare(folders, None)
+    assert values.note.endswith("With a witness of the ground: a: 1 of 3 runs.")
+    (folders[0] / "results.json").write_text(json.dumps(tree | {"runs": tree["runs"][:1]}))
+    assert "witness" not in compare(folders, None)[0].note
+
+
 def test_what_a_series_does_not_determine_is_a_bound(tmp_path: Path) -> None:
     """c is 1.05e-8 with an uncertainty of 0.9e-8: no number with digits, but less than something."""
     vague = session(tmp_path / "vague")

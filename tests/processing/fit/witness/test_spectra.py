@@ -10,8 +10,8 @@ from processing.fit import WitnessSpectra, fit_with_witness
 from tests.processing.fit.witness.test_witness import (
     CLOCK,
     PENDULUM,
-    Q,
     STEP_S,
+    Q,
     decay,
     on_white,
     white,
@@ -52,7 +52,7 @@ def density_of_samples(value: Floats, low_hz: float, high_hz: float) -> float:
 def test_the_pendulum_shows_the_drive_that_moved_it_and_the_witness_all_of_it() -> None:
     points, _ = on_white()
     found = spectra()
-    during = white(3)[CLOCK < points.time_s[-1]]
+    during = white(3)[points.time_s[-1] > CLOCK]
     frequency = np.array(found.frequency_hz)
     for where in (near(found), (frequency > 0.26) & (frequency < 0.31), (frequency > 0.17) & near(found, 3)):
         stated = density_of_samples(during, frequency[where].min(), frequency[where].max())
