@@ -164,6 +164,11 @@ class SimulatedCamera:
         self._opened = False
 
     @property
+    def run(self) -> int:
+        """Number of the run whose frames come, or came last."""
+        return max(self._runs - 1, self._settings.first_run)
+
+    @property
     def status(self) -> CameraStatus:
         """Counts since `start`, continued after a reconnection."""
         return CameraStatus() if self._reader is None else self._reader.status

@@ -43,6 +43,21 @@ class Environment(NamedTuple):
     pressure_pa: float = math.nan
 
 
+class RecordedWitness(NamedTuple):
+    """A sample of a witness of the ground, in its own unit; NaN for columns that it does not have.
+
+    `time_ns` is on the frames' clock, by the arrival of the frame before; `own_time_s` is the instrument's
+    own time, NaN without one. The columns' names are those of witness.columns in the configuration.
+    """
+
+    time_ns: int
+    host_time_ns: int
+    own_time_s: float = math.nan
+    first: float = math.nan
+    second: float = math.nan
+    third: float = math.nan
+
+
 class ClockAnchor(NamedTuple):
     """The computer's two clocks at one moment, so that UTC can be checked all through a run."""
 
@@ -211,6 +226,7 @@ If `model_inverse_x` is not 0, `pixels` are the bit planes of the pixels minus a
 """
 EVENT = _message("Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), ("text", "text")))
 ENVIRONMENT = message_type_of(Environment, f"{PACKAGE}.Environment", "/environment")
+WITNESS = message_type_of(RecordedWitness, f"{PACKAGE}.RecordedWitness", "/witness")
 LOSSES = message_type_of(RecordedLosses, f"{PACKAGE}.RecordedLosses", "/losses")
 CLOCK = message_type_of(ClockAnchor, f"{PACKAGE}.ClockAnchor", "/clock")
 CAMERA_STEP = message_type_of(RecordedClockStep, f"{PACKAGE}.RecordedClockStep", "/camera_clock_step")

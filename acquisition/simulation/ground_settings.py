@@ -53,6 +53,17 @@ class GroundTruth(BaseModel, frozen=True, extra="forbid"):
         return self
 
 
+class WitnessTruth(BaseModel, frozen=True, extra="forbid"):
+    """An instrument beside the rig that feels the ground; for witness.kind = 'simulated'."""
+
+    rate_hz: float = Field(default=20.0, gt=0, le=1000, description="of its samples")
+    counts_per_m_per_s2: float = Field(default=1e9, gt=0, description="what it writes")
+    noise_m_per_s2_per_sqrt_hz: float = Field(
+        default=1e-10, ge=0, description="of its own: white level, one-sided"
+    )
+    delay_s: float = Field(default=0.0, ge=0, le=10, description="by which it is late")
+
+
 class PersonTruth(BaseModel, frozen=True, extra="forbid"):
     """A person who walks by: bursts of ground acceleration in step, from a direction drawn for each."""
 

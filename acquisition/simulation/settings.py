@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, Self
 
 from pydantic import BaseModel, Field, model_validator
 
-from acquisition.simulation.ground_settings import GroundTruth, PersonTruth
+from acquisition.simulation.ground_settings import GroundTruth, PersonTruth, WitnessTruth
 
 
 class SimulationSection(BaseModel, frozen=True, extra="forbid"):
@@ -268,6 +268,7 @@ class SimulationSettings(SimulationSection, frozen=True):
     disturbances: DisturbanceTruth = DisturbanceTruth()
     ground: GroundTruth = GroundTruth()
     person: PersonTruth = PersonTruth()
+    witness: WitnessTruth = WitnessTruth()
     stated: StatedTruth = StatedTruth()
 
     @model_validator(mode="after")

@@ -36,6 +36,7 @@ from rig.analysis.fitted_drag import OPEN_DRAG, evidence_of, known_drag
 from rig.analysis.other_instruments import Reduction, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.recorded_witness import recorded_witness
 from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.run_clock import run_clock
@@ -89,7 +90,7 @@ def analyse_record(
     """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit.
 
     Without `air_known` nothing is known of the drag, whatever the record's own configuration states.
-    `witness` is a witness of the ground, where there is one.
+    `witness` is a witness of the ground; without it the one that the record holds, if it does.
     """
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
@@ -151,7 +152,13 @@ def analyse_run(
         in_file_ns = turn_time_ns - deflections.first_ns
         return witness.beside(Begin(in_file_ns, turn_time_ns + reader.epoch_offset_ns))
 
-    at = None if witness is None else beside
+    own = recorded_witness(reader, config) if witness is None else None
+
+    def of_record(turn_time_ns: int) -> tuple[Witness, bool]:
+        assert own is not None
+        return own.beside(Begin(turn_time_ns))
+
+    at = of_record if own is not None else None if witness is None else beside
     run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, at)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)

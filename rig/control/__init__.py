@@ -9,6 +9,7 @@ from rig.control.light_permit import Interlock, LightPermit, LightRefused, Stage
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
 from rig.control.safety_state import Holder, LatchedTrip, SafetyState, TripCause, rig_state_path
 from rig.control.service import ControlService, ControlState
-from rig.control.settings import ControllerSettings, EnvironmentSettings
+from rig.control.settings import ControllerSettings, EnvironmentSettings, WitnessSettings
 from rig.control.simulated import SimulatedOutputs, simulated_controller
 from rig.control.states import STALE_S, DevicesNow, LaserNow, Light, Loop, SafetyNow
+from rig.control.witness import WitnessSample, WitnessService

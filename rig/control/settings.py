@@ -1,6 +1,7 @@
 """Sections [controller] and [environment_sensor]."""
 
 import re
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, Field, model_validator
@@ -49,6 +50,47 @@ class ControllerSettings(BaseModel, frozen=True, extra="forbid"):
             raise ValueError(
                 f"watchdog_s {self.watchdog_s:g} is too short for heartbeat_s {self.heartbeat_s:g};"
                 " at least two heartbeats must fit in"
+            )
+        return self
+
+
+OWN_TIME = "time_s"
+"""Name of a witness's column that holds its own clock."""
+_MOST_COLUMNS = 3
+
+
+class WitnessSettings(BaseModel, frozen=True, extra="forbid"):
+    """An instrument beside the rig that feels the ground: geophone, tiltmeter, accelerometer, a station.
+
+    Each line that it writes holds a sample: numbers of the `columns` in their order, between commas,
+    semicolons or spaces; text around them is passed over. A column `time_s` is the instrument's own clock.
+    A `file` is read as another program appends lines to it.
+    """
+
+    kind: Literal["none", "simulated", "serial", "file"] = "none"
+    port: str = ""
+    baud: int = Field(default=115200, gt=0)
+    file: Path | None = Field(default=None, description="to which another program appends lines")
+    columns: tuple[str, ...] = Field(
+        default=("along", "across"), description="one to three, in any unit; beside them time_s"
+    )
+    stale_after_s: float = Field(default=10.0, gt=0, description="without a sample it is silent")
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The columns without the instrument's clock."""
+        return tuple(name for name in self.columns if name != OWN_TIME)
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.kind == "serial" and not self.port:
+            raise ValueError("port is missing; name the witness's serial port, or see `rig devices`")
+        if self.kind == "file" and self.file is None:
+            raise ValueError("file is missing; name the file to which its lines are appended")
+        if len(set(self.columns)) < len(self.columns) or not 1 <= len(self.components) <= _MOST_COLUMNS:
+            raise ValueError(
+                f"columns = {list(self.columns)} are to be one to {_MOST_COLUMNS} different names, and "
+                f"{OWN_TIME} where the instrument has a clock"
             )
         return self
 

@@ -23,6 +23,7 @@ from rig.control import (
     make_laser,
     simulated_controller,
 )
+from rig.devices.ground_witness import GroundWitness, ground_witness
 from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.lit_devices import LitDevices
 from rig.devices.simulated_interlock import SimulatedInterlock
@@ -76,6 +77,7 @@ class Devices(LitDevices):
         self._closing = ExitStack()
         self._inputs: RigInputs | None = None
         self.sensor: EnvironmentService | None = None
+        self.witness: GroundWitness | None = None
         if config.controller.kind == "simulated":
             if not config.simulated or config.on_demand:
                 raise ConfigurationError(
@@ -124,6 +126,8 @@ class Devices(LitDevices):
             self.control.wait_open()
         if config.environment_sensor.kind == "serial":
             self.sensor = self._closing.enter_context(EnvironmentService(config.environment_sensor))
+        if (witness := ground_witness(config)) is not None:
+            self.witness = self._closing.enter_context(witness)
         laser = make_laser(config.laser)
         if laser is not None:
             own_interlock = config.laser.interlock == "own"
@@ -141,6 +145,8 @@ class Devices(LitDevices):
             camera = make_camera(config)
         try:
             info = camera.open()
+            if self.witness is not None:
+                self.witness.beside(camera)
             asked = camera_settings(config)
             applied = camera.configure(asked)
             check_full_scale(config, info, applied)
@@ -195,6 +201,8 @@ class Devices(LitDevices):
             found += [(EventKind.LASER, text) for text in self.laser.take_events()]
         if self.sensor is not None:
             found += [(EventKind.SENSOR, text) for text in self.sensor.take_events()]
+        if self.witness is not None:
+            found += [(EventKind.SENSOR, text) for text in self.witness.take_events()]
         return found
 
     def environment(self) -> tuple[float, float, float]:

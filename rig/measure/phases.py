@@ -223,6 +223,9 @@ class PhasesBeforeRecord:
             ),
             device_checks.controller(self._devices.now(), config.controller.kind != "none"),
             device_checks.laser(self._devices.laser_now(), goes_dark_by_itself(config.laser)),
+            device_checks.witness(
+                None if self._devices.witness is None else self._devices.witness.problem, config.witness.kind
+            ),
             device_checks.air(
                 self._devices.environment(),
                 config.environment_sensor.kind != "none",

@@ -19,11 +19,13 @@ from acquisition.record.topics import (
     CLOCK,
     ENVIRONMENT,
     LOSSES,
+    WITNESS,
     CameraTemperature,
     ClockAnchor,
     Environment,
     RecordedClockStep,
     RecordedLosses,
+    RecordedWitness,
 )
 from acquisition.record.writer import RecordWriter
 from processing.spot import Spot
@@ -66,6 +68,7 @@ class Entry:
     clock: ClockAnchor | None = None
     temperature: CameraTemperature | None = None
     camera_steps: Sequence[RecordedClockStep] = ()
+    witness: Sequence[RecordedWitness] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
@@ -240,6 +243,8 @@ class Recorder:
                 writer.write(kind, value, value.time_ns)
         for step in entry.camera_steps:
             writer.write(CAMERA_STEP, step, step.time_ns)
+        for sample in entry.witness:
+            writer.write(WITNESS, sample, sample.time_ns)
         for name, data in entry.attachments.items():
             writer.attach(name, data)
         for event in entry.events:

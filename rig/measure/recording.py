@@ -229,6 +229,7 @@ class Recording:
                     events=new,
                     environment=status.environment(counts.last_ns),
                     losses=self._losses.due(counts.last_ns),
+                    witness=[one for one in status.witness(taken[-1]) if one.time_ns >= counts.start_ns],
                     clock=clock,
                     temperature=None
                     if temperature is None

@@ -8,7 +8,7 @@ from dataclasses import astuple, replace
 from acquisition.frame import Frame
 from acquisition.frame_losses import FrameLosses
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import Environment, RecordedLosses
+from acquisition.record.topics import Environment, RecordedLosses, RecordedWitness
 from processing.deflections import DeflectionUnit
 from processing.swing import Swing
 from processing.ticks import nanoseconds
@@ -126,6 +126,12 @@ class RunStatus:
         self._environment_due_ns = time_ns + self._environment_period_ns
         reading = self._devices.environment()
         return None if all(map(math.isnan, reading)) else Environment(time_ns, *reading)
+
+    def witness(self, frame: Frame) -> list[RecordedWitness]:
+        """Samples of the witness of the ground since the last call, up to a frame; none without one."""
+        if self._devices is None or self._devices.witness is None:
+            return []
+        return self._devices.witness.take(frame)
 
     def _with_devices(self, snapshot: Snapshot) -> Snapshot:
         if self._devices is None:

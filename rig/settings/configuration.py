@@ -21,7 +21,7 @@ from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from processing.spot import SensorModel
 from processing.units import unit_of_name
-from rig.control import ControllerSettings, EnvironmentSettings, LaserSettings
+from rig.control import ControllerSettings, EnvironmentSettings, LaserSettings, WitnessSettings
 from rig.settings.balance import BalanceSettings
 from rig.settings.calibration import CalibrationSettings, TimebaseSettings
 from rig.settings.camera import CameraSection
@@ -212,6 +212,7 @@ class Configuration(Section, frozen=True):
     controller: ControllerSettings = ControllerSettings()
     laser: LaserSettings = LaserSettings()
     environment_sensor: EnvironmentSettings = EnvironmentSettings()
+    witness: WitnessSettings = WitnessSettings()
     preflight: PreflightSettings = PreflightSettings()
     phases: PhaseSettings = PhaseSettings()
     start: StartSettings = StartSettings()

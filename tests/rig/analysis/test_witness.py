@@ -116,8 +116,6 @@ def test_the_report_of_a_table_draws_what_its_witness_explains(decay: Path, tmp_
     assert "it explains" in page
     assert (tmp_path / "report" / "witness-1.svg").exists()
     assert table.results.witness is not None
-    write_results(tmp_path / "results.json", table.results)
-    assert read_table_results(tmp_path).witness == table.results.witness
 
 
 def test_an_unrelated_witness_changes_nothing_but_what_is_said(decay: Path) -> None:

@@ -1,0 +1,138 @@
+"""The witness of the ground of a session, on the clock of its frames."""
+
+import math
+from typing import Protocol, Self
+
+from acquisition.camera import Camera
+from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.frame import Frame
+from acquisition.record.topics import RecordedWitness
+from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.witness import SimulatedWitness
+from processing.errors import ConfigurationError
+from processing.ticks import nanoseconds, seconds
+from rig.control import WitnessService, WitnessSettings
+from rig.settings import Configuration
+
+
+class GroundWitness(Protocol):
+    """A context manager whose samples come beside the frames of a camera."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_error: object) -> None: ...
+
+    def beside(self, camera: Camera) -> None:
+        """Which camera's clock its samples are to be on."""
+        ...
+
+    def take(self, frame: Frame) -> list[RecordedWitness]:
+        """Samples since the last call, up to a frame. Never blocks."""
+        ...
+
+    def take_events(self) -> tuple[str, ...]:
+        """What happened to it since the last call."""
+        ...
+
+    @property
+    def problem(self) -> str:
+        """Why no samples come; empty while they do."""
+        ...
+
+
+def ground_witness(config: Configuration) -> GroundWitness | None:
+    """The configured one; None without.
+
+    Raises ConfigurationError for one that does not go with the camera.
+    """
+    settings = config.witness
+    if settings.kind == "none":
+        return None
+    if settings.kind == "simulated":
+        if not config.simulated:
+            raise ConfigurationError(
+                f"witness.kind = 'simulated' feels the simulated rig, and camera.driver = "
+                f"{config.camera.driver!r}: set serial, file or none"
+            )
+        return _Simulated(config.simulation)
+    if config.on_demand:
+        raise ConfigurationError(
+            f"witness.kind = {settings.kind!r} samples as time passes, and the frames come on demand: set "
+            "simulation.real_time = true, or 'simulated'"
+        )
+    return _Connected(settings)
+
+
+class _Connected:
+    """An instrument of this computer; the frame that is processed relates the two clocks."""
+
+    def __init__(self, settings: WitnessSettings) -> None:
+        self._settings = settings
+        self._service = WitnessService(settings)
+
+    def __enter__(self) -> Self:
+        self._service.start()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._service.close()
+
+    def beside(self, camera: Camera) -> None:
+        """Any camera's frames say when they arrived."""
+
+    def take(self, frame: Frame) -> list[RecordedWitness]:
+        shift_ns = frame.time_ns - frame.host_time_ns
+        return [
+            RecordedWitness(one.host_time_ns + shift_ns, one.host_time_ns, one.own_time_s, *one.value)
+            for one in self._service.take_samples()
+        ]
+
+    def take_events(self) -> tuple[str, ...]:
+        return self._service.take_events()
+
+    @property
+    def problem(self) -> str:
+        service = self._service
+        if not service.silent:
+            return ""
+        if service.unread_lines:
+            count = len(self._settings.columns)
+            return f"{service.last_line!r} does not hold {count} numbers, for {list(self._settings.columns)}"
+        age_s = service.age_s
+        return "no line has come" if math.isinf(age_s) else f"no sample for {age_s:.0f} s"
+
+
+class _Simulated:
+    """The instrument beside the simulated rig, whose clock is the simulated camera's."""
+
+    def __init__(self, settings: SimulationSettings) -> None:
+        self._settings = settings
+        self._witness = SimulatedWitness(settings)
+        self._camera: SimulatedCamera | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None: ...
+
+    def beside(self, camera: Camera) -> None:
+        self._camera = camera if isinstance(camera, SimulatedCamera) else None
+
+    def take(self, frame: Frame) -> list[RecordedWitness]:
+        if self._camera is None:
+            return []
+        clock = self._settings.clock
+        rate = 1 + 1e-6 * clock.drift_ppm
+        found = self._witness.until((seconds(frame.time_ns) - clock.start_s) / rate, self._camera.run)
+        times_ns = nanoseconds(clock.start_s + rate * found.time_s)
+        return [
+            RecordedWitness(time_ns, frame.host_time_ns, math.nan, *counts)
+            for time_ns, counts in zip(times_ns.tolist(), found.counts.tolist(), strict=True)
+        ]
+
+    def take_events(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def problem(self) -> str:
+        return ""
