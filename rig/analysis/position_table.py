@@ -116,7 +116,7 @@ class _Reading:
         table, lines = table[good], np.asarray(self._cells.lines)[good]
         inside = self._stretch(times_ns)
         times_ns, table = times_ns[inside], table[inside]
-        self._left_out(good, lines[inside], table)
+        self._left_out(good, lines[inside], table, [f"position {k + 1}" for k in range(len(p_columns))])
         self._judge_size(unit, table)
         return Trajectory(
             times_ns=times_ns,
@@ -139,14 +139,30 @@ class _Reading:
         ]
         times_ns, good, time_unit, first_ns = self._times(t_column)
         table = np.array([[number(row[k]) for k in chosen] for row in self._cells.rows], dtype=np.float64)
+        table = table[good]
+        empty: NDArray[np.bool_] = np.all(np.isnan(table), axis=0)
+        if self._asked.positions and empty.any():
+            name = self._names[chosen[int(np.argmax(empty))]]
+            raise DataError(f"{self._path}: column {name!r} has no numbers; name another one")
+        if empty.all():
+            raise DataError(f"{self._path}: no column beside {self._names[t_column]!r} has numbers")
+        names = [self._names[k] for k in chosen]
+        kept = [name for name, none in zip(names, empty.tolist(), strict=True) if not none]
+        self._said.append(f"columns: {', '.join(kept)}")
+        if empty.any():
+            without = ", ".join(name for name in names if name not in kept)
+            self._said.append(f"left out: columns without numbers: {without}")
+        table = table[:, ~empty]
+        self._left_out(good, np.asarray(self._cells.lines)[good], table, kept)
         return Trajectory(
             times_ns=times_ns,
-            positions=tuple(table[good].T),
-            names=tuple(self._names[k] for k in chosen),
+            positions=tuple(table.T),
+            names=tuple(kept),
             unit=NOT_STATED,
             scale_rad=None,
             time_unit=time_unit,
             time_name=self._names[t_column],
+            understood=(self._how_written(), *self._said),
             first_ns=first_ns,
         )
 
@@ -299,7 +315,11 @@ class _Reading:
         return np.asarray(inside)
 
     def _left_out(
-        self, good: NDArray[np.bool_], lines: NDArray[np.int64], table: NDArray[np.float64]
+        self,
+        good: NDArray[np.bool_],
+        lines: NDArray[np.int64],
+        table: NDArray[np.float64],
+        names: Sequence[str],
     ) -> None:
         every = np.asarray(self._cells.lines)
         for what, which in (
@@ -308,10 +328,10 @@ class _Reading:
         ):
             if which:
                 self._said.append(f"left out: {len(which)} {what} ({placed(which)})")
-        for column, values in enumerate(table.T):
+        for name, values in zip(names, table.T, strict=True):
             if (missing := np.isnan(values)).any():
                 self._said.append(
-                    f"missing from the fit: {int(missing.sum())} values of position {column + 1} that are no "
+                    f"missing from the fit: {int(missing.sum())} values of {name} that are no "
                     f"numbers ({placed(lines[missing].tolist())})"
                 )
 

@@ -46,7 +46,7 @@ from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import doubts_of, recorded_surroundings
 from rig.analysis.witness_file import Begin, WitnessRecord
-from rig.analysis.witnessed_fits import WitnessAt, WitnessedWith
+from rig.analysis.witnessed_fits import WitnessAt, WitnessedWith, of_source
 from rig.instrument import (
     earlier_schema,
     inputs_sha256,
@@ -174,6 +174,7 @@ def analyse_run(
         calibration=calibration,
         inputs_sha256=inputs_sha256(reader),
         ended=None if end is None else end.text,
+        witness=of_source(run.results.witness, own or witness),
         surroundings=surroundings,
         clock=clock,
     )

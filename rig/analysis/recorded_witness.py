@@ -26,6 +26,7 @@ def recorded_witness(reader: RecordReader, config: Configuration) -> WitnessReco
     if len(table) < _FEWEST:
         return None
     names = config.witness.components
+    stray = int(np.count_nonzero(np.diff(table["time_ns"]) <= 0))
     times_ns = _times(table["time_ns"], table["own_time_s"])
     order = np.concatenate([[True], np.diff(times_ns) > 0])
     value = np.column_stack([table[name] for name in _VALUES[: len(names)]])
@@ -37,6 +38,10 @@ def recorded_witness(reader: RecordReader, config: Configuration) -> WitnessReco
         int(times_ns[0]),
         absolute=False,
         offset_stated=True,
+        understood=(
+            f"columns: {', '.join(names)}",
+            *([f"left out: {stray} samples that are not later than the one before"] if stray else []),
+        ),
     )
 
 

@@ -32,6 +32,7 @@ from rig.analysis.results_file import relative_record
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import stated_surroundings
 from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
+from rig.analysis.witnessed_fits import of_source
 from rig.settings import Configuration
 
 _USABLE = 4  # what the summary of a decay needs (processing/decay_summary.py)
@@ -206,6 +207,7 @@ def _analyse(
         at = None if witness is None else beside
         fitted = analyse_swings(path, swings, config, passing, stated_surroundings(config), witness=at)
         run = replace(fitted.results, laws=laws_of(fitted, laws)) if laws else fitted.results
+        run = replace(run, witness=of_source(run.witness, witness))
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
     values = (

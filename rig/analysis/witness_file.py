@@ -43,6 +43,7 @@ class StatedWitness:
 class WitnessRecord:
     """Samples of a witness: times (n,) in ns from the first, values (n, components), NaN where missing.
 
+    `understood` says in lines what its file was taken for, and which rows were left out.
     `first_ns` is the first sample's time: since 1970 where `absolute`, else on the clock of the run's file.
     """
 
@@ -53,6 +54,7 @@ class WitnessRecord:
     first_ns: int
     absolute: bool
     offset_stated: bool = False
+    understood: tuple[str, ...] = ()
 
     def beside(self, begin: "Begin") -> tuple[Witness, bool]:
         """On the clock of turning points, and whether that is known up to a fraction of a period."""
@@ -84,6 +86,7 @@ def _read_table(path: Path, columns: Sequence[str]) -> WitnessRecord:
         table.names,
         table.first_ns,
         seconds(table.first_ns) > FIRST_UTC_S,
+        understood=table.understood,
     )
 
 
@@ -110,7 +113,14 @@ def _read_seismic(path: Path, channels: Sequence[str]) -> WitnessRecord:
     last_ns = max(trace.stats.endtime.ns for traces in parts.values() for trace in traces)
     times_ns = np.rint(step_ns * np.arange(round((last_ns - first_ns) / step_ns) + 1)).astype(np.int64)
     value = np.column_stack([_on(times_ns, first_ns, step_ns, traces) for traces in parts.values()])
-    return WitnessRecord(path.name, times_ns, value, tuple(chosen), first_ns, absolute=True)
+    lost = int(np.count_nonzero(np.isnan(value).any(axis=1)))
+    understood = (
+        f"channels: {', '.join(chosen)}, {1e9 / step_ns:.6g} samples a second",
+        *([f"missing: {lost} of {len(times_ns)} samples"] if lost else []),
+    )
+    return WitnessRecord(
+        path.name, times_ns, value, tuple(chosen), first_ns, absolute=True, understood=understood
+    )
 
 
 def _on(times_ns: Ints, first_ns: int, step_ns: float, traces: Sequence[Any]) -> Floats:

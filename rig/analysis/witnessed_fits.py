@@ -1,12 +1,14 @@
 """The exact fit of a decay with a witness of the ground, and what is said of it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import isfinite, pi
 from typing import NamedTuple
 
 from processing.contact import PendulumOnBall
 from processing.fit import FitResult, Response, Witness, WitnessUse, fit_with_witness, with_place_errors
 from processing.swing import TurningPoints
+from rig.analysis.witness_file import WitnessRecord
 from rig.presentation import plain, quantity, with_uncertainty
 
 WitnessAt = Callable[[int], tuple[Witness, bool]]
@@ -31,8 +33,20 @@ class WitnessedWith(NamedTuple):
         return found.fit, found.use
 
 
+def of_source(use: WitnessUse | None, record: WitnessRecord | None) -> WitnessUse | None:
+    """The same with where it came from, and what was read there."""
+    if use is None or record is None:
+        return use
+    return replace(use, source=record.name, understood=record.understood)
+
+
 def witness_sentences(use: WitnessUse) -> list[str]:
-    """What a witness told, or why it was refused."""
+    """What a witness told, or why it was refused; and what was left out where it was read."""
+    lost = [line for line in use.understood if line.startswith(("left out", "missing"))]
+    return [*_told(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
+
+
+def _told(use: WitnessUse) -> list[str]:
     if not use.used:
         gain = use.gain_of_prediction
         judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""

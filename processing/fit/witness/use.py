@@ -45,6 +45,8 @@ class WitnessUse:
 
     Attributes
     ----------
+    source, understood
+        Name of its file, or where it stands in the record; what was read of it, and what was left out.
     gain_of_prediction
         By how much -2 ln L of half-cycles falls with gains that were fitted to others.
     explained
@@ -64,6 +66,8 @@ class WitnessUse:
         Of the drive before and after, and its coherence with what the witness predicts.
     """
 
+    source: str = ""
+    understood: tuple[str, ...] = ()
     verdict: WitnessVerdict = WitnessVerdict.NO_GAIN
     reason: str = ""
     gain_of_prediction: Annotated[float, Quantity("", "gain of prediction")] = nan

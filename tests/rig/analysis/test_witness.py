@@ -167,6 +167,31 @@ def test_a_column_that_is_not_there_is_said(decay: Path) -> None:
         StatedWitness(decay / "witness.csv", ("up",)).read()
 
 
+def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> None:
+    rows = (decay / "witness.csv").read_text().splitlines()
+    head, *samples = (f"{row},{'name' if k == 0 else 'ABC'}" for k, row in enumerate(rows))
+    samples[7] = samples[7].replace(samples[7].split(",")[2], "-")
+    samples[9] = "x," + samples[9].partition(",")[2]
+    path = tmp_path / "w.csv"
+    path.write_text("\n".join([head, *samples]))
+    record = StatedWitness(path).read()
+    assert record.names == ("east", "north")
+    assert len(record.times_ns) == len(samples) - 1
+    told = " ".join(record.understood)
+    assert "time: time_s, in s" in told
+    assert "columns: east, north" in told
+    assert "left out: columns without numbers: name" in told
+    assert "1 values of north that are no numbers (line 9)" in told
+    assert "left out: 1 rows without a readable time (line 11)" in told
+    config = load_configuration(decay / "rig.toml", needs_camera=False)
+    found = analyse_table(decay / "decay.csv", config, TableColumns(unit="arcsec"), record).results.witness
+    assert found is not None
+    assert (found.source, found.understood) == ("w.csv", record.understood)
+    assert "Of the witness w.csv: left out" in witness_sentences(found)[-1]
+    with pytest.raises(DataError, match="column 'name' has no numbers"):
+        StatedWitness(path, ("name",)).read()
+
+
 def test_without_obspy_a_seismic_file_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,102 @@
+"""A witness of the ground beside a run: recorded with its frames, and fitted with no further word."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import WITNESS
+from processing.errors import ConfigurationError
+from rig.analysis import StatedWitness, analyse_record, read_results
+from rig.analysis.recorded_witness import recorded_witness
+from rig.instrument import recorded_configuration
+from rig.measure import measure_session
+from rig.settings import load_configuration
+from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
+
+GROUND = (
+    "session.max_duration_s=100",
+    "simulation.ground.model='white'",
+    "simulation.ground.white_m_per_s2_per_sqrt_hz=2e-4",
+    "witness.kind='simulated'",
+    "simulation.witness.noise_m_per_s2_per_sqrt_hz=4e-6",
+    "simulation.witness.delay_s=0.3",
+    "fit.drag='vacuum'",
+)
+
+
+@pytest.fixture(scope="module")
+def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session of one run on ground that shakes, with a witness of it."""
+    folder = tmp_path_factory.mktemp("vault") / "run"
+    source = CONFIGS / "demo.toml"
+    wanted = (*(f"{key}={value}" for key, value in SMALL.items()), *APPARATUS, *GROUND)
+    assert measure_session(load_configuration(source, wanted), source, folder) == 0
+    return folder
+
+
+def test_its_samples_stand_in_the_record_on_the_clock_of_the_frames(vault: Path) -> None:
+    with RecordReader(vault / "run-1.mcap") as reader:
+        table, spots = reader.table(WITNESS.topic), reader.spots()
+        config = recorded_configuration(reader)
+        found = recorded_witness(reader, config)
+    assert len(table) == pytest.approx(20 * 100, abs=25)
+    assert np.all(np.diff(table["time_ns"]) == 50_000_000)
+    assert 0 <= table["time_ns"][0] - spots["time_ns"][0] < 50_000_000
+    assert 0 <= spots["time_ns"][-1] - table["time_ns"][-1] < 50_000_000 + 64 * 20_000_000
+    assert np.all(np.isnan(table["third"]))
+    assert found is not None
+    assert found.names == ("along", "across")
+    assert found.value[:, 0].tolist() == table["first"].tolist()
+
+
+def test_the_run_itself_is_fitted_with_it_and_so_is_its_record(vault: Path) -> None:
+    (run,) = read_results(vault).runs
+    assert run.witness is not None
+    assert run.witness.used
+    assert [response.name for response in run.witness.responses] == ["along"]
+    assert run.witness.explained > 0.9
+    # it is late by 0.3 s, which is in the response's phase, and so short a run bounds
+    delay_s, u_s = run.witness.delay_s
+    assert abs(delay_s + 0.3) < 3 * u_s < 3.0
+    again = analyse_record(vault / "run-1.mcap").results
+    assert again.witness == run.witness
+    assert again.fits["exact"].estimate("b") == run.fits["exact"].estimate("b")
+    alone = analyse_record(vault / "run-1.mcap", ["witness.kind='none'"]).results
+    assert alone.witness is None
+    u_alone, u = (one.fits["exact"].estimate("gamma_pa").standard_uncertainty for one in (alone, again))
+    assert u_alone / u == pytest.approx(run.witness.saved["gamma_pa"], rel=1e-6)
+    assert u_alone > 2 * u
+
+
+def test_a_file_beside_a_record_is_accepted_in_its_place(vault: Path, tmp_path: Path) -> None:
+    record = vault / "run-1.mcap"
+    with RecordReader(record) as reader:
+        table = reader.table(WITNESS.topic)
+        first_ns, epoch_ns = int(reader.spots()["time_ns"][0]), reader.epoch_offset_ns
+    # by UTC, and in seconds of which nobody says when they began
+    for name, zero_ns in (("utc.csv", -epoch_ns), ("relative.csv", first_ns - 1_000_000_000)):
+        rows = zip((table["time_ns"] - zero_ns).tolist(), table["first"].tolist(), strict=True)
+        lines = [f"{time_ns // 10**9}.{time_ns % 10**9:09d},{value:.9g}" for time_ns, value in rows]
+        (tmp_path / name).write_text("\n".join(["time_s,counts", *lines]))
+    own = analyse_record(record).results
+    for name in ("utc.csv", "relative.csv"):
+        found = analyse_record(record, witness=StatedWitness(tmp_path / name).read()).results
+        assert found.witness is not None
+        assert found.witness.used, name
+        assert [response.name for response in found.witness.responses] == ["counts"]
+        for parameter in ("b", "gamma_pa"):
+            one, other = (run.fits["exact"].estimate(parameter) for run in (own, found))
+            assert other.value == pytest.approx(one.value, abs=0.3 * one.standard_uncertainty)
+            assert other.standard_uncertainty == pytest.approx(one.standard_uncertainty, rel=0.1)
+
+
+def test_one_that_does_not_go_with_the_camera_is_said(tmp_path: Path) -> None:
+    source = CONFIGS / "demo.toml"
+    serial = load_configuration(source, ("witness.kind='serial'", "witness.port='/dev/none'"))
+    with pytest.raises(ConfigurationError, match=r"witness\.kind = 'serial' samples as time passes"):
+        measure_session(serial, source, tmp_path / "run")
+    still = load_configuration(source, ("witness.kind='simulated'",))
+    with pytest.raises(ConfigurationError, match=r"set simulation\.ground\.model"):
+        measure_session(still, source, tmp_path / "run")
