@@ -13,6 +13,7 @@ from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_turning_points
+from acquisition.simulation.witness import SimulatedWitness
 from processing.errors import RigError
 from rig.balance.look import LooksView, look
 from rig.control import (
@@ -24,10 +25,13 @@ from rig.control import (
     EnvironmentSettings,
     LaserNow,
     Light,
+    WitnessService,
+    WitnessSettings,
     simulated_controller,
 )
 from rig.control.settings import SerialFaults
 from rig.devices import Devices, FrameStream, OpenCamera
+from rig.devices.ground_witness import ground_witness
 from rig.instrument import camera_settings, complete, make_camera, optics_of
 from rig.instrument.configured_camera import shift_to_light_ns
 from rig.measure.end_of_run import EndLimits
@@ -75,6 +79,7 @@ class _Stubs:
     """Devices with a controller and a laser that are not there."""
 
     control = _Obedient()
+    witness = None
 
     def now(self) -> DevicesNow:
         return DevicesNow()
@@ -233,6 +238,30 @@ def suffer_every_fault() -> None:
     for act in (inputs.starter, inputs.brake):
         act(True)
     _read(SimulatedCamera(real, FaultSettings(clock_steps_at_s=0.05), inputs), 20)
+
+
+def listen_to_the_ground(folder: Path) -> None:
+    """Witnesses at a port that is not there, in a file, and beside the simulated rig."""
+    file = folder / "witness.txt"
+    file.touch()
+    for settings in (
+        WitnessSettings(kind="serial", port=NOWHERE),
+        WitnessSettings(kind="file", file=file, columns=("time_s", "z")),
+    ):
+        with WitnessService(settings) as service:
+            deadline_s = time.monotonic() + 5.0
+            while time.monotonic() < deadline_s and not (service.unread_lines or service.take_events()):
+                with file.open("a") as lines:
+                    lines.write("no sample\n0.1 5\n")
+                time.sleep(0.01)
+            assert service.silent or service.last_ns
+    truth = SimulationSettings.model_validate({"ground": {"model": "white"}})
+    assert len(SimulatedWitness(truth).until(1.0, 0).counts)
+    port = f"'{NOWHERE}'"
+    config = configuration(witness__kind="'serial'", witness__port=port, simulation__real_time="true")
+    witness = ground_witness(config)
+    assert witness is not None
+    assert witness.problem
 
 
 def shake_the_ground(folder: Path) -> None:

@@ -205,6 +205,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> set[Key]:
         program.choose_a_camera()
         program.suffer_every_fault()
         program.shake_the_ground(folder)
+        program.listen_to_the_ground(folder)
         if sys.platform != "win32":
             program.light_the_lasers()
     return found
