@@ -1,0 +1,206 @@
+"""A second spot on the sensor, from a mirror that does not move: what moves it moves the pendulum's spot too.
+
+Pointing of the laser, air in the beam and a camera that creeps move both; the pendulum moves one. The
+reference's own noise must not come in: of its motion only that is taken which its spectrum shows over that
+noise, by Wiener's filter, and only if the pendulum's spot is quieter for it.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import inf
+
+import numpy as np
+
+from processing.arrays import Flags, Floats, Ints
+from processing.errors import DataError
+from processing.estimate import Estimate
+from processing.ticks import seconds
+
+_BANDS_A_DECADE = 8
+"""Bands over which the spectrum of the reference is averaged; in each the filter is constant."""
+_PADDED = 0.5
+"""Part of the length by which a run is mirrored at its ends."""
+_LONGEST_GAP_S = 0.5
+"""Lost frames over which the common motion is interpolated."""
+_FEWEST = 200
+_BLOCKS = 10
+_PAYS = 12.0
+"""Fall of -2 ln L of blocks with the gain that the others gave, from which on a reference is used."""
+
+
+class ReferenceVerdict(StrEnum):
+    """What became of a reference spot."""
+
+    USED = "used"
+    NO_GAIN = "refused: the pendulum's spot is not quieter for it"
+    QUIET = "refused: it shows no motion over its own noise"
+
+
+@dataclass(frozen=True, slots=True)
+class CommonMotion:
+    """What a reference spot says of the motion that both spots share, along one axis of the sensor, in px.
+
+    Attributes
+    ----------
+    value, u
+        Motion (n,) about its mean, and its standard uncertainty: what the filter leaves of motion and noise.
+        0 and infinite where the reference was lost for long.
+    known
+        Whether it is known in a frame.
+    share
+        Part of the reference's variance that is motion.
+    """
+
+    value: Floats
+    u: Floats
+    known: Flags
+    share: float
+
+
+def common_motion(times_ns: Ints, position_px: Floats, u_px: Floats) -> CommonMotion:
+    """The motion of a reference spot without its noise; NaN where it was lost.
+
+    Raises DataError for too few frames.
+    """
+    found = np.isfinite(position_px) & np.isfinite(u_px)
+    if np.count_nonzero(found) < _FEWEST:
+        raise DataError(
+            f"the reference spot is found in {np.count_nonzero(found)} frames; {_FEWEST} are needed"
+        )
+    time_s = seconds(times_ns - times_ns[0])
+    step_s = float(np.median(np.diff(time_s)))
+    even_s = step_s * np.arange(round(time_s[-1] / step_s) + 1)
+    even = np.interp(even_s, time_s[found], position_px[found])
+    even -= even.mean()
+    noise = float(np.mean(u_px[found] ** 2))
+    pad = max(1, min(int(_PADDED * len(even)), len(even) - 1))
+    padded = np.pad(even, pad, mode="reflect", reflect_type="odd")
+    spectrum = np.fft.rfft(padded)
+    # the part of each frequency in the variance of a sample; a line that was interpolated has no noise
+    power = 2 * np.abs(spectrum) ** 2 / len(padded) ** 2
+    white = 2 * noise / len(padded)
+    motion = np.maximum(_in_bands(power) - white, 0.0)
+    keep = motion / np.maximum(motion + white, np.finfo(float).tiny)
+    filtered = np.fft.irfft(keep * spectrum, len(padded))[pad : pad + len(even)]
+    u = float(np.sqrt(np.sum(keep[1:] * white)))
+    known = ~_far(time_s, time_s[found], _LONGEST_GAP_S)
+    value = np.where(known, np.interp(time_s, even_s, filtered), 0.0)
+    variance = float(np.sum(motion[1:]))
+    return CommonMotion(value, np.where(known, u, inf), known, variance / (variance + noise))
+
+
+def _in_bands(power: Floats) -> Floats:
+    """Means over bands of equal width in log frequency, each band at least one frequency wide."""
+    place = np.zeros(len(power))
+    place[1:] = np.floor(np.log10(np.arange(1, len(power))) * _BANDS_A_DECADE) + 1
+    _, first, which = np.unique(place, return_index=True, return_inverse=True)
+    counts = np.diff([*first, len(power)])
+    return np.asarray((np.add.reduceat(power, first) / counts)[which])
+
+
+def _far(time_s: Floats, found_s: Floats, longest_s: float) -> Flags:
+    """Which times lie in a gap of the found ones that is longer."""
+    after = np.clip(np.searchsorted(found_s, time_s), 0, len(found_s) - 1)
+    before = np.clip(after - 1, 0, len(found_s) - 1)
+    gap_s = np.where(
+        time_s < found_s[0],
+        found_s[0] - time_s,
+        np.where(time_s > found_s[-1], time_s - found_s[-1], found_s[after] - found_s[before]),
+    )
+    return np.asarray((gap_s > longest_s) & (found_s[after] != time_s))
+
+
+@dataclass(frozen=True, slots=True)
+class LessReference:
+    """Positions of the pendulum's spot less what it shares with the reference, along one axis, in px.
+
+    `fallen_back` are the frames in which the reference was lost: they are as they were, and their uncertainty
+    has the common motion in it. Refused, all of them are as they were.
+    """
+
+    position_px: Floats
+    u_px: Floats
+    fallen_back: Flags
+    gain: Estimate
+    verdict: ReferenceVerdict
+    gain_of_prediction: float = 0.0
+
+
+def fitted_gain(position_px: Floats, u_px: Floats, common: CommonMotion, quiet: Flags) -> Estimate:
+    """Motion of the pendulum's spot per motion of the reference, in frames in which the pendulum rests.
+
+    The reference's noise is filtered out of the motion, so that it does not pull the gain towards 0. Frames
+    that follow one another are alike: the uncertainty is from the scatter between blocks.
+
+    Raises DataError where too few frames are quiet.
+    """
+    use = quiet & common.known & np.isfinite(position_px) & np.isfinite(u_px)
+    if np.count_nonzero(use) < _FEWEST:
+        raise DataError(
+            f"{np.count_nonzero(use)} frames at rest have both spots; {_FEWEST} are needed for the gain of "
+            "the reference: state it, or let the pendulum rest for longer before it is released"
+        )
+    gain = _gain(position_px[use], common.value[use])
+    parts = np.array_split(np.arange(np.count_nonzero(use)), _BLOCKS)
+    without = [_gain(np.delete(position_px[use], part), np.delete(common.value[use], part)) for part in parts]
+    spread = np.asarray(without) - np.mean(without)
+    return Estimate(gain, float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum(spread**2))))
+
+
+def _gain(position: Floats, motion: Floats) -> float:
+    centred = motion - motion.mean()
+    return float(centred @ position / (centred @ centred))
+
+
+def less_reference(
+    position_px: Floats, u_px: Floats, common: CommonMotion, gain: Estimate, quiet: Flags
+) -> LessReference:
+    """Take off the common motion where that pays, as the frames in which the pendulum rests show it.
+
+    Parameters
+    ----------
+    position_px, u_px
+        The pendulum's spot, NaN where it was lost.
+    gain
+        Stated: of the two arms and of the pendulum's mirror; or `fitted_gain`.
+    quiet
+        Frames in which the pendulum rests. Without any, a stated gain is believed.
+    """
+    as_it_was = np.zeros(len(position_px), dtype=np.bool_)
+    if not common.share > 0:
+        return LessReference(position_px, u_px, as_it_was, gain, ReferenceVerdict.QUIET)
+    fall = _fall(position_px, common, gain.value, quiet)
+    if fall is not None and not fall > _PAYS:
+        return LessReference(position_px, u_px, as_it_was, gain, ReferenceVerdict.NO_GAIN, fall)
+    size = float(np.sqrt(np.mean(common.value[common.known] ** 2)))
+    of_common = np.where(common.known, common.u, size)
+    variance = u_px**2 + (gain.value * of_common) ** 2
+    variance += np.where(common.known, (gain.standard_uncertainty * common.value) ** 2, 0.0)
+    return LessReference(
+        position_px - gain.value * common.value,
+        np.sqrt(variance),
+        ~common.known,
+        gain,
+        ReferenceVerdict.USED,
+        0.0 if fall is None else fall,
+    )
+
+
+def _fall(position: Floats, common: CommonMotion, gain: float, quiet: Flags) -> float | None:
+    """Fall of -2 ln L of the frames at rest; None without any. As many count as blocks of correlated ones."""
+    use = quiet & common.known & np.isfinite(position)
+    if np.count_nonzero(use) < _FEWEST:
+        return None
+    before = position[use] - position[use].mean()
+    after = before - gain * (common.value[use] - common.value[use].mean())
+    return float(_independent(before) * np.log(np.mean(before**2) / np.mean(after**2)))
+
+
+def _independent(values: Floats) -> float:
+    """How many independent numbers the values are worth, by their autocorrelation up to its first zero."""
+    spectrum = np.abs(np.fft.rfft(values, 2 * len(values))) ** 2
+    correlation = np.fft.irfft(spectrum)[: len(values)]
+    correlation /= correlation[0]
+    below = np.flatnonzero(correlation <= 0)
+    length = int(below[0]) if len(below) else len(values)
+    return len(values) / (1 + 2 * float(np.sum(correlation[1:length])))
