@@ -39,7 +39,7 @@ from processing.fit.series import (
     combine_runs,
     compare_series,
 )
-from processing.fit.settlement import FitOfSwings, Settlement, fitted_twice, points_in_true_time, settlement
+from processing.fit.settling import FitOfSwings, Settlement, fitted_twice, points_in_true_time, settlement
 from processing.fit.smoothing import super_smooth
 from processing.fit.steeper import SteeperDrag
 from processing.fit.uncertainty import Budget, BudgetSource, Propagated, budgets, monte_carlo

@@ -13,12 +13,12 @@ from processing.estimate import Estimate
 from processing.fit import Response, WitnessUse, WitnessVerdict
 from rig.analysis.record_fit import analyse_record, session_results
 from rig.analysis.results import RunResults, SessionResults, TableResults
-from rig.analysis.results_file import decoded, encoded
+from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.table_fit import TableColumns, analyse_table
 from rig.analysis.witness_file import Begin, StatedWitness
 from rig.analysis.witnessed_fits import witness_sentences
 from rig.archive.session_rows import row_of_results
-from rig.report import make_decay_report
+from rig.report import make_table_report
 from rig.settings import load_configuration
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
@@ -110,11 +110,12 @@ def test_the_report_of_a_table_draws_what_its_witness_explains(decay: Path, tmp_
     config = load_configuration(decay / "rig.toml", needs_camera=False)
     witness = StatedWitness(decay / "witness.csv", ("north",)).read()
     table = analyse_table(decay / "decay.csv", config, TableColumns(unit="arcsec"), witness)
-    make_decay_report(table, tmp_path)
+    write_results(tmp_path / RESULTS_NAME, table.results)
+    make_table_report(table, tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert "What the witness of the ground explains" in page
     assert "it explains" in page
-    assert (tmp_path / "report" / "witness-1.svg").exists()
+    assert (tmp_path / "report" / "run-1" / "witness.svg").exists()
     assert table.results.witness is not None
 
 
