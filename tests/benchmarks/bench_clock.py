@@ -39,6 +39,12 @@ def _random_walk(rng: np.random.Generator, times_s: Array) -> Array:
     return np.asarray(1e-5 * np.sqrt(times_s[1]) * np.cumsum(rng.standard_normal(len(times_s))))
 
 
+def _hidden_walk(rng: np.random.Generator, times_s: Array) -> Array:
+    """One that leaves a third of the variance that the arrivals leave of themselves: the hardest to see."""
+    size = 3.4e-7 * 120.0 / times_s[-1]
+    return np.asarray(size * np.sqrt(times_s[1]) * np.cumsum(rng.standard_normal(len(times_s))))
+
+
 def _flicker(rng: np.random.Generator, times_s: Array) -> Array:
     """1/f of the host's phase, as a sum of exponential memories an octave apart."""
     total = np.zeros(len(times_s))
@@ -78,6 +84,7 @@ WORLDS: dict[str, Callable[[np.random.Generator, Array], Array]] = {
     "white": _quiet,
     "loaded computer": _loaded,
     "random walk": _random_walk,
+    "hidden random walk": _hidden_walk,
     "flicker": _flicker,
     "slews": _slews,
     "wandering rate": _wandering_rate,
