@@ -97,7 +97,9 @@ def test_a_record_whose_folder_is_removed_ends_the_run_and_is_saved(
         usual(writer, *values)  # type: ignore[arg-type]
 
     monkeypatch.setattr(RecordWriter, "write_spots", write_spots)
-    short = set_words({**SMALL, "session.max_duration_s": "600"})
+    # many frames are few swings: a fit of those that come before the disk is looked at takes most of a minute
+    # on a busy machine
+    short = set_words({**SMALL, "session.max_duration_s": "600", "camera.frame_rate_hz": "1000"})
     done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *short)
     assert done.returncode == 1
     assert "was removed" in done.stderr
