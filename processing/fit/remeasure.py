@@ -126,6 +126,7 @@ def _nearest(swings: Sequence[Swing], times_ns: Ints, time_ns: int) -> Swing | N
 class Shift(NamedTuple):
     """How far a second measurement lies from the first: rms over half-cycles, in standard uncertainties.
 
+    In time it is what they do not share: a shift of all moves the start of the motion and nothing else.
     `found` is the share of the half-cycles that was found again. Both rms are NaN where none was.
     """
 
@@ -148,7 +149,9 @@ def shift_of(swings: Sequence[Swing], again: Sequence[Swing]) -> Shift:
     both = [(a, b) for a, b in pairs if b.flags == 0]
     if not both:
         return Shift(0.0, math.nan, math.nan)
-    time = [seconds(b.turn_time_ns - a.turn_time_ns) / a.u_turn_time_s for a, b in both]
+    later_s = [seconds(b.turn_time_ns - a.turn_time_ns) for a, b in both]
+    shared_s = float(np.median(later_s))
+    time = [(later - shared_s) / a.u_turn_time_s for later, (a, _) in zip(later_s, both, strict=True)]
     amplitude = [(b.amplitude - a.amplitude) / a.u_amplitude for a, b in both]
     return Shift(
         len(both) / len(pairs), *(math.sqrt(float(np.mean(np.square(found)))) for found in (time, amplitude))

@@ -110,3 +110,16 @@ def test_a_pendulum_that_would_not_swing_is_refused() -> None:
     parameters, pendulum = contact_truth("glass")
     with pytest.raises(DataError, match="no swing"):
         known_motion(replace(parameters, gamma_pa=100 * parameters.gamma_pa), pendulum, 124 * ARCSEC_RAD)
+
+
+def test_a_shift_that_all_turning_points_share_makes_none_more_uncertain(glass: Record) -> None:
+    """The start of the motion takes it in: a motion fitted to few half-cycles is late by a millisecond."""
+    swings = detect(noisy(glass, 3))
+    late = [replace(swing, turn_time_ns=swing.turn_time_ns + 1_400_000) for swing in swings]
+    shift = shift_of(swings, late)
+    assert (shift.time, shift.amplitude) == (0.0, 0.0)
+    early = [
+        replace(swing, turn_time_ns=swing.turn_time_ns + (1_400_000 if swing.side > 0 else 0))
+        for swing in swings
+    ]
+    assert shift_of(swings, early).time > 10.0
