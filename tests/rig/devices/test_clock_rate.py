@@ -68,7 +68,8 @@ def test_what_fails_in_the_thread_is_raised_where_the_wall_stands(monkeypatch: p
 
     monkeypatch.setattr(clock_rate, "relate_clocks", fails)
     rate = ClockRate()
-    rate.take(frames(10.0, 0.0)[::5])
+    for frame in frames(10.0, 0.0):
+        rate.pair(frame.sequence, frame.device_time_ns, frame.host_time_ns)
     assert rate._thread is not None
     rate._thread.join()
     with pytest.raises(ValueError, match="no line"):
