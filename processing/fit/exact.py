@@ -27,7 +27,7 @@ from processing.fit.exact_model import ExactModel
 from processing.fit.ground import AT_REST, GROUND_SEEN, GroundFit, Noise, density_of_step
 from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
 from processing.fit.result import FitResult
-from processing.fit.whiteness import Whiteness, correlated_covariance, whiteness
+from processing.fit.whiteness import Whiteness, correlated_covariance, neighbours_covariance, whiteness
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss, Solution, covariance_of, propagate, solve
 from processing.periods import full_periods, mean_period, mean_period_estimate
@@ -278,7 +278,7 @@ def _result(
         widened *= np.maximum(1.0, _factor(to_physical, averaged, likeliest))
     of_points = solution.residuals[: 2 * len(points)]
     white = whiteness(of_points / np.sqrt(max(1.0, chi2_per_dof)))
-    if white.correlated and np.all(np.isfinite(covariance)):
+    if np.all(np.isfinite(covariance)):
         factor = _by_correlation(to_physical, solution, white, len(points))
         white = replace(white, widened=float(factor.max()))
         widened *= factor
@@ -386,6 +386,10 @@ def _mean_of_finite(values: Floats) -> float:
 def _by_correlation(to_physical: Floats, solution: Solution, white: Whiteness, count: int) -> Floats:
     """By how many times correlated residuals enlarge every standard uncertainty."""
     of_points = slice(2 * count)
-    residuals = solution.residuals[of_points] / np.sqrt(solution.chi2 / solution.dof)
-    wider = correlated_covariance(residuals, solution.jacobian[of_points], solution.covariance, white.lags)
-    return np.asarray(np.maximum(1.0, _factor(to_physical, wider, solution.covariance)))
+    jacobian, covariance = solution.jacobian[of_points], solution.covariance
+    factor = _factor(to_physical, neighbours_covariance(white, jacobian, covariance), covariance)
+    if white.correlated:
+        residuals = solution.residuals[of_points] / np.sqrt(solution.chi2 / solution.dof)
+        wider = correlated_covariance(residuals, jacobian, covariance, white.lags)
+        factor = np.maximum(factor, _factor(to_physical, wider, covariance))
+    return np.asarray(np.maximum(1.0, factor))

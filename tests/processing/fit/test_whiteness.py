@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from processing.fit.whiteness import correlated_covariance, whiteness
+from processing.fit.whiteness import correlated_covariance, neighbours_covariance, whiteness
 
 
 def test_the_chances_are_uniform_for_noise() -> None:
@@ -73,3 +73,27 @@ def test_alternating_residuals_never_make_a_variance_negative(lags: int) -> None
     jacobian = np.repeat([[1.0], [0.0]], count, axis=0)  # a column of the amplitudes
     found = correlated_covariance(residuals, jacobian, np.array([[1 / count]]), lags)[0, 0] * count
     assert 0 <= found < 1.1 / lags
+
+
+def test_times_of_neighbours_that_are_a_little_alike_widen_and_noise_does_not() -> None:
+    """300 half-cycles whose times are alike by 0.2: the test of 20 lags sees it in few of them."""
+    rng, count = np.random.default_rng(8), 300
+    jacobian = np.concatenate([np.zeros((count, 1)), np.ones((count, 1))])
+    covariance = np.array([[1.0 / count]])
+    claimed, white_claimed, means, seen = [], [], [], 0
+    for _ in range(200):
+        amplitudes, step = rng.standard_normal(count), rng.standard_normal(count + 1)
+        # neighbours alike by a/(1 + a^2) = 0.2, no others
+        a = 0.2087
+        times = (step[1:] + a * step[:-1]) / np.hypot(1.0, a)
+        found = whiteness(np.concatenate([amplitudes, times]))
+        seen += found.correlated
+        claimed.append(neighbours_covariance(found, jacobian, covariance)[0, 0])
+        means.append(times.mean())
+        noise = whiteness(np.concatenate([amplitudes, step[1:]]))
+        white_claimed.append(neighbours_covariance(noise, jacobian, covariance)[0, 0])
+    assert seen < 60
+    assert np.mean(claimed) == pytest.approx(np.mean(np.square(means)), rel=0.25)
+    assert np.mean(claimed) > 1.25 / count
+    assert np.mean(white_claimed) == pytest.approx(1.0 / count, rel=0.04)
+    assert neighbours_covariance(whiteness(np.arange(8.0)), jacobian, covariance) == covariance
