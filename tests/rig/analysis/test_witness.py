@@ -85,7 +85,8 @@ def test_a_table_is_fitted_with_a_witness_and_says_what_it_saved(decay: Path) ->
     assert before.standard_uncertainty / after.standard_uncertainty == pytest.approx(
         found.witness.saved["b"], rel=1e-6
     )
-    assert found.witness.saved["b"] > 4
+    # of 4.5 if the first half-cycles knew nothing of the drive within them, as detected
+    assert found.witness.saved["b"] > 3
     assert abs(after.value - paper_pair("glass_k8")[0].b) < 4 * after.standard_uncertainty
     # Eqs. 5 and 6 keep the paper's procedure
     of_eqs = [one.fits["asymptotic"].estimate("b").value for one in (found, alone)]
