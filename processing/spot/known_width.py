@@ -5,7 +5,7 @@ from statistics import median
 
 from processing.spot.spot import Spot, SpotFlag
 
-_DOUBTFUL = SpotFlag.POOR_FIT | SpotFlag.OUTLIERS | SpotFlag.MULTIPLE | SpotFlag.EDGE
+_DOUBTFUL = SpotFlag.POOR_FIT | SpotFlag.OUTLIERS | SpotFlag.MULTIPLE | SpotFlag.CUT
 _SHIFT = 2.0
 """An obstacle without a sharp edge moves the fitted place by 1.0 to 2.1 times what it takes from the fitted
 width, from a cut one sigma before the centre to one two sigmas behind it."""
@@ -31,7 +31,7 @@ class KnownWidth:
 
     def see(self, spot: Spot) -> None:
         """A spot of the frames from which the model is chosen."""
-        if not spot.flags & (SpotFlag.LOST | SpotFlag.EDGE):
+        if not spot.flags & (SpotFlag.LOST | SpotFlag.EDGE | SpotFlag.CUT):
             self._seen.append((spot.sigma_x_px, spot.sigma_y_px))
 
     def settle(self) -> None:

@@ -47,6 +47,7 @@ _LOW_SNR = SpotFlag.LOW_SNR.value
 _POOR_FIT = SpotFlag.POOR_FIT.value
 _OUTLIERS = SpotFlag.OUTLIERS.value
 _MULTIPLE = SpotFlag.MULTIPLE.value
+_CUT = SpotFlag.CUT.value
 
 
 @kernel
@@ -99,7 +100,7 @@ def finish(
             return lost(memory)
         if seen == CUT:
             remember(memory, place, p, fitted, followed)
-            return _report(image, place, work, noise, fitted, _EDGE)
+            return _report(image, place, work, noise, fitted, _CUT)
     if not (followed or fitted.two or memory[ALONE] > 0.0) and fitted.chi2 > limit:
         fitted = try_second(image, work, noise, fitted)
         # the fit of two spots has overwritten the information matrix, which the uncertainties are taken from

@@ -16,7 +16,7 @@ class SpotFlag(IntFlag):
     SATURATED = 1
     """Pixels that the model expects at full scale were left out."""
     EDGE = 2
-    """The spot is cut by the edge of the sensor, or by an obstacle: what is left of it was fitted."""
+    """The spot is cut by the edge of the sensor."""
     LOST = 4
     """No spot: position and uncertainties are NaN."""
     LOW_SNR = 8
@@ -29,6 +29,8 @@ class SpotFlag(IntFlag):
     """A second spot overlaps the first; the brighter one is reported."""
     LEARNED = 128
     """Fitted with the beam's own profile, learned from frames before, and a background that is a plane."""
+    CUT = 256
+    """An obstacle hides a part of the spot: what it leaves was fitted."""
 
 
 class Spot(NamedTuple):

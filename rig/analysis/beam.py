@@ -91,6 +91,8 @@ def _cause(use: BeamUse, *, noise_is_known: bool) -> tuple[str, str]:
     half = 0.5 * use.poor_frames
     if use.poor_with[SpotFlag.EDGE] > half:
         return "the edge of the sensor cuts the spot", "move the spot to the middle: rig camera align"
+    if use.poor_with[SpotFlag.CUT] > half:
+        return "something cuts the spot", "centre the beam in lens, mirrors and window; free its path"
     if use.poor_with[SpotFlag.SATURATED] > half:
         return "it is saturated, and its flanks alone are fitted", "lower exposure_us or the laser's power"
     if use.changes:

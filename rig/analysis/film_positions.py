@@ -137,7 +137,7 @@ def _flagged(flags: Counter[str], count: int) -> str:
     """What else was noticed of a good part of the frames."""
     doubts = [
         f"{name.lower().replace('_', ' ')} in {100 * flags[name] / count:.0f} %"
-        for name in ("SATURATED", "EDGE", "POOR_FIT", "MULTIPLE")
+        for name in ("SATURATED", "EDGE", "CUT", "POOR_FIT", "MULTIPLE")
         if flags[name] > 0.05 * count
     ]
     return f"; {', '.join(doubts)}" if doubts else ""

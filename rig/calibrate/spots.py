@@ -58,7 +58,7 @@ def whole_spots(record: Path) -> tuple[NDArray[Any], datetime.datetime]:
     with RecordReader(record) as reader:
         table = reader.spots()
         began = reader.utc(int(table["time_ns"][0]) if len(table) else 0)
-    bad = SpotFlag.LOST | SpotFlag.SATURATED | SpotFlag.EDGE
+    bad = SpotFlag.LOST | SpotFlag.SATURATED | SpotFlag.EDGE | SpotFlag.CUT
     good = table[(table["flags"].astype(np.int64) & int(bad)) == 0] if len(table) else table
     saturated = 0.0
     if len(table):

@@ -65,10 +65,12 @@ def beam_quality(
     if shape is not None:
         words += f", off a Gaussian by {100 * shape.departure:.2g} % of its peak"
     edge = float(np.mean([bool(spot.flags & SpotFlag.EDGE) for spot in found]))
+    cut = float(np.mean([bool(spot.flags & SpotFlag.CUT) for spot in found]))
+    is_cut = cut > limits.max_lost_fraction
     faults = [
-        *_cuts(edge > limits.max_lost_fraction, shape),
+        *_cuts(edge > limits.max_lost_fraction, is_cut, shape),
         *_bad_fit(poor > limits.max_poor_fit_fraction, chi2, model, noise_is_known=noise_is_known),
-        *_other_shapes(shape),
+        *([] if is_cut else _other_shapes(shape)),
     ]
     # the worst first; what is seen of the shape is the likely cause of a bad fit
     faults.sort(key=lambda fault: fault.ok)
@@ -82,14 +84,21 @@ def beam_quality(
     )
 
 
-def _cuts(at_edge: bool, shape: BeamShape | None) -> list[_Fault]:
+def _cuts(at_edge: bool, is_cut: bool, shape: BeamShape | None) -> list[_Fault]:
     if at_edge:
         return [
             _Fault(False, "the edge of the sensor cuts the spot", "move it to the middle: rig camera align")
         ]
+    free = "centre the beam in lens, mirrors and window; free its path"
+    if is_cut:
+        if shape is None:
+            return [_Fault(False, "something cuts it", free)]
+        reason = (
+            f"something cuts it: {100 * shape.departure:.2g} % of its peak are missing, and told by an edge"
+        )
+        return [_Fault(shape.departure < _CUT, reason, free)]
     if shape is None or _is_ghost(shape):
         return []
-    free = "centre the beam in lens, mirrors and window; free its path"
     if shape.lopsided > _LOPSIDED:
         reason = f"something cuts it: one side falls {shape.lopsided:.1f} times as steeply as the other"
         return [_Fault(False, reason, free)]

@@ -268,7 +268,7 @@ def cut_by(
 def test_what_an_obstacle_leaves_of_a_spot_tells_its_place(offset: float, angle: float, cold: bool) -> None:
     spots, errors = run(cut_by(offset, angle=angle), cold=cold, frames=40)
     assert not any(spot.flags & SpotFlag.LOST for spot in spots)
-    assert np.mean([bool(spot.flags & SpotFlag.EDGE) for spot in spots]) > 0.95
+    assert np.mean([bool(spot.flags & SpotFlag.CUT) for spot in spots]) > 0.95
     assert claimed_over_actual(spots, errors) == pytest.approx(1, abs=0.03 + rms_tolerance(errors.size))
 
 
