@@ -23,9 +23,9 @@ STEEPEST = 0.3
 """Standard deviation of the skew before the ladder is measured: a sensor tilted by 17 degrees."""
 _BENDS = (0.0, 3e-4, 1e-3, 1e-2)
 """Standard deviation of the cubic part at the ladder's end, relative to the displacement there."""
-_BENT = 0.3
+_BENT = 0.2
 """Prior probability of any cubic part, shared by the sizes above."""
-_WRONG = 0.02
+_WRONG = 0.01
 """Prior probability that a step is wrong."""
 _WRONG_BY = (6.0, 60.0)
 """Standard deviations of a wrong step, in its stated uncertainties."""

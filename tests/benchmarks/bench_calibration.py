@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from tests.benchmarks.coverage import coverage
+from tests.calibration.ladders import LADDERS, pull
 from tests.calibration.simulated_rig import deviations
 from tests.rig.calibrate.calibrated_measurement import measure
 from tests.rig.calibrate.unbudgeted_inputs import shifts
@@ -51,6 +53,20 @@ def end_to_end(rate_hz: float, seeds: int) -> dict[str, Any]:
     return _table(f"end to end, {rate_hz:g} frames/s", rows)
 
 
+def ladders(seeds: int) -> dict[str, Any]:
+    """Ladders of tilts that something may have bent: coverage of the scale at zero."""
+    found = {}
+    for name in LADDERS:
+        pulls, relative, _ = zip(*(pull(name, seed) for seed in range(seeds)), strict=True)
+        z = np.abs(pulls)
+        found[name] = {key: of_all[0] for key, of_all in coverage(np.array(pulls)[:, None]).items()}
+        found[name] |= {"beyond_3u": float(np.mean(z > 3)), "relative_u": float(np.median(relative))}
+        print(
+            f"  {name:42}" + "".join(f" {key} {value:.3g}" for key, value in found[name].items()), flush=True
+        )
+    return found
+
+
 def not_in_the_budget() -> dict[str, Any]:
     """What the budget leaves out: shift of each parameter, in its standard uncertainty, by one of its own."""
     found = {}
@@ -64,7 +80,13 @@ def run(quick: bool = False) -> dict[str, Any]:
     """600 and 200 seeds (40 and 12 quick)."""
     quantities = _table("quantity", [deviations(seed) for seed in range(40 if quick else 600)])
     measurements = {f"{rate:g}": end_to_end(rate, 12 if quick else 200) for rate in FRAME_RATES_HZ}
-    return {"quantities": quantities, "end_to_end": measurements, "not_in_the_budget": not_in_the_budget()}
+    of_ladders = ladders(40 if quick else 400)
+    return {
+        "quantities": quantities,
+        "ladders": of_ladders,
+        "end_to_end": measurements,
+        "not_in_the_budget": not_in_the_budget(),
+    }
 
 
 if __name__ == "__main__":

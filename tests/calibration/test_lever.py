@@ -12,6 +12,7 @@ from calibration.lever_geometry import LeverGeometry, lever_from_geometry, trace
 from calibration.light_lever import Lever
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
+from tests.calibration.ladders import pull
 
 PITCH_M = 4.8e-6
 NOISE_PX = 0.01
@@ -89,6 +90,35 @@ def test_a_ladder_that_hardly_determines_the_tilt_of_the_sensor_says_so() -> Non
     coarse = replace(quiet, u_reference=np.full(9, 0.1 * ARCSEC_RAD))
     assert not any("tilt of the sensor" in note for note in fit_ladder(quiet, "tilt").notes)
     assert any("tilt of the sensor" in note for note in fit_ladder(coarse, "tilt").notes)
+
+
+@pytest.mark.parametrize(
+    ("name", "share", "beyond"),
+    [
+        ("straight, 9 steps to 150 arcsec", (0.6, 0.9), 0),
+        ("cubic 3.6e-4, 9 steps to 300 arcsec", (0.2, 0.6), 10),
+        ("skew 0.3, one-sided to 300 arcsec", (0.5, 0.9), 0),
+        ("wrong by 10 u, 5 steps to 60 arcsec", (0.65, 1.0), 1),
+    ],
+)
+def test_what_may_have_bent_a_ladder_is_in_the_uncertainty_of_its_scale(
+    name: str, share: tuple[float, float], beyond: int
+) -> None:
+    """Of 40 seeds; with one model chosen it is 0.68, 0.04 (18 beyond 3 u), 0.09 and 0.54 (4 beyond)."""
+    pulls = np.abs([pull(name, seed)[0] for seed in range(40)])
+    assert share[0] <= np.mean(pulls < 1.0) <= share[1]
+    assert np.count_nonzero(pulls > 3.0) <= beyond
+
+
+def test_a_cubic_part_and_a_wrong_step_are_named() -> None:
+    assert any("a cubic part" in note for note in pull("cubic 3.6e-3, 9 steps to 300 arcsec", 1)[2])
+    assert not any("cubic" in note for note in pull("straight, 9 steps to 150 arcsec", 1)[2])
+    steps = ladder(np.linspace(-120, 120, 9).tolist())
+    y_px = steps.y_px.copy()
+    y_px[7] += 1.0
+    fit = fit_ladder(replace(steps, y_px=y_px), "tilt")
+    assert any("step 8 is probably wrong" in note for note in fit.notes)
+    assert abs(fit.scale * PITCH_M - 1.0) < 3.0 * fit.u_scale * PITCH_M < 1e-3
 
 
 def test_a_wrong_step_is_named() -> None:
