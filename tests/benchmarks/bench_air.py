@@ -28,7 +28,8 @@ from processing.least_squares import covariance_of
 from processing.swing import SwingDetector, TurningPoints, turning_points
 from rig.analysis import FittedDrag, evidence_of, settled_swings
 from rig.settings import FitSettings
-from tests.benchmarks.bench_ground import COVERAGES, GROUND_FILE, recorded, simulated
+from tests.benchmarks.bench_ground import GROUND_FILE, recorded, simulated
+from tests.benchmarks.coverage import coverage, held, lines, named, rms
 from tests.processing.fit.decays import ARCSEC, paper_pair, truth
 from tests.processing.fit.driven import driven_path
 
@@ -136,25 +137,14 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
         to_bound.append(off / least)
         relative.append(found.fit.standard_uncertainty[0] / expected[0])
         ratio.append(found.cpu_s / found.vacuum_cpu_s)
-        both = [[found.fit.interval(name, share) for share in COVERAGES] for name in NAMES]
-        inside.append(
-            [[low <= true <= high for low, high in two] for two, true in zip(both, expected, strict=True)]
-        )
-    shares = np.mean(np.array(inside, dtype=np.float64), axis=0)
-
-    def by_name(values: Floats) -> dict[str, float]:
-        return dict(zip(NAMES, values.tolist(), strict=True))
-
+        inside.append(held(found.fit, NAMES, expected))
     return {
         "case": case.name,
         "seeds": seeds,
         "failed": failed,
         "relative_u_b": float(np.median(relative)),
         "cpu_over_vacuum": float(np.median(ratio)),
-        "one_u": by_name(shares[:, 0]),
-        "ninety_five": by_name(shares[:, 1]),
-        "rms_pull": by_name(np.sqrt(np.mean(np.square(pulls), axis=0))),
-        "rms_to_bound": by_name(np.sqrt(np.mean(np.square(to_bound), axis=0))),
+        **named(NAMES, {**coverage(pulls, inside), "rms_to_bound": rms(to_bound).tolist()}),
     }
 
 
@@ -186,9 +176,7 @@ def vanes(seeds: int) -> dict[str, Any]:
         "seeds": seeds,
         "relative_u_d0": float(np.median(relative)),
         "worst_d0": float(np.max(np.abs(off[:, 0]) * relative)),
-        "one_u": np.mean(np.abs(off) < 1, axis=0).tolist(),
-        "two_u": np.mean(np.abs(off) < 1.96, axis=0).tolist(),
-        "rms_pull": np.sqrt(np.mean(off**2, axis=0)).tolist(),
+        **coverage(off),
     }
 
 
@@ -203,15 +191,7 @@ def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> di
         print(
             f"{case.name}, {found['seeds']} seeds ({found['failed']} failed), "
             f"u(b)/b {found['relative_u_b']:.2%}, CPU time {found['cpu_over_vacuum']:.1f} of a fit in vacuum",
-            *(
-                f"  {title:12}" + "".join(f" {name} {value:.2f}" for name, value in found[key].items())
-                for title, key in (
-                    ("within 1 u", "one_u"),
-                    ("within 95 %", "ninety_five"),
-                    ("rms error/u", "rms_pull"),
-                    ("rms/bound", "rms_to_bound"),
-                )
-            ),
+            *lines(found),
             sep="\n",
             flush=True,
         )

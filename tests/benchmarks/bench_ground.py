@@ -33,6 +33,7 @@ from processing.least_squares import covariance_of
 from processing.swing import SwingDetector, TurningPoints, turning_points
 from rig.analysis import settled_swings
 from rig.settings import FitSettings
+from tests.benchmarks.coverage import coverage, held, lines, named, rms
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_decay, driven_path
 from tests.processing.instruments.test_driven import PERIOD_S, damping_time, driven, ten_swings
@@ -41,7 +42,6 @@ NOISE_ARCSEC = 0.005
 FRAMES_PER_S = 25.0
 SHARED = Path(os.environ.get("RIG_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
 GROUND_FILE = SHARED / "ground" / "ulaanbaatar-lh1.csv"
-COVERAGES = (0.6827, 0.95)
 
 Floats = NDArray[np.float64]
 
@@ -161,8 +161,8 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
     """Shares of seeds whose intervals hold the truth, and rms errors in units of u and of the bound."""
     parameters, pendulum = paper_pair(case.flat)
     names = PAPER.names()
-    inside: list[list[tuple[bool, ...]]] = []
-    pulls, to_bound, q, fits_s, fits = [], [], [], [], []
+    expected = truth(parameters, names)
+    inside, pulls, to_bound, q, fits_s, fits = [], [], [], [], [], []
     warned = failed = left_out = 0
     for seed in range(seeds):
         points = case.points(seed)
@@ -180,15 +180,15 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
         warned += result.whiteness.correlated
         left_out += result.ground.left_out_half_cycles
         q.append(result.ground.density_rad_per_s2_rthz.value)
-        off = result.values[: len(names)] - truth(parameters, names)
+        off = result.values[: len(names)] - expected
         pulls.append(off / result.standard_uncertainty[: len(names)])
         to_bound.append(off / bound(points.first(result.half_cycles), case, result.ground.noise))
-        row = []
-        for name in names:
-            low_high = [result.interval(name, share) for share in COVERAGES]
-            row.append(tuple(low <= getattr(parameters, name) <= high for low, high in low_high))
-        inside.append(row)
-    shares = np.mean(np.array(inside, dtype=np.float64), axis=0)
+        inside.append(held(result, names, expected))
+    table = {
+        **coverage(pulls, inside),
+        "median_pull": np.median(pulls, axis=0).tolist(),
+        "rms_to_bound": rms(to_bound).tolist(),
+    }
     return {
         "case": case.name,
         "seeds": seeds,
@@ -198,11 +198,7 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
         "q_stated": case.q,
         "q_median": float(np.median(q)),
         "fit_cpu_s": float(np.median(fits_s)),
-        "one_u": dict(zip(names, shares[:, 0].tolist(), strict=True)),
-        "ninety_five": dict(zip(names, shares[:, 1].tolist(), strict=True)),
-        "rms_pull": dict(zip(names, rms(pulls), strict=True)),
-        "median_pull": dict(zip(names, np.median(pulls, axis=0).tolist(), strict=True)),
-        "rms_to_bound": dict(zip(names, rms(to_bound), strict=True)),
+        **named(names, table),
         "series_agree": agreeing(fits),
     }
 
@@ -213,10 +209,6 @@ def agreeing(fits: list[FitResult]) -> dict[str, float]:
     return {
         name: float(np.mean([one[name].p_homogeneous > 0.05 for one in series])) for name in PAPER.names()
     }
-
-
-def rms(rows: list[Floats]) -> list[float]:
-    return list(np.sqrt(np.mean(np.square(rows), axis=0)).tolist())
 
 
 def seconds_of_long_runs() -> dict[str, float]:
@@ -249,11 +241,7 @@ def other_pendulums(seeds: int) -> dict[str, dict[str, float]]:
         for seed in range(seeds):
             value, u = reduce(driven(2e-5, seed))
             pulls.append((value - true_s) / u)
-        one = {
-            "one_u": float(np.mean(np.abs(pulls) < 1)),
-            "ninety_five": float(np.mean(np.abs(pulls) < 1.96)),
-            "rms_pull": float(np.sqrt(np.mean(np.square(pulls)))),
-        }
+        one = {key: of_all[0] for key, of_all in coverage(np.array(pulls)[:, None]).items()}
         found[name] = one
         print(f"{name}: " + ", ".join(f"{key} {value:.2f}" for key, value in one.items()), flush=True)
     return found
@@ -275,17 +263,7 @@ def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> di
         print(
             f"{case.name}, {count} seeds ({found['failed']} failed, {found['called_correlated']} called "
             f"correlated), q {found['q_median']:.3g}, {found['fit_cpu_s']:.2f} s a fit",
-            *(
-                f"  {title:13}" + "".join(f" {name} {value:.2f}" for name, value in found[key].items())
-                for title, key in (
-                    ("within 1 u", "one_u"),
-                    ("within 95 %", "ninety_five"),
-                    ("rms error/u", "rms_pull"),
-                    ("median", "median_pull"),
-                    ("rms/bound", "rms_to_bound"),
-                    ("series agree", "series_agree"),
-                )
-            ),
+            *lines(found),
             sep="\n",
             flush=True,
         )

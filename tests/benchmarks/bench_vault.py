@@ -28,6 +28,7 @@ from processing.fit.known_drive import KnownDrive
 from processing.fit.witness import Witness, WitnessUse, fit_with_witness
 from processing.least_squares import covariance_of
 from processing.swing import TurningPoints
+from tests.benchmarks.coverage import coverage, rms
 from tests.processing.fit.decays import paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_path
 
@@ -212,9 +213,7 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
         "u_alone_relative": (np.median(u_alone, axis=0) / true).tolist(),
         "saved_u": np.median(u_alone / u, axis=0).tolist(),
         "saved_scatter": (rms(alone) / rms(fit)).tolist(),
-        "one_u": np.mean(np.abs(fit) < u, axis=0).tolist(),
-        "ninety_five": np.mean(np.abs(fit) < 1.96 * u, axis=0).tolist(),
-        "rms_pull": rms(fit / u).tolist(),
+        **coverage(fit / u),
         "moved_in_u": np.max(np.abs(fit - alone) / u_alone, axis=0).tolist(),
         "u_grew": np.max(u / u_alone, axis=0).tolist(),
         "cpu_s": float(np.median([run.cpu_s for run in runs])),
@@ -229,10 +228,6 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
             ]
             out[key] = rms(np.array(against)).tolist()
     return out
-
-
-def rms(rows: Floats) -> Floats:
-    return np.asarray(np.sqrt(np.mean(np.square(rows), axis=0)))
 
 
 def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:

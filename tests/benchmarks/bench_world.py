@@ -27,6 +27,7 @@ from rig.analysis import settled_swings
 from rig.analysis.contact_laws import fit_decay
 from rig.analysis.fitted_drag import FittedDrag, evidence_of
 from rig.settings import FitSettings
+from tests.benchmarks.coverage import rms
 from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair
 
@@ -134,8 +135,8 @@ def measure(name: str, q: float, seeds: int) -> dict[str, Any]:
         "right_in_the_fit_alone": float(np.mean((np.abs(pulls) < 3) | withheld)),
         "withheld": float(np.mean(withheld)),
         "median_relative_u": float(np.median([one.relative_u for one in outcomes])),
-        "rms_pull": float(np.sqrt(np.mean(wide**2))),
-        "rms_pull_in_the_fit_alone": float(np.sqrt(np.mean(pulls**2))),
+        "rms_pull": float(rms(wide)),
+        "rms_pull_in_the_fit_alone": float(rms(pulls)),
         "named": {word: float(np.mean([word in one.named for one in outcomes])) for word in kinds},
     }
 
