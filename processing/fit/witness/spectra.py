@@ -57,7 +57,7 @@ class WitnessSpectra:
         Over how many stretches of the run the spectra are averaged. Things unrelated have a squared
         coherence of about one over their number.
     coherence_near
-        The squared coherence within a tenth of the pendulum's frequency, without what the measurement adds.
+        The squared coherence within a tenth of the pendulum's frequency, weighted by the pendulum's motion.
     """
 
     frequency_hz: Annotated[tuple[float, ...], Quantity("", "frequency", unit="Hz")] = ()
@@ -109,8 +109,6 @@ def spectra_of(
 
     squared = np.abs(cross) ** 2 / (powers[0] * powers[1])
     near = np.abs(2 * nu) <= _NEAR
-    heard = np.sum(np.abs(cross[near]) ** 2 / powers[1][near])
-    moved = np.sum(np.maximum(powers[0] - measured, 0.0)[near])
     return WitnessSpectra(
         frequency_hz=tuple(frequency[shown].tolist()),
         pendulum_rad_per_s2_rthz=density(powers[0]),
@@ -119,7 +117,7 @@ def spectra_of(
         measurement_rad_per_s2_rthz=density(measured),
         coherence=tuple(squared[shown].tolist()),
         stretches=len(parts),
-        coherence_near=float(min(heard / moved, 1.0)) if moved > 0 else nan,
+        coherence_near=float(np.average(squared[near], weights=powers[0][near])),
     )
 
 

@@ -1,5 +1,11 @@
 """A witness of the ground beside a run: recorded with its frames, and fitted with no further word."""
 
+import itertools
+import os
+import pty
+import threading
+import time
+import tty
 from pathlib import Path
 
 import numpy as np
@@ -104,3 +110,59 @@ def test_one_that_does_not_go_with_the_camera_is_said(tmp_path: Path) -> None:
     still = load_configuration(source, ("witness.kind='simulated'",))
     with pytest.raises(ConfigurationError, match=r"set simulation\.ground\.model"):
         measure_session(still, source, tmp_path / "run")
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_a_serial_witness_is_recorded_beside_frames_that_come_in_real_time(tmp_path: Path) -> None:
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    over = threading.Event()
+    skipped = range(150, 180)
+
+    def write() -> None:
+        begun_s = time.monotonic()
+        for k in itertools.count():
+            if k not in skipped:
+                os.write(master, b"%.4f %d %d\r\n" % (100.0 + 0.02 * k, k, -k))
+            if over.wait(max(0.0, begun_s + 0.02 * (k + 1) - time.monotonic())):
+                return
+
+    writing = threading.Thread(target=write)
+    writing.start()
+    wanted = (
+        *(f"{key}={value}" for key, value in SMALL.items()),
+        *APPARATUS,
+        "session.max_duration_s=8",
+        "simulation.real_time=true",
+        "preflight.when='never'",
+        "witness.kind='serial'",
+        f"witness.port='{os.ttyname(slave)}'",
+        "witness.columns=['time_s', 'z', 'n']",
+    )
+    source, folder = CONFIGS / "demo.toml", tmp_path / "run"
+    try:
+        measure_session(load_configuration(source, wanted), source, folder)
+    finally:
+        over.set()
+        writing.join()
+        os.close(master)
+        os.close(slave)
+    with RecordReader(folder / "run-1.mcap") as reader:
+        table, spots = reader.table(WITNESS.topic), reader.spots()
+        found = recorded_witness(reader, recorded_configuration(reader))
+    assert found is not None
+    assert found.names == ("z", "n")
+    number = found.value[:, 0]
+    assert np.array_equal(found.value[:, 1], -number)
+    assert set(skipped).isdisjoint(number.astype(int).tolist())
+    # every line of these 8 s, each once, and none from before the record
+    steps = np.diff(number)
+    assert np.all((steps == 1) | (steps == len(skipped) + 1))
+    assert len(number) > 200
+    assert np.all(table["time_ns"] >= spots["time_ns"][0])
+    # its own clock spaces them, wherever threads waited
+    own_s = table["own_time_s"] - table["own_time_s"][0]
+    taken_s = found.times_ns * 1e-9
+    assert np.polyfit(own_s, taken_s, 1)[0] == pytest.approx(1.0, abs=0.05)
+    assert taken_s - np.polyval(np.polyfit(own_s, taken_s, 1), own_s) == pytest.approx(0.0, abs=1e-6)
