@@ -43,6 +43,20 @@ class Environment(NamedTuple):
     pressure_pa: float = math.nan
 
 
+class RecordedReference(NamedTuple):
+    """The reference spot of a frame, which the pendulum does not move; NaN where it was lost."""
+
+    sequence: int
+    time_ns: int
+    x_px: float
+    y_px: float
+    u_x_px: float
+    u_y_px: float
+    amplitude_dn: float
+    chi2_per_dof: float
+    flags: int
+
+
 class RecordedWitness(NamedTuple):
     """A sample of a witness of the ground, in its own unit; NaN for columns that it does not have.
 
@@ -226,6 +240,7 @@ If `model_inverse_x` is not 0, `pixels` are the bit planes of the pixels minus a
 """
 EVENT = _message("Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), ("text", "text")))
 ENVIRONMENT = message_type_of(Environment, f"{PACKAGE}.Environment", "/environment")
+REFERENCE = message_type_of(RecordedReference, f"{PACKAGE}.RecordedReference", "/reference")
 WITNESS = message_type_of(RecordedWitness, f"{PACKAGE}.RecordedWitness", "/witness")
 LOSSES = message_type_of(RecordedLosses, f"{PACKAGE}.RecordedLosses", "/losses")
 CLOCK = message_type_of(ClockAnchor, f"{PACKAGE}.ClockAnchor", "/clock")

@@ -188,7 +188,7 @@ class RunReader:
         plan = self._plan
         rows = slice(row, row + self._ahead)
         images = self._scene.draw_frames(
-            frame, plan.x_px[rows], plan.y_px[rows], plan.power[rows], plan.slope[rows]
+            frame, plan.x_px[rows], plan.y_px[rows], plan.power[rows], plan.slope[rows], plan.beam_px[rows]
         )
         self._drawn = dict(enumerate(images, start=row))
 

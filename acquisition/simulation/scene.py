@@ -26,7 +26,8 @@ class PlannedFrames(NamedTuple):
     the timestamp by the camera's clock; with a rolling shutter, both of the first row. `x_px`, `y_px` is the
     true centre of the spot on the sensor (when its own rows are exposed), `power` the relative laser power.
     `slope` (n, 2) is how far the spot moves in x and y from one row to the next, in px, 0 with a global
-    shutter. `dropped` frames are lost by the camera.
+    shutter. `dropped` frames are lost by the camera. `beam_px` (n, 2) is what of the place the beam's own
+    motion makes, which a reference spot sees too.
     """
 
     first: int
@@ -37,6 +38,7 @@ class PlannedFrames(NamedTuple):
     power: NDArray[np.float64]
     slope: NDArray[np.float64]
     dropped: NDArray[np.bool_]
+    beam_px: NDArray[np.float64]
 
 
 class Readings(NamedTuple):
@@ -145,6 +147,7 @@ class Scene:
             power=power,
             slope=slope,
             dropped=self._noise.dropped(first, count, settings.disturbances.dropped_fraction),
+            beam_px=offset_px,
         )
 
     @property
@@ -195,10 +198,11 @@ class Scene:
         y_px: NDArray[np.float64],
         power: NDArray[np.float64],
         slope: NDArray[np.float64] | None = None,
+        beam_px: NDArray[np.float64] | None = None,
     ) -> Image:
         """Images (n, ny, nx) of consecutive frames; the same as of each by `draw`, with one call for all.
 
-        `slope` (n, 2) is that of `PlannedFrames`; None: 0.
+        `slope` and `beam_px` (n, 2) are those of `PlannedFrames`; None: 0.
         """
         readings = self._readings
         optics = self._settings.optics
@@ -216,6 +220,12 @@ class Scene:
                 peak_e * optics.ghost_relative,
             )
         )
+        reference = self._settings.reference
+        if reference.relative > 0:
+            moved = np.zeros((len(x), 2)) if beam_px is None else beam_px / reference.gain
+            place = np.array([reference.x_px, reference.y_px]) + moved - 0.5 * (binning - 1)
+            place = place / binning - (readings.x0_px, readings.y0_px)
+            ghost = np.column_stack((place, peak_e * reference.relative))
         images = np.empty((len(x_px), readings.height_px, readings.width_px), dtype=self._dtype)
         sensor.expose_frames(
             images,

@@ -121,6 +121,19 @@ class OpticsTruth(SimulationSection, frozen=True):
     ghost_dy_px: float = 0.0
 
 
+class ReferenceTruth(SimulationSection, frozen=True):
+    """A second spot, by a mirror that is fixed to the base: the beam moves it, the pendulum does not."""
+
+    relative: float = Field(
+        default=0.0, ge=0, le=1, description="its light over that of the pendulum's spot; 0: none"
+    )
+    x_px: float = Field(default=160.0, description="its place on the sensor")
+    y_px: float = 684.0
+    gain: float = Field(
+        default=1.0, gt=0, description="how many times as far the beam moves the pendulum's spot"
+    )
+
+
 class SensorState(NamedTuple):
     """Properties of the sensor at one bit depth and gain."""
 
@@ -263,6 +276,7 @@ class SimulationSettings(SimulationSection, frozen=True):
     release: ReleaseTruth = ReleaseTruth()
     axes: AxesTruth = AxesTruth()
     optics: OpticsTruth = OpticsTruth()
+    reference: ReferenceTruth = ReferenceTruth()
     sensor: SensorTruth = SensorTruth()
     clock: ClockTruth = ClockTruth()
     disturbances: DisturbanceTruth = DisturbanceTruth()
@@ -273,6 +287,10 @@ class SimulationSettings(SimulationSection, frozen=True):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        if self.reference.relative > 0 and self.optics.ghost_relative > 0:
+            raise ValueError(
+                "reference.relative and optics.ghost_relative: one further spot is drawn, not two"
+            )
         if self.clock.jitter_s * self.clock.frame_rate_hz > 0.4:
             raise ValueError(
                 f"clock.jitter_s = {self.clock.jitter_s:g} is more than 0.4 of a frame "

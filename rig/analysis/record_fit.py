@@ -33,6 +33,7 @@ from rig.analysis.contact_verdicts import evaluate, fit_results, rig_quantities
 from rig.analysis.decay_values import values_of_points
 from rig.analysis.drifts import believed_drifts
 from rig.analysis.fitted_drag import OPEN_DRAG, evidence_of, known_drag
+from rig.analysis.less_reference import WithoutBeamMotion, detected_again, less_beam_motion
 from rig.analysis.other_instruments import Reduction, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.passing_deflections import PassingDeflections
@@ -100,9 +101,14 @@ def analyse_record(
         # what this reads, the recorded deflections were made with
         optics_of(watched.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])
         watched.refuse_read()
-        blocks = _RecordedDeflections(reader)
+        less = less_beam_motion(reader, config)
+        blocks = _RecordedDeflections(reader, less if less is not None and less.used else None)
         swings, unit = reader.swings(), reader.deflection_unit
+        if less is not None and less.used:
+            swings = detected_again(iter(blocks))
         run = analyse_run(reader, watched.config, swings, blocks, unit, blocks.beam, witness=witness)
+        if less is not None:
+            run = replace(run, results=replace(run.results, notes=(*run.results.notes, less.text)))
         run = replace(run, earlier_schema=earlier_schema(reader), watched=watched)
         return with_dropped_frames(run, blocks.following - run.results.frames, reader, watched.config)
 
@@ -110,21 +116,26 @@ def analyse_record(
 class _RecordedDeflections:
     """The deflections of a record, read again each time.
 
-    `following` is the number after the last frame's, `beam` what the spots say, each taken once.
+    `following` is the number after the last frame's, `beam` what the spots say, each taken once. `less` takes
+    off what a reference spot shares with the pendulum's.
     """
 
-    def __init__(self, reader: RecordReader) -> None:
+    def __init__(self, reader: RecordReader, less: WithoutBeamMotion | None = None) -> None:
+        self._less = less
         self.following = 0
         self.beam = BeamUse()
         self._reader = reader
 
     def __iter__(self) -> Iterator[Deflections]:
-        fields = ("sequence", "flags", *DEFLECTION_FIELDS[self._reader.deflection_unit])
+        fields: tuple[str, ...] = ("sequence", "flags", *DEFLECTION_FIELDS[self._reader.deflection_unit])
+        if self._less is not None:
+            fields = (*fields, "x_px", "y_px", "u_x_px", "u_y_px")
         for spots in self._reader.spot_blocks(fields=fields):
             if int(spots["sequence"][0]) >= self.following:
                 self.beam.take(spots["sequence"], spots["flags"])
                 self.following = int(spots["sequence"][-1]) + 1
-            yield self._reader.deflections(spots)
+            deflections = self._reader.deflections(spots)
+            yield deflections if self._less is None else self._less(deflections, spots)
 
 
 def analyse_run(

@@ -69,6 +69,7 @@ class BesideThread(Generic[Found]):
 class Block(NamedTuple):
     """Results of some consecutive frames: one spot and one deflection per frame.
 
+    `references` are the reference's spots, where the frames have one.
     `swings` and `balances` are those completed by this block; they may have begun in earlier blocks.
     """
 
@@ -76,6 +77,7 @@ class Block(NamedTuple):
     deflections: Deflections
     swings: list[Swing]
     balances: list[Balance]
+    references: Sequence[Spot] = ()
 
 
 class Pipeline:
@@ -99,6 +101,8 @@ class Pipeline:
         `finish_balance`.
     wall
         Behind which the balance is estimated.
+    reference
+        Follows the reference spot, and the row from which on the frames are its own.
     """
 
     def __init__(
@@ -111,8 +115,10 @@ class Pipeline:
         shutter: Shutter = GLOBAL,
         beside: bool = False,
         wall: Wall | None = None,
+        reference: tuple[SpotTracker, int] | None = None,
     ) -> None:
         self.tracker = tracker
+        self._reference = reference
         self._deflector = Deflector(lever, axes, sensor_shape, shutter)
         self._detector = SwingDetector()
         estimator = BalanceEstimator()
@@ -124,8 +130,14 @@ class Pipeline:
 
     def process(self, frames: Sequence[Frame]) -> Block:
         """Track the spot in some consecutive frames, and continue with `measure`."""
-        spots = [self.tracker.track(frame.image) for frame in frames]
-        return self.measure(np.array([frame.time_ns for frame in frames], dtype=np.int64), spots)
+        times_ns = np.array([frame.time_ns for frame in frames], dtype=np.int64)
+        if self._reference is None:
+            return self.measure(times_ns, [self.tracker.track(frame.image) for frame in frames])
+        tracker, row = self._reference
+        spots = [self.tracker.track(frame.image[:row]) for frame in frames]
+        seen = [tracker.track(frame.image[row:]) for frame in frames]
+        references = [spot._replace(y_px=spot.y_px + row) for spot in seen]
+        return self.measure(times_ns, spots)._replace(references=references)
 
     def measure(self, times_ns: NDArray[np.int64], spots: list[Spot]) -> Block:
         """Deflections, swings and balances from spots that were tracked before, in frames at these times."""
@@ -187,12 +199,16 @@ class Deflector:
 
 @dataclass(frozen=True, slots=True)
 class Optics:
-    """Calibrated values of the optical path; without a `lever` deflections are in px."""
+    """Calibrated values of the optical path; without a `lever` deflections are in px.
+
+    From `reference_row` on the frames are the reference spot's.
+    """
 
     sensor: SensorModel
     lever: Lever | None
     axes: Axes
     shutter: Shutter = GLOBAL
+    reference_row: int | None = None
 
     def tracker(self) -> SpotTracker:
         """A new tracker."""
@@ -214,6 +230,7 @@ class Optics:
             shutter=self.shutter,
             beside=beside,
             wall=wall,
+            reference=None if self.reference_row is None else (self.tracker(), self.reference_row),
         )
 
     @property
@@ -225,7 +242,11 @@ class Optics:
 def optics_of(config: Configuration, full_scale_dn: float) -> Optics:
     """The optics as configured, for a camera whose pixels saturate at `full_scale_dn`."""
     return Optics(
-        sensor_model(config, full_scale_dn), config.lever, config.axes or Axes(), shutter_of(config)
+        sensor_model(config, full_scale_dn),
+        config.lever,
+        config.axes or Axes(),
+        shutter_of(config),
+        None if config.reference is None else config.reference.from_row_px,
     )
 
 

@@ -19,12 +19,14 @@ from acquisition.record.topics import (
     CLOCK,
     ENVIRONMENT,
     LOSSES,
+    REFERENCE,
     WITNESS,
     CameraTemperature,
     ClockAnchor,
     Environment,
     RecordedClockStep,
     RecordedLosses,
+    RecordedReference,
     RecordedWitness,
 )
 from acquisition.record.writer import RecordWriter
@@ -227,6 +229,10 @@ class Recorder:
             for sequence, time_ns, window, spot in frames:
                 if window is not None:
                     writer.write_window(sequence, time_ns, *window, spot)
+            for sequence, time_ns, spot in zip(
+                entry.sequences, times_ns.tolist(), block.references, strict=bool(block.references)
+            ):
+                writer.write(REFERENCE, _reference(sequence, time_ns, spot), time_ns)
             for swing in block.swings:
                 writer.write_swing(swing)
             for balance in block.balances:
@@ -249,6 +255,13 @@ class Recorder:
             writer.attach(name, data)
         for event in entry.events:
             writer.write_event(event.time_ns, event.kind, event.text)
+
+
+def _reference(sequence: int, time_ns: int, spot: Spot) -> RecordedReference:
+    return RecordedReference(
+        sequence, time_ns, spot.x_px, spot.y_px, spot.u_x_px, spot.u_y_px,
+        spot.amplitude_dn, spot.chi2_per_dof, spot.flags,
+    )  # fmt: skip
 
 
 def cut_window(frame: Frame, spot: Spot, bounds_px: tuple[int, int, int, int] | None) -> SpotWindow | None:

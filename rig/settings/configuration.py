@@ -116,6 +116,25 @@ class PendulumSettings(Section, frozen=True):
     u_gravity_m_per_s2: float = Field(default=0.0, ge=0)
 
 
+class ReferenceSettings(Section, frozen=True):
+    """A second spot on the sensor, from a mirror that is fixed to the base: it sees pointing and air alone.
+
+    It has the rows of each frame from `from_row_px` on, the pendulum's spot those before.
+    """
+
+    from_row_px: int = Field(
+        ge=8, description="first row of the frame that the reference spot has for itself"
+    )
+    gain: float = Field(
+        default=1.0,
+        gt=0,
+        lt=100,
+        description="how many times as far as the reference the beam's motion moves the pendulum's spot: 1 "
+        "where both have the same way from the laser",
+    )
+    u_gain: float = Field(default=0.0, ge=0, lt=100)
+
+
 class RecordSettings(Section, frozen=True):
     """Image data that a record keeps."""
 
@@ -199,6 +218,7 @@ class Configuration(Section, frozen=True):
     camera: CameraSection
     sensor: SensorModel | None = None
     shutter: Shutter | None = None
+    reference: ReferenceSettings | None = None
     lever: Lever | None = None
     axes: Axes | None = None
     timebase: TimebaseSettings | None = None

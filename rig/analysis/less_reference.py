@@ -1,0 +1,96 @@
+"""The deflections of a record less what its reference spot shares with the pendulum's."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import REFERENCE
+from processing.arrays import Floats
+from processing.deflections import Deflections
+from processing.errors import DataError
+from processing.estimate import Estimate
+from processing.reference_beam import LessReference, ReferenceVerdict, common_motion, less_reference
+from processing.spot import SPOT_DTYPE, Spot
+from processing.swing import Swing, SwingDetector
+from rig.instrument import optics_of
+from rig.settings import Configuration
+
+_FIELDS = ("sequence", "flags", "x_px", "y_px", "u_x_px", "u_y_px")
+
+
+def less_beam_motion(reader: RecordReader, config: Configuration) -> "WithoutBeamMotion | None":
+    """What the record's reference spot takes off; None without one, or where it was hardly ever found."""
+    if config.reference is None or reader.message_type(REFERENCE.topic) is None:
+        return None
+    try:
+        return WithoutBeamMotion(reader, config)
+    except DataError:
+        return None
+
+
+class WithoutBeamMotion:
+    """What to add to a record's deflections, and their uncertainties then, by the number of the frame.
+
+    Raises DataError for a reference that was found in too few frames.
+    """
+
+    def __init__(self, reader: RecordReader, config: Configuration) -> None:
+        assert config.reference is not None
+        reference, spots = reader.table(REFERENCE.topic), reader.spots()
+        stated = Estimate(config.reference.gain, config.reference.u_gain)
+        _, ours, theirs = np.intersect1d(
+            spots["sequence"], reference["sequence"], assume_unique=True, return_indices=True
+        )
+        # nobody says when the pendulum rests: what is stated of the arms is believed
+        quiet = np.zeros(len(spots), dtype=np.bool_)
+        self.found: Mapping[str, LessReference] = {}
+        moved = spots[list(_FIELDS)].copy()
+        for name in ("x_px", "y_px"):
+            place, u = np.full(len(spots), np.nan), np.full(len(spots), np.nan)
+            place[ours], u[ours] = reference[name][theirs], reference[f"u_{name}"][theirs]
+            common = common_motion(spots["time_ns"], place, u)
+            less = less_reference(spots[name], spots[f"u_{name}"], common, stated, quiet)
+            self.found = {**self.found, name: less}
+            moved[name], moved[f"u_{name}"] = less.position_px, less.u_px
+        self._deflector = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
+        self._moved, self._sequence = moved, spots["sequence"]
+
+    @property
+    def used(self) -> bool:
+        """Whether any axis is quieter."""
+        return any(one.verdict is ReferenceVerdict.USED for one in self.found.values())
+
+    @property
+    def text(self) -> str:
+        """What became of it, in a line."""
+        lost = int(np.count_nonzero(next(iter(self.found.values())).fallen_back))
+        said = ", ".join(f"{name[0]} {one.verdict}" for name, one in self.found.items())
+        fallen = f"; {lost} frames without it stand as they were" if lost else ""
+        return f"reference spot: {said}{fallen}"
+
+    def __call__(self, deflections: Deflections, spots: np.ndarray) -> Deflections:
+        """Deflections of some of the record's spots, with their places in px, without the beam's motion."""
+        rows = np.searchsorted(self._sequence, spots["sequence"])
+        before, after = (
+            self._deflector(deflections.times_ns, _spots(part)) for part in (spots, self._moved[rows])
+        )
+
+        def of(name: str) -> Floats:
+            return np.asarray(getattr(deflections, name) + getattr(after, name) - getattr(before, name))
+
+        return Deflections(deflections.times_ns, of("x"), of("y"), after.u_x, after.u_y, deflections.unit)
+
+
+def _spots(table: np.ndarray) -> list[Spot]:
+    whole = np.zeros(len(table), dtype=SPOT_DTYPE)
+    for name in ("x_px", "y_px", "u_x_px", "u_y_px"):
+        whole[name] = table[name]
+    return [Spot(*row) for row in whole.tolist()]
+
+
+def detected_again(blocks: Iterator[Deflections]) -> list[Swing]:
+    """The half-cycles of deflections that are not those of the measurement any more."""
+    detector = SwingDetector()
+    found = [swing for one in blocks for swing in detector.update(one.times_ns, one.y, one.u_y)]
+    return [*found, *detector.finish()]
