@@ -16,7 +16,7 @@ from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.smooth_series import KNOTS_PER_PERIOD, BandNoise, SmoothSeries
 
 _JITTER, _WALK, _CLOCK, _POWER, _DROP = 4, 5, 6, 7, 8
-_AIR, _PHASE = (17, 18), 19
+_AIR, _PHASE, _OWN_AIR = (17, 18), 19, (20, 21)
 
 
 class FrameNoise:
@@ -67,6 +67,9 @@ class Pointing:
         self._period_s = frame_period_s
         self._walked = np.zeros(2)
         self._air_px = air_px(settings, run) if self._truth.air_arcsec > 0 else ()
+        self._common = settings.reference.air_common
+        self._own_air_px = air_px(settings, run, _OWN_AIR) if self._air_px and self._common < 1 else ()
+        self._offset = self._air = np.zeros((0, 2))
         # a generator's first numbers, so that a further frequency leaves the others as they are
         phases = np.random.Generator(np.random.PCG64([settings.seed, run, _PHASE]))
         self._phases = phases.uniform(0, 2 * np.pi, (len(self._truth.microphonics), 2))
@@ -88,14 +91,30 @@ class Pointing:
             offset += path
         times_s = np.arange(first, first + count, dtype=np.float64) * self._period_s
         if truth.air_arcsec > 0:
-            offset += np.column_stack([series.at(times_s) for series in self._air_px])
+            self._air = np.column_stack([series.at(times_s) for series in self._air_px])
+            offset += self._air
         for one, phases in zip(truth.microphonics, self._phases, strict=True):
             cycle = 2 * np.pi * one.frequency_hz * times_s
             offset += one.amplitude_px * np.sin(cycle[:, None] + phases)
+        self._offset = offset
         return offset
 
+    def reference_px(self, first: int, count: int) -> NDArray[np.float64]:
+        """The same of the beam to a reference spot, for the frames that were asked for last.
 
-def air_px(settings: SimulationSettings, run: int) -> tuple[SmoothSeries, SmoothSeries]:
+        Its way through the air is another one, which has part of the air in common.
+        """
+        if not self._own_air_px:
+            return self._offset
+        times_s = np.arange(first, first + count, dtype=np.float64) * self._period_s
+        own = np.column_stack([series.at(times_s) for series in self._own_air_px])
+        part = math.sqrt(1 - self._common**2)
+        return np.asarray(self._offset + (self._common - 1) * self._air + part * own)
+
+
+def air_px(
+    settings: SimulationSettings, run: int, keys: tuple[int, int] = _AIR
+) -> tuple[SmoothSeries, SmoothSeries]:
     """What air in the beam does to the spot, x and y in px: a function of time, whatever the frame rate."""
     truth = settings.disturbances
     rms_px = truth.air_arcsec * ARCSEC_RAD * 2 * settings.optics.arm_m / settings.sensor.pixel_pitch_m
@@ -110,7 +129,7 @@ def air_px(settings: SimulationSettings, run: int) -> tuple[SmoothSeries, Smooth
         SmoothSeries(
             rate_hz, [(1.0, BandNoise(density, rate_hz, truth.air_to_hz, (settings.seed, run, key)))]
         )
-        for key in _AIR
+        for key in keys
     )
     return x, y
 

@@ -147,7 +147,7 @@ class Scene:
             power=power,
             slope=slope,
             dropped=self._noise.dropped(first, count, settings.disturbances.dropped_fraction),
-            beam_px=offset_px,
+            beam_px=self._pointing.reference_px(first, count),
         )
 
     @property

@@ -132,6 +132,9 @@ class ReferenceTruth(SimulationSection, frozen=True):
     gain: float = Field(
         default=1.0, gt=0, description="how many times as far the beam moves the pendulum's spot"
     )
+    air_common: float = Field(
+        default=1.0, ge=0, le=1, description="correlation of the air in both ways of the beam"
+    )
 
 
 class SensorState(NamedTuple):

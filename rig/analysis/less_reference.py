@@ -1,12 +1,12 @@
 """The deflections of a record less what its reference spot shares with the pendulum's."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import REFERENCE
-from processing.arrays import Floats
 from processing.deflections import Deflections
 from processing.errors import DataError
 from processing.estimate import Estimate
@@ -30,7 +30,7 @@ def less_beam_motion(reader: RecordReader, config: Configuration) -> "WithoutBea
 
 
 class WithoutBeamMotion:
-    """What to add to a record's deflections, and their uncertainties then, by the number of the frame.
+    """What to add to a record's deflections, and to their variances, by the times of its frames.
 
     Raises DataError for a reference that was found in too few frames.
     """
@@ -53,8 +53,13 @@ class WithoutBeamMotion:
             less = less_reference(spots[name], spots[f"u_{name}"], common, stated, quiet)
             self.found = {**self.found, name: less}
             moved[name], moved[f"u_{name}"] = less.position_px, less.u_px
-        self._deflector = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
-        self._moved, self._sequence = moved, spots["sequence"]
+        deflector = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
+        before, after = (deflector(spots["time_ns"], _spots(table)) for table in (spots, moved))
+        self._times_ns = spots["time_ns"]
+        self._moved = np.nan_to_num(np.stack([after.x - before.x, after.y - before.y]))
+        self._variance = np.nan_to_num(
+            np.stack([after.u_x**2 - before.u_x**2, after.u_y**2 - before.u_y**2]), nan=0.0
+        )
 
     @property
     def used(self) -> bool:
@@ -69,17 +74,21 @@ class WithoutBeamMotion:
         fallen = f"; {lost} frames without it stand as they were" if lost else ""
         return f"reference spot: {said}{fallen}"
 
-    def __call__(self, deflections: Deflections, spots: np.ndarray) -> Deflections:
-        """Deflections of some of the record's spots, with their places in px, without the beam's motion."""
-        rows = np.searchsorted(self._sequence, spots["sequence"])
-        before, after = (
-            self._deflector(deflections.times_ns, _spots(part)) for part in (spots, self._moved[rows])
+    def __call__(self, deflections: Deflections) -> Deflections:
+        """Deflections of some of the record's frames without the beam's motion."""
+        after = np.clip(np.searchsorted(self._times_ns, deflections.times_ns), 1, len(self._times_ns) - 1)
+        nearer = (
+            deflections.times_ns - self._times_ns[after - 1] < self._times_ns[after] - deflections.times_ns
         )
-
-        def of(name: str) -> Floats:
-            return np.asarray(getattr(deflections, name) + getattr(after, name) - getattr(before, name))
-
-        return Deflections(deflections.times_ns, of("x"), of("y"), after.u_x, after.u_y, deflections.unit)
+        rows = np.where(nearer, after - 1, after)
+        (x, y), (of_x, of_y) = self._moved[:, rows], self._variance[:, rows]
+        return replace(
+            deflections,
+            x=deflections.x + x,
+            y=deflections.y + y,
+            u_x=np.sqrt(deflections.u_x**2 + of_x),
+            u_y=np.sqrt(deflections.u_y**2 + of_y),
+        )
 
 
 def _spots(table: np.ndarray) -> list[Spot]:
@@ -89,7 +98,7 @@ def _spots(table: np.ndarray) -> list[Spot]:
     return [Spot(*row) for row in whole.tolist()]
 
 
-def detected_again(blocks: Iterator[Deflections]) -> list[Swing]:
+def detected_again(blocks: Iterable[Deflections]) -> list[Swing]:
     """The half-cycles of deflections that are not those of the measurement any more."""
     detector = SwingDetector()
     found = [swing for one in blocks for swing in detector.update(one.times_ns, one.y, one.u_y)]

@@ -105,7 +105,7 @@ def analyse_record(
         blocks = _RecordedDeflections(reader, less if less is not None and less.used else None)
         swings, unit = reader.swings(), reader.deflection_unit
         if less is not None and less.used:
-            swings = detected_again(iter(blocks))
+            swings = detected_again(blocks)
         run = analyse_run(reader, watched.config, swings, blocks, unit, blocks.beam, witness=witness)
         if less is not None:
             run = replace(run, results=replace(run.results, notes=(*run.results.notes, less.text)))
@@ -127,15 +127,13 @@ class _RecordedDeflections:
         self._reader = reader
 
     def __iter__(self) -> Iterator[Deflections]:
-        fields: tuple[str, ...] = ("sequence", "flags", *DEFLECTION_FIELDS[self._reader.deflection_unit])
-        if self._less is not None:
-            fields = (*fields, "x_px", "y_px", "u_x_px", "u_y_px")
+        fields = ("sequence", "flags", *DEFLECTION_FIELDS[self._reader.deflection_unit])
         for spots in self._reader.spot_blocks(fields=fields):
             if int(spots["sequence"][0]) >= self.following:
                 self.beam.take(spots["sequence"], spots["flags"])
                 self.following = int(spots["sequence"][-1]) + 1
             deflections = self._reader.deflections(spots)
-            yield deflections if self._less is None else self._less(deflections, spots)
+            yield deflections if self._less is None else self._less(deflections)
 
 
 def analyse_run(

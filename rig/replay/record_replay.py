@@ -13,6 +13,8 @@ from rig.analysis import (
     AnalysedRun,
     analyse_record,
     analyse_run,
+    detected_again,
+    less_beam_motion,
     print_results,
     recorded_results,
     session_results,
@@ -142,9 +144,14 @@ def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = 
 
 
 def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> AnalysedRun:
-    run = analyse_run(
-        reader, config, result.swings, result.deflections, config.deflection_unit, result.beam, replayed=True
-    )
+    swings, deflections = result.swings, result.deflections
+    less = less_beam_motion(reader, config)
+    if less is not None and less.used:
+        deflections = [less(one) for one in deflections]
+        swings = detected_again(deflections)
+    run = analyse_run(reader, config, swings, deflections, config.deflection_unit, result.beam, replayed=True)
+    if less is not None:
+        run = replace(run, results=replace(run.results, notes=(*run.results.notes, less.text)))
     return with_dropped_frames(run, result.dropped_frames, reader, config)
 
 

@@ -23,6 +23,7 @@ from acquisition.record.topics import (
     BALANCE_UNCALIBRATED,
     ENVIRONMENT,
     EVENT,
+    REFERENCE,
     SPOT,
     SPOT_UNCALIBRATED,
     SWING,
@@ -42,7 +43,7 @@ from processing.swing import Swing
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS, FRAME_NS, SampleBalance, same_bits, write_sample
 
 OF_DEFLECTIONS = [SPOT, SPOT_UNCALIBRATED, SWING, SWING_UNCALIBRATED, BALANCE, BALANCE_UNCALIBRATED]
-ALL_TYPES = [*OF_DEFLECTIONS, WINDOW, EVENT, ENVIRONMENT, WITNESS]
+ALL_TYPES = [*OF_DEFLECTIONS, WINDOW, EVENT, ENVIRONMENT, WITNESS, REFERENCE]
 ANY_DOUBLE = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True, width=64)
 ANY_INT = st.integers(-(2**63), 2**63 - 1)
 VALUES = {"double": ANY_DOUBLE, "int": ANY_INT, "text": st.text(), "bytes": st.binary()}

@@ -264,6 +264,18 @@ def listen_to_the_ground(folder: Path) -> None:
     assert witness.problem
 
 
+def see_a_reference(folder: Path) -> None:
+    """A second spot below the pendulum's, in air."""
+    words = {
+        "reference.from_row_px": 600,
+        "simulation.reference.relative": 0.5,
+        "simulation.reference.y_px": 620,
+    }
+    words |= {"simulation.disturbances.air_arcsec": 0.01, "simulation.reference.air_common": 0.9}
+    config = configuration(session__max_duration_s=2, **{k.replace(".", "__"): v for k, v in words.items()})
+    measure_session(config, DEMO, folder / "reference")
+
+
 def shake_the_ground(folder: Path) -> None:
     """Ground of every model, and someone who walks by."""
     file = folder / "ground.csv"

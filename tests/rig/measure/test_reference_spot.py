@@ -1,0 +1,97 @@
+"""A reference spot on the same frames: recorded, and taken off the pendulum's, from pixels to fits."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import REFERENCE, SPOT
+from acquisition.simulation.true_path import true_turning_points
+from processing.angle import ARCSEC_RAD
+from processing.errors import ConfigurationError
+from processing.swing import Swing
+from rig.analysis import analyse_record, detected_again, less_beam_motion, read_results
+from rig.instrument import recorded_configuration
+from rig.measure import measure_session
+from rig.replay import analyse_replayed
+from rig.settings import load_configuration
+from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
+
+ROW = 646
+AIRY = (
+    "simulation.optics.reference_y_px=319.5",
+    "lever.reference_x_px=79.5",
+    "lever.reference_y_px=319.5",
+    "simulation.disturbances.air_arcsec=0.1",
+    "simulation.disturbances.air_from_hz=0.05",
+    "simulation.disturbances.pointing_walk_px_per_sqrt_s=0.02",
+    "simulation.reference.relative=0.9",
+    "simulation.reference.x_px=80",
+    "simulation.reference.gain=1.5",
+    "simulation.reference.air_common=0.999",
+    f"reference.from_row_px={ROW}",
+    "reference.gain=1.5",
+    "reference.u_gain=0.01",
+    "session.max_duration_s=60",
+    "fit.drag='vacuum'",
+)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A record of a minute in air, with a reference spot below the pendulum's."""
+    folder, source = tmp_path_factory.mktemp("reference") / "run", CONFIGS / "demo.toml"
+    small = SMALL | {"simulation.sensor.height_px": "720"}
+    wanted = (*(f"{key}={value}" for key, value in small.items()), *APPARATUS, *AIRY)
+    assert measure_session(load_configuration(source, wanted), source, folder) == 0
+    return folder / "run-1.mcap"
+
+
+def test_every_frame_has_both_spots(recorded: Path) -> None:
+    with RecordReader(recorded) as reader:
+        reference, spots = reader.table(REFERENCE.topic), reader.table(SPOT.topic)
+    assert np.array_equal(reference["sequence"], spots["sequence"])
+    assert np.array_equal(reference["time_ns"], spots["time_ns"])
+    assert np.all(np.abs(reference["y_px"] - 684.0) < 3.0)
+    assert np.all(spots["y_px"] < ROW)
+    assert np.all(reference["u_y_px"] < 0.05)
+
+
+def scatter(swings: Sequence[Swing]) -> tuple[float, float]:
+    """Of the amplitudes about the simulator's own, in arcsec, and over what is said of it."""
+    true = true_turning_points(load_configuration(CONFIGS / "demo.toml").simulation, max_duration_s=70.0)
+    good = [swing for swing in swings if not swing.flags]
+    # the simulated camera's clock begins with 1 s
+    time_s = np.array([swing.turn_time_ns for swing in good]) * 1e-9 - 1.0
+    nearest = np.argmin(np.abs(time_s[:, None] - true.time_s), axis=1)
+    off = np.array([swing.amplitude for swing in good]) - np.abs(true.angle_rad[nearest])
+    u = np.array([swing.u_amplitude for swing in good])
+    return float(np.std(off)) / ARCSEC_RAD, float(np.std(off / u))
+
+
+def test_half_cycles_are_nearer_to_the_truth_without_the_beams_motion(recorded: Path) -> None:
+    with RecordReader(recorded) as reader:
+        less = less_beam_motion(reader, recorded_configuration(reader))
+        assert less is not None
+        assert less.used
+        before = scatter(reader.swings())
+        after = scatter(detected_again(less(one) for one in reader.deflection_blocks()))
+    assert before[0] > 0.02
+    assert after[0] < 0.3 * before[0]
+    assert after[1] < 2.0
+
+
+def test_fits_and_replays_take_it_off_and_say_so(recorded: Path) -> None:
+    (run,) = read_results(recorded.parent).runs
+    assert "reference spot: x used, y used" in run.notes
+    replayed = [analyse_replayed(recorded, retrack=retrack) for retrack in (False, True)]
+    for again in (analyse_record(recorded), *replayed):
+        assert again.results.fits["exact"].estimate("b") == run.fits["exact"].estimate("b")
+        assert "reference spot: x used, y used" in again.results.notes
+
+
+def test_rows_of_the_reference_are_those_of_the_measurement(recorded: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"--set reference\.from_row_px: has no effect here"):
+        analyse_record(recorded, ["reference.from_row_px=600"])
