@@ -139,6 +139,10 @@ class Pipeline:
         references = [spot._replace(y_px=spot.y_px + row) for spot in seen]
         return self.measure(times_ns, spots)._replace(references=references)
 
+    def tracked(self, shape: tuple[int, int]) -> tuple[int, int]:
+        """Of frames of a shape (ny, nx), that of the part in which the pendulum's spot is."""
+        return shape if self._reference is None else (min(shape[0], self._reference[1]), shape[1])
+
     def measure(self, times_ns: NDArray[np.int64], spots: list[Spot]) -> Block:
         """Deflections, swings and balances from spots that were tracked before, in frames at these times."""
         return self.detect(spots, self._deflector(times_ns, spots))

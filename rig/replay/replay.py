@@ -300,7 +300,11 @@ class Replay:
                     break
             window = self._window
             if window is not None and window.sequence == sequence:
-                spots.append(self._pipeline.tracker.track(window.image, window.origin_px, self._shape))
+                spots.append(
+                    self._pipeline.tracker.track(
+                        window.image, window.origin_px, self._pipeline.tracked(self._shape)
+                    )
+                )
             else:
                 spots.append(_LOST)
         return spots
