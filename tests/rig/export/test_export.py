@@ -103,7 +103,11 @@ def test_what_a_record_lacks_is_said_in_every_file(
     """A cut record with a changed bit is exported as far as it goes, and never looks like a whole one."""
     path = tmp_path / "=run.mcap"
     data = bytearray((measured_series / "run-1.mcap").read_bytes()[:-2000])
-    data[len(data) // 2] ^= 1
+    with RecordReader(measured_series / "run-1.mcap") as reader:
+        contents = reader.contents
+    spot = next(number for number, channel in contents.channels.items() if channel.topic == "/spot")
+    chunk = [chunk for chunk in contents.chunks if spot in chunk.channels][1]
+    data[chunk.offset + chunk.length // 2] ^= 1
     path.write_bytes(data)
     spots, *_ = export_session(path, "csv", tmp_path / "csv")
     said = capsys.readouterr().err
