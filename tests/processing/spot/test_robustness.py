@@ -284,7 +284,8 @@ def test_an_obstacle_without_a_sharp_edge_widens_what_is_known_of_the_place(
     rng = np.random.default_rng(11)
     tracker = SpotTracker(EIGHT_BIT)
     while tracker.model is None:
-        tracker.track(exposed(light((N, N), *(48 + rng.uniform(-0.5, 0.5, 2)), 6, 180), rng))
+        x, y = 48 + rng.uniform(-0.5, 0.5, 2)
+        tracker.track(exposed(light((N, N), x, y, 6, 180), rng))
     covered = cut_by(offset, blur_px=blur_px)
     for _ in range(20):
         x, y = 48 + rng.uniform(-0.5, 0.5, 2)
