@@ -206,8 +206,8 @@ def test_seeking_beyond_the_ends_stops_there(record: Path) -> None:
 def test_going_back_is_said_and_not_compared(
     record: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # long enough for thirty seconds to go through, a chunk of the record at a time
-    presses: list[list[str]] = [["g", "3", "0", "enter"], *[[]] * 200, ["-"], ["q"]]
+    # long enough for thirty seconds to go through, a chunk of the record at a time; then it stands still
+    presses: list[list[str]] = [["g", "3", "0", "enter", "space"], *[[]] * 200, ["-"], ["q"]]
 
     def pressed(_: Keys, wait_s: float) -> list[str]:
         return presses.pop(0) if presses else []
