@@ -4,6 +4,7 @@ import importlib
 import json
 import os
 import shutil
+import signal
 import stat
 import subprocess
 import sys
@@ -283,3 +284,36 @@ def test_threads_that_first_call_a_kernel_at_the_same_time_get_the_same_code() -
         done = [threads.submit(call) for _ in range(3)]
         assert [one.result(60.0) for one in done] == [4.0, 4.0, 4.0]
     assert sum((total.stats.cache_misses + total.stats.cache_hits).values()) == 1
+
+
+@kernel
+def _sums(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    return float(x.sum()), x.copy()
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="timers are those of POSIX")
+def test_an_interrupt_in_a_kernel_that_makes_arrays_is_an_interrupt() -> None:
+    """Ctrl-C comes up while numba hands the arrays over, which it calls an error of its own."""
+    x = np.ones(200)
+    _sums(x)
+
+    class Pressed(KeyboardInterrupt):
+        pass
+
+    def press(*_: object) -> None:
+        raise Pressed
+
+    before = signal.signal(signal.SIGVTALRM, press)
+    pressed = 0
+    try:
+        for after_us in range(10, 210):
+            try:
+                signal.setitimer(signal.ITIMER_VIRTUAL, 1e-6 * after_us)
+                while True:
+                    _sums(x)
+            except Pressed:
+                pressed += 1
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        signal.signal(signal.SIGVTALRM, before)
+    assert pressed == 200
