@@ -15,18 +15,15 @@ _COLUMNS = ("times_ns", "x", "y", "u_x", "u_y")
 
 
 class DeflectionUnit(StrEnum):
-    """Unit of deflections and amplitudes: rad, px without a lever arm calibration, or that of a table which
-    is no angle and stands beside it.
-    """
+    """Unit of deflections and amplitudes: rad, or px without a lever arm calibration."""
 
     RAD = "rad"
     PX = "px"
-    OWN = "own"
 
     @property
     def shown(self) -> str:
-        """Unit for display: arcsec for rad, else its name."""
-        return "arcsec" if self is DeflectionUnit.RAD else self.value
+        """Unit for display: arcsec for rad, px for px."""
+        return "arcsec" if self is DeflectionUnit.RAD else "px"
 
     @property
     def shown_size(self) -> float:

@@ -23,6 +23,9 @@ STIFFEST = 20.0
 """Largest factor, in either direction, between the stiffness with adhesion and that of gravity alone for
 which parameters are tried."""
 
+_LARGEST = 1e100
+"""No column is that large: a solver that tries more finds nothing there, before products overflow."""
+
 _LN_B, _P, _C, _N, _SLOPE, _DRAG = range(6)
 """Indices of the columns and of the natural coordinates; `_SLOPE` is kappa among the latter. The last three
 of both are the first amplitude, T0 and the time of the first turning point."""
@@ -85,6 +88,8 @@ class HalfSwingColumns:
         """Natural coordinates of the columns, and their derivatives by them."""
         out = columns.copy()
         first = np.eye(len(columns))
+        if not np.all(np.abs(columns) < _LARGEST):
+            return np.full_like(columns, np.nan), first
         if self._drag:
             coordinates = [_LN_B, _P, _DRAG]
             out[_P], linear_drag, by = from_straight(*columns[coordinates].tolist())

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
@@ -11,6 +12,13 @@ from processing.quantity import IN_UNIT
 from processing.swing import Swing, TurningPoints
 from processing.ticks import seconds
 from rig.analysis.encoding import Floats, Integers
+
+
+class TableUnit(StrEnum):
+    """Unit of the amplitudes of a table that is no angle."""
+
+    OWN = "own"
+    """The one that its results name, `amplitude_unit`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,7 +31,7 @@ class StoredTurningPoints:
     """
 
     first_ns: int = 0
-    unit: DeflectionUnit = DeflectionUnit.RAD
+    unit: DeflectionUnit | TableUnit = DeflectionUnit.RAD
     index: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     time_s: Floats = field(default_factory=lambda: np.empty(0))
     u_time_s: Floats = field(default_factory=lambda: np.empty(0))
@@ -41,7 +49,11 @@ class StoredTurningPoints:
 
     @classmethod
     def of(
-        cls, points: TurningPoints, swings: Sequence[Swing], unit: DeflectionUnit, clock_rate: float
+        cls,
+        points: TurningPoints,
+        swings: Sequence[Swing],
+        unit: DeflectionUnit | TableUnit,
+        clock_rate: float,
     ) -> "StoredTurningPoints":
         """`points` were made of `swings`, of whose seconds each takes `clock_rate` true ones."""
         first_ns = next((swing.turn_time_ns for swing in swings if swing.flags == 0), None)

@@ -29,7 +29,7 @@ from rig.analysis.position_table import ANGLES, NOT_STATED, TableColumns, Trajec
 from rig.analysis.record_fit import analyse_swings
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
 from rig.analysis.results_file import relative_record
-from rig.analysis.stored_turning_points import StoredTurningPoints
+from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
 from rig.analysis.surroundings import stated_surroundings
 from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
 from rig.analysis.witnessed_fits import of_source
@@ -223,7 +223,7 @@ def _analyse(
         }
     )
     if run.turning_points is None:
-        unit = DeflectionUnit.OWN if trajectory.scale_rad is None else DeflectionUnit.RAD
+        unit = TableUnit.OWN if trajectory.scale_rad is None else DeflectionUnit.RAD
         values["turning_points"] = StoredTurningPoints.of(points, swings, unit, 1.0)
     if config is not None and config.lever is None and run.budget:
         values["notes"] = (

@@ -40,7 +40,8 @@ def run_analysis(record: Path) -> RunAnalysis:
     results = analyse_record(record).results if known is None else known
     with RecordReader(record) as reader:
         stored = results.turning_points or turning_points_again(reader, results)
-    return RunAnalysis(record, results, stored.points(), stored.unit)
+    # of a record, so never a table's
+    return RunAnalysis(record, results, stored.points(), DeflectionUnit(stored.unit))
 
 
 def analysis_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:

@@ -43,11 +43,11 @@ def test_a_second_signal_ends_a_session_whose_output_nobody_reads(tmp_path: Path
     record = tmp_path / "out" / "run-1.mcap"
     deadline_s = time.monotonic() + WITHIN_S
     try:
-        # the pipe is full, and the record grows all the same
-        grown = 0
-        while waiting(out) < 3000 or record.stat().st_size < grown + 500_000:
-            if waiting(out) < 3000 and record.exists():
-                grown = record.stat().st_size
+        # the pipe has no room for another line and stands still, and the record grows all the same
+        held = grown = 0
+        while held < 1500 or record.stat().st_size < grown + 2_000_000:
+            if waiting(out) != held and record.exists():
+                held, grown = waiting(out), record.stat().st_size
             assert process.poll() is None
             assert time.monotonic() < deadline_s
             time.sleep(0.05)
