@@ -33,7 +33,11 @@ _MADE_BETWEEN_COLLECTIONS = 10_000
 
 app = typer.Typer(
     name="rig",
-    help="Optical pendulum rig: measure, replay, view and analyse the free decay of a pendulum on one ball.",
+    help=(
+        "Optical pendulum rig: measure, replay, view and analyse the free decay of a pendulum on one ball."
+        "\n\nBegin with rig demo, a whole measurement on a simulated rig, or with rig init for your own."
+    ),
+    context_settings={"help_option_names": ["-h", "--help"]},
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,

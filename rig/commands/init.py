@@ -13,7 +13,21 @@ def register(app: typer.Typer) -> None:
 
 
 def init(
-    file: Annotated[Path, typer.Argument(help="Configuration to write (TOML file).")] = Path("my-rig.toml"),
+    file: Annotated[
+        Path | None,
+        typer.Argument(
+            help="Configuration to write (TOML file); default: my-rig.toml, or the example's own name.",
+            show_default=False,
+        ),
+    ] = None,
+    example: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Ask nothing; write a configuration that comes with the program: demo, basement, live, ...",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Write a configuration for your rig.
 
@@ -21,9 +35,14 @@ def init(
     answer. Lines of a file or a pipe are taken as answers, too.
 
     \b
-    Example:
+    Examples:
       rig init my-rig.toml
+      rig init --example basement
     """
+    if example is not None:
+        _write_example(example, file)
+        return
+    file = file or Path("my-rig.toml")
     from acquisition.cameras.drivers import find_cameras
     from rig.control import list_serial_ports
     from rig.presentation import say
@@ -48,6 +67,18 @@ def init(
     print(file)
     for line in next_steps(file, lever=config.lever is not None, simulated=config.simulated):
         say(line)
+
+
+def _write_example(name: str, file: Path | None) -> None:
+    from rig.presentation import say
+    from rig.wizards import copy_shipped, refuse_existing
+
+    file = file or Path(f"{name}.toml")
+    refuse_existing(file)
+    for path in copy_shipped(name, file):
+        print(path)
+    say("next:")
+    say(f"  rig run {file} -o runs/{file.stem}: measure")
 
 
 def next_steps(file: Path, *, lever: bool, simulated: bool) -> list[str]:

@@ -19,8 +19,35 @@ Rrd = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    for command in (run, replay, view, simulate):
+    for command in (demo, run, replay, view, simulate):
         app.command()(command)
+
+
+def demo(
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Folder for the files written; must not hold a run yet.",
+            callback=folder_without("run-*.mcap", "results.json"),
+        ),
+    ] = None,
+    set_: Set = None,
+    view: View = None,
+) -> None:
+    """Measure on a simulated rig: no instrument is needed.
+
+    From camera frames to the report, in about a minute; the first start compiles the numerical kernels
+    before. rig init --example demo writes the configuration, to be changed and given to rig run.
+
+    \b
+    Example:
+      rig demo
+    """
+    from rig.settings import shipped
+
+    run(shipped("demo"), output, set_=set_, view=view)
 
 
 def run(

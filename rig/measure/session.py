@@ -212,7 +212,7 @@ def report(config: Configuration, folder: Path, made: Made, manner: Manner) -> i
         if config.simulated and config.simulation.ground.model == "none":
             say(
                 "the simulated foundation stood still, so uncertainties are smaller than on a real one; "
-                "configs/basement.toml is the same rig in an ordinary basement"
+                "rig init --example basement writes the same rig in an ordinary basement"
             )
     return 1 if failed else 0
 

@@ -25,6 +25,7 @@ from rig.wizards.draft import (
     kept_draft,
     progress,
 )
+from rig.wizards.example import copy_shipped
 from rig.wizards.first_configuration import FirstConfiguration
 from rig.wizards.kinds import KINDS, calibration_wizard
 from rig.wizards.question import Choice, Question, RecordedAnswer, Wizard

@@ -58,7 +58,7 @@ def test_a_record_that_came_to_its_end_is_complete(ended: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "run-1.mcap is whole: time limit" in done.stderr
     assert "1 of 1 runs are complete" in done.stderr
-    assert "configs/basement.toml is the same rig in an ordinary basement" in done.stderr
+    assert "rig init --example basement writes the same rig in an ordinary basement" in done.stderr
     assert sorted(path.name for path in ended.glob("*.mcap")) == ["run-1.mcap"]
     assert (ended / "run-1.mcap").read_bytes() == before
     assert json.loads((ended / "results-2.json").read_text())["runs"][0]["record"] == "run-1.mcap"
