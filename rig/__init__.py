@@ -4,6 +4,8 @@ Each name is imported when it is first used, so that `import rig` alone, and `ri
 """
 
 import importlib
+from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -36,6 +38,22 @@ _PLACES = {
     "write_results": "rig.analysis",
 }
 """Modules of the names; those that are not listed are in rig.scripting."""
+
+
+def _refuse_strangers() -> None:
+    """Raise ImportError where one of the program's other packages, whose names are common, is another's."""
+    ours = Path(__file__).resolve().parent.parent
+    for name in ("processing", "calibration", "acquisition"):
+        spec = find_spec(name)
+        place = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
+        if place is None or place.parent.parent != ours:
+            raise ImportError(
+                f"the package {name!r} found first is {place or 'missing'}, not the one beside {ours / 'rig'}; "
+                "rename the other, or install optical-pendulum-rig into an environment of its own"
+            )
+
+
+_refuse_strangers()
 
 
 def __getattr__(name: str) -> Any:

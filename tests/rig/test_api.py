@@ -81,3 +81,18 @@ def test_importing_rig_loads_nothing_and_its_parts_nothing_that_takes_long() -> 
     assert {"scipy.stats", "scipy.signal", "scipy.optimize", "matplotlib", "rerun", "pyarrow"}.isdisjoint(
         then
     )
+
+
+def test_a_package_of_another_with_one_of_our_names_is_told(tmp_path: Path) -> None:
+    (tmp_path / "processing").mkdir()
+    (tmp_path / "processing" / "__init__.py").touch()
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import rig"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith(f"ImportError: the package 'processing' found first is {tmp_path}")
+    assert "an environment of its own" in last
