@@ -132,7 +132,20 @@ def _whole_scatter(amplitude: Floats, sine: Floats, whitening: Floats) -> Floats
     left = np.clip(left, -_GATE * size, _GATE * size)
     scatter, degrees = left.T @ left, len(amplitude) - 3
     louder = max(1.0, float(np.trace(scatter)) / len(_ODD) / degrees)
-    return np.asarray((scatter + _STATED * louder * np.eye(len(_ODD))) / (degrees + _STATED))
+    own = (degrees + _STATED) ** 2 / degrees
+    return np.asarray(
+        _wider(own, len(_ODD)) * (scatter + _STATED * louder * np.eye(len(_ODD))) / (degrees + _STATED)
+    )
+
+
+def _wider(degrees: float, order: int) -> float:
+    """What a covariance matrix of so many degrees of freedom must grow by to be the weights of a fit.
+
+    Weights from the data themselves make the fit scatter more than the best ones would and, because they
+    favour what happens to scatter little, say that it scatters less (Wishart's distribution).
+    """
+    stated, actual = (degrees - order + 1) / degrees, (degrees - 1) / (degrees - order)
+    return actual / stated
 
 
 @dataclass(frozen=True)
