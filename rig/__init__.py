@@ -48,7 +48,7 @@ def _refuse_strangers() -> None:
         place = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
         if place is None or place.parent.parent != ours:
             raise ImportError(
-                f"the package {name!r} found first is {place or 'missing'}, not the one beside {ours / 'rig'}; "
+                f"the package {name!r} found first is {place or 'missing'}, not that beside {ours / 'rig'}; "
                 "rename the other, or install optical-pendulum-rig into an environment of its own"
             )
 
