@@ -134,7 +134,7 @@ def test_a_law_that_is_wrong_is_fitted_where_the_waveform_says() -> None:
 
 @pytest.mark.parametrize("louder", [1.0, 8.0])
 def test_what_is_fitted_to_a_few_pieces_is_as_uncertain_as_it_scatters(louder: float) -> None:
-    """In air they scatter by many times what the samples state, which 15 of them show, weighing themselves."""
+    """In air they scatter by many times what the samples state, which 15 show, weighing themselves."""
     count, orders, size = 15, 8, np.linspace(0.5, 2.0, 8)
     rng = np.random.default_rng(5)
     amplitude = np.geomspace(120.0, 80.0, count)
