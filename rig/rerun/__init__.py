@@ -17,6 +17,7 @@ from rig.rerun.messages import (
     Mode,
     Picture,
     Properties,
+    ReferenceSamples,
     Samples,
     Setup,
     ShowMode,

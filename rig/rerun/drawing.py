@@ -24,6 +24,7 @@ from rig.rerun.messages import (
     Message,
     Picture,
     Properties,
+    ReferenceSamples,
     Samples,
     Setup,
     State,
@@ -31,8 +32,8 @@ from rig.rerun.messages import (
     is_drawn,
 )
 
-DRAWN_RATE_HZ = 100.0
-"""Largest rate of the samples that are drawn."""
+DRAWN_RATE_HZ, REFERENCE_RATE_HZ = 100.0, 10.0
+"""Largest rates of the samples that are drawn; the reference spot is watched for what drifts."""
 JPEG_QUALITY = 90
 SAMPLES_GAP, POINTS_GAP = 1.0, 4.0
 """Periods of the slow mode without a value after which a curve is broken: that of the samples, and those of
@@ -92,6 +93,8 @@ class Drawing:
         match message:
             case Samples():
                 self._draw_samples(message)
+            case ReferenceSamples():
+                self._draw_reference(message)
             case Swings():
                 self._draw_swings(message)
             case BalanceNumbers():
@@ -135,6 +138,22 @@ class Drawing:
         colour = self._run_colour(message.run, palette.TRAJECTORY_COLOUR)
         self._lissajous.draw(message.run, time_s, x, y, colour)
         self._lissajous.follow(message.time_s, message.x, message.y)
+
+    def _draw_reference(self, message: ReferenceSamples) -> None:
+        name = f"{message.run}/{layout.REFERENCE}"
+        decimator = self._decimators.setdefault(name, Decimator(REFERENCE_RATE_HZ))
+        chosen = decimator.choose(message.time_s, np.zeros(len(message.time_s), dtype=np.int64))
+        if not chosen.any():
+            return
+        time_s, x, y = self._breaks.in_gaps(
+            layout.entity(message.run, layout.REFERENCE),
+            SAMPLES_GAP * self._setup.period_s,
+            message.time_s[chosen],
+            message.x_px[chosen],
+            message.y_px[chosen],
+        )
+        for path, values, colour in (("x", x, palette.X_COLOUR), ("y", y, palette.Y_COLOUR)):
+            self._gather(message.run, f"{layout.REFERENCE}/{path}", time_s, values, f"{path} / px", colour)
 
     def _draw_swings(self, message: Swings) -> None:
         for path, value, u, colour, unit in (

@@ -40,6 +40,8 @@ PERIOD: Final = "period"
 CAMERA: Final = "camera"
 IMAGE: Final = "camera/image"
 SPOT: Final = "camera/spot"
+REFERENCE: Final = "reference"
+"""Below it x and y of the reference spot."""
 BALANCE_ROOT: Final = "balance"
 LOSSES_ROOT: Final = "losses"
 PARAMETERS_ROOT: Final = "parameters"
@@ -108,12 +110,15 @@ class _Views:
         self._unit = setup.unit
         self._period_s = setup.period_s
         self._parameters = setup.parameters
+        self._has_reference = setup.has_reference
 
     def measuring(self) -> rrb.Container:
         return rrb.Horizontal(
             rrb.Vertical(
                 self.trajectory(),
-                rrb.Horizontal(self.losses(), self.history(CLOCK, "Clock drift / ppm")),
+                rrb.Horizontal(
+                    self.losses(), self.history(CLOCK, "Clock drift / ppm"), *self.reference_spot()
+                ),
                 self.lanes(),
                 self.events(),
                 row_shares=[8, 3, 5, 3],
@@ -205,18 +210,24 @@ class _Views:
             plot_legend=rrb.PlotLegend(visible=len(self._runs) > 1),
         )
 
-    def history(self, path: str, title: str) -> rrb.View:
+    def history(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:
         return rrb.TimeSeriesView(
             name=title,
             contents=self._below(path),
             axis_x=WHOLE_RUN,
-            plot_legend=rrb.PlotLegend(visible=len(self._runs) > 1),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=has_legend or len(self._runs) > 1),
         )
 
     def parameters(self) -> list[rrb.Container]:
         """One grid of small panels, if there are parameters."""
         panels = [self.history(f"{PARAMETERS_ROOT}/{key}", label) for key, label in self._parameters.items()]
         return [rrb.Grid(*panels, grid_columns=3)] if panels else []
+
+    def reference_spot(self) -> list[rrb.View]:
+        """What pointing, air and the camera do, if a reference spot tells."""
+        if not self._has_reference:
+            return []
+        return [self.history(REFERENCE, "Reference spot / px", has_legend=True)]
 
     def balance(self, title: str, names: Sequence[str]) -> rrb.View:
         contents = [line for name in names for line in self._below(f"{BALANCE_ROOT}/{name}")]

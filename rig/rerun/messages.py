@@ -31,6 +31,7 @@ class Setup(NamedTuple):
     expected values, `unit` is that of all deflections. If the worker replaces another one, `viewer_url` is
     the address of the viewer, which must connect to the new stream; otherwise it is empty. `parameters`, with
     their labels, are estimated while the run is measured, and each has a panel of the measuring layout.
+    With `has_reference` there is a panel for the spot of a mirror on the base.
     """
 
     title: str
@@ -45,6 +46,7 @@ class Setup(NamedTuple):
     memory_limit: str
     viewer_url: str
     parameters: Mapping[str, str] = {}
+    has_reference: bool = False
 
 
 class Samples(NamedTuple):
@@ -55,6 +57,15 @@ class Samples(NamedTuple):
     x: Floats
     y: Floats
     flags: NDArray[np.int64]
+
+
+class ReferenceSamples(NamedTuple):
+    """Path of the reference spot in px from where it was first found, arrays (n,), NaN where it was lost."""
+
+    run: str
+    time_s: Floats
+    x_px: Floats
+    y_px: Floats
 
 
 class Swings(NamedTuple):
@@ -179,6 +190,7 @@ class Finish(NamedTuple):
 
 Message = (
     Samples
+    | ReferenceSamples
     | Swings
     | BalanceNumbers
     | Estimates
@@ -195,7 +207,7 @@ Message = (
 
 def rows(message: Message) -> int:
     """Number of samples or swings in a message; 1 for any other message."""
-    return len(message.time_s) if isinstance(message, Samples | Swings) else 1
+    return len(message.time_s) if isinstance(message, Samples | ReferenceSamples | Swings) else 1
 
 
 def size_bytes(message: Message) -> int:

@@ -50,6 +50,7 @@ def start_view(
         image_interval_s=config.view.image_interval_s,
         full_scale_dn=full_scale_dn,
         parameters=parameters,
+        has_reference=config.reference is not None,
         advise=advise or (lambda balance: advice_for(config, balance).markdown),
     )
     viewer.start()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import SPOT, SPOT_UNCALIBRATED
+from acquisition.record.topics import REFERENCE, SPOT, SPOT_UNCALIBRATED
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
@@ -98,6 +98,7 @@ def write_rrd(paths: Sequence[Path], rrd: Path, *, layout: LayoutName = "measuri
         runs=names,
         amplitude=max(each.amplitude for each in overviews),
         unit=units.pop(),
+        has_reference=any(each.has_reference for each in overviews),
     )
     lines = []
     with viewer:
@@ -137,6 +138,7 @@ class Overview(NamedTuple):
     start_ns: int
     start_utc_ns: int
     amplitude: float
+    has_reference: bool
 
 
 def overview(path: Path) -> Overview:
@@ -150,7 +152,13 @@ def overview(path: Path) -> Overview:
             reach = np.fmax(np.abs(deflections.shown_x), np.abs(deflections.shown_y))
         amplitude = float(np.nanmax(reach)) if np.isfinite(reach).any() else 1.0
         start_ns = int(head["time_ns"][0])
-        return Overview(deflections.unit, start_ns, start_ns + reader.epoch_offset_ns, max(amplitude, 1e-3))
+        return Overview(
+            deflections.unit,
+            start_ns,
+            start_ns + reader.epoch_offset_ns,
+            max(amplitude, 1e-3),
+            reader.message_type(REFERENCE.topic) is not None,
+        )
 
 
 def spot_tables(reader: RecordReader) -> Iterator[NDArray[Any]]:
@@ -173,6 +181,7 @@ def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int) -> tupl
     for event in reader.events():
         viewer.event(start_ns, event, run=run)
     spots = _draw_spots(viewer, reader, run, start_ns)
+    _draw_reference(viewer, reader, run, start_ns)
     _draw_images(viewer, reader, run, start_ns, spots)
     return len(spots["sequence"]), len(swings)
 
@@ -212,6 +221,18 @@ def _draw_spots(viewer: Viewer, reader: RecordReader, run: str, start_ns: int) -
         places.append(np.column_stack((table["x_px"], table["y_px"])).astype(np.float32))
         viewer.wait_room()
     return {"sequence": np.concatenate(sequences), "place": np.concatenate(places)}
+
+
+def _draw_reference(viewer: Viewer, reader: RecordReader, run: str, start_ns: int) -> None:
+    """Draw the spot of a mirror on the base, if the record has one."""
+    if reader.message_type(REFERENCE.topic) is None:
+        return
+    seen = reader.table(REFERENCE.topic)
+    for begin in range(0, len(seen), BLOCK_ROWS):
+        part = seen[begin : begin + BLOCK_ROWS]
+        lost = part["flags"] & SpotFlag.LOST
+        viewer.reference(seconds(part["time_ns"] - start_ns), part["x_px"], part["y_px"], lost, run=run)
+        viewer.wait_room()
 
 
 def _clock_rate(reader: RecordReader) -> ClockRate | None:

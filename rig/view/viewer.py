@@ -47,6 +47,7 @@ from rig.rerun import (
     Mode,
     Picture,
     Properties,
+    ReferenceSamples,
     Samples,
     Setup,
     State,
@@ -125,6 +126,8 @@ class Viewer:
         Pixel value shown white; default: the largest value of the image's type.
     parameters
         Keys of those that are estimated while the run is measured.
+    has_reference
+        There is a reference spot, which gets a panel.
     advise
         Returns advice for a balance, in Markdown.
     memory_limit
@@ -156,6 +159,7 @@ class Viewer:
         image_interval_s: float = 0.0,
         full_scale_dn: int | None = None,
         parameters: Sequence[str] = (),
+        has_reference: bool = False,
         advise: Callable[[Balance], str] = lambda _: "",
         memory_limit: str = "200MiB",
         port: int = 9876,
@@ -184,6 +188,8 @@ class Viewer:
         self._start_ns = 0
         self._gathered: list[Deflections] = []
         self._flags: list[int] = []
+        self._references: list[Spot] = []
+        self._reference_origin_px: dict[str, tuple[float, float]] = {}
         self._next_image_s = 0.0
         self._next_state_s = 0.0
         self._shown_phase: Phase | None = None
@@ -202,6 +208,7 @@ class Viewer:
             memory_limit=memory_limit,
             viewer_url="",
             parameters={key: shown.label for key, shown in self._parameters.items()},
+            has_reference=has_reference,
         )
 
         def feed(setup: Setup) -> Feed:
@@ -241,6 +248,7 @@ class Viewer:
         if len(found):
             self._gathered.append(found)
             self._flags += [spot.flags for spot in block.spots]
+            self._references += block.references
             if found.times_ns[-1] - self._gathered[0].times_ns[0] >= _GATHERED_NS:
                 self._send_gathered()
         else:
@@ -258,9 +266,13 @@ class Viewer:
 
     def _send_gathered(self) -> None:
         if self._gathered:
-            found, flags = joined(self._gathered, self._unit), self._flags
-            self._gathered, self._flags = [], []
-            self.samples(seconds(found.times_ns - self._start_ns), found.shown_x, found.shown_y, flags)
+            found, flags, seen = joined(self._gathered, self._unit), self._flags, self._references
+            self._gathered, self._flags, self._references = [], [], []
+            times_s = seconds(found.times_ns - self._start_ns)
+            self.samples(times_s, found.shown_x, found.shown_y, flags)
+            if len(seen) == len(times_s):
+                x_px, y_px = [one.x_px for one in seen], [one.y_px for one in seen]
+                self.reference(times_s, x_px, y_px, [one.flags & SpotFlag.LOST for one in seen])
 
     def picture(self, start_ns: int, frame: Frame, spot: Spot) -> None:
         """A whole frame and the spot in it."""
@@ -308,6 +320,20 @@ class Viewer:
         # a model that every spot of a run has is nothing that must be seen
         copied_flags = np.array(flags, dtype=np.int64, ndmin=1) & ~int(SpotFlag.MULTIPLE | SpotFlag.LEARNED)
         self._put(Samples(run, _floats(times_s), _floats(x), _floats(y), copied_flags))
+
+    def reference(
+        self, times_s: ArrayLike, x_px: ArrayLike, y_px: ArrayLike, lost: ArrayLike, *, run: str = ""
+    ) -> None:
+        """Positions of the reference spot in one or many frames; shown from where it was first found."""
+        gone = np.array(lost, ndmin=1) != 0
+        x, y = (np.where(gone, np.nan, _floats(values)) for values in (x_px, y_px))
+        found = np.flatnonzero(np.isfinite(x + y))
+        if run not in self._reference_origin_px:
+            if not len(found):
+                return
+            self._reference_origin_px[run] = (float(x[found[0]]), float(y[found[0]]))
+        origin_x, origin_y = self._reference_origin_px[run]
+        self._put(ReferenceSamples(run, _floats(times_s), x - origin_x, y - origin_y))
 
     def swings(self, swings: Sequence[Swing], start_ns: int, *, run: str = "") -> None:
         """Half-cycles of the slow mode at their turning points: amplitude and (whole) period."""
