@@ -1,0 +1,17 @@
+"""Many runs, one answer: a hierarchical model over the runs' compressed likelihoods."""
+
+from processing.campaign.compressed import Bound, CompressedRun, Side
+from processing.campaign.coordinates import POSITIVE, USUAL_SIZE, coordinates, parameters
+from processing.campaign.design import CampaignModel, Level
+from processing.campaign.evidence import (
+    ChangePoint,
+    FormEvidence,
+    Forms,
+    chance,
+    compare_forms,
+    find_change,
+    is_seen,
+    within,
+)
+from processing.campaign.forms import FRICTION, ORDER, Effect, Form
+from processing.campaign.posterior import CampaignPosterior, fit_campaign

@@ -1,0 +1,228 @@
+"""A campaign of made-up runs returns what is true, as uncertain as it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from processing.campaign import (
+    FRICTION,
+    ORDER,
+    Bound,
+    CampaignModel,
+    CompressedRun,
+    Effect,
+    Form,
+    Level,
+    Side,
+    compare_forms,
+    coordinates,
+    find_change,
+    fit_campaign,
+    is_seen,
+    parameters,
+    within,
+)
+from processing.errors import DataError
+from processing.estimate import Estimate
+from tests.processing.campaign.simulated_campaigns import AIR, NAMES, World, made
+
+CENTRE = np.array([-5.6, 0.94, -18.4])
+SCATTER = np.array([0.02, 0.002, 0.1])
+HUMIDITY = Effect(parameter="c", covariate="humidity_percent", form=Form.LINEAR, reference=45.0)
+C = Level("contact", "c", "sample")
+
+
+def world(**changes: object) -> World:
+    return replace(World(levels={"sample": CENTRE}, scatter=SCATTER), **changes)  # type: ignore[arg-type]
+
+
+def plain_run(
+    value: float, u: float, *, label: str = "run", covariates: dict[str, Estimate] | None = None
+) -> CompressedRun:
+    return CompressedRun(
+        label=label, contact="sample", names=("c",), values=np.array([value]), covariance=np.array([[u**2]]),
+        covariates=covariates or {},
+    )  # fmt: skip
+
+
+def test_without_scatter_it_is_the_weighted_mean() -> None:
+    runs = [plain_run(value, u) for value, u in ((-18.1, 0.1), (-18.4, 0.2), (-18.2, 0.15), (-18.3, 0.1))]
+    found = fit_campaign(runs, CampaignModel(names=("c",), scatter=(), bad_run_chance=0.0))
+    weight = np.array([0.1, 0.2, 0.15, 0.1]) ** -2.0
+    mean = float(weight @ [-18.1, -18.4, -18.2, -18.3] / weight.sum())
+    value, u = found.estimate(C)
+    assert value == pytest.approx(mean, abs=0.1 * weight.sum() ** -0.5)
+    assert u == pytest.approx(weight.sum() ** -0.5, rel=0.08)
+
+
+def test_what_runs_share_does_not_shrink_with_their_number() -> None:
+    for count in (10, 40):
+        found = fit_campaign(made(world(), count, np.random.default_rng(1)).runs, CampaignModel(names=NAMES))
+        for place, name in enumerate(NAMES):
+            assert found.estimate(Level("contact", name, "sample")).standard_uncertainty > 0.9 * abs(
+                AIR[place]
+            )
+        # nothing in these runs tells the air: it stays as it was known
+        assert found.estimate(Level("shared", "air")).standard_uncertainty == pytest.approx(1.0, abs=0.12)
+
+
+def test_a_slope_is_found_and_none_is_invented() -> None:
+    slope = -0.012
+    wet = world(moved=lambda _, x: np.array([0, 0, slope * (x["humidity_percent"] - 45)]))
+    model = CampaignModel(names=NAMES, effects=(HUMIDITY,))
+    found = fit_campaign(made(wet, 20, np.random.default_rng(2)).runs, model)
+    (level,) = (level for level in found.levels if level.kind == "effect")
+    value, u = found.estimate(level)
+    assert abs(value - slope) < 3 * u < 0.012
+    assert is_seen(found, level, 3)
+    dry = made(world(), 20, np.random.default_rng(3)).runs
+    forms = compare_forms(dry, CampaignModel(names=NAMES), [HUMIDITY, replace(HUMIDITY, covariate=ORDER)])
+    assert forms.nothing > 0.5
+    assert sum(one.probability for one in forms.tried) + forms.nothing == pytest.approx(1)
+    wet_forms = compare_forms(
+        made(wet, 20, np.random.default_rng(2)).runs,
+        CampaignModel(names=NAMES),
+        [HUMIDITY, replace(HUMIDITY, covariate=ORDER)],
+    )
+    assert wet_forms.tried[0].probability > 0.9
+
+
+def test_a_bad_run_is_named_and_does_little() -> None:
+    runs = list(made(world(), 15, np.random.default_rng(4)).runs)
+    without = fit_campaign(runs, CampaignModel(names=NAMES))
+    assert without.bad.max() < 0.3
+    runs[6] = replace(runs[6], values=runs[6].values + np.array([1.0, 0.0, 3.0]))
+    found = fit_campaign(runs, CampaignModel(names=NAMES))
+    assert found.bad[6] > 0.95
+    assert np.sort(found.bad)[-2] < 0.3
+    before, after = without.estimate(C), found.estimate(C)
+    assert abs(after.value - before.value) < 0.5 * before.standard_uncertainty
+    assert found.estimate(Level("between runs", "c")).value < 0.3
+
+
+def test_a_bound_pulls_as_far_as_it_reaches() -> None:
+    runs = [plain_run(-18.0, 0.3), plain_run(-18.0, 0.3), plain_run(-18.0, 0.3)]
+    bound = CompressedRun(
+        label="bounded", contact="sample", names=(), values=np.empty(0), covariance=np.empty((0, 0)),
+        bounds={"c": Bound(-18.4, Side.UPPER, 0.05)},
+    )  # fmt: skip
+    model = CampaignModel(names=("c",), scatter=())
+    free, bounded = fit_campaign(runs, model).estimate(C), fit_campaign([*runs, bound], model).estimate(C)
+    assert free.value == pytest.approx(-18.0, abs=0.02)
+    assert bounded.value < -18.3
+    far = replace(bound, bounds={"c": Bound(-15.0, Side.UPPER, 0.05)})
+    assert fit_campaign([*runs, far], model).estimate(C).value == pytest.approx(free.value, abs=0.02)
+
+
+def test_an_uneven_likelihood_pulls_to_its_long_side() -> None:
+    runs = [replace(plain_run(-18.0, 0.3), asymmetry={"c": 0.5}) for _ in range(4)]
+    found = fit_campaign(runs, CampaignModel(names=("c",), scatter=(), bad_run_chance=0.0)).estimate(C)
+    assert found.value > -17.95
+
+
+def test_an_unknown_humidity_costs_and_does_not_mislead() -> None:
+    slope, rng = -0.02, np.random.default_rng(5)
+    wet = world(moved=lambda _, x: np.array([0, 0, slope * (x["humidity_percent"] - 45)]))
+    runs = made(wet, 24, rng).runs
+    some = [
+        replace(run, covariates={**run.covariates, "humidity_percent": Estimate(45.0, 15.0)})
+        if place % 2
+        else run
+        for place, run in enumerate(runs)
+    ]
+    none = [
+        replace(run, covariates={key: x for key, x in run.covariates.items() if key != "humidity_percent"})
+        if place % 2
+        else run
+        for place, run in enumerate(runs)
+    ]
+    model = CampaignModel(names=NAMES, effects=(HUMIDITY,))
+    whole = fit_campaign(runs, model)
+    level = next(level for level in whole.levels if level.kind == "effect")
+    best = whole.estimate(level)
+    for less in (some, none):
+        found = fit_campaign(less, model).estimate(level)
+        assert found.standard_uncertainty > 1.1 * best.standard_uncertainty
+        assert abs(found.value - slope) < 3 * found.standard_uncertainty
+
+
+def test_a_change_is_found_where_it_is() -> None:
+    cleaned = world(
+        moved=lambda i, _: np.array([0, 0, 0.6 * (i >= 9)]), scatter=np.array([0.02, 0.002, 0.05])
+    )
+    runs = made(cleaned, 16, np.random.default_rng(6), names=("c",)).runs
+    found = find_change(runs, CampaignModel(names=("c",)), "c")
+    assert found.probability > 0.9
+    assert abs(found.first_run - 9) <= 1
+    assert found.at_least <= 9 <= found.at_most
+    still = made(world(), 16, np.random.default_rng(7), names=("c",)).runs
+    assert find_change(still, CampaignModel(names=("c",)), "c").probability < 0.5
+
+
+def test_friction_that_grows_during_runs_is_told_from_the_exponent() -> None:
+    """Runs from other first amplitudes answer to it differently, which the exponent does not."""
+    rng = np.random.default_rng(8)
+    runs = []
+    for place in range(8):
+        by_growth = np.array([0.5, -1.6, 0.2]) if place % 2 else np.array([0.5, -0.4, 0.1])
+        u = np.array([0.01, 0.0009, 0.05])
+        runs.append(
+            CompressedRun(
+                label=f"run-{place}", contact="sample", names=NAMES,
+                values=CENTRE + 0.02 * by_growth + u * rng.normal(size=3), covariance=np.diag(u**2),
+                by_growth=by_growth, duration_s=1200.0,
+            )
+        )  # fmt: skip
+    during = Effect(parameter=FRICTION, covariate="", form=Form.DURING)
+    model = CampaignModel(names=NAMES, effects=(during,), scatter=())
+    found = fit_campaign(runs, model)
+    p = found.estimate(Level("contact", "p", "sample"))
+    alone = fit_campaign(runs, model.with_effects()).estimate(Level("contact", "p", "sample"))
+    assert abs(alone.value - 0.94) > 20 * alone.standard_uncertainty
+    assert abs(p.value - 0.94) < 3 * p.standard_uncertainty
+    growth = found.estimate(next(level for level in found.levels if level.kind == "effect"))
+    assert growth.value * 1200 == pytest.approx(0.02, abs=3 * growth.standard_uncertainty * 1200)
+
+
+def test_without_priors_the_data_decide() -> None:
+    runs = [plain_run(-18.0 + 0.01 * i, 0.02) for i in range(6)]
+    strict = CampaignModel(names=("c",), levels={"c": Estimate(-19.0, 0.02)})
+    assert fit_campaign(runs, strict).estimate(C).value < -18.1
+    assert fit_campaign(runs, strict.without_priors()).estimate(C).value == pytest.approx(-17.975, abs=0.02)
+
+
+def test_equivalence_needs_a_narrow_band() -> None:
+    found = fit_campaign(
+        made(world(), 20, np.random.default_rng(9)).runs, CampaignModel(names=NAMES, effects=(HUMIDITY,))
+    )
+    slope = found.draws(next(level for level in found.levels if level.kind == "effect"))
+    assert within(found, slope, 1.0) > 0.999
+    assert within(found, slope, 1e-4) < 0.5
+
+
+def test_coordinates_return() -> None:
+    names = ("b", "p", "c", "n", "period0_s", "gamma_pa")
+    values = np.array([3.7e-3, 0.944, 1.05e-8, 0.092, 4.071, 28.97e6])
+    found = coordinates(names, values, 3e-4)
+    np.testing.assert_allclose(parameters(names, found.values, 3e-4), values, rtol=1e-12)
+    for place in range(6):
+        moved = values.copy()
+        step = 1e-6 * values[place]
+        moved[place] += step
+        slope = (coordinates(names, moved, 3e-4).values - found.values) / step
+        np.testing.assert_allclose(found.by_parameters[:, place], slope, rtol=1e-4, atol=1e-6)
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(DataError, match="has no finite width in c"):
+        plain_run(np.nan, 0.1)
+    runs = [plain_run(-18.0, 0.1)]
+    with pytest.raises(DataError, match="gamma_pa: no run of the campaign determines it"):
+        fit_campaign(runs, CampaignModel(names=("c", "gamma_pa")))
+    with pytest.raises(DataError, match="known of 0 of 1 runs"):
+        fit_campaign(runs, CampaignModel(names=("c",), effects=(HUMIDITY,)))
+    dry = {"humidity_percent": Estimate(40.0, 0.0)}
+    same = [plain_run(-18.0, 0.1, covariates=dry), plain_run(-18.1, 0.1, covariates=dry)]
+    with pytest.raises(DataError, match="there is nothing to see"):
+        fit_campaign(same, CampaignModel(names=("c",), effects=(HUMIDITY,)))
