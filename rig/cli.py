@@ -19,6 +19,7 @@ from rig.commands import (
     archive,
     calibration,
     camera,
+    campaign,
     init,
     light,
     measure,
@@ -42,7 +43,19 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for module in (init, measure, session, records, physics, calibration, reporting, camera, light, archive):
+for module in (
+    init,
+    measure,
+    session,
+    records,
+    physics,
+    calibration,
+    reporting,
+    campaign,
+    camera,
+    light,
+    archive,
+):
     module.register(app)
 
 

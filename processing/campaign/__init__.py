@@ -1,8 +1,8 @@
 """Many runs, one answer: a hierarchical model over the runs' compressed likelihoods."""
 
 from processing.campaign.compressed import Bound, CompressedRun, Side
-from processing.campaign.coordinates import POSITIVE, USUAL_SIZE, coordinates, parameters
-from processing.campaign.design import CampaignModel, Level
+from processing.campaign.coordinates import POSITIVE, USUAL_SIZE, parameters, to_coordinates
+from processing.campaign.design import CampaignModel, Level, span_of
 from processing.campaign.evidence import (
     ChangePoint,
     FormEvidence,
@@ -14,4 +14,4 @@ from processing.campaign.evidence import (
     within,
 )
 from processing.campaign.forms import FRICTION, ORDER, Effect, Form
-from processing.campaign.posterior import CampaignPosterior, fit_campaign
+from processing.campaign.posterior import CampaignPosterior, fit_campaign, moved_by

@@ -24,7 +24,11 @@ class Coordinates(NamedTuple):
     by_parameters: Floats
 
 
-def coordinates(names: Sequence[str], values: Floats, reference_rad: float) -> Coordinates:
+_LARGEST_EXPONENT = 200.0
+"""Of what is not determined at all."""
+
+
+def to_coordinates(names: Sequence[str], values: Floats, reference_rad: float) -> Coordinates:
     """Parameters in coordinates at the campaign's reference amplitude; positive ones must be above 0."""
     found, slopes = values.astype(np.float64), np.eye(len(names))
     for place, name in enumerate(names):
@@ -47,5 +51,5 @@ def parameters(names: Sequence[str], found: Floats, reference_rad: float) -> Flo
             other = list(names).index(exponent)
             values[..., place] -= (found[..., other] + less) * np.log(reference_rad)
         if name in POSITIVE:
-            values[..., place] = np.exp(values[..., place])
+            values[..., place] = np.exp(np.minimum(values[..., place], _LARGEST_EXPONENT))
     return values

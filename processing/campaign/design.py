@@ -17,6 +17,8 @@ _VAGUE = 100.0
 """A level of which nothing is known lies within so many usual sizes of the data's middle."""
 _WIDENED = 30.0
 """A prior is none where it is this much wider than stated."""
+GROWTH = "ageing"
+"""The shared input that a friction growing within every run is, where no effect describes it."""
 _FAR = 0.2
 """Share of the sub-likelihood on the long side of an uneven one."""
 _BAD_BY = (3.0, 10.0, 30.0)
@@ -176,7 +178,10 @@ def design_of(runs: Sequence[CompressedRun], model: CampaignModel) -> Design:
             blurred.append(blur)
             blurred_by.append(len(levels))
         add(Level("effect", effect.label), column, 0.0, model.size(effect.parameter) / span)
+    grows = any(_in_time(effect) for effect in model.effects)
     for source in dict.fromkeys(source for run in runs for source in run.shared):
+        if grows and source == GROWTH:
+            continue  # what an effect describes is no input of which little is known
         column = np.zeros((count, len(names)))
         for row, run in enumerate(runs):
             for name, moved in zip(run.names, run.shared.get(source, ()), strict=False):
@@ -250,6 +255,12 @@ def _moments(low: float, high: float) -> tuple[float, float, float]:
     return mean, (1 - 2 / np.pi) * apart**2 + product, mean * ((4 / np.pi - 1) * apart**2 + product)
 
 
+def _in_time(effect: Effect) -> bool:
+    """Whether friction grows within each run by this effect."""
+    in_time = effect.form is Form.DURING or effect.covariate.endswith("_s")
+    return effect.parameter == FRICTION and in_time
+
+
 def _effect(
     runs: Sequence[CompressedRun], effect: Effect, names: Sequence[str]
 ) -> tuple[Floats, Floats, float]:
@@ -262,15 +273,20 @@ def _effect(
     column, blur = np.zeros((len(runs), len(names))), np.zeros((len(runs), len(names)))
     column[:, moved] = (effect.value(x) * here)[:, None]
     blur[:, moved] = (effect.slope(x) * u * here)[:, None]
-    in_time = effect.form is Form.DURING or effect.covariate.endswith("_s")
-    if effect.parameter == FRICTION and in_time:
+    if _in_time(effect):
         rate = effect.slope(x) * here
         for row, run in enumerate(runs):
             for name, by in zip(run.names, run.by_growth if run.by_growth is not None else (), strict=False):
                 if name in names:
                     column[row, names.index(name)] += by * rate[row] * run.duration_s
-    longest = max(run.duration_s for run in runs)
-    return column, blur, longest if effect.form is Form.DURING else effect.span(x)
+    return column, blur, span_of(runs, effect)
+
+
+def span_of(runs: Sequence[CompressedRun], effect: Effect) -> float:
+    """How far an effect moves over the campaign with slope 1."""
+    if effect.form is Form.DURING:
+        return max(run.duration_s for run in runs)
+    return effect.span(covariate_of(runs, effect.covariate)[0])
 
 
 def _bounds(runs: Sequence[CompressedRun], names: Sequence[str], x: Floats) -> Bounds:

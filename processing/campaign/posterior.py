@@ -20,6 +20,7 @@ from processing.campaign.density import (
     spread,
 )
 from processing.campaign.design import CampaignModel, Design, Level, design_of
+from processing.campaign.forms import Effect
 from processing.errors import DataError
 from processing.estimate import Estimate
 
@@ -126,28 +127,23 @@ class CampaignPosterior:
             second += np.einsum("m,mrk->rk", self.weight[part], of**2 + u2)
         return mean, np.sqrt(np.clip(second - mean**2, 0.0, None))
 
-    def expected(self, name: str) -> Floats:
-        """Draws (M, R) of what the model says of a coordinate under each run's covariates, without scatter
-        between runs and without what is shared."""
-        place = self.model.names.index(name)
-        contact = np.array([level.kind != "shared" for level in self.levels])
-        x = _full_x(self)[:, place] * contact
-        return np.asarray(self.w @ x.T)
+    @cached_property
+    def residuals(self) -> Floats:
+        """Deviations (R, k) of the runs' values from the model's, over what run and scatter leave; 0 where
+        a run has none."""
+        design = self.design
+        w = (self.weight @ self.w)[None]
+        h = (self.weight @ self.h)[None]
+        off = design.y[:, 0] - np.einsum("rkp,p->rk", design.x, w[0])
+        inverse = spread(design, h, w).inverse[0, :, 0]
+        width = np.sqrt(np.diagonal(np.linalg.inv(inverse), axis1=1, axis2=2))
+        return np.asarray(off / width * design.has)
 
 
-def _full_x(found: CampaignPosterior) -> Floats:
-    """The design also where a run does not have the coordinate."""
-    whole = []
-    for run in found.runs:
-        everything = CompressedRun(
-            label=run.label, contact=run.contact, names=found.model.names,
-            values=np.zeros(len(found.model.names)), covariance=np.eye(len(found.model.names)),
-            covariates=run.covariates, duration_s=run.duration_s,
-        )  # fmt: skip
-        whole.append(everything)
-    x = design_of(whole, found.model).x
-    missing = found.design.x.shape[2] - x.shape[2]
-    return np.concatenate([x, np.zeros((*x.shape[:2], missing))], axis=2)
+def moved_by(found: CampaignPosterior, effect: Effect, x: Floats) -> Floats:
+    """Draws (M, len(x)) of what an effect of the model adds at other values of its covariate."""
+    slope = found.draws(Level("effect", effect.label))
+    return np.asarray(slope[:, None] * effect.value(x))
 
 
 def fit_campaign(

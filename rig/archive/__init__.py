@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 from rig.archive.adding import add_sessions
 from rig.archive.blind import unseal
 from rig.archive.blinding import blind_runs
+from rig.archive.campaigned import RunWithResults, is_sealed, results_of_runs
 from rig.archive.chosen import remark, show_runs, view_runs
 from rig.archive.listing import Format, list_runs
 from rig.archive.plot import plot_runs

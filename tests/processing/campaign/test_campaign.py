@@ -16,7 +16,7 @@ from processing.campaign import (
     Level,
     Side,
     compare_forms,
-    coordinates,
+    to_coordinates,
     find_change,
     fit_campaign,
     is_seen,
@@ -204,13 +204,13 @@ def test_equivalence_needs_a_narrow_band() -> None:
 def test_coordinates_return() -> None:
     names = ("b", "p", "c", "n", "period0_s", "gamma_pa")
     values = np.array([3.7e-3, 0.944, 1.05e-8, 0.092, 4.071, 28.97e6])
-    found = coordinates(names, values, 3e-4)
+    found = to_coordinates(names, values, 3e-4)
     np.testing.assert_allclose(parameters(names, found.values, 3e-4), values, rtol=1e-12)
     for place in range(6):
         moved = values.copy()
         step = 1e-6 * values[place]
         moved[place] += step
-        slope = (coordinates(names, moved, 3e-4).values - found.values) / step
+        slope = (to_coordinates(names, moved, 3e-4).values - found.values) / step
         np.testing.assert_allclose(found.by_parameters[:, place], slope, rtol=1e-4, atol=1e-6)
 
 

@@ -1,0 +1,13 @@
+"""One model over many runs: `rig campaign`."""
+
+from rig.campaigns.answer import Campaign, answer_of
+from rig.campaigns.page import campaign_tables, save_campaign
+from rig.campaigns.results import (
+    CampaignEffect,
+    CampaignResults,
+    CampaignRun,
+    CampaignSource,
+    CampaignValue,
+)
+from rig.campaigns.sources import runs_of_archive, runs_of_folders
+from rig.campaigns.stated import StatedCampaign, read_campaign

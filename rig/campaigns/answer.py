@@ -1,0 +1,332 @@
+"""From found runs and what is stated to the answer of a campaign."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite, log
+
+import numpy as np
+
+from processing.angle import ARCSEC_RAD
+from processing.arrays import Floats
+from processing.campaign import (
+    POSITIVE,
+    CampaignModel,
+    CampaignPosterior,
+    CompressedRun,
+    Effect,
+    Level,
+    chance,
+    compare_forms,
+    find_change,
+    fit_campaign,
+    is_seen,
+    parameters,
+    span_of,
+    within,
+)
+from processing.contact import DRAG
+from processing.contact.laws import DEFAULT_LAW
+from processing.errors import ConfigurationError, DataError
+from processing.estimate import NOT_DETERMINED, Estimate
+from processing.fit import FitMethod
+from rig.analysis import RunResults
+from rig.campaigns.budget import budget_of_level
+from rig.campaigns.energy import ENERGY, energy_draws
+from rig.campaigns.likelihoods import FoundRun, compressed
+from rig.campaigns.results import (
+    CampaignEffect,
+    CampaignResults,
+    CampaignRun,
+    CampaignValue,
+    likelihood_tree,
+)
+from rig.campaigns.stated import StatedCampaign, StatedEffect
+
+_BAD = 0.5
+_NOTHING = 20.0
+"""Width of a 68 % band over its middle from which on nothing is known."""
+_FEW = 0.05
+"""Part of the draws that must count."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """The answer, and what figures and tables are drawn from beside it."""
+
+    results: CampaignResults
+    posterior: CampaignPosterior
+    stated: StatedCampaign
+
+
+def answer_of(found: Sequence[FoundRun], stated: StatedCampaign) -> Campaign:
+    """The answer of a campaign.
+
+    Raises
+    ------
+    DataError
+        No run can enter, or nothing is known of what is asked for.
+    ConfigurationError
+        A parameter is stated that there is not.
+    """
+    reference_rad = stated.reference_arcsec * ARCSEC_RAD
+    entered: list[tuple[FoundRun, CompressedRun]] = []
+    left_out = []
+    for one in found:
+        run, problem = compressed(one, reference_rad, stated.u)
+        if run is None:
+            left_out.append(problem)
+        else:
+            entered.append((one, run))
+    if not entered:
+        raise DataError(f"no run can enter the campaign: {'; '.join(left_out)}")
+    runs = [run for _, run in entered]
+    names = _names(stated, runs)
+    model = _model(stated, names, reference_rad, runs)
+    posterior = fit_campaign(runs, model, draws=stated.draws, seed=stated.seed)
+    alone = fit_campaign(runs, model.without_priors(), draws=stated.draws, seed=stated.seed)
+    contacts = _contacts(posterior, alone, [one for one, _ in entered], reference_rad)
+    forms = compare_forms(runs, model, stated.candidates) if stated.candidate else None
+    tried = len(stated.effect) + len(stated.candidate)
+    effects = tuple(_effect(effect, posterior, alone, tried, runs) for effect in stated.effect)
+    candidates = []
+    for place, candidate in enumerate(stated.candidate):
+        with_it = fit_campaign(
+            runs, model.with_effects(*model.effects, candidate.effect()), draws=stated.draws, seed=stated.seed
+        )
+        shown = _effect(candidate, with_it, None, tried, runs)
+        assert forms is not None
+        said = forms.tried[place]
+        candidates.append(
+            replace(shown, log_bayes_factor=said.log_bayes_factor, probability=said.probability)
+        )
+    results = CampaignResults(
+        parameters=names,
+        reference_arcsec=stated.reference_arcsec,
+        runs=_runs(entered, posterior, reference_rad),
+        contacts=contacts,
+        between_runs=_scatters(posterior, "between runs"),
+        between_contacts=_scatters(posterior, "between contacts"),
+        effects=effects,
+        candidates=tuple(candidates),
+        nothing=1.0 if forms is None else forms.nothing,
+        changes=tuple(find_change(runs, model, name) for name in stated.change_points),
+        shared={
+            level.name: posterior.estimate(level) for level in posterior.levels if level.kind == "shared"
+        },
+        budgets={
+            contact: {name: budget_of_level(posterior, name, contact) for name in names}
+            for contact in contacts
+        },
+        draws=stated.draws,
+        draws_that_count=posterior.effective,
+        left_out=tuple(left_out),
+        warnings=_warnings(posterior, alone),
+        simulated=any(bool(one.run.simulated) for one, _ in entered),
+        stated=stated.model_dump(mode="json", exclude_defaults=True),
+    )
+    return Campaign(results, posterior, stated)
+
+
+def _names(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> tuple[str, ...]:
+    known = (*DEFAULT_LAW.names(), DRAG.key)
+    if unknown := [name for name in stated.parameters if name not in known]:
+        raise ConfigurationError(f"parameters: there is no {unknown[0]!r}; a campaign has {', '.join(known)}")
+    seen = {name for run in runs for name in (*run.names, *run.bounds)}
+    return stated.parameters or tuple(name for name in known if name in seen)
+
+
+def _model(
+    stated: StatedCampaign, names: tuple[str, ...], reference_rad: float, runs: Sequence[CompressedRun]
+) -> CampaignModel:
+    levels = {}
+    for name, prior in stated.prior.items():
+        if name not in names:
+            raise ConfigurationError(f"prior.{name}: is none of the parameters {', '.join(names)}")
+        value, u = prior.value, prior.u
+        if name in POSITIVE:
+            if not value > 0:
+                raise ConfigurationError(f"prior.{name}.value = {value:g}: should be above 0")
+            value, u = log(value), u / value
+            # beside the middle of what the runs say of the exponent
+            for of, exponent, less in (("b", "p", 1.0), ("gamma_pa", "n", 0.0)):
+                if name == of:
+                    middle = np.median(
+                        [r.values[r.names.index(exponent)] for r in runs if exponent in r.names]
+                    )
+                    value += (float(middle) - less) * log(reference_rad)
+        levels[name] = Estimate(value, u)
+    return CampaignModel(
+        names=names,
+        effects=stated.effects,
+        sizes=stated.size,
+        levels=levels,
+        contacts_alike=stated.contacts_alike,
+        bad_run_chance=stated.bad_run_chance,
+    )
+
+
+def level_draws(found: CampaignPosterior, contact: str) -> Floats:
+    """Draws (M, k) of a contact's coordinates where all effects are nought."""
+    columns = []
+    for name in found.model.names:
+        own = found.draws(Level("contact", name, contact))
+        mean = Level("mean", name)
+        columns.append(own + found.draws(mean) if mean in found.levels else own)
+    return np.stack(columns, axis=1)
+
+
+def _contacts(
+    posterior: CampaignPosterior,
+    alone: CampaignPosterior,
+    found: Sequence[FoundRun],
+    reference_rad: float,
+) -> dict[str, dict[str, CampaignValue]]:
+    names, out = posterior.model.names, {}
+    for contact in dict.fromkeys(run.contact for run in posterior.runs):
+        draws = [
+            _quantities(one, contact, names, [f.run for f in found if f.contact == contact], reference_rad)
+            for one in (posterior, alone)
+        ]
+        out[contact] = {name: _value(posterior, alone, draws[0][name], draws[1][name]) for name in draws[0]}
+    return out
+
+
+def _quantities(
+    found: CampaignPosterior,
+    contact: str,
+    names: tuple[str, ...],
+    runs: Sequence[RunResults],
+    reference_rad: float,
+) -> dict[str, Floats]:
+    """Draws of all quantities of a contact by key, those of the catalogue."""
+    physical = parameters(names, level_draws(found, contact), reference_rad)
+    out = {name: physical[:, place] for place, name in enumerate(names)}
+    if "c" in out:
+        energy = energy_draws(found, out["c"], runs)
+        if energy is not None:
+            out[ENERGY] = energy
+    return out
+
+
+def _value(
+    posterior: CampaignPosterior, alone: CampaignPosterior, draws: Floats, of_alone: Floats
+) -> CampaignValue:
+    low, high = posterior.quantiles(draws, (0.025, 0.975))
+    value, u = _middle(posterior, draws)
+    return CampaignValue(
+        value=value,
+        standard_uncertainty=u,
+        lower_95=low,
+        upper_95=high,
+        without_priors=_middle(alone, of_alone),
+    )
+
+
+def _middle(found: CampaignPosterior, draws: Floats) -> Estimate:
+    """Median and half of the 68 % band, which a few far draws of a logarithm do not move; NaN where it is
+    so wide that nothing is known."""
+    low, value, high = found.quantiles(draws, (0.1587, 0.5, 0.8413))
+    if not isfinite(high - low) or high - low > _NOTHING * abs(value):
+        return NOT_DETERMINED
+    return Estimate(value, 0.5 * (high - low))
+
+
+def _effect(
+    stated: StatedEffect,
+    found: CampaignPosterior,
+    alone: CampaignPosterior | None,
+    tried: int,
+    runs: Sequence[CompressedRun],
+) -> CampaignEffect:
+    effect: Effect = stated.effect()
+    level = Level("effect", effect.label)
+    draws = found.draws(level)
+    low, high = found.quantiles(draws, (0.025, 0.975))
+    value, u = found.moments(draws)
+    span = span_of(runs, effect)
+    return CampaignEffect(
+        label=effect.label,
+        parameter=effect.parameter,
+        covariate=effect.covariate,
+        form=str(effect.form),
+        reference=effect.reference,
+        slope=Estimate(value, u),
+        slope_without_priors=alone.estimate(level) if alone is not None else Estimate(np.nan, np.nan),
+        lower_95=low,
+        upper_95=high,
+        over_span=Estimate(value * span, u * span),
+        chance=chance(found, level),
+        seen=is_seen(found, level, tried),
+        margin=stated.margin,
+        equivalent=np.nan if stated.margin is None else within(found, draws * span, stated.margin),
+    )
+
+
+def _scatters(found: CampaignPosterior, kind: str) -> dict[str, Estimate]:
+    return {level.name: found.estimate(level) for level in found.hyper if level.kind == kind}
+
+
+def _runs(
+    entered: Sequence[tuple[FoundRun, CompressedRun]], found: CampaignPosterior, reference_rad: float
+) -> tuple[CampaignRun, ...]:
+    together, u_together = found.of_runs
+    names = found.model.names
+    residuals = found.residuals
+    out = []
+    for row, (source, run) in enumerate(entered):
+        fit = source.run.fits[FitMethod.EXACT]
+        values = parameters(names, together[row], reference_rad)
+        slopes = [values[place] if name in POSITIVE else 1.0 for place, name in enumerate(names)]
+        out.append(
+            CampaignRun(
+                label=run.label,
+                contact=run.contact,
+                record=source.run.record,
+                sha256=source.run.sha256,
+                results_sha256=source.results_sha256,
+                likelihood=likelihood_tree(run),
+                alone={name: fit.estimate(name) for name in names if name in run.names},
+                # of b and gamma at a known exponent: that of the coordinate, at the reference amplitude
+                together={
+                    name: Estimate(float(values[place]), abs(float(slopes[place] * u_together[row, place])))
+                    for place, name in enumerate(names)
+                },
+                residuals={
+                    name: float(residuals[row, place])
+                    for place, name in enumerate(names)
+                    if name in run.names
+                },
+                bad=float(found.bad[row]),
+            )
+        )
+    return tuple(out)
+
+
+def _warnings(found: CampaignPosterior, alone: CampaignPosterior) -> tuple[str, ...]:
+    said: list[str] = []
+    for run, bad in zip(found.runs, found.bad, strict=True):
+        if bad > _BAD:
+            said.append(f"{run.label} is a bad run with {100 * bad:.0f} %: it counts for little; look at it")
+    for one, what in ((found, "the posterior"), (alone, "the answer without priors")):
+        if one.effective < _FEW * len(one.h):
+            said.append(
+                f"{what} is not well described: {one.effective:.0f} of {len(one.h)} draws count; ask for "
+                "more draws, or for the sampler"
+            )
+    wide = [
+        level.name
+        for level in found.hyper
+        if level.kind == "between runs"
+        and found.moments(found.draws(level)).value > found.model.size(level.name)
+    ]
+    if wide:
+        said.append(
+            f"runs scatter in {', '.join(wide)} more than is usual: look for what differs between them, "
+            "or state a larger size"
+        )
+    return tuple(said)
+
+
+def values_in(results: CampaignResults, name: str) -> Mapping[str, CampaignValue]:
+    """One quantity by contact."""
+    return {contact: of[name] for contact, of in results.contacts.items() if name in of}

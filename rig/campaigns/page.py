@@ -1,0 +1,77 @@
+"""What a campaign leaves in its folder: campaign.json, page, figures, CSV, LaTeX."""
+
+import json
+from pathlib import Path
+
+from acquisition.record import whole_file
+from acquisition.record.digest import sha256_of
+from processing.errors import RecordError
+from processing.estimate import Estimate
+from rig.analysis import encoded
+from rig.campaigns.answer import Campaign
+from rig.campaigns.figures import figures_of
+from rig.campaigns.latex import latex_table
+from rig.campaigns.tables import Beliefs, tables_of
+from rig.presentation import Table, plain_values
+from rig.report import html, save_figures, save_tables, styled
+
+NAME = "campaign.json"
+PAGE = "campaign.html"
+FOLDER = "campaign"
+
+
+def campaign_tables(campaign: Campaign) -> list[Table]:
+    """The tables, as terminal and page have them."""
+    model = campaign.posterior.model
+    levels = {name: Estimate(one.value, one.u) for name, one in campaign.stated.prior.items()}
+    return tables_of(campaign.results, Beliefs({name: model.size(name) for name in model.names}, levels))
+
+
+def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
+    """Write all files of a campaign into a folder, which is made; returns the first ones to look at.
+
+    Raises RecordError where one exists or cannot be written.
+    """
+    files = folder / FOLDER
+    path, target = folder / NAME, folder / PAGE
+    try:
+        files.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(plain_values(encoded(campaign.results)), indent=1, allow_nan=False) + "\n"
+        whole_file.write_new(path, text.encode())
+        tables = campaign_tables(campaign)
+        save_tables(tables, files)
+        (files / "contacts.tex").write_text(latex_table(campaign.results), encoding="utf-8")
+        with styled():
+            figures = save_figures(figures_of(campaign), files)
+        whole_file.write_new(target, _page(campaign, tables, figures, sha256_of(path)).encode())
+    except FileExistsError as error:
+        raise RecordError(
+            f"{error.filename or path}: exists already and is not overwritten; choose another folder"
+        ) from None
+    except OSError as error:
+        raise RecordError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    return [path, target]
+
+
+def _page(campaign: Campaign, tables: list[Table], figures: list[str], sha256: str) -> str:
+    results = campaign.results
+    count = len(results.runs)
+    words = f"{count} run{'s' if count != 1 else ''} of {', '.join(results.contacts)}"
+    body = []
+    if results.simulated:
+        body.append(
+            '<div class="warn">SIMULATED: runs come from the simulated rig; nothing was measured.</div>'
+        )
+    body += [f'<div class="warn">{html.escape(line)}</div>' for line in results.warnings]
+    body.append(html.notes(results.left_out))
+    shown = [html.table(content) for content in tables]
+    body += [shown[0], *figures, *shown[1:]]
+    body.append(
+        html.paragraph(
+            f"Laplace's method over the scatters; {results.draws_that_count:.0f} of {results.draws} draws "
+            f"count. sha256 of {NAME}: {sha256}.",
+            "note",
+        )
+    )
+    title = "SIMULATED: Campaign" if results.simulated else "Campaign"
+    return html.page(title, words, body, results_sha256=sha256)

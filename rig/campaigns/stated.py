@@ -1,0 +1,99 @@
+"""What is stated of a campaign: campaign.toml."""
+
+from pathlib import Path
+from typing import Self
+
+from pydantic import BaseModel, Field, model_validator
+
+from processing.campaign import FRICTION, Effect, Form
+from processing.errors import ConfigurationError
+from rig.settings import read_toml, validated
+
+
+class StatedEffect(BaseModel, frozen=True, extra="forbid"):
+    """A parameter that depends on what a run was measured under."""
+
+    parameter: str = Field(description="b, p, c, n, period0_s, gamma_pa, drag_s, or friction: b and c alike")
+    form: Form
+    covariate: str = Field(
+        default="",
+        description="humidity_percent, temperature_c, pressure_pa, dwell_s, age_s, first_amplitude_rad, "
+        "load_n, order",
+    )
+    reference: float = Field(default=0.0, description="where the effect is nought, or where the step stands")
+    contact: str = Field(default="", description="the only contact that has it; default: all have it alike")
+    margin: float | None = Field(
+        default=None, gt=0, description="over the campaign's span, below which it does not matter"
+    )
+
+    @model_validator(mode="after")
+    def _has_covariate(self) -> Self:
+        if self.form is not Form.DURING and not self.covariate:
+            raise ValueError("covariate: is missing; state what the parameter depends on")
+        if self.form is Form.DURING and self.parameter != FRICTION:
+            raise ValueError("form = 'during': is of parameter = 'friction'")
+        return self
+
+    def effect(self) -> Effect:
+        """As the model takes it."""
+        return Effect(
+            parameter=self.parameter,
+            covariate=self.covariate,
+            form=self.form,
+            reference=self.reference,
+            contact=self.contact,
+        )
+
+
+class StatedLevel(BaseModel, frozen=True, extra="forbid"):
+    """What is known of a parameter beside the runs: a normal distribution."""
+
+    value: float
+    u: float = Field(gt=0)
+
+
+class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
+    """The whole file."""
+
+    parameters: tuple[str, ...] = Field(
+        default=(), description="that are modelled; default: all that runs determine"
+    )
+    reference_arcsec: float = Field(
+        default=60.0, gt=0, description="amplitude at which b and gamma scatter, and change with covariates"
+    )
+    contacts_alike: bool = Field(
+        default=False, description="contacts are of one kind and scatter about a mean"
+    )
+    bad_run_chance: float = Field(default=0.02, ge=0, lt=0.5)
+    draws: int = Field(default=1000, ge=100, le=100_000)
+    seed: int = Field(default=1, ge=0)
+    effect: tuple[StatedEffect, ...] = ()
+    candidate: tuple[StatedEffect, ...] = Field(
+        default=(), description="forms that are tried one by one beside the effects"
+    )
+    change_points: tuple[str, ...] = Field(
+        default=(), description="parameters that may have become other ones at some run"
+    )
+    prior: dict[str, StatedLevel] = Field(default_factory=dict, description="by parameter")
+    size: dict[str, float] = Field(
+        default_factory=dict,
+        description="by parameter, how far an effect may move it and how far runs may scatter; of b, "
+        "c, gamma_pa as a fraction of it",
+    )
+    u: dict[str, float] = Field(default_factory=dict, description="standard uncertainty by covariate")
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        return tuple(one.effect() for one in self.effect)
+
+    @property
+    def candidates(self) -> tuple[Effect, ...]:
+        return tuple(one.effect() for one in self.candidate)
+
+
+def read_campaign(path: Path) -> StatedCampaign:
+    """The file's content. Raises ConfigurationError with one line for all of its faults."""
+    found, faults = validated(StatedCampaign, read_toml(path, "campaign"))
+    if found is None:
+        raise ConfigurationError(f"{path}: {'; '.join(fault.line for fault in faults)}")
+    return found

@@ -1,0 +1,89 @@
+"""`rig campaign`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from processing.errors import ConfigurationError
+from rig.commands.inputs import there, with_results
+from rig.commands.outputs import folder_without
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command()(campaign)
+
+
+def campaign(
+    folders: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Folders of sessions, in the order in which they were measured; each is a contact.",
+            show_default=False,
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Folder for campaign.json, page, figures and tables.",
+            callback=folder_without("campaign.json", "campaign.html"),
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="What is stated: parameters, effects, priors (campaign.toml).", callback=there),
+    ] = None,
+    archive: Annotated[
+        str | None, typer.Option(help="Take the runs of an archive instead; each sample is a contact.")
+    ] = None,
+    where: Annotated[
+        str, typer.Option(help="The archive's runs that meet a condition, as of rig archive list.")
+    ] = "",
+) -> None:
+    """Many runs, one answer: a model over all of them.
+
+    What runs share (air, lever, masses) counts once; contacts depend on humidity, temperature, age as stated;
+    bad runs are named.
+
+    \b
+    Examples:
+      rig campaign runs/monday runs/tuesday -o campaigns/glass
+      rig campaign --archive archive --where "sample = 'K8'" --config campaign.toml -o campaigns/k8
+    """
+    if archive is None and not folders:
+        raise ConfigurationError("rig campaign needs runs: name folders of sessions, or --archive")
+    if archive is not None and folders:
+        raise ConfigurationError(f"{folders[0]}: folders and --archive exclude each other; leave one out")
+    if where and archive is None:
+        raise ConfigurationError(f"--where {where!r}: has no effect without --archive")
+    with_results(folders or [])
+
+    from rig.campaigns import (
+        StatedCampaign,
+        answer_of,
+        campaign_tables,
+        read_campaign,
+        runs_of_archive,
+        runs_of_folders,
+        save_campaign,
+    )
+    from rig.presentation import print_tables, say
+
+    stated = StatedCampaign() if config is None else read_campaign(config)
+    if archive is None:
+        found = answer_of(runs_of_folders(folders or []), stated)
+    else:
+        from rig.archive import opened
+
+        with opened(archive) as place:
+            runs = runs_of_archive(place, where)
+        found = answer_of(runs, stated)
+    print_tables(campaign_tables(found))
+    for line in (*found.results.left_out, *found.results.warnings):
+        say(line)
+    if output is not None:
+        for path in save_campaign(found, output):
+            print(f"{'campaign':<12} {path}")
