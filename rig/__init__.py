@@ -12,15 +12,27 @@ if TYPE_CHECKING:
     from processing.deflections import Deflections
     from processing.errors import RigError
     from rig.analysis import SessionResults, TableResults, read_results, write_results
-    from rig.scripting import Record, Session, figures, fit, fit_table, open_record, open_session
+    from rig.scripting import (
+        Campaign,
+        Record,
+        Session,
+        campaign,
+        figures,
+        fit,
+        fit_table,
+        open_record,
+        open_session,
+    )
 
 __all__ = [
+    "Campaign",
     "Deflections",
     "Record",
     "RigError",
     "Session",
     "SessionResults",
     "TableResults",
+    "campaign",
     "figures",
     "fit",
     "fit_table",

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from processing.arrays import Floats
 from processing.campaign import ORDER, POSITIVE, CompressedRun, Effect, Form, moved_by
@@ -128,7 +129,8 @@ def shrinkage_figure(campaign: Campaign) -> ReportFigure:
         values = np.array([found.runs[row].values[found.runs[row].names.index(name)] for row in own])
         middle = float(np.median(values))
         scale = 1.0 if name in POSITIVE else quantity(name).factor
-        for x, (row, value) in enumerate(zip(own, values.tolist(), strict=True), start=1):
+        for row, value in zip(own, values.tolist(), strict=True):
+            x = row + 1
             colour = colours[found.runs[row].contact]
             pair = _shown(name, np.array([value, together[row, place]]), middle)
             axes.errorbar(
@@ -145,6 +147,8 @@ def shrinkage_figure(campaign: Campaign) -> ReportFigure:
                 elinewidth=1.2,
             )
             axes.plot([x - 0.17, x + 0.17], pair, color=colour, lw=0.5)
+        axes.set_xlim(0.4, len(found.runs) + 0.6)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_title(coordinate_label(name, results.reference_arcsec), fontsize=7.5)
         axes.set_xlabel("run")
     return ReportFigure(
@@ -172,6 +176,7 @@ def residual_figure(campaign: Campaign) -> ReportFigure:
     for at, run in zip(x.tolist(), results.runs, strict=True):
         if run.bad > _BAD:
             axes.axvspan(at - 0.4, at + 0.4, color=palette.VERMILLION, alpha=0.25, lw=0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("run")
     axes.set_ylabel("deviation / u")
     axes.set_yscale("symlog", linthresh=4)

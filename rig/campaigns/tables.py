@@ -182,8 +182,8 @@ def budget_table(results: CampaignResults) -> Table:
     return Table(
         "budget", "What limits the answer now", ("contact", "quantity", "source", "contribution", "share"),
         rows, ("contact", "", "verdict"), shown,
-        "Shares of the variance of each level, in its coordinate. Shared inputs do not shrink with the number "
-        "of runs; scatter and swings do.",
+        "Shares of the variance of each level, in its coordinate. Shared inputs do not shrink with the "
+        "number of runs; scatter and swings do.",
     )  # fmt: skip
 
 

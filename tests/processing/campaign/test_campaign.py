@@ -16,11 +16,11 @@ from processing.campaign import (
     Level,
     Side,
     compare_forms,
-    to_coordinates,
     find_change,
     fit_campaign,
     is_seen,
     parameters,
+    to_coordinates,
     within,
 )
 from processing.errors import DataError
