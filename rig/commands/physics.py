@@ -152,7 +152,7 @@ def _witness(path: Path | None, columns: Sequence[str], offset_s: float | None) 
 def video(
     film: Annotated[
         Path,
-        typer.Argument(help="A film, or a folder of images.", show_default=False, callback=there),
+        typer.Argument(help="A film, a folder of images, or raw pixels.", show_default=False, callback=there),
     ],
     output: Annotated[
         Path | None,

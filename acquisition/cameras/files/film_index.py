@@ -12,16 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from acquisition.cameras.files.ffmpeg import ffmpeg_error, opened_film
+from acquisition.cameras.files.timestamps import missing_frames, numbers_by_steps
 from processing.errors import DeviceError
 
 if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 _SECOND_NS: Final = 1_000_000_000
-_JUMP: Final = 1.75
-"""Usual steps of time from which on a longer one is taken for missing frames."""
-_LISTED: Final = 5
-"""Places that a message names one by one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,9 +111,9 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
     if rate_hz is not None:
         time_ns = [round(number * _SECOND_NS / rate_hz) for number in numbers]
     else:
-        numbers = _numbers_by_steps(ticks)
+        numbers = numbers_by_steps(ticks)
         time_ns = [round((tick - ticks[0]) * tick_s * _SECOND_NS) for tick in ticks]
-    said += _gaps(time_ns, numbers)
+    said += missing_frames(time_ns, numbers, "the container's times")
     cut_off = _cut_off(container, stream, ticks, total, tick_s, last_duration)
     if cut_off:
         said.append(f"ends {cut_off} frames before what it announces: it is cut off, copy it again")
@@ -158,32 +155,8 @@ def _constant_rate(
     return None, []
 
 
-def _numbers_by_steps(ticks: Sequence[int]) -> list[int]:
-    """Numbers of frames with a varying rate, in which only clearly longer steps count as missing frames."""
-    steps = [after - before for before, after in pairwise(ticks)]
-    usual = _middle(steps) if steps else 1
-    numbers = [0]
-    for step in steps:
-        numbers.append(numbers[-1] + (round(step / usual) if step >= _JUMP * usual else 1))
-    return numbers
-
-
 def _middle(values: Sequence[int]) -> int:
     return sorted(values)[len(values) // 2]
-
-
-def _gaps(time_ns: Sequence[int], numbers: Sequence[int]) -> list[str]:
-    """What is to be said of frames that are missing between others."""
-    gaps = [
-        (time_ns[i] / _SECOND_NS, numbers[i + 1] - numbers[i] - 1)
-        for i in range(len(numbers) - 1)
-        if numbers[i + 1] - numbers[i] > 1
-    ]
-    if not gaps:
-        return []
-    places = ", ".join(f"{count} after {time_s:.3f} s" for time_s, count in gaps[:_LISTED])
-    more = f" and {len(gaps) - _LISTED} more places" if len(gaps) > _LISTED else ""
-    return [f"{sum(count for _, count in gaps)} frames are missing by the container's times: {places}{more}"]
 
 
 def _cut_off(

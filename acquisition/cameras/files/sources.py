@@ -1,4 +1,4 @@
-"""Sources of recorded frames: folder of images, TIFF file, .npy stack, film."""
+"""Sources of recorded frames: folder of images, TIFF file, .npy stack, raw pixels, film."""
 
 import contextlib
 import re
@@ -16,6 +16,7 @@ from acquisition.cameras.files.film import FilmSource
 from acquisition.cameras.files.formats import is_cut_off, read_pgm
 from acquisition.cameras.files.frame_source import FrameSource, Stored
 from acquisition.cameras.files.frame_source import Unreadable as Unreadable
+from acquisition.cameras.files.raw import RawSource, is_raw
 from processing.errors import DeviceError
 
 IMAGES = (".png", ".pgm", ".tif", ".tiff", ".bmp")
@@ -34,6 +35,8 @@ def open_source(path: Path) -> FrameSource:
         return StackSource(path)
     if path.suffix.lower() in _STACKS:
         return TiffSource(path)
+    if is_raw(path):
+        return RawSource(path)
     if path.suffix.lower() in IMAGES:
         raise DeviceError(f"{path}: is one image; name the folder that holds the images")
     return FilmSource(path)

@@ -20,6 +20,10 @@ _TICKS = 1.5
 """Ticks of a film's clock by which its times may be off a stated rate: both ends are rounded."""
 _RATE_WITHIN = 2e-5
 """Parts of the elapsed time as well: what a rate of six digits leaves open."""
+_JUMP = 1.75
+"""Usual steps of time from which on a longer one is taken for missing frames."""
+_LISTED = 5
+"""Places that a message names one by one."""
 
 
 class FrameTimes(NamedTuple):
@@ -146,3 +150,28 @@ def _rising(path: Path, name: str, values: list[int]) -> list[int]:
     if values and values[0] < 0:
         raise DeviceError(f"{path}: line 2: {name} is negative; count from an earlier moment")
     return values
+
+
+def numbers_by_steps(ticks: Sequence[int]) -> list[int]:
+    """Numbers of frames with a varying rate, in which only clearly longer steps count as missing frames."""
+    steps = sorted(after - before for before, after in pairwise(ticks))
+    usual = steps[len(steps) // 2] if steps else 1
+    numbers = [0]
+    for before, after in pairwise(ticks):
+        step = after - before
+        numbers.append(numbers[-1] + (round(step / usual) if step >= _JUMP * usual else 1))
+    return numbers
+
+
+def missing_frames(time_ns: Sequence[int], numbers: Sequence[int], source: str) -> list[str]:
+    """What is to be said of frames that are missing between others, by the `source` of their times."""
+    gaps = [
+        (time_ns[i] / NS_PER_S, numbers[i + 1] - numbers[i] - 1)
+        for i in range(len(numbers) - 1)
+        if numbers[i + 1] - numbers[i] > 1
+    ]
+    if not gaps:
+        return []
+    places = ", ".join(f"{count} after {time_s:.3f} s" for time_s, count in gaps[:_LISTED])
+    more = f" and {len(gaps) - _LISTED} more places" if len(gaps) > _LISTED else ""
+    return [f"{sum(count for _, count in gaps)} frames are missing by {source}: {places}{more}"]

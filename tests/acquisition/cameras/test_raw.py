@@ -1,0 +1,174 @@
+"""Raw pixels with a sidecar: right, refused in one line, or what is lost of them counted."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from acquisition.cameras.files.raw import other_row_length
+from tests.acquisition.cameras.made_films import NX, NY, picture, places
+from tests.acquisition.cameras.test_files import play, refusal
+
+COUNT, RATE_HZ = 12, 25.0
+LAYOUT = {"width_px": NX, "height_px": NY, "pixel_format": "Mono8", "frame_rate_hz": RATE_HZ}
+
+
+def pictures(bits: int = 8) -> NDArray[Any]:
+    return np.array([picture(place, bits) for place in places(np.arange(COUNT) / RATE_HZ)])
+
+
+def written(folder: Path, data: bytes, layout: dict[str, Any], name: str = "swing.raw.toml") -> Path:
+    path = folder / "swing.raw"
+    path.write_bytes(data)
+    if name.endswith(".json"):
+        (folder / name).write_text(json.dumps(layout))
+    else:
+        (folder / name).write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in layout.items()))
+    return path
+
+
+def packed_12p(frames: NDArray[Any]) -> bytes:
+    """Two pixels in three bytes, least significant bits first."""
+    first, second = frames.ravel()[::2].astype(np.uint32), frames.ravel()[1::2].astype(np.uint32)
+    both = first | second << 12
+    return np.stack([both & 255, both >> 8 & 255, both >> 16], axis=1).astype(np.uint8).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "layout", "data", "wanted"),
+    [
+        ("swing.raw.toml", {}, pictures().tobytes(), pictures()),
+        ("swing.json", {}, pictures().tobytes(), pictures()),
+        ("swing.toml", {"header_bytes": 7}, b"a title" + pictures().tobytes(), pictures()),
+        ("swing.toml", {"pixel_format": "Mono12"}, pictures(12).astype("<u2").tobytes(), pictures(12)),
+        (
+            "swing.toml",
+            {"pixel_format": "Mono16", "byte_order": "big"},
+            pictures(16).astype(">u2").tobytes(),
+            pictures(16),
+        ),
+        ("swing.toml", {"pixel_format": "Mono12p"}, packed_12p(pictures(12)), pictures(12)),
+        ("swing.toml", {"pixel_format": "RGB8"}, np.repeat(pictures(), 3).tobytes(), pictures()),
+    ],
+)
+def test_pixels_and_times_come_back_as_they_are(
+    tmp_path: Path, name: str, layout: dict[str, Any], data: bytes, wanted: NDArray[Any]
+) -> None:
+    path = written(tmp_path, data, LAYOUT | layout, name)
+    camera, frames = play(path, frame_rate_hz=None)
+    assert np.array_equal([frame.image for frame in frames], wanted)
+    assert [frame.device_time_ns for frame in frames] == [40_000_000 * k for k in range(COUNT)]
+    assert len(camera.found) == 1
+
+
+def test_red_is_the_first_of_rgb_and_the_last_of_bgr(tmp_path: Path) -> None:
+    colours = np.stack([pictures(), pictures() // 2, pictures() // 3], axis=-1)
+    for order, stored in (("RGB8", colours), ("BGR8", colours[..., ::-1])):
+        path = written(tmp_path, stored.tobytes(), LAYOUT | {"pixel_format": order})
+        _, frames = play(path, frame_rate_hz=None, colour="red")
+        assert np.array_equal([frame.image for frame in frames], pictures())
+
+
+def test_listed_times_hold_and_a_jump_of_them_is_counted_and_placed(tmp_path: Path) -> None:
+    times_ns = [10**15 + 40_000_000 * (k + 3 * (k > 4)) for k in range(COUNT)]
+    layout = {key: value for key, value in LAYOUT.items() if key != "frame_rate_hz"} | {"times_ns": times_ns}
+    camera, frames = play(written(tmp_path, pictures().tobytes(), layout), frame_rate_hz=None)
+    assert [frame.device_time_ns for frame in frames] == [time_ns - times_ns[0] for time_ns in times_ns]
+    assert camera.status.dropped_by_camera == 3
+    assert "3 frames are missing by the times in swing.raw.toml: 3 after 0.160 s" in camera.found[1]
+
+
+def test_without_times_they_come_from_elsewhere_or_are_asked_for(tmp_path: Path) -> None:
+    layout = {key: value for key, value in LAYOUT.items() if key != "frame_rate_hz"}
+    path = written(tmp_path, pictures().tobytes(), layout)
+    _, frames = play(path, frame_rate_hz=50.0)
+    assert frames[1].device_time_ns == 20_000_000
+    assert "camera.files.frame_rate_hz" in refusal(path, frame_rate_hz=None)
+
+
+def test_a_file_that_is_cut_off_is_counted_where_its_frames_are_stated(tmp_path: Path) -> None:
+    data = pictures().tobytes()[: -3 * NX * NY // 2]
+    path = written(tmp_path, data, LAYOUT | {"frames": COUNT})
+    camera, frames = play(path, frame_rate_hz=None)
+    assert (len(frames), camera.status.incomplete) == (COUNT - 2, 2)
+    assert camera.found[1] == f"ends 2 frames before the {COUNT} that swing.raw.toml states"
+    assert np.array_equal(frames[-1].image, pictures()[COUNT - 3])
+
+
+WHOLE = pictures().tobytes()
+
+
+@pytest.mark.parametrize(
+    ("layout", "data", "said"),
+    [
+        ({"width_px": NX + 1}, WHOLE, "are no whole number of frames of 161x96 px in Mono8 (15456 bytes)"),
+        ({}, WHOLE[:-1], "state frames there if the file is cut off"),
+        ({"frames": COUNT - 1}, WHOLE, "holds 15360 bytes more than the 11 frames"),
+        ({"times_s": [0.0]}, WHOLE, "frame_rate_hz and times_s: state one of them"),
+        ({"frame_rate_hz": None, "times_s": [0.0, 0.2, 0.1]}, WHOLE, "times_s: entry 3 is not later"),
+        ({"frame_rate_hz": None, "times_s": [0.0, 1.0], "frames": 3}, WHOLE, "has 2 entries for frames = 3"),
+        ({"width_px": None}, WHOLE, "width_px: is missing"),
+        ({"width_px": "160"}, WHOLE, "width_px = '160': should be a valid integer"),
+        ({"width_px": True}, WHOLE, "width_px = True: should be a valid integer"),
+        ({"frame_rate_hz": 0.0}, WHOLE, "frame_rate_hz = 0.0: should be greater than 0"),
+        ({"width_px": None, "width": NX}, WHOLE, "width: unknown key; known here: width_px, height_px"),
+        ({"pixel_format": "gray"}, WHOLE, "pixel_format = 'gray': should be one of Mono8, Mono10p"),
+        ({"byte_order": "big"}, WHOLE, "byte_order: pixels of Mono8 have none"),
+        ({"pixel_format": "Mono12", "frames": 6}, WHOLE, "is above 4095, the largest of Mono12"),
+        ({"header_bytes": 10**9}, WHOLE, "no whole number of frames"),
+    ],
+)
+@pytest.mark.parametrize("name", ["swing.raw.toml", "swing.raw.json"])
+def test_a_sidecar_that_does_not_fit_is_refused_in_one_line(
+    tmp_path: Path, name: str, layout: dict[str, Any], data: bytes, said: str
+) -> None:
+    stated = {key: value for key, value in (LAYOUT | layout).items() if value is not None}
+    assert said in refusal(written(tmp_path, data, stated, name), frame_rate_hz=None)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("swing.toml", "width_px = ", "swing.toml: is not TOML"),
+        ("swing.toml", "width_px = 1\nwidth_px = 2", "swing.toml: is not TOML"),
+        ("swing.json", "{", "swing.json: is not JSON"),
+        ("swing.json", "[1, 2]", "should be a valid dictionary"),
+        ("swing.json", '{"width_px": 1, "width_px": 2}', "a key is stated twice"),
+        ("swing.json", '{"width_px": 1e999}', "width_px = inf"),
+        ("swing.json", "\udcff", "swing.json: is not JSON"),
+    ],
+)
+def test_a_file_that_is_no_sidecar_is_refused(tmp_path: Path, name: str, text: str, said: str) -> None:
+    path = written(tmp_path, WHOLE, LAYOUT)
+    (tmp_path / "swing.raw.toml").unlink()
+    (tmp_path / name).write_bytes(text.encode(errors="surrogateescape"))
+    assert said in refusal(path, frame_rate_hz=None)
+
+
+def test_none_and_two_sidecars_are_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, WHOLE, LAYOUT)
+    (tmp_path / "swing.json").write_text("{}")
+    assert "swing.raw.toml and swing.json describe it; keep one" in refusal(path)
+    (tmp_path / "swing.json").unlink()
+    (tmp_path / "swing.raw.toml").unlink()
+    assert "write swing.raw.toml with width_px, height_px, pixel_format" in refusal(path)
+
+
+@pytest.mark.parametrize("width", [NX // 2, NX * 2, NY, 120])
+def test_rows_of_another_length_than_stated_are_noticed(tmp_path: Path, width: int) -> None:
+    path = written(tmp_path, WHOLE, LAYOUT | {"width_px": width, "height_px": NX * NY // width})
+    camera, _ = play(path, frame_rate_hz=None)
+    assert f"fit rows of {NX} px better than the {width}" in camera.found[1]
+
+
+def test_rows_of_the_right_length_are_not_doubted() -> None:
+    rng = np.random.default_rng(1)
+    for noise in (0.0, 3.0, 30.0, 200.0):
+        for image in pictures():
+            assert not other_row_length(image + noise * rng.standard_normal(image.shape))
+    assert not other_row_length(np.zeros((NY, NX), np.uint8))
+    stripes = np.repeat(np.arange(NY)[:, None] % 8 * 30, NX, axis=1)
+    assert not other_row_length(stripes)
