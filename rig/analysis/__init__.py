@@ -10,7 +10,7 @@ from rig.analysis.curves import Curves, curves_of
 from rig.analysis.decay_values import decay_lines
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.encoding import JsonObject, units_of
-from rig.analysis.film_positions import FilmAsked, film_trajectory
+from rig.analysis.film_positions import FilmAsked, film_trajectory, films_in
 from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.fitted_drag import FittedDrag, evidence_of, known_drag
@@ -25,7 +25,7 @@ from rig.analysis.instrument_results import (
 )
 from rig.analysis.law_results import ComparedLaws, MomentsWithoutLaw
 from rig.analysis.less_reference import detected_again, less_beam_motion
-from rig.analysis.position_table import TableColumns, Trajectory
+from rig.analysis.position_table import TableColumns
 from rig.analysis.positions_file import POSITIONS_NAME, read_positions, write_positions
 from rig.analysis.record_fit import (
     AnalysedRun,
@@ -55,7 +55,8 @@ from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import expected_drag, recorded_surroundings, stated_surroundings
 from rig.analysis.table_fit import AnalysedTable, FoundDecay, along_and_across, analyse_table
-from rig.analysis.table_screen import fit_envelope_table, fit_read, fit_trajectory
+from rig.analysis.table_screen import fit_envelope_table, fit_read, fit_several, fit_trajectory
+from rig.analysis.trajectory import Trajectory
 from rig.analysis.waveform_results import waveform_table
 from rig.analysis.witness_file import StatedWitness, WitnessRecord
 from rig.analysis.witnessed_fits import witness_sentences

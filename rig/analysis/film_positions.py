@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from acquisition.camera import CameraSettings
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.settings import FilesSettings
+from acquisition.cameras.files.sources import IMAGES, is_film, natural_key
 from acquisition.frame import Image
 from processing.errors import ConfigurationError, DataError
 from processing.spot import SensorModel, SpotFlag, SpotTracker
 from processing.ticks import seconds
 from processing.units import conversion
-from rig.analysis.position_table import ANGLES, Trajectory
 from rig.analysis.tables import known_unit
+from rig.analysis.trajectory import ANGLES, Trajectory
 
 _DARK = 1.5
 """How much further the darkest pixels are from the middle than the brightest where the object is dark."""
@@ -119,6 +120,16 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
         understood=tuple(said),
         u_common_in_noises=_U_LOSSY_IN_NOISES if camera.lossy else 0.0,
     )
+
+
+def films_in(path: Path) -> list[Path]:
+    """The films of a folder, in natural order of their names; none of a file, or a folder of images."""
+    if not path.is_dir():
+        return []
+    inside = [each for each in path.iterdir() if each.is_file() and not each.name.startswith(".")]
+    if any(each.suffix.lower() in IMAGES for each in inside):
+        return []
+    return sorted(filter(is_film, inside), key=lambda each: natural_key(each.name))
 
 
 def looks_dark(image: Image) -> bool:

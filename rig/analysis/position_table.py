@@ -1,60 +1,33 @@
-"""Tables of other instruments: which columns are time and position, in which units, and the rows that are
-usable.
-"""
+"""Tables of other instruments: time and positions in their units, and the rows that are usable."""
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
 from processing.ticks import seconds
-from processing.units import conversion, size
-from rig.analysis.tables import Cells, Named, known_unit, moments_ns, named_unit, read_cells
+from processing.units import conversion
+from rig.analysis.tables import Cells, Columns, Run, moments_ns, read_cells, runs_of
+from rig.analysis.tables.column_units import unit_of_positions, unit_of_time
 from rig.analysis.tables.numbers import is_moment
 from rig.analysis.tables.times import number, placed, read_times, rising
+from rig.analysis.trajectory import ANGLES, NOT_STATED, Trajectory
 
-TIME_UNITS = ("ns", "us", "ms", "s", "min", "h", "d")
-_SORT = "sort the rows or name the time column with --time"
-_NO_COMMAS = (
+_SORT: Final = (
+    "sort the rows or name the time column with --time; several runs need a blank line between them or a "
+    "column 'run'"
+)
+_NO_COMMAS: Final = (
     "its commas seem to be decimal commas as well as separators, which cannot be told apart: save it with "
     "semicolons or tabs between the columns, or with decimal points"
 )
-NOT_STATED = "unit"
-"""Stands for the unit of positions where none is stated."""
-ANGLES = ("rad", "mrad", "urad", "nrad", "arcsec", "arcmin", "deg")
-_LARGEST_RAD = 1.1 * math.pi
+_LARGEST_RAD: Final = 1.1 * math.pi
 """No pendulum swings further from its middle and comes back; a tenth for where the middle is taken to be."""
-_TIME_NAME = re.compile(
-    r"(?:t|time|zeit|temps|tiempo|tempo|elapsed|date.*|datum.*|timestamp|clock)(?:[\W_].*)?", re.I
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Trajectory:
-    """Time in integer ns from the first sample, positions in the user's unit.
-
-    `scale_rad` is the unit in rad, None where the unit is no angle (volts, px, mm): decay and
-    period can then be had, contact parameters not. `time_unit` is that of the table's times,
-    `time_name` their column, `first_ns` the first of them as it stands there. `understood` says in lines what
-    the file was taken for, and which rows were left out. `u_common_in_noises` is the standard uncertainty of
-    an error that all amplitudes share, as a multiple of the noise of one position.
-    """
-
-    times_ns: NDArray[np.int64]
-    positions: tuple[NDArray[np.float64], ...]
-    names: tuple[str, ...]
-    unit: str
-    scale_rad: float | None
-    time_unit: str = "s"
-    time_name: str = ""
-    understood: tuple[str, ...] = ()
-    first_ns: int = 0
-    u_common_in_noises: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +37,7 @@ class TableColumns:
     `time` and `positions` are columns by name or number from 1; None and empty: the first column that is
     named like a time, else the first, and the one behind it. `rate_hz`: the table has no time, but so many
     rows a second. `begin_s` and `end_s` are in seconds since the first row. `decimal` is the decimal mark,
-    where the numbers leave that open.
+    where the numbers leave that open. `run` is one of several runs in the file; empty: all.
     """
 
     time: str | None = None
@@ -75,35 +48,66 @@ class TableColumns:
     begin_s: float | None = None
     end_s: float | None = None
     decimal: str = ""
+    run: str = ""
 
     def read(self, path: Path) -> Trajectory:
-        """The table.
+        """The table, or the one run that is asked for.
 
         Raises
         ------
         DataError
             No such file, no numbers, times that do not increase.
         ConfigurationError
-            A column that there is not, a unit that is not known, or two that contradict one another.
+            A column that there is not, a unit that is not known, or two that contradict one another; several
+            runs of which none is chosen.
         """
-        return _Reading(path, self).trajectory()
+        cells, chosen, every = self._runs(path)
+        if len(chosen) > 1:
+            raise ConfigurationError(f"{path}: {_listed(every)}; choose one with --run")
+        return self._trajectory(path, cells, chosen[0], every)
+
+    def read_runs(self, path: Path) -> list[Trajectory]:
+        """Each run of the table, of which `run` may choose one; raises as `read` does."""
+        cells, chosen, every = self._runs(path)
+        return [self._trajectory(path, cells, run, every) for run in chosen]
+
+    def _runs(self, path: Path) -> tuple[Cells, list[Run], list[Run]]:
+        """The whole table, the runs that are asked for, and all of them."""
+        cells = read_cells(path, self.decimal)
+        columns = Columns(path, cells)
+        every = runs_of(cells, columns, columns.time(self.time, self.rate_hz, self.time_unit))
+        chosen = [run for run in every if self.run in ("", run.name)]
+        if not chosen:
+            known = _listed(every) if len(every) > 1 else "holds one run; leave the option out"
+            raise ConfigurationError(f"{path}: --run {self.run}: is not there; {known}")
+        return cells, chosen, every
+
+    def _trajectory(self, path: Path, whole: Cells, run: Run, every: list[Run]) -> Trajectory:
+        said = [f"{_listed(every)}; this is {run.name}"] if len(every) > 1 else []
+        without = len(whole.rows) - sum(len(one.cells.rows) for one in every)
+        said += [f"left out: {without} rows that are of no run"] if without else []
+        return _Reading(path, self, run, said).trajectory()
+
+
+def _listed(runs: Sequence[Run]) -> str:
+    named = ", ".join(f"{run.name} ({len(run.cells.rows)} rows)" for run in runs)
+    return f"{len(runs)} runs, told apart by {runs[0].told_by}: {named}"
 
 
 class _Reading:
-    """One reading of one table."""
+    """One reading of one run of a table."""
 
-    def __init__(self, path: Path, asked: TableColumns) -> None:
-        self._path, self._asked = path, asked
-        self._cells: Cells = read_cells(path, asked.decimal)
-        width = len(self._cells.rows[0])
-        self._names = list(self._cells.names) or [f"column {k + 1}" for k in range(width)]
-        self._named = [self._unit_of(k) for k in range(width)]
-        self._said: list[str] = []
+    def __init__(self, path: Path, asked: TableColumns, run: Run, said: Sequence[str] = ()) -> None:
+        self._path, self._asked, self._run = path, asked, run.name
+        self._cells: Cells = run.cells
+        self._columns = Columns(path, run.cells)
+        self._names = self._columns.names
+        self._said: list[str] = list(said)
 
     def trajectory(self) -> Trajectory:
-        t_column = self._time_column()
-        p_columns = self._position_columns(t_column)
         rows, asked = self._cells.rows, self._asked
+        t_column = self._columns.time(asked.time, asked.rate_hz, asked.time_unit)
+        p_columns = self._columns.positions(asked.positions, t_column)
         table = np.array([[number(row[k]) for k in p_columns] for row in rows], dtype=np.float64)
         if t_column is None:
             assert asked.rate_hz is not None
@@ -128,13 +132,14 @@ class _Reading:
             time_name="the rate" if t_column is None else self._names[t_column],
             understood=(self._how_written(), *self._said),
             first_ns=first_ns,
+            run=self._run,
         )
 
     def columns(self) -> Trajectory:
         """Time and any number of columns, whatever their units; all but the time where none is named."""
-        t_column = self._time_column()
+        t_column = self._columns.time(self._asked.time, None)
         assert t_column is not None
-        chosen = [self._column(name) for name in self._asked.positions] or [
+        chosen = [self._columns.place(name) for name in self._asked.positions] or [
             k for k in range(len(self._names)) if k != t_column
         ]
         times_ns, good, time_unit, first_ns = self._times(t_column)
@@ -166,62 +171,6 @@ class _Reading:
             first_ns=first_ns,
         )
 
-    def _unit_of(self, column: int) -> Named:
-        named = named_unit(self._names[column]) if self._cells.names else Named(self._names[column], "")
-        beside = self._cells.units[column]
-        if not beside:
-            return named
-        unit = known_unit(beside)
-        return Named(named.name, unit or named.unit, "" if unit or named.unit else beside)
-
-    def _time_column(self) -> int | None:
-        asked, width = self._asked, len(self._names)
-        if asked.rate_hz is not None:
-            if asked.time is not None or asked.time_unit:
-                raise ConfigurationError(
-                    "--rate is for a table without times; leave --time and --time-unit out"
-                )
-            return None
-        if asked.time is not None:
-            return self._column(asked.time)
-        if width < 2:
-            raise DataError(
-                f"{self._path}: has one column; time and position are needed, or the rate of its rows: "
-                "--rate HZ"
-            )
-        like_time = [
-            k
-            for k, named in enumerate(self._named)
-            if (self._cells.names and (_TIME_NAME.fullmatch(named.name) or _is_time(named.unit)))
-            or all(is_moment(row[k]) for row in self._cells.rows[:50])
-        ]
-        return like_time[0] if like_time else 0
-
-    def _position_columns(self, t_column: int | None) -> list[int]:
-        asked, width = self._asked, len(self._names)
-        if len(asked.positions) > 2:
-            raise ConfigurationError(
-                f"--position was given {len(asked.positions)} times; one or two columns are used"
-            )
-        if asked.positions:
-            return [self._column(name) for name in asked.positions]
-        if t_column is None and width > 1:
-            raise ConfigurationError(f"{self._path}: has {width} columns; name the position with --position")
-        behind = 0 if t_column is None else t_column + 1
-        return [behind if behind < width else 0]
-
-    def _column(self, name: str) -> int:
-        for among in (self._names if self._cells.names else [], [named.name for named in self._named]):
-            if name in among:
-                return list(among).index(name)
-        width = len(self._names)
-        if name.isdecimal() and 1 <= int(name) <= width:
-            return int(name) - 1
-        known = (
-            ", ".join(self._names) if self._cells.names else f"1 to {width} (the table has no header line)"
-        )
-        raise ConfigurationError(f"{self._path}: has no column {name!r}; columns: {known}")
-
     def _times(self, column: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], str, int]:
         cells = [row[column] for row in self._cells.rows]
         if sum(map(is_moment, cells[:50])) > 0.5 * len(cells[:50]):
@@ -232,65 +181,19 @@ class _Reading:
             rising(self._path, times_ns, [cell for cell, yes in zip(cells, good, strict=True) if yes], _SORT)
             self._said.append(f"time: {self._names[column]}, moments")
             return times_ns, good, "s", kept[0]
-        unit, source = self._time_unit(column)
+        named = self._columns.named[column]
+        unit, source = unit_of_time(self._path, self._names[column], named, self._asked.time_unit)
         remedy = _SORT if not self._split_at_decimal_commas() else _NO_COMMAS
         times_ns, good, first_ns = read_times(self._path, cells, unit, remedy)
         self._said.append(f"time: {self._names[column]}, in {unit} ({source})")
         return times_ns, good, unit, first_ns
 
-    def _time_unit(self, column: int) -> tuple[str, str]:
-        """The unit of time, and who says so."""
-        named, stated = self._named[column], self._asked.time_unit
-        if stated and not _is_time(known_unit(stated)):
-            raise ConfigurationError(
-                f"--time-unit {stated!r} is no unit of time; take one of {', '.join(TIME_UNITS)}"
-            )
-        if named.unit and not _is_time(named.unit):
-            raise ConfigurationError(
-                f"{self._path}: {self._names[column]!r} is in {named.unit}, which is no unit of time; name "
-                "the time column with --time, or state --rate"
-            )
-        stated = known_unit(stated)
-        if stated and named.unit and stated != named.unit:
-            raise ConfigurationError(
-                f"{self._path}: {self._names[column]!r} says {named.unit}, --time-unit says {stated}; "
-                "leave the option out, or correct the header"
-            )
-        if stated:
-            return stated, "--time-unit"
-        if named.strange:
-            raise ConfigurationError(
-                f"{self._path}: {named.strange!r} in {self._names[column]!r} is no unit of time that is "
-                f"known here; state --time-unit, one of {', '.join(TIME_UNITS)}"
-            )
-        return (named.unit, "its header") if named.unit else ("s", "nothing states another")
-
     def _position_unit(self, columns: Sequence[int]) -> str:
-        stated = known_unit(self._asked.unit) or self._asked.unit
-        sources = []
-        for k in columns:
-            named = self._named[k]
-            if named.strange and not stated:
-                raise ConfigurationError(
-                    f"{self._path}: {named.strange!r} in {self._names[k]!r} is no unit that is known here; "
-                    f"state --unit, one of {', '.join(ANGLES)} or any word"
-                )
-            if named.unit and stated and not _same(named.unit, stated):
-                raise ConfigurationError(
-                    f"{self._path}: {self._names[k]!r} says {named.unit}, --unit says {stated}; leave the "
-                    "option out, or correct the header"
-                )
-            sources.append(named.unit)
-        if len(set(sources)) > 1:
-            raise ConfigurationError(
-                f"{self._path}: the positions are in {' and '.join(map(repr, sources))}; both need the "
-                "same unit"
-            )
-        unit = stated or sources[0] or NOT_STATED
-        source = "--unit" if stated else "its header" if sources[0] else "not stated"
-        names = ", ".join(self._names[k] for k in columns)
+        titles, named = [self._names[k] for k in columns], [self._columns.named[k] for k in columns]
+        unit, source = unit_of_positions(self._path, titles, named, self._asked.unit)
         self._said.append(
-            f"position: {names}" + (f", in {unit} ({source})" if unit != NOT_STATED else f" ({source})")
+            f"position: {', '.join(titles)}"
+            + (f", in {unit} ({source})" if unit != NOT_STATED else f" ({source})")
         )
         return unit
 
@@ -370,17 +273,6 @@ class _Reading:
         )
 
 
-def _is_time(unit: str) -> bool:
-    return bool(unit) and dict(size(unit).powers) == dict(size("s").powers)
-
-
-def _same(unit: str, other: str) -> bool:
-    try:
-        return size(unit) == size(other)
-    except ConfigurationError:
-        return unit == other
-
-
 def read_trajectory(
     path: Path, time: str | None, positions: list[str], unit: str, time_unit: str = ""
 ) -> Trajectory:
@@ -390,4 +282,5 @@ def read_trajectory(
 
 def read_columns(path: Path, time: str | None, columns: list[str]) -> Trajectory:
     """Time and any number of columns of a table, all but the time without names; see `TableColumns`."""
-    return _Reading(path, TableColumns(time, tuple(columns))).columns()
+    asked = TableColumns(time, tuple(columns))
+    return _Reading(path, asked, Run("", read_cells(path))).columns()

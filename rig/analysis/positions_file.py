@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from acquisition.record import whole_file
 from processing.errors import RecordError
-from rig.analysis.position_table import Trajectory
+from rig.analysis.trajectory import Trajectory
 
 POSITIONS_NAME = "positions.csv"
 

@@ -7,6 +7,7 @@ Every field has a default: files of earlier versions, which lack some of them, a
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isfinite, nan
+from pathlib import Path
 from typing import Annotated
 
 from acquisition.frame_losses import FrameLosses
@@ -160,11 +161,18 @@ class TableDecay(RunResults):
     """One decay of a table: what a run of the rig reports.
 
     `initial_amplitude` and `final_amplitude` are in the table's own unit, `amplitude_unit`; `began_s` and
-    `ended_s` are the first and the last turning point since the table's first row.
+    `ended_s` are the first and the last turning point since the table's first row. `run` is the name of the
+    run that it is of, where the file holds several.
     """
 
     began_s: float = nan
     ended_s: float = nan
+    run: str = ""
+
+    @property
+    def source_name(self) -> str:
+        """Name of the file without its ending, and of the run in it."""
+        return f"{Path(self.record).stem}{f'-run-{self.run}' if self.run else ''}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,12 +25,13 @@ from rig.analysis.amplitude_damping import amplitude_damping
 from rig.analysis.compared_laws import laws_of
 from rig.analysis.decay_values import decay_values
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.position_table import ANGLES, NOT_STATED, TableColumns, Trajectory
+from rig.analysis.position_table import TableColumns
 from rig.analysis.record_fit import analyse_swings
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
 from rig.analysis.surroundings import stated_surroundings
+from rig.analysis.trajectory import ANGLES, NOT_STATED, Trajectory
 from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
 from rig.analysis.witnessed_fits import of_source
 from rig.settings import Configuration
@@ -234,6 +235,7 @@ def _analyse(
         **values,
         began_s=seconds(unflagged[0]),
         ended_s=seconds(unflagged[-1]),
+        run=trajectory.run,
     )
     return FoundDecay(swings, summary, results)
 

@@ -1,22 +1,24 @@
 """`rig fit` on a table, on the terminal."""
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from processing.decay_summary import DecayMean
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.swing import SwingFlag, turning_points
 from processing.ticks import seconds
 from rig.analysis.amplitude_damping import damping_lines
 from rig.analysis.compared_laws import chosen_laws
-from rig.analysis.position_table import TableColumns, Trajectory
+from rig.analysis.position_table import TableColumns
 from rig.analysis.results import EnvelopeResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, relative_record, write_results
 from rig.analysis.screen import print_run
 from rig.analysis.table_fit import AnalysedTable, FoundDecay, analyse_envelope, analyse_trajectory
+from rig.analysis.trajectory import Trajectory
 from rig.analysis.witness_file import StatedWitness
 from rig.instrument import fill_from_files
 from rig.presentation import with_uncertainty
@@ -47,7 +49,47 @@ def fit_trajectory(
     witness: StatedWitness | None = None,
 ) -> int:
     """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
-    return fit_read(path, columns.read(path), output, config_path, overrides, report, laws, witness)
+    runs = columns.read_runs(path)
+    if len(runs) == 1:
+        return fit_read(path, runs[0], output, config_path, overrides, report, laws, witness)
+    inputs = [(run.run, path, lambda run=run: run) for run in runs]
+    return fit_several(inputs, output, config_path, overrides, report, laws, witness)
+
+
+def fit_several(
+    inputs: Sequence[tuple[str, Path, Callable[[], Trajectory]]],
+    output: Path | None,
+    config_path: Path | None,
+    overrides: Sequence[str],
+    report: ReportWriter | None = None,
+    laws: Sequence[str] = (),
+    witness: StatedWitness | None = None,
+) -> int:
+    """The same of several runs, each by its name, its file and what reads it; a folder for each.
+
+    One that cannot be analysed does not keep the others from it. Returns 1 if there was such a run.
+    """
+    folders = [None if output is None else output / _folder_name(name) for name, _, _ in inputs]
+    for folder in folders:
+        if folder is not None and (folder / RESULTS_NAME).exists():
+            raise ConfigurationError(
+                f"{folder / RESULTS_NAME}: exists already and is not overwritten; choose another folder"
+            )
+    failed = 0
+    for (name, path, read), folder in zip(inputs, folders, strict=True):
+        print(f"--- run {name}")
+        try:
+            fit_read(path, read(), folder, config_path, overrides, report, laws, witness)
+        except (DataError, DeviceError) as error:
+            failed += 1
+            print(f"not analysed: {error}")
+    return int(failed > 0)
+
+
+def _folder_name(name: str) -> str:
+    """A run's name as that of a folder."""
+    plain = re.sub(r"[^\w.-]+", "-", name).strip("-.")
+    return f"run-{plain}" if plain.isdigit() or not plain else plain
 
 
 def fit_read(

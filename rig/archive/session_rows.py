@@ -102,14 +102,17 @@ def _row(folder: Path, path: Path, run: RunResults | None) -> tuple[Row, bool]:
 def _of_table(folder: Path, decay: TableDecay, number: int) -> Row:
     """The row of a decay, counted from 1, of a table or a film.
 
-    The first is known by the table's hash, the others by one that follows from it.
+    The first is known by the table's hash, the others, and those of a table with several runs, by one that
+    follows from it.
     """
     path = folder / decay.record
-    known = decay.sha256
+    known, name = decay.sha256, decay.source_name
+    of_one = f" run {decay.run}" if decay.run else ""
+    of_one += f" decay {number}" if number > 1 else ""
     row: Row = {
-        "run": path.stem if number == 1 else f"{path.stem}-decay-{number}",
+        "run": name if number == 1 else f"{name}-decay-{number}",
         "record": decay.record,
-        "sha256": known if number == 1 else hashlib.sha256(f"{known} decay {number}".encode()).hexdigest(),
+        "sha256": hashlib.sha256(f"{known}{of_one}".encode()).hexdigest() if of_one else known,
         "record_bytes": path.stat().st_size if path.is_file() else None,
         "duration_s": _number(decay.ended_s - decay.began_s),
         "state": "whole",

@@ -9,16 +9,17 @@ import typer
 
 from processing.errors import ConfigurationError
 from rig.commands.arguments import ResultsFolder, Set
+from rig.commands.films import table_report
 from rig.commands.inputs import one_record, recorded, records_in, there
 from rig.commands.outputs import folder_without
 
 if TYPE_CHECKING:
-    from rig.analysis import AnalysedTable, StatedWitness
+    from rig.analysis import StatedWitness
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    for command in (fit, video, plan, instruments):
+    for command in (fit, plan, instruments):
         app.command()(command)
 
 
@@ -64,6 +65,9 @@ def fit(
     ] = None,
     decimal: Annotated[
         str, typer.Option(help="CSV: the decimal mark, point or comma, where its numbers leave that open.")
+    ] = "",
+    run: Annotated[
+        str, typer.Option(help="CSV with several runs: the one to use, by its number; default: all.")
     ] = "",
     envelope: Annotated[
         str | None,
@@ -118,17 +122,18 @@ def fit(
             raise ConfigurationError(f"--decimal {decimal!r}: a point or a comma")
         if rate is not None and not rate > 0:
             raise ConfigurationError(f"--rate {rate:g}: rows a second are more than 0")
-        columns = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, decimal)
+        columns = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, decimal, run)
         if ground is not None and (config is None or envelope is not None):
             raise ConfigurationError("--witness: has no effect without --config, which gives the pendulum")
         if envelope is not None:
             raise typer.Exit(fit_envelope_table(files[0], output, columns, envelope, frequency))
         raise typer.Exit(
-            fit_trajectory(files[0], output, config, columns, set_ or [], _table_report, law or [], ground)
+            fit_trajectory(files[0], output, config, columns, set_ or [], table_report, law or [], ground)
         )
     of_tables = {
         "--config": config, "--time": time, "--position": position, "--unit": unit, "--envelope": envelope,
         "--frequency": frequency, "--rate": rate, "--from": begin, "--to": end, "--decimal": decimal,
+        "--run": run,
     }  # fmt: skip
     if stated := next((name for name, value in of_tables.items() if value), ""):
         raise ConfigurationError(f"{stated}: has no effect on records, only on a table; leave it out")
@@ -147,74 +152,6 @@ def _witness(path: Path | None, columns: Sequence[str], offset_s: float | None) 
     if stated := "--witness-column" if columns else "--witness-offset" if offset_s is not None else "":
         raise ConfigurationError(f"{stated}: has no effect without --witness")
     return None
-
-
-def video(
-    film: Annotated[
-        Path,
-        typer.Argument(help="A film, a folder of images, or raw pixels.", show_default=False, callback=there),
-    ],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Folder for results.json, report.html and positions.csv.",
-            callback=folder_without("results.json", "report.html", "positions.csv"),
-        ),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            help="Configuration with [pendulum] and [fit]; the pixel is an angle then.", callback=there
-        ),
-    ] = None,
-    pixel: Annotated[
-        str, typer.Option(help="Size of a pixel with its unit: '0.142 mm', '3.2 arcsec'; default: px.")
-    ] = "",
-    rate: Annotated[
-        float | None, typer.Option(min=0.001, help="Frames a second, of images or of a film that says none.")
-    ] = None,
-    force_rate: Annotated[
-        bool, typer.Option("--force-rate", help="The rate holds although the film's own times contradict it.")
-    ] = False,
-    dark: Annotated[
-        bool | None,
-        typer.Option("--dark/--bright", help="What swings is darker than its ground, or brighter."),
-    ] = None,
-    begin: Annotated[float | None, typer.Option("--from", help="Use it from here on, in s.")] = None,
-    end: Annotated[float | None, typer.Option("--to", help="Use it up to here, in s.")] = None,
-    law: Annotated[
-        list[str] | None,
-        typer.Option(help="Compare the paper's law with another one, all or none; may be repeated."),
-    ] = None,
-    set_: Set = None,
-) -> None:
-    """From a film to period, damping and a report.
-
-    \b
-    Examples:
-      rig video swing.mp4 -o runs/swing
-      rig video swing.mp4 --pixel '0.142 mm'
-    """
-    from rig.analysis import FilmAsked, film_trajectory, fit_read
-
-    if set_ and config is None:
-        raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
-    if law and config is None:
-        raise ConfigurationError(f"--law {law[0]}: laws need --config CONFIG with [pendulum], and an angle")
-    if force_rate and rate is None:
-        raise ConfigurationError("--force-rate: needs the --rate that it is to hold")
-    asked = FilmAsked(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
-    raise typer.Exit(
-        fit_read(film, film_trajectory(film, asked), output, config, set_ or [], _table_report, law or [])
-    )
-
-
-def _table_report(table: "AnalysedTable", folder: Path) -> Sequence[tuple[str, Path]]:
-    from rig.report import make_table_report
-
-    return make_table_report(table, folder)
 
 
 def fit_records(

@@ -53,9 +53,8 @@ def runs_in(source: Path) -> list[tuple[str, Path, RunResults | None]]:
     if source.is_dir() or source.suffix == ".json":
         folder = source if source.is_dir() else source.parent
         runs = read_results(source).runs
-        several = len(runs) > 1 and isinstance(runs[0], TableDecay)
         return [
-            (Path(run.record).stem + (f"-decay-{k}" if several else ""), folder / run.record, run)
+            (_name(run, k if len(runs) > 1 else None), folder / run.record, run)
             for k, run in enumerate(runs, start=1)
         ]
     results = None
@@ -63,6 +62,12 @@ def runs_in(source: Path) -> list[tuple[str, Path, RunResults | None]]:
         runs = read_results(source.parent).runs
         results = next((run for run in runs if run.record == source.name), None)
     return [(source.stem, source, results)]
+
+
+def _name(run: RunResults, decay: int | None) -> str:
+    if not isinstance(run, TableDecay):
+        return Path(run.record).stem
+    return run.source_name if decay is None else f"{run.source_name}-decay-{decay}"
 
 
 def read_run(path: Path, results: RunResults | None) -> ExportedRun:

@@ -18,6 +18,7 @@ from rig.analysis import (
     Curves,
     RunResults,
     Series,
+    TableDecay,
     budget_of,
     curves_of,
     decay_lines,
@@ -90,7 +91,9 @@ def draw_run(source: Path, number: int) -> list[ReportFigure]:
 def _title(source: ReportSource) -> tuple[str, str]:
     first = source.runs[0]
     session = first.provenance.get("session", {})
-    name = Path(first.results.record).name if first.of_table else source.folder.resolve().name
+    name = source.folder.resolve().name
+    if isinstance(first.results, TableDecay):
+        name = Path(first.results.record).name + (f", run {first.results.run}" if first.results.run else "")
     title = session.get("sample") or name
     counted = "decay" if first.of_table else "run"
     words = [f"{len(source.runs)} {counted}{'s' if len(source.runs) > 1 else ''}"]

@@ -74,6 +74,7 @@ def fit_table(
     time: str | None = None,
     positions: Sequence[str] = (),
     time_unit: str = "",
+    run: str = "",
     witness: str | Path | None = None,
 ) -> TableResults:
     """Determine decay and period from a table of positions of any instrument, and fit the contact laws.
@@ -92,6 +93,8 @@ def fit_table(
     time_unit
         ns, us, ms, s, min or h; empty: the one with which the column's name ends (time_ms), else s. Times may
         be absolute.
+    run
+        Which of the runs, where the file holds several.
     witness
         What a seismometer or tiltmeter recorded beside the decays, as for `fit`; needs a configuration.
 
@@ -112,5 +115,5 @@ def fit_table(
     config = None
     if configuration is not None:
         config = load_configuration(Path(configuration), needs_camera=False)
-    columns = TableColumns(time, tuple(positions), unit, time_unit)
+    columns = TableColumns(time, tuple(positions), unit, time_unit, run=run)
     return analyse_table(Path(path), config, columns, ground).results

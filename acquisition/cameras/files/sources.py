@@ -21,6 +21,10 @@ from processing.errors import DeviceError
 
 IMAGES = (".png", ".pgm", ".tif", ".tiff", ".bmp")
 _STACKS = (".tif", ".tiff")
+_FILMS = (
+    ".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv",
+    ".3gp", ".nut", ".gif",
+)  # fmt: skip
 _LISTED = 5
 """Places that a message names one by one."""
 
@@ -40,6 +44,11 @@ def open_source(path: Path) -> FrameSource:
     if path.suffix.lower() in IMAGES:
         raise DeviceError(f"{path}: is one image; name the folder that holds the images")
     return FilmSource(path)
+
+
+def is_film(path: Path) -> bool:
+    """Whether a file is a film, or raw pixels, by its name."""
+    return path.suffix.lower() in _FILMS or is_raw(path)
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
@@ -80,12 +89,16 @@ class FolderSource(FrameSource):
         images = (name for name in inside if Path(name).suffix.lower() in IMAGES and not name.startswith("."))
         self.names = sorted(images, key=natural_key)
         self.count = len(self.names)
+        films = sum(is_film(path / name) for name in inside if not name.startswith("."))
+        if not self.names and films:
+            raise DeviceError(f"{path}: holds {films} films and no images; name one of the films")
         if not self.names:
             raise DeviceError(
                 f"{path}: holds no image ({', '.join(IMAGES)}) among its {len(inside)} files; name another"
             )
         self.numbers = numbers_in(self.names)
-        self.said = self._missing()
+        beside = [f"{films} films lie beside the images, and are left out"] if films else []
+        self.said = [*beside, *self._missing()]
 
     def read(self, index: int) -> Stored:
         path = self._path / self.names[index]

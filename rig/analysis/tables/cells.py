@@ -5,6 +5,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -23,7 +24,7 @@ _ANY: Final = re.compile(r"\s*[;,|\t ]\s*")
 class Cells:
     """Names of the columns (empty where there are none), their units where a line of their own or the cells
     state them, and the rows with the numbers of their lines. `left_out` are lines with another number of
-    columns.
+    columns. `blocks` number what blank lines or comments part, or the header written again, for each row.
     """
 
     names: Sequence[str]
@@ -31,6 +32,7 @@ class Cells:
     rows: Sequence[Sequence[str]]
     lines: Sequence[int]
     left_out: Sequence[int]
+    blocks: Sequence[int]
     separator: str
     writing: Writing
 
@@ -48,7 +50,8 @@ def read_cells(path: Path, decimal: str = "") -> Cells:
     raw = bytes_of(path)
     given = rows_of(path, raw)
     if given is not None:
-        return _cells(path, list(enumerate(given, 1)), [], "", decimal)
+        filled = [(number, cells) for number, cells in enumerate(given, 1) if any(cells)]
+        return _cells(path, filled, [], "", decimal)
     numbered = [
         (number, line) for number, line in enumerate(text_of(raw).splitlines(), 1) if line.strip(" \t;,|")
     ]
@@ -122,8 +125,9 @@ def _cells(
         if len(cells) == width and sum(map(is_value, filter(None, cells))) >= fewest
     )
     header = [cells for _, cells in numbered[:first]]
-    body = [(number, cells) for number, cells in numbered[first:] if len(cells) == width]
-    left_out = [number for number, cells in numbered[first:] if len(cells) != width]
+    again = {number for number, cells in numbered[first:] if any(cells) and cells in header}
+    body = [(n, cells) for n, cells in numbered[first:] if len(cells) == width and n not in again]
+    left_out = [n for n, cells in numbered[first:] if len(cells) != width and n not in again]
     columns = [list(column) for column in zip(*(cells for _, cells in body), strict=True)]
     names, units = _header(header or comments, width)
     # of columns that are empty throughout, a separator at the end of every line makes one
@@ -138,7 +142,17 @@ def _cells(
     writing = writing_of(numbers, decimal, str(path))
     columns = [[cell if is_moment(cell) else writing.plain(cell) for cell in column] for column in columns]
     rows = list(zip(*columns, strict=True))
-    return Cells(names, units, rows, [number for number, _ in body], left_out, separator, writing)
+    lines = [number for number, _ in body]
+    return Cells(names, units, rows, lines, left_out, _blocks(lines, left_out), separator, writing)
+
+
+def _blocks(lines: Sequence[int], left_out: Sequence[int]) -> list[int]:
+    """The block of each row: a new one begins behind lines that hold no row, not even a spoilt one."""
+    spoilt, block, found = set(left_out), 0, [0]
+    for before, line in pairwise(lines):
+        block += any(between not in spoilt for between in range(before + 1, line))
+        found.append(block)
+    return found
 
 
 def _header(lines: list[list[str]], width: int) -> tuple[list[str], list[str]]:

@@ -82,15 +82,15 @@ def _rows_of_matlab(path: Path, raw: bytes) -> list[list[str]]:
     from scipy.io import loadmat
 
     try:
-        variables = loadmat(io.BytesIO(raw), squeeze_me=True)  # type: ignore[arg-type]
+        found = loadmat(io.BytesIO(raw), squeeze_me=True)  # type: ignore[arg-type]
     except NotImplementedError:
-        raise DataError(f"{path}: is a .mat file of version 7.3; save it with -v7") from None
+        found = _variables_of_hdf5(path, raw)
     # as above
     except Exception as error:
         raise DataError(f"{path}: is no .mat file that can be read: {error}") from None
     numbers = {
         name: value
-        for name, value in variables.items()
+        for name, value in found.items()
         if not name.startswith("__") and isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
     }
     vectors = {name: value for name, value in numbers.items() if value.ndim == 1 and len(value) > 2}
@@ -103,6 +103,34 @@ def _rows_of_matlab(path: Path, raw: bytes) -> list[list[str]]:
             f"{', '.join(numbers) or 'none'}"
         )
     return _with_names(vectors, path)
+
+
+def _variables_of_hdf5(path: Path, raw: bytes) -> dict[str, Any]:
+    """The numeric arrays of a .mat file of version 7.3, which is HDF5 with rows and columns exchanged."""
+    try:
+        import h5py
+    except ImportError:
+        raise DataError(
+            f"{path}: is a .mat file of version 7.3, which is read with h5py; install it (pip install h5py), "
+            "or save the file with -v7"
+        ) from None
+    try:
+        with h5py.File(io.BytesIO(raw), "r") as file:
+            datasets = {name: item for name, item in file.items() if isinstance(item, h5py.Dataset)}
+            return {
+                name: np.squeeze(np.asarray(item).T)
+                for name, item in datasets.items()
+                # characters are whole numbers, too, and of an empty array its size is stored
+                if _matlab_class(item) != "char" and "MATLAB_empty" not in item.attrs
+            }
+    # whatever HDF5 raises at a damaged file
+    except Exception as error:
+        raise DataError(f"{path}: is no .mat file that can be read: {str(error).splitlines()[0]}") from None
+
+
+def _matlab_class(item: Any) -> str:
+    stated = item.attrs.get("MATLAB_class", b"")
+    return stated.decode() if isinstance(stated, bytes) else str(stated)
 
 
 def _rows_of_matrix(path: Path, name: str, array: Any) -> list[list[str]]:

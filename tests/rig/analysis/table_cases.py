@@ -340,6 +340,10 @@ def _times() -> list[TableCase]:
         _case("a stretch", text(), TableColumns(end_s=4.95), rows=100),
         _case("an empty stretch", text(), TableColumns(begin_s=99.0), refused="leaves no rows"),
         _case("times start again", restarted, refused="time does not increase"),
+        _case("times start again, a blank line", text(",") + "\n" + text(","), TableColumns(run="2")),
+        _case(
+            "times start again, none chosen", text(",") + "\n" + text(","), refused="choose one with --run"
+        ),
     ]
 
 
@@ -373,6 +377,27 @@ def workbook(rows: Sequence[Sequence[Any]], dates: bool = False) -> bytes:
             '<xf numFmtId="22"/></cellXfs></styleSheet>',
         )
     return out.getvalue()
+
+
+def mat73(**variables: Any) -> bytes:
+    """A .mat file of version 7.3 as MATLAB writes it: HDF5 behind a block of its own, columns as rows."""
+    import h5py
+
+    out = io.BytesIO()
+    with h5py.File(out, "w", userblock_size=512) as file:
+        for name, value in variables.items():
+            if isinstance(value, dict):
+                file.create_group(name).attrs["MATLAB_class"] = np.bytes_("struct")
+                for inner, array in value.items():
+                    file[name][inner] = array[None, :]
+            elif isinstance(value, str):
+                file[name] = np.array([[ord(letter)] for letter in value], dtype=np.uint16)
+                file[name].attrs["MATLAB_class"] = np.bytes_("char")
+            else:
+                file[name] = np.atleast_2d(value.T)
+                file[name].attrs["MATLAB_class"] = np.bytes_("double")
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + bytes([0, 2]) + b"IM"
+    return head + out.getvalue()[len(head) :]
 
 
 def _files() -> list[TableCase]:
@@ -411,6 +436,16 @@ def _files() -> list[TableCase]:
         _case("mat, a matrix", mat(data=pairs), ending="mat"),
         _case("mat, vectors", mat(t=t, x=x), ending="mat"),
         _case("mat, unequal vectors", mat(t=t, x=x[:-1]), ending="mat", refused="different lengths"),
+        _case("mat 7.3, a matrix", mat73(data=pairs), ending="mat"),
+        _case("mat 7.3, vectors and words", mat73(t=t, x=x, comment="brass"), ending="mat"),
+        _case("mat 7.3, unequal vectors", mat73(t=t, x=x[:-1]), ending="mat", refused="different lengths"),
+        _case(
+            "mat 7.3, a structure",
+            mat73(run={"t": t, "x": x}),
+            ending="mat",
+            refused="are needed; it holds none",
+        ),
+        _case("mat 7.3, cut off", mat73(data=pairs)[:3000], ending="mat", refused="is no .mat file"),
         _case("mat, no mat", b"x" * 300, ending="mat", refused="is no .mat file"),
         _case(
             "xlsx",

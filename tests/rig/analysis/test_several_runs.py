@@ -1,0 +1,176 @@
+"""Several runs in one table, several films in one folder: what was found is said, one is chosen, or all."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from processing.errors import ConfigurationError, DataError
+from rig.analysis import read_results
+from rig.analysis.position_table import TableColumns
+from rig.archive.session_rows import session_rows
+from tests.acquisition.cameras.made_films import Film, write_film
+from tests.rig.analysis.test_film_positions import swing
+from tests.rig.analysis.test_tables import ring_downs
+from tests.rig.command_line import rig
+
+DECREMENTS = (0.2, 0.3)
+
+
+def columns(decrement: float) -> tuple[np.ndarray, np.ndarray]:
+    t, y = ring_downs([1.0], [10.0], decrement)
+    return np.round(t[50:], 6), y[50:]
+
+
+def block(decrement: float, run: str = "", offset_s: float = 0.0) -> list[str]:
+    front = f"{run}," if run else ""
+    return [f"{front}{t + offset_s:.3f},{y:.6f}" for t, y in zip(*columns(decrement), strict=True)]
+
+
+ONE, TWO = (block(decrement) for decrement in DECREMENTS)
+NUMBERED = [line for k, d in enumerate(DECREMENTS, 1) for line in block(d, str(k))]
+TITLED = ["t,x", *ONE]
+MIXED = [line for pair in zip(block(0.2, "1"), block(0.3, "2"), strict=True) for line in pair]
+FILES = {
+    "a column": ["run,time,x", *NUMBERED],
+    "a column of words": [
+        "time,x,Lauf",
+        *(f"{line},brass" for line in ONE),
+        *(f"{line},steel" for line in TWO),
+    ],
+    "a column, times go on": ["Run #,t,x", *block(0.2, "1"), *block(0.3, "2", offset_s=100.0)],
+    "mixed rows": ["run,t,x", *MIXED],
+    "a blank line": [*ONE, "", *TWO],
+    "two blank lines and a header again": [*TITLED, "", "", "t,x", *TWO],
+    "a header again": [*TITLED, "t,x", *TWO],
+    "a title": [*TITLED, "Run 2", *TWO],
+    "a comment": [*TITLED, "# run 2", *TWO],
+}  # fmt: skip
+
+
+def table(folder: Path, lines: list[str]) -> Path:
+    path = folder / "runs.csv"
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_each_run_is_read_by_itself(tmp_path: Path, name: str) -> None:
+    path = table(tmp_path, FILES[name])
+    runs = TableColumns(unit="mm").read_runs(path)
+    assert len(runs) == 2
+    for run, decrement in zip(runs, DECREMENTS, strict=True):
+        t, y = columns(decrement)
+        assert np.allclose(run.times_ns * 1e-9, t - t[0], atol=1e-6)
+        assert np.allclose(run.positions[0], y, atol=1e-6)
+        assert any(
+            line.startswith("2 runs, told apart by") and f"this is {run.run}" in line
+            for line in run.understood
+        )
+        chosen = TableColumns(unit="mm", run=run.run).read(path)
+        assert np.array_equal(chosen.positions[0], run.positions[0])
+    with pytest.raises(ConfigurationError, match=r"2 runs, told apart by .*; choose one with --run"):
+        TableColumns().read(path)
+    with pytest.raises(ConfigurationError, match=r"--run 7: is not there; 2 runs, told apart by"):
+        TableColumns(run="7").read(path)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["t,x", *ONE[:500], "", *ONE[500:]],
+        ["run,t,x", *(f"1,{line}" for line in ONE)],
+        ["run,t,x", *(f"{k},{line}" for k, line in enumerate(ONE))],
+        [line for row in ONE for line in (row, "")],
+    ],
+)
+def test_one_run_is_not_cut_into_several(tmp_path: Path, lines: list[str]) -> None:
+    path = table(tmp_path, lines)
+    (run,) = TableColumns().read_runs(path)
+    assert len(run.times_ns) == len(ONE)
+    with pytest.raises(ConfigurationError, match="holds one run; leave the option out"):
+        TableColumns(run="2").read(path)
+
+
+def test_without_times_blank_lines_part_runs_and_spoilt_rows_do_not(tmp_path: Path) -> None:
+    values = [f"{y:.6f}" for y in columns(0.2)[1]]
+    path = table(tmp_path, [*values, "", *values[:900]])
+    assert [len(run.times_ns) for run in TableColumns(rate_hz=50.0).read_runs(path)] == [len(values), 900]
+    for between in (["1,2,3"], []):
+        path = table(tmp_path, [*values[:400], *between, *values[400:]])
+        assert [len(run.times_ns) for run in TableColumns(rate_hz=50.0).read_runs(path)] == [len(values)]
+
+
+def test_rows_of_no_run_and_spoilt_rows_are_counted_where_they_are(tmp_path: Path) -> None:
+    lines = ["run,t,x", *NUMBERED]
+    lines[5] = ",0.08,1.0"
+    lines[2000] = "2,broken"
+    first, second = TableColumns().read_runs(table(tmp_path, lines))
+    assert "left out: 1 rows that are of no run" in first.understood
+    assert any(
+        "1 rows without the right number of columns (line 2001)" in line for line in first.understood
+    ) != any("1 rows without the right number of columns (line 2001)" in line for line in second.understood)
+
+
+def test_times_that_begin_again_without_a_word_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="several runs need a blank line between them or a column 'run'"):
+        TableColumns().read_runs(table(tmp_path, [*ONE, *TWO]))
+
+
+def test_every_run_of_a_table_gets_a_folder_like_that_of_a_session(tmp_path: Path) -> None:
+    path = table(tmp_path, FILES["a column"])
+    done = rig("fit", path, "--unit", "mm", "-o", tmp_path / "out", figures=True)
+    assert done.returncode == 0, done.stderr
+    assert "2 runs, told apart by the column run: 1 (2000 rows), 2 (2000 rows); this is 2" in done.stdout
+    for number, decrement in enumerate(DECREMENTS, 1):
+        found = json.loads((tmp_path / "out" / f"run-{number}" / "results.json").read_text())["log_decrement"]
+        assert abs(found["value"] - decrement) < 4 * found["standard_uncertainty"]
+        page = (tmp_path / "out" / f"run-{number}" / "report.html").read_text()
+        assert f"runs.csv, run {number}" in page
+        assert [row["state"] for row in session_rows(tmp_path / "out" / f"run-{number}").rows] == ["whole"]
+    again = rig("fit", path, "--unit", "mm", "-o", tmp_path / "out")
+    assert again.returncode != 0
+    assert "run-1/results.json: exists already" in again.stderr
+    compared = rig("compare", tmp_path / "out" / "run-1", tmp_path / "out" / "run-2")
+    assert compared.returncode == 0, compared.stderr
+    assert any(
+        line.startswith("run-1 − run-2") and "log decrement" in line for line in compared.stdout.splitlines()
+    )
+    assert rig("archive", "add", tmp_path / "out", "--archive", tmp_path / "archive").returncode == 0
+    listed = rig(
+        "archive", "list", "--archive", tmp_path / "archive", "--columns", "run,log_decrement"
+    ).stdout
+    assert {line.split()[0] for line in listed.splitlines()[1:3]} == {"runs-run-1", "runs-run-2"}
+
+
+def test_a_run_without_a_decay_does_not_keep_the_others_from_theirs(tmp_path: Path) -> None:
+    rest = [f"{0.02 * k:.3f},0.0" for k in range(500)]
+    done = rig(
+        "fit", table(tmp_path, [*ONE, "", *rest]), "--unit", "mm", "-o", tmp_path / "out", figures=True
+    )
+    assert done.returncode == 1
+    assert "not analysed: " in done.stdout
+    assert len(read_results(tmp_path / "out" / "run-1").runs) == 1
+
+
+def test_the_films_of_a_folder_are_runs(tmp_path: Path) -> None:
+    films = tmp_path / "films"
+    films.mkdir()
+    for name in ("swing10.mkv", "swing9.mkv"):
+        write_film(films / name, swing(count=300), Film())
+    (films / "notes.txt").write_text("two swings")
+    done = rig("video", films, "-o", tmp_path / "out", figures=True)
+    assert done.returncode == 0, done.stderr
+    assert f"{films}: 2 films: swing9.mkv, swing10.mkv" in done.stdout
+    results = [
+        json.loads((tmp_path / "out" / name / "results.json").read_text()) for name in ("swing9", "swing10")
+    ]
+    assert results[0]["period_s"] == results[1]["period_s"]
+    for word in ("2", "swing10", "swing10.mkv"):
+        one = rig("video", films, "--run", word)
+        assert one.returncode == 0, one.stderr
+        assert f"{films / 'swing10.mkv'}: 300 samples" in one.stdout
+    refused = rig("video", films, "--run", "3")
+    assert "holds no such film; there are swing9.mkv, swing10.mkv" in refused.stderr
+    assert "leave the option out" in rig("video", films / "swing9.mkv", "--run", "1").stderr
