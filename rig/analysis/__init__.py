@@ -10,7 +10,7 @@ from rig.analysis.curves import Curves, curves_of
 from rig.analysis.decay_values import decay_lines
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.encoding import JsonObject, units_of
-from rig.analysis.film_positions import FilmAsked, film_trajectory, films_in
+from rig.analysis.film_positions import FilmAsked, film_needs_rate, film_trajectory, films_in
 from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.fitted_drag import FittedDrag, evidence_of, known_drag

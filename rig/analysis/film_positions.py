@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from acquisition.camera import CameraSettings
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.settings import FilesSettings
-from acquisition.cameras.files.sources import IMAGES, is_film, natural_key
+from acquisition.cameras.files.sources import IMAGES, is_film, natural_key, open_source
+from acquisition.cameras.files.timestamps import timestamps_beside
 from acquisition.frame import Image
 from processing.errors import ConfigurationError, DataError
 from processing.spot import SensorModel, SpotFlag, SpotTracker
@@ -120,6 +121,18 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
         understood=tuple(said),
         u_common_in_noises=_U_LOSSY_IN_NOISES if camera.lossy else 0.0,
     )
+
+
+def film_needs_rate(path: Path) -> bool:
+    """Whether the frames have no times, in themselves or in a file beside them.
+
+    Raises DeviceError for what cannot be read.
+    """
+    source = open_source(path)
+    try:
+        return source.times is None and not timestamps_beside(path).is_file()
+    finally:
+        source.close()
 
 
 def films_in(path: Path) -> list[Path]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.record.digest import known_sha256_of_any
 from acquisition.record.events import end_of
 from acquisition.record.proof import measured_sha256_of
 from acquisition.record.reader import RecordReader
@@ -332,7 +333,8 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> RunResults
 def _sha256_if_readable(path: Path) -> str:
     """By which results know their record; empty where its disk cannot give all of it."""
     try:
-        return measured_sha256_of(path, known=True)
+        # a film may be a folder of images
+        return known_sha256_of_any(path) if path.is_dir() else measured_sha256_of(path, known=True)
     except RecordError:
         return ""
 

@@ -31,7 +31,8 @@ def init(
 ) -> None:
     """Write a configuration for your rig.
 
-    Finds the camera and the serial ports and asks what must be known. Nothing is written before the last
+    Finds the camera and the serial ports and asks what must be known; a film or a table that was recorded
+    before stands for a camera, too. Nothing is written before the last
     answer. Lines of a file or a pipe are taken as answers, too.
 
     \b
@@ -52,6 +53,7 @@ def init(
         progress,
         refuse_existing,
         stated_keys,
+        steps_of_file,
         write_configuration,
     )
 
@@ -65,7 +67,9 @@ def init(
     config = write_configuration(file, stated_keys(progress(wizard, answers).values))
     sys.stderr.flush()
     print(file)
-    for line in next_steps(file, lever=config.lever is not None, simulated=config.simulated):
+    steps = steps_of_file(file, config, answers)
+    steps = steps or next_steps(file, lever=config.lever is not None, simulated=config.simulated)
+    for line in ("next:", *(f"  {step}" for step in steps)):
         say(line)
 
 
@@ -88,4 +92,4 @@ def next_steps(file: Path, *, lever: bool, simulated: bool) -> list[str]:
         steps.append(f"rig camera expose {file}, then rig camera align {file}: the light on the sensor")
         if not lever:
             steps.append(f"rig calibrate lever --config {file}: px to radians, asked step by step")
-    return ["next:", *(f"  {step}" for step in [*steps, f"rig run {file} -o runs/{file.stem}: measure"])]
+    return [*steps, f"rig run {file} -o runs/{file.stem}: measure"]

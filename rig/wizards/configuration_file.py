@@ -18,8 +18,10 @@ def stated_keys(values: Mapping[str, Keys]) -> dict[str, Any]:
 
 def configuration_text(stated: Keys, made_at: datetime.datetime) -> str:
     """The file: what was stated, and every other key of such a rig, commented out."""
-    driver = stated["camera.driver"]
+    driver = stated.get("camera.driver")
     without = {f"camera.{name}" for name in DRIVERS if name != driver} | {"controller.faults"}
+    if driver is None:
+        without |= {"camera", "controller", "laser"}
     if driver != "simulated":
         without |= {"simulation", "faults"}
     head = [
@@ -59,7 +61,7 @@ def write_configuration(path: Path, stated: Keys) -> Configuration:
         raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
     try:
         path.write_text(text, encoding="utf-8")
-        return load_configuration(path)
+        return load_configuration(path, needs_camera="camera.driver" in stated)
     except OSError as error:
         path.unlink()
         raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None

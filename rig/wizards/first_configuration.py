@@ -14,6 +14,14 @@ from rig.control import LASERS, laser_unit
 from rig.settings import number, optional
 from rig.wizards.keys import Keys, KeysOf
 from rig.wizards.question import Choice, Question
+from rig.wizards.recorded_files import (
+    CHOICES,
+    FILM,
+    TABLE,
+    direction_question,
+    film_questions,
+    table_questions,
+)
 
 _PERIODS = 3.44
 """Length of a look of `rig balance` in periods, as its default is in those of the paper's pendulum."""
@@ -40,18 +48,20 @@ class FirstConfiguration:
     def questions(self, values: Mapping[str, Any]) -> Iterator[Question]:
         """See `Wizard`; the value of each answer is a mapping from keys of the configuration to values."""
         yield self._camera()
-        simulated = values["camera"]["camera.driver"] == "simulated"
-        yield _KEYS.measured(
-            "mass",
-            "Mass of the pendulum with its ball",
-            "pendulum.mass_kg",
-            "0.406 ± 0.0001, 406 g ± 0.1 g",
-            do="The pendulum. State what was measured with its standard uncertainty behind ±; without one "
-            "it is taken as known.",
-        )
-        yield _KEYS.measured("ball radius", "Radius of the ball", "pendulum.ball_radius_m", "6.05 mm ± 1 um")
-        for body in ("ball", "flat"):
-            yield from _material(body, values)
+        driver = values["camera"].get("camera.driver", TABLE)
+        simulated, film = driver == "simulated", driver == FILM
+        if driver == TABLE:
+            yield from table_questions(values)
+            yield from _pendulum(values)
+            return
+        if film:
+            yield from film_questions(values)
+        yield from _pendulum(values, needed=not film)
+        if film:
+            yield from _lever(values)
+            if values["arm"]:
+                yield direction_question()
+            return
         yield Question(
             "period",
             "Period of the slow swing, in s (Enter: not known):",
@@ -60,22 +70,7 @@ class FirstConfiguration:
             says_enter=True,
         )
         if not simulated:
-            yield _KEYS.measured(
-                "arm",
-                "Distance from mirror to sensor along the beam",
-                "lever.arm_m",
-                "1 m ± 1 mm; Enter: not measured yet",
-                do="The light lever. Without it deflections and amplitudes are in px, and nothing can be "
-                "fitted. `rig calibrate lever` measures it.",
-                suggested="",
-            )
-            if values["arm"]:
-                yield _KEYS.measured(
-                    "pixel pitch",
-                    "Distance of neighbouring pixels of the sensor",
-                    "lever.pixel_pitch_m",
-                    "its data sheet says it: 4.8 um",
-                )
+            yield from _lever(values)
         yield Question(
             "sample",
             "What stands on what (steel ball on K8 glass, cleaned with ethanol):",
@@ -106,10 +101,13 @@ class FirstConfiguration:
         for answer, stated in keys.items():
             if stated["camera.driver"] != "v4l2":
                 keys[answer] = stated | _FRAMES
+        keys |= {FILM: {"camera.driver": FILM}, TABLE: {}}
+        choices += [Choice(answer, text) for answer, text in CHOICES.items()]
         return Question(
             "camera",
             "Which camera:",
-            lambda answer: _KEYS.checked(_known(answer, keys)),
+            # a film is asked for next
+            lambda answer: _known(answer, keys) if answer == FILM else _KEYS.checked(_known(answer, keys)),
             do=f"The camera. {len(self.cameras) or 'None'} found.",
             suggested=choices[0].answer if self.cameras else "simulated",
             choices=tuple(choices),
@@ -185,6 +183,44 @@ class FirstConfiguration:
                     Choice("own", "it has one of its own; it stays lit if this program is killed"),
                 ),
             )
+
+
+def _pendulum(values: Mapping[str, Any], *, needed: bool = True) -> Iterator[Question]:
+    """Mass, radius and materials; without them nothing but the laws of the contact is lacking."""
+    more = "" if needed else "; Enter: not known"
+    yield _KEYS.measured(
+        "mass",
+        "Mass of the pendulum with its ball",
+        "pendulum.mass_kg",
+        f"0.406 ± 0.0001, 406 g ± 0.1 g{more}",
+        do="The pendulum. State what was measured with its standard uncertainty behind ±; without one "
+        "it is taken as known.",
+        suggested=None if needed else "",
+    )
+    if not values["mass"]:
+        return
+    yield _KEYS.measured("ball radius", "Radius of the ball", "pendulum.ball_radius_m", "6.05 mm ± 1 um")
+    for body in ("ball", "flat"):
+        yield from _material(body, values)
+
+
+def _lever(values: Mapping[str, Any]) -> Iterator[Question]:
+    yield _KEYS.measured(
+        "arm",
+        "Distance from mirror to sensor along the beam",
+        "lever.arm_m",
+        "1 m ± 1 mm; Enter: not measured yet",
+        do="The light lever. Without it deflections and amplitudes are in px, and nothing can be "
+        "fitted. `rig calibrate lever` measures it.",
+        suggested="",
+    )
+    if values["arm"]:
+        yield _KEYS.measured(
+            "pixel pitch",
+            "Distance of neighbouring pixels of the sensor",
+            "lever.pixel_pitch_m",
+            "its data sheet says it: 4.8 um",
+        )
 
 
 def _identity(camera: PluggedCamera, *, several: bool) -> dict[str, Any]:

@@ -43,7 +43,7 @@ def frame_times(settings: FilesSettings, source: "FrameSource") -> FrameTimes:
     """
     if settings.frame_rate_hz is not None:
         return _at_rate(settings, settings.frame_rate_hz, source)
-    path = settings.timestamps_csv or _beside(settings.path)
+    path = settings.timestamps_csv or timestamps_beside(settings.path)
     if settings.timestamps_csv is None and not path.is_file():
         if source.times is not None:
             return source.times
@@ -82,7 +82,8 @@ def _agree(settings: FilesSettings, rate_hz: float, times_ns: Sequence[int], sou
         )
 
 
-def _beside(path: Path) -> Path:
+def timestamps_beside(path: Path) -> Path:
+    """Where the times of frames are looked for that are stated nowhere else."""
     return path / "timestamps.csv" if path.is_dir() else path.with_suffix(".csv")
 
 

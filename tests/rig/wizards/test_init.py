@@ -1,13 +1,17 @@
 """`rig init`: the answers become a configuration that loads; nothing is written before the last."""
 
 import os
+import shlex
 import tomllib
 from pathlib import Path
 
+import cv2
 import pytest
 
 from acquisition.camera import PluggedCamera
+from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError, RigError
+from rig.analysis import read_results
 from rig.settings import load_configuration, quantity
 from rig.wizards import (
     Draft,
@@ -18,6 +22,9 @@ from rig.wizards import (
     stated_keys,
     write_configuration,
 )
+from tests.acquisition.cameras.made_films import Film, write_film
+from tests.rig.analysis.test_film_positions import PERIOD_S, swing
+from tests.rig.analysis.test_table_laws import swings
 from tests.rig.command_line import rig
 
 PORTS = (("/dev/ttyACM0", "Pico"), ("/dev/ttyUSB0", "laser"))
@@ -71,7 +78,7 @@ def test_every_answer_is_held_against_the_models() -> None:
     wizard = FirstConfiguration(PLUGGED, PORTS)
     good = ["1", "0.406", "6.05 mm", "", "", "", "1", "4.8 um", "", "", "", "/dev/ttyACM0", "controller"]
     refused = {
-        0: {"8": "choose one of", "nothing": "choose one of"},
+        0: {"10": "choose one of", "nothing": "choose one of"},
         1: {
             "": "an answer is needed",
             "0,406": "with a point: 0.406",
@@ -215,3 +222,66 @@ def test_the_file_shows_every_key_of_such_a_rig_once(tmp_path: Path) -> None:
     assert "[simulation.contact]" in text
     assert tomllib.loads(text)["camera"] == {"driver": "simulated"}
     assert whole.count("max_duration_s") == 2
+
+
+def commands_of(done: str) -> list[list[str]]:
+    """The commands that are named as next steps, without what stands behind the colon."""
+    steps = [line.strip() for line in done.partition("next:\n")[2].splitlines()]
+    return [shlex.split(step.rpartition(": ")[0])[1:] for step in steps if step]
+
+
+def test_from_images_to_a_configuration_with_which_all_that_is_named_runs(tmp_path: Path) -> None:
+    (tmp_path / "frames").mkdir()
+    for k, picture in enumerate(swing(count=450)):
+        cv2.imwrite(str(tmp_path / "frames" / f"f{k:04d}.png"), picture)
+    typed = ["files", "frames", "30", "406 g", "6.05 mm", "", "", "1 m ± 1 mm", "4.8 um", "left and right"]
+    done = rig("init", "mine.toml", cwd=tmp_path, typed="\n".join(typed) + "\n")
+    assert done.returncode == 0, done.stderr
+    config = load_configuration(tmp_path / "mine.toml")
+    assert config.camera.driver == "files"
+    commands = commands_of(done.stderr)
+    assert [words[0] for words in commands] == ["video", "video", "run"]
+    for words in commands:
+        ran = rig(*words, cwd=tmp_path, figures=True)
+        assert ran.returncode == 0, ran.stderr
+        (run,) = read_results(tmp_path / words[words.index("-o") + 1]).runs
+        assert abs(run.period_s.value - PERIOD_S) < 4 * run.period_s.standard_uncertainty < 0.01
+    # the scale of the lever is that of the pixel
+    amplitudes = [
+        read_results(tmp_path / words[words.index("-o") + 1]).runs[0].initial_amplitude for words in commands
+    ]
+    assert amplitudes[1] == pytest.approx(amplitudes[0] * 4.8e-6 / 2.0 / ARCSEC_RAD, rel=1e-6)
+
+
+def test_a_film_alone_needs_no_further_answer(tmp_path: Path) -> None:
+    write_film(tmp_path / "my swing.mkv", swing(count=30), Film())
+    done = rig("init", "mine.toml", cwd=tmp_path, typed="files\nmy swing.mkv\n\n\n")
+    assert done.returncode == 0, done.stderr
+    assert commands_of(done.stderr) == [["video", "my swing.mkv", "-o", "runs/mine"]]
+    assert load_configuration(tmp_path / "mine.toml").pendulum is None
+
+
+def test_a_table_needs_the_pendulum_alone(tmp_path: Path) -> None:
+    swings(tmp_path / "decay.csv")
+    done = rig("init", "mine.toml", cwd=tmp_path, typed="table\ndecay.csv\n406 g\n6.05 mm\n\n\n")
+    assert done.returncode == 0, done.stderr
+    (words,) = commands_of(done.stderr)
+    ran = rig(*words, cwd=tmp_path, figures=True)
+    assert ran.returncode == 0, ran.stderr
+    assert "exact" in read_results(tmp_path / "runs" / "mine").runs[0].fits
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("files\nnowhere.mp4\n", "nowhere.mp4: no such file or folder here"),
+        ("files\nnotes.txt\n", "notes.txt: is no video that can be read"),
+        ("table\nnowhere.csv\n", "nowhere.csv: no such file here"),
+    ],
+)
+def test_a_file_that_is_none_is_asked_for_again(tmp_path: Path, typed: str, said: str) -> None:
+    (tmp_path / "notes.txt").write_text("a note")
+    done = rig("init", "mine.toml", cwd=tmp_path, typed=typed)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert not (tmp_path / "mine.toml").exists()
