@@ -9,7 +9,13 @@ from processing.fit.changes import Drifts, changes_of, drifts_of, warnings_of, w
 from processing.fit.determination import Determination, identifiability, strong_correlations
 from processing.fit.domain import domain_warnings
 from processing.fit.drag import Drag, DragFinding, drag_verdict
-from processing.fit.errors_of_place import PlaceErrors, by_row_time, place_errors, with_place_errors
+from processing.fit.errors_of_place import (
+    PlaceErrors,
+    by_common_amplitude,
+    by_row_time,
+    place_errors,
+    with_place_errors,
+)
 from processing.fit.evidence import NO_EVIDENCE, WAVEFORM, Evidence, Waveform, sine_covariance, waveform_of
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step

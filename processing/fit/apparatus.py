@@ -55,7 +55,8 @@ class RigQuantities:
     the pendulum rests, at the tilt `rest_rad` from the lever's reference. `balls` is the number of balls that
     carry the weight, 1 or 2. `row_time_s` is that of a rolling shutter, 0 if it is not one.
     `ageing` is the relative growth of the contact's friction over a run, `period_drift` that of the period,
-    both nought as the fit has it.
+    both nought as the fit has it. `common_amplitude_rad` is what all amplitudes are too small by, nought as
+    well: the compression of a film takes as much from each.
     `contact_radius_m` is a stated radius of the contact in the place of Hertz's:
     the materials are then not used, and the load does not change it.
     """
@@ -78,6 +79,7 @@ class RigQuantities:
     row_time_s: InputQuantity = InputQuantity(0.0)
     ageing: InputQuantity = InputQuantity(0.0)
     period_drift: InputQuantity = InputQuantity(0.0)
+    common_amplitude_rad: InputQuantity = InputQuantity(0.0)
 
     def __post_init__(self) -> None:
         for name in ("mass_kg", "ball_radius_m", "arm_m", "pitch_m", "gravity_m_per_s2", "clock"):
@@ -110,6 +112,7 @@ class RigQuantities:
         found["row_time_s"] = self.row_time_s
         found["ageing"] = self.ageing
         found["period_drift"] = self.period_drift
+        found["common_amplitude_rad"] = self.common_amplitude_rad
         return found
 
     def skewed_scale(self, skew: Floats) -> Floats:

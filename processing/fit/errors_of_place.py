@@ -5,6 +5,7 @@ for what looks like a motion (`processing.position_map`); of the rest, the fitte
 An error of a rolling shutter's row time moves their times by their places.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -109,10 +110,29 @@ def by_row_time(
         return None
     rows = np.tan(2.0 * points.amplitude) * rig.arm_m.value / rig.pitch_m.value
     rows *= np.cos(rig.slow_angle_rad.value) * (1 - 2 * (points.index % 2))
-    found = []
-    for error_s in (-u_s, u_s):
-        moved = replace(points, time_s=points.time_s + error_s * rows)
-        fit = fit_exact_with(moved, pendulum, exact, drag=exact.has_drag)
-        found.append(fit.values[[fit.names.index(name) for name in fit.contact_names]])
-    slopes: Floats = (found[1] - found[0]) / (2.0 * u_s)
+    moved = [replace(points, time_s=points.time_s + error_s * rows) for error_s in (-u_s, u_s)]
+    return _slopes(moved, u_s, pendulum, exact)
+
+
+def by_common_amplitude(
+    points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult, rig: RigQuantities
+) -> Floats | None:
+    """Derivatives (parameters,) of the contact parameters by what all amplitudes are too small by; None where
+    that is not uncertain.
+
+    The points are fitted again, with the noise of the `exact` fit. Raises DataError if a fit does not
+    converge.
+    """
+    u_rad = rig.common_amplitude_rad.u
+    if u_rad == 0:
+        return None
+    moved = [replace(points, amplitude=points.amplitude + error) for error in (-u_rad, u_rad)]
+    return _slopes(moved, u_rad, pendulum, exact)
+
+
+def _slopes(moved: Sequence[TurningPoints], by: float, pendulum: PendulumOnBall, exact: FitResult) -> Floats:
+    """Derivatives of the contact parameters, from points that were moved by `-by` and by `by`."""
+    fits = [fit_exact_with(points, pendulum, exact, drag=exact.has_drag) for points in moved]
+    low, high = (fit.values[[fit.names.index(name) for name in fit.contact_names]] for fit in fits)
+    slopes: Floats = (high - low) / (2.0 * by)
     return slopes

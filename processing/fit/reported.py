@@ -43,8 +43,9 @@ class FittedContact:
     `place_covariance` the part of both that errors of position leave, `misfit_covariance` the part of it that
     the distance between law and data leaves; None where they are not known.
     `by_air` is the change of the values for one standard uncertainty of what is known of the air, None where
-    nothing is. `by_row_time` are derivatives by the shutter's row time; None where they are not known or not
-    needed; `by_drifts` those by what drifts over a run, by the names of `RigQuantities`.
+    nothing is. `by_row_time` and `by_common_amplitude` are derivatives by the shutter's row time and by an
+    error of all amplitudes; None where they are not known or not needed; `by_drifts` those by what drifts
+    over a run, by the names of `RigQuantities`.
     """
 
     names: tuple[str, ...]
@@ -59,6 +60,7 @@ class FittedContact:
     misfit_covariance: Floats | None = None
     by_drifts: Mapping[str, Floats] = field(default_factory=dict)
     by_air: Floats | None = None
+    by_common_amplitude: Floats | None = None
 
 
 def fitted_contact(result: FitResult) -> FittedContact:
@@ -127,6 +129,8 @@ def reported_quantities(
     moved = values + found.by_log_rho[:, None] * bent
     if found.by_row_time is not None:
         moved = moved + found.by_row_time[:, None] * (inputs["row_time_s"] - rig.row_time_s.value)
+    if found.by_common_amplitude is not None:
+        moved = moved + found.by_common_amplitude[:, None] * inputs["common_amplitude_rad"]
     for name, slope in found.by_drifts.items():
         moved = moved + slope[:, None] * inputs[name]
     b, p, c, n, period0, gamma = moved[:6]

@@ -30,6 +30,7 @@ from processing.fit import (
     RigQuantities,
     Work,
     budgets,
+    by_common_amplitude,
     by_row_time,
     drag_verdict,
     draw_fitted,
@@ -171,9 +172,16 @@ def evaluate(
         except DataError as error:
             by_row = None
             notes.append(f"the budget has no line for the shutter's row time: {error}")
+        try:
+            by_common = by_common_amplitude(points, pendulum, exact, rig)
+        except DataError as error:
+            by_common = None
+            notes.append(f"the budget has no line for an error of all amplitudes: {error}")
         drifts = drifts_of(points, pendulum, exact)
         by_drifts = {"ageing": drifts.by_ageing, "period_drift": drifts.by_period}
-        contact = replace(fitted_contact(exact), by_row_time=by_row, by_drifts=by_drifts)
+        contact = replace(
+            fitted_contact(exact), by_row_time=by_row, by_common_amplitude=by_common, by_drifts=by_drifts
+        )
         notes += filter(None, [limit_sentence(drifts, BelievedDrifts(rig.ageing, rig.period_drift), exact)])
         tables = budgets(contact, rig)
         if all(quantity.u == 0 for quantity in rig.inputs().values()):

@@ -18,6 +18,7 @@ from processing.errors import RecordError
 from processing.fit import (
     FitMethod,
     FitResult,
+    InputQuantity,
     RigQuantities,
     Witness,
     delay_of_rows,
@@ -219,11 +220,14 @@ def analyse_swings(
     air: Surroundings,
     u_clock: float = 0.0,
     witness: WitnessAt | None = None,
+    *,
+    u_common_rad: float = 0.0,
 ) -> AnalysedRun:
     """Reduce the half-cycles of one run, or of one decay of a table, as its kind of pendulum asks.
 
     `path` is the file that they come from, `deflections` and `air` what it holds beside them, `u_clock` what
-    the second of its times is uncertain by, relative; `witness` tells of the ground.
+    the second of its times is uncertain by, relative; `witness` tells of the ground. `u_common_rad` is the
+    standard uncertainty of an error that all amplitudes share.
     """
     unit = deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
@@ -271,6 +275,8 @@ def analyse_swings(
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
     rig = rig_quantities(config, deflections.fast_ratio(), rest_rad, u_clock)
     believed = believed_drifts(config, air)
+    if rig is not None:
+        rig = replace(rig, common_amplitude_rad=InputQuantity(0.0, u_common_rad))
     if rig is not None and not config.fit.drifts:
         rig = replace(rig, ageing=believed.ageing, period_drift=believed.period)
     if decay.fits and pendulum is not None:

@@ -206,7 +206,9 @@ def _analyse(
             return witness.beside(Begin(in_file_ns, in_file_ns if absolute else None))
 
         at = None if witness is None else beside
-        fitted = analyse_swings(path, swings, config, passing, stated_surroundings(config), witness=at)
+        u_common = trajectory.u_common_in_noises * noise
+        air = stated_surroundings(config)
+        fitted = analyse_swings(path, swings, config, passing, air, witness=at, u_common_rad=u_common)
         run = replace(fitted.results, laws=laws_of(fitted, laws)) if laws else fitted.results
         run = replace(run, witness=of_source(run.witness, witness))
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from calibration.light_lever import Lever
+from processing.angle import ARCSEC_RAD
 from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
 from processing.errors import ConfigurationError, DataError
 from processing.fit.apparatus import InputQuantity, RigQuantities
-from processing.fit.errors_of_place import by_row_time
+from processing.fit.errors_of_place import by_common_amplitude, by_row_time
 from processing.fit.exact import fit_exact
 from processing.fit.reported import (
     FittedContact,
@@ -276,6 +277,26 @@ def test_a_wrong_row_time_moves_the_parameters_by_what_the_budget_says(points: T
         assert line.contribution == pytest.approx(abs(line.sensitivity) * u_s)
     assert by_row_time(points, rig().pendulum(), exact, rig()) is None
     assert "row_time_s" not in {line.source for line in budgets(fitted_contact(exact), rig())["b"].sources}
+
+
+def test_an_error_of_all_amplitudes_moves_the_parameters_by_what_the_budget_says(
+    points: TurningPoints,
+) -> None:
+    """All amplitudes are wrong by three times what is allowed for: the whole analysis again."""
+    u_rad = 0.001 * ARCSEC_RAD
+    filmed = rig(common_amplitude_rad=InputQuantity(0.0, u_rad))
+    exact = fit_exact(points, filmed.pendulum())
+    slopes = by_common_amplitude(points, filmed.pendulum(), exact, filmed)
+    assert slopes is not None
+    tables = budgets(replace(fitted_contact(exact), by_common_amplitude=slopes), filmed)
+    moved = replace(points, amplitude=points.amplitude + 3 * u_rad)
+    again = fit_exact(moved, filmed.pendulum(), near=exact)
+    for name in ("b", "c", "n", "gamma_pa"):
+        (line,) = [line for line in tables[name].sources if line.source == "common_amplitude_rad"]
+        error = again.values[again.names.index(name)] - exact.values[exact.names.index(name)]
+        assert error == pytest.approx(line.sensitivity * 3 * u_rad, rel=0.3), name
+        assert line.contribution == pytest.approx(abs(line.sensitivity) * u_rad)
+    assert by_common_amplitude(points, rig().pendulum(), exact, rig()) is None
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -104,3 +105,29 @@ def test_dark_is_what_is_darker_than_the_middle() -> None:
     assert looks_dark(picture)
     assert not looks_dark(inverted(picture, 255))
     assert inverted(np.array([[0, 235, 250]], np.uint8), 235).tolist() == [[235, 0, 0]]
+
+
+@pytest.mark.parametrize(("codec", "ending", "has_line"), [("libx264", "mp4", True), ("ffv1", "mkv", False)])
+def test_compression_is_a_line_in_the_budget_of_a_films_laws(
+    tmp_path: Path, codec: str, ending: str, has_line: bool
+) -> None:
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[:NY, :NX]
+    pictures = []
+    for k in range(600):
+        t = k / 10
+        at = 80.3 + (60.0 * np.exp(-0.004 * t) - 0.2 * t) * np.cos(2.0 * np.pi * t / 4.0)
+        light = 180.0 * np.exp(-((x - at) ** 2 + (y - 47.8) ** 2) / 50.0) + 20.0
+        pictures.append(
+            np.clip(np.rint(light + 1.5 * rng.standard_normal(light.shape)), 0, 255).astype(np.uint8)
+        )
+    film = Film(codec=codec, ending=ending, pixels="yuv420p", rate_hz=Fraction(10))
+    path = write_film(tmp_path / f"swing.{ending}", pictures, film)
+    config = tmp_path / "mine.toml"
+    config.write_text("[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n")
+    done = rig("video", path, "--pixel", "2 arcsec", "--config", config, "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    budget = json.loads((tmp_path / "out" / "results.json").read_text())["budget"]["b"]["sources"]
+    lines = [line for line in budget if line["source"] == "common_amplitude_rad"]
+    assert bool(lines) == has_line
+    assert all(line["contribution"] > 0.0 for line in lines)
