@@ -44,6 +44,7 @@ from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.run_clock import run_clock
 from rig.analysis.run_conditions import run_conditions
+from rig.analysis.sealed_results import public_key_over, sealed_results
 from rig.analysis.settled import settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
@@ -362,8 +363,10 @@ def _fit_warnings(fits: Mapping[str, FitResult]) -> list[str]:
     ]
 
 
-def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults:
+def session_results(runs: Sequence[AnalysedRun], folder: Path, public_key: str = "") -> SessionResults:
     """What is written of one or more runs; records are named relative to the folder of the file.
+
+    They are sealed where a record or the folder is blind, or for the `public_key` of a blind archive.
 
     Raises ConfigurationError for a key that was changed and that nothing has used.
     """
@@ -372,7 +375,8 @@ def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults
         series=_series(runs),
     )
     refuse_unread(runs)
-    return results
+    public_key = public_key_over(*(run.record for run in runs), folder) or public_key
+    return sealed_results(results, public_key) if public_key else results
 
 
 def refuse_unread(runs: Sequence[AnalysedRun]) -> None:

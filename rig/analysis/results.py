@@ -57,6 +57,7 @@ class RunResults:
     `period_s` and `log_decrement` are means over the decay, whether or not a law is fitted; a decrement that
     changes, and a decay faster than a swing, have no `quality_factor`. `damping` says how it depends on the
     amplitude; None of fewer than twelve half-cycles, and of amplitudes that do not fall.
+    `sealed` holds all of it, encrypted, of a run in a blind folder, whose results state nothing else.
     """
 
     record: str
@@ -104,6 +105,7 @@ class RunResults:
     log_decrement: Estimate = NOT_DETERMINED
     quality_factor: Estimate | None = None
     damping: AmplitudeDamping | None = None
+    sealed: str | None = None
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.
@@ -149,11 +151,12 @@ class Series:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionResults:
-    """results.json of one or more records."""
+    """results.json of one or more records; `sealed_series` is the series of blind ones, encrypted."""
 
     schema: int = SCHEMA
     runs: tuple[RunResults, ...]
     series: Annotated[Annotated[Series, Beside("fits")] | None, Section] = None
+    sealed_series: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,6 +2,7 @@
 
 What is sealed and when it was opened are files of `blind/`, each written once. The key that the offsets are
 drawn with lies elsewhere, readable by its owner alone; where it is not, what is hidden is not shown at all.
+What is added or fitted from then on is stored encrypted for that key, here and in the folders that are blind.
 """
 
 import datetime
@@ -9,9 +10,7 @@ import hashlib
 import hmac
 import json
 import math
-import os
-import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +18,17 @@ from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 from rig.archive.proved import has_line, read_file, sha256_hex, with_line, without_line
 from rig.archive.remarks import user_name
+from rig.presentation import say
+from rig.sealing import (
+    check_installed,
+    key_path,
+    new_key,
+    open_folder,
+    public_key,
+    seal_folder,
+    seal_over,
+    stored_key,
+)
 
 _FOLDER = "blind"
 _REACH = 3.0
@@ -37,12 +47,14 @@ class Hidden(NamedTuple):
 class Seal(NamedTuple):
     """What is hidden: the scale of the offset by column, None of those that had no value when it was made.
 
-    `key` is what the offsets are drawn with; None where it is not here.
+    `key` is what the offsets are drawn with; None where it is not here. `public_key` seals what is stored;
+    empty in seals of earlier versions, which hid only what was shown.
     """
 
     path: Path
     key: bytes | None
     scales: Mapping[str, float | None]
+    public_key: str = ""
 
     def hidden(self, column: str, host: str) -> Hidden:
         """How a column of the runs of one rig is hidden, always the same. Raises ValueError without key."""
@@ -71,10 +83,24 @@ def sealed(archive: Path) -> Seal | None:
                 if "secret" in tree:
                     # of an earlier version, which kept it in the seal
                     return Seal(path, bytes.fromhex(tree["secret"]), scales)
-                return Seal(path, _key(str(tree["key_sha256"])), scales)
+                public = str(tree.get("public_key", ""))
+                return Seal(path, stored_key(str(tree["key_sha256"])), scales, public)
             except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
                 raise RecordError(f"{path}: cannot be read: {error!r}; take it from a backup") from None
     return None
+
+
+def opened_keys(archive: Path) -> list[bytes]:
+    """Keys of seals that were opened. Raises RecordError for a file that cannot be read."""
+    found = []
+    for path in sorted((archive / _FOLDER).glob("[!.]*.opened.json")):
+        data = read_file(path)
+        try:
+            tree = json.loads(without_line(path, data) if has_line(data) else data)
+            found += [bytes.fromhex(tree["key"])] if "key" in tree else []
+        except (ValueError, TypeError) as error:
+            raise RecordError(f"{path}: cannot be read: {error!r}; take it from a backup") from None
+    return found
 
 
 def seal(archive: Path, scales: Mapping[str, float | None]) -> str:
@@ -84,52 +110,81 @@ def seal(archive: Path, scales: Mapping[str, float | None]) -> str:
     """
     if sealed(archive) is not None:
         raise ConfigurationError(f"{archive}: is blind already; rig archive unblind comes first")
-    key = secrets.token_bytes(32)
-    key_path = _key_path(sha256_hex(key))
-    try:
-        key_path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        whole_file.write_new(key_path, key.hex().encode(), mode=0o600)
-    except OSError as error:
-        raise RecordError(f"{key_path}: cannot be written: {error.strerror or error}") from None
-    data = _said(key_sha256=sha256_hex(key), scales=dict(scales))
-    path = archive / _FOLDER / f"{datetime.datetime.now(datetime.UTC):%Y%m%dT%H%M%S.%f}.sealed.json"
-    _write(path, data)
+    check_installed()
+    key = new_key()
+    data = _said(key_sha256=sha256_hex(key), public_key=public_key(key), scales=dict(scales))
+    _write(archive / _FOLDER / f"{_now()}.sealed.json", data)
     return (
         f"{', '.join(scales)} hidden; SHA-256 of the seal: {hashlib.sha256(data).hexdigest()}; the key is "
-        f"{key_path}"
+        f"{key_path(sha256_hex(key))}"
     )
 
 
-def _key(sha256: str) -> bytes | None:
-    path = _key_path(sha256)
-    try:
-        key = bytes.fromhex(path.read_text())
-    except FileNotFoundError:
-        return None
-    if sha256_hex(key) != sha256:
-        raise RecordError(f"{path}: is not the key that the archive was sealed with; take it from a backup")
-    return key
+def seal_folders(archive: Path, folders: Sequence[Path]) -> list[str]:
+    """Seal what is found of records in and below folders, for the key of the archive; a line for each.
+
+    Raises ConfigurationError where a folder is blind for another key, or the archive's seal is too old.
+    """
+    found = sealed(archive)
+    lines = []
+    for folder in (folder.resolve() for folder in folders):
+        if found is None or not found.public_key:
+            raise ConfigurationError(f"{archive}: has no seal with a key for folders; unblind it, then blind")
+        known = seal_over(folder)
+        if known is None or known.public_key != found.public_key:
+            seal_folder(folder, found.public_key)
+        if folder not in _folders(archive, found):
+            said = _said(folder=str(folder), public_key=found.public_key)
+            _write(archive / _FOLDER / f"{_now()}.folder.json", said)
+        lines.append(f"{folder}: blind: fits of the records in it are sealed")
+    return lines
 
 
-def _key_path(sha256: str) -> Path:
-    stated = os.environ.get("XDG_DATA_HOME") or os.environ.get("LOCALAPPDATA")
-    data = Path(stated) if stated else Path.home() / ".local" / "share"
-    return data / "optical-pendulum-rig" / "keys" / f"{sha256[:32]}.key"
+def _folders(archive: Path, of: Seal) -> list[Path]:
+    """Folders that are sealed for the key of a seal."""
+    found = []
+    for path in sorted((archive / _FOLDER).glob("[!.]*.folder.json")):
+        tree = json.loads(without_line(path, read_file(path)))
+        if tree["public_key"] == of.public_key:
+            found.append(Path(tree["folder"]))
+    return found
 
 
 def unseal(archive: Path, frozen: str) -> str:
     """Show true values again, and keep who asked for it, when, and what he said was frozen.
 
-    Raises ConfigurationError where nothing is hidden, or nothing was said.
+    It cannot be undone: the key lies in the archive and in its blind folders from then on.
+
+    Raises ConfigurationError where nothing is hidden, nothing was said, or the key is not here.
     """
     found = sealed(archive)
     if found is None:
         raise ConfigurationError(f"{archive}: is not blind")
     if not frozen.strip():
         raise ConfigurationError("say which analysis is frozen: rig archive unblind 'commit, cuts, law'")
-    digest = hashlib.sha256(found.path.read_bytes()).hexdigest()
-    _write(_opened(found.path), _said(frozen=frozen.strip(), seal_sha256=digest))
+    said = {"frozen": frozen.strip(), "seal_sha256": hashlib.sha256(found.path.read_bytes()).hexdigest()}
+    if found.public_key:
+        if found.key is None:
+            raise ConfigurationError(
+                f"{archive}: the key is not here; put it to {_stated_key_path(found)}, or let its owner do it"
+            )
+        for folder in _folders(archive, found):
+            if folder.is_dir():
+                open_folder(folder, found.key, frozen.strip(), user_name())
+            else:
+                say(f"{folder}: is not here and stays blind; blind.opened.json of another one opens it")
+        said["key"] = found.key.hex()
+    # last: where it is killed before, the archive is blind and is opened again
+    _write(_opened(found.path), _said(**said))
     return f"{', '.join(found.scales)} shown again; recorded in {_opened(found.path)}"
+
+
+def _stated_key_path(found: Seal) -> Path:
+    return key_path(json.loads(without_line(found.path, read_file(found.path)))["key_sha256"])
+
+
+def _now() -> str:
+    return f"{datetime.datetime.now(datetime.UTC):%Y%m%dT%H%M%S.%f}"
 
 
 def _opened(path: Path) -> Path:

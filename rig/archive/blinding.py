@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from processing.errors import ConfigurationError
-from rig.archive.blind import seal
+from rig.archive.blind import seal, seal_folders, sealed
 from rig.archive.columns import COLUMNS, PARAMETERS
 from rig.archive.store import Archive, reads_archive
 
@@ -13,8 +13,11 @@ _FOLLOWING = ("surface_energy_table2_j_per_m2", "surface_energy_eq2_j_per_m2", "
 
 
 @reads_archive
-def blind_runs(archive: Path, columns: Sequence[str]) -> str:
+def blind_runs(archive: Path, columns: Sequence[str], folders: Sequence[Path] = ()) -> str:
     """Hide columns (none named: all parameters of the laws, and what follows from them); says which.
+
+    In `folders`, and below them, all that is found of records is sealed from now on; further ones may follow
+    while the archive is blind.
 
     The offsets are drawn for each rig, over three times what a column scatters or is uncertain by. What has
     no value yet is multiplied by up to two, or divided, when it has.
@@ -26,6 +29,11 @@ def blind_runs(archive: Path, columns: Sequence[str]) -> str:
             raise ConfigurationError(f"{name}: is no column with an uncertainty; docs/archive.md names all")
     store = Archive(archive)
     store.begin()
+    lines = [] if folders and sealed(archive) is not None else [_sealed_now(archive, store, columns)]
+    return "\n".join([*lines, *seal_folders(archive, folders)])
+
+
+def _sealed_now(archive: Path, store: Archive, columns: Sequence[str]) -> str:
     scales: dict[str, float | None] = {}
     try:
         connection = store.connection(within=True)

@@ -4,18 +4,12 @@ from typing import Final
 
 from rig.archive.columns import COLUMNS, OF_REFITS, SHORT_NAMES
 from rig.archive.sessions import OF_FACTS, OF_PLACES
+from rig.archive.shelf import SQL_TYPES
 
-_TYPES = {
-    "text": "varchar",
-    "number": "double",
-    "count": "bigint",
-    "yes or no": "boolean",
-    "time": "timestamp",
-}
 _NAMES = ", ".join(COLUMNS)
 NO_ROWS: Final = f"""
 create table no_rows (
-  {", ".join(f"{name} {_TYPES[column.kind]}" for name, column in COLUMNS.items())},
+  {", ".join(f"{name} {SQL_TYPES[column.kind]}" for name, column in COLUMNS.items())},
   {", ".join(f"{name} {kind}" for name, kind in OF_FACTS.items())}, now boolean, listed boolean
 )
 """

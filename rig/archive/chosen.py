@@ -93,7 +93,9 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
         found = connection.execute("select * from runs where sha256 = ?", [run])
         columns = [item[0] for item in found.description]
         row = dict(zip(columns, found.fetchone(), strict=True))
-        rows = [(name, value) for name, value in row.items() if value not in (None, "", [])]
+        rows = [
+            (name, value) for name, value in row.items() if value not in (None, "", []) and name != "sealed"
+        ]
         texts = [
             (name, _text(value, row.get(f"u_{name}"))) for name, value in rows if not name.startswith("u_")
         ]

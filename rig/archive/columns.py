@@ -93,6 +93,7 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "mass_kg": Column("number", "of the pendulum"),
     "ball_radius_m": Column("number", "of the ball"),
     "instrument": Column("text", "kind of pendulum, where it is none of the contact's laws"),
+    "sealed": Column("text", "values of a blind run, encrypted for the key of its seal"),
     **{key: item for name in OF_INSTRUMENTS for key, item in _estimated(name, "as reported").items()},
 }
 

@@ -19,6 +19,7 @@ from rig.analysis import read_results, results_path, write_results
 from rig.archive.blind import sealed
 from rig.archive.chosen import chosen_runs, simulated_among
 from rig.archive.thinning import thin_copy
+from rig.sealing import refuse_blind
 
 _INPUTS = ("configuration.", "calibration/", "record.md")
 _MEDIA_TYPES = {
@@ -75,6 +76,8 @@ def publish_runs(
             f"{archive}: is blind, and a publication holds true values; unblind it first"
         )
     runs = chosen_runs(archive, names, where)
+    for record in runs.values():
+        refuse_blind(record, "a publication")
     if not runs:
         raise ConfigurationError("no run is meant: name one, or state a condition that one meets")
     if os.path.lexists(output):

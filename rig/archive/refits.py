@@ -74,6 +74,7 @@ class Task(NamedTuple):
 
     `archive` is a folder, or the URL of a remote archive, to which the results are sent at once. `turn` is
     larger than that of all results that were there when the work began: the largest are the newest.
+    `public_key` is that of a blind archive.
     """
 
     archive: str
@@ -81,6 +82,7 @@ class Task(NamedTuple):
     sha256: str
     recipe: Recipe
     turn: int = 0
+    public_key: str = ""
 
 
 @dataclass(frozen=True)
@@ -122,8 +124,9 @@ def refit(task: Task) -> str:
     results = None
     try:
         run = _analysed(task)
-        results = encoded(session_results([run], task.record.parent))
-        row |= row_of_results(run.results)
+        made = session_results([run], task.record.parent, task.public_key)
+        results = encoded(made)
+        row |= row_of_results(made.runs[0])
     except ConfigurationError as error:
         return str(error)
     except RigError as error:

@@ -15,6 +15,7 @@ from acquisition.record import whole_file
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, MissingPackage, RecordError
 from rig.analysis import chosen_laws
+from rig.archive.blind import sealed
 from rig.archive.chosen import chosen_runs
 from rig.archive.proved import with_line
 from rig.archive.refits import Level, Recipe, Task, code_identity, refit
@@ -56,8 +57,9 @@ def refit_runs(
     runs = chosen_runs(archive, names, where or ("" if names else _READABLE))
     place = sent_to or str(archive.resolve())
     store, quarantine = Archive(archive), archive / "quarantine"
-    turn = store.refit_turn() + 1
-    tasks = [Task(place, path, sha256, recipe, turn) for sha256, path in runs.items()]
+    turn, seal = store.refit_turn() + 1, sealed(archive)
+    public_key = "" if seal is None else seal.public_key
+    tasks = [Task(place, path, sha256, recipe, turn, public_key) for sha256, path in runs.items()]
     done, given_up = store.refits.names(), {path.stem for path in quarantine.glob("[!.]*.json")}
     pending = [task for task in tasks if recipe.name(task.sha256) not in done | given_up]
     skipped = [task for task in tasks if recipe.name(task.sha256) in given_up - done]

@@ -46,7 +46,7 @@ def session_rows(folder: Path) -> SessionRows:
     if source.is_file():
         results_sha256 = sha256_of(source)
         try:
-            runs = read_results(source).runs
+            runs = read_results(source, sealed=True).runs
             decays = [run for run in runs if isinstance(run, TableDecay)]
             by_record = {folder / run.record: run for run in runs if not isinstance(run, TableDecay)}
         except RecordError as error:
@@ -179,6 +179,7 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
         yield name, getattr(run, name)
     for name in ("initial_amplitude", "final_amplitude"):
         yield name, _number(getattr(run, name))
+    yield "sealed", run.sealed
     yield "configuration_sha256", run.inputs_sha256.get("configuration.json")
     yield "conditions_met", all(item.ok for item in run.conditions) if run.conditions else None
     if run.pendulum is not None:

@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from acquisition.record import whole_file
 from processing.errors import RecordError
@@ -24,6 +24,16 @@ MANY = 256
 _FEW = 24
 _KEPT = 2
 """Merged files that are kept: somebody may be reading the one before."""
+
+
+SQL_TYPES: Final = {
+    "text": "varchar",
+    "number": "double",
+    "count": "bigint",
+    "yes or no": "boolean",
+    "time": "timestamp",
+}
+"""Of the kinds of columns."""
 
 
 class Merged(NamedTuple):

@@ -16,7 +16,7 @@ import zstandard
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, MissingPackage, RecordError
 from rig.archive import catalogue
-from rig.archive.blind import sealed
+from rig.archive.blind import opened_keys, sealed
 from rig.archive.columns import Column
 from rig.archive.facts import Entry, Fact, FactLog
 from rig.archive.hiding import show_as_it_is, show_hidden
@@ -126,11 +126,13 @@ class Archive:
             if refits:
                 files += self._with_refits(connection)
             seal, tables = sealed(self.folder), ("runs", "refits") if refits else ("runs",)
-            if seal is None or within:
+            keys = opened_keys(self.folder)
+            if within or (seal is None and not keys):
                 show_as_it_is(connection, tables)
             else:
                 # what is stored must not be read beside what is shown
-                show_hidden(connection, tables, seal)
+                keys += [seal.key] if seal is not None and seal.key is not None else []
+                show_hidden(connection, tables, seal, keys)
                 files = []
         except duckdb.Error as error:
             raise unreadable(self.folder, error) from None

@@ -171,7 +171,10 @@ def _results(archive: Path, record: Path, sha256: str) -> tuple[str, RunResults 
 
 
 def _tells(results: RunResults) -> bool:
-    return bool(results.fits) or results.instrument is not None
+    # of a sealed run it is known that there is a fit, where nothing is said against it
+    return (
+        bool(results.fits) or results.instrument is not None or bool(results.sealed and not results.problem)
+    )
 
 
 def _replace(item: _Due) -> Thinned:

@@ -237,13 +237,19 @@ def blind(
     columns: Annotated[
         list[str] | None, typer.Argument(help="Columns; default: the laws' parameters.", show_default=False)
     ] = None,
+    of: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--of", help="Folder: what is fitted of records in and below it is sealed; may be repeated."
+        ),
+    ] = None,
     archive: Archive = _PLACE,
 ) -> None:
     """Hide values behind offsets until the analysis is frozen."""
     from rig.archive import blind_runs, opened
 
     with opened(archive) as folder:
-        print(blind_runs(folder, columns or []))
+        print(blind_runs(folder, columns or [], of or []))
 
 
 def unblind(

@@ -290,6 +290,9 @@ def plan(
         planned = plan_expected(expected, firsts, lasts, ground, counts, witness)
     else:
         from rig.analysis import analyse_record, refuse_unread
+        from rig.sealing import refuse_blind
+
+        refuse_blind(source, "a plan from what it found")
 
         if noise is not None or contact is not None:
             raise ConfigurationError(

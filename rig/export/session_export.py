@@ -10,6 +10,7 @@ from rig.export.run import read_run, runs_in
 from rig.export.table_run import read_table_decay
 from rig.export.tables import TABLES, table_path, write_csv, write_parquet
 from rig.presentation import say
+from rig.sealing import refuse_blind
 
 Format = Literal["csv", "parquet", "hdf5"]
 
@@ -23,6 +24,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
 
     Raises RecordError for a source without records, ConfigurationError for a file that exists.
     """
+    refuse_blind(source, "an export")
     found = runs_in(source)
     suffix = "csv" if kind == "csv" else "parquet"
     names = [name for name, _, _ in found]

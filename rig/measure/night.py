@@ -161,7 +161,7 @@ def _set_bad_aside(folder: Path, most: int) -> int:
         if len(file.state.complete) < file.state.runs_wanted:
             return 0
         try:
-            judged = {run.record: failures(run.conditions) for run in read_results(folder).runs}
+            judged = {run.record: failures(run.conditions) for run in read_results(folder, sealed=True).runs}
         except RecordError:
             return 0
         bad = [entry for entry in file.state.complete if judged.get(entry.record)][:most]
@@ -193,7 +193,7 @@ def resume_session(
         else:
             config = complete(instead.config)
             check_materials(config)
-            check_stop_when(config)
+            check_stop_when(config, folder)
             stored = stored_configuration(config)
             changed = file.reconfigure(instead.source, stored)
             say(f"{folder}: goes on with {instead.source}, which states {changed}")
@@ -227,10 +227,12 @@ def _has_results(folder: Path) -> bool:
 
     path = results_path(folder)
     try:
-        read_results(path)
+        results = read_results(path, sealed=True)
     except RecordError as error:
         say(str(error))
         return False
+    if any(run.sealed for run in results.runs):
+        return True
     if not path.with_name(path.name.replace("results", "report", 1)).with_suffix(".html").exists():
         say(f"report {make_report(path)}")
     return True

@@ -46,7 +46,7 @@ def measure_session(
     """
     config = complete(config)
     check_materials(config)
-    check_stop_when(config)
+    check_stop_when(config, output)
     if output is not None:
         withdraw_unrecorded(output)
     folder, made = session_folder(config, source, output)
@@ -190,14 +190,14 @@ def report(config: Configuration, folder: Path, made: Made, manner: Manner) -> i
     runs = [analyse_record(record) for record in records]
     if not runs:
         return 1
-    for run in runs:
-        # without a calibration nothing can be fitted, which does not count as a failure
-        problem = run.results.problem if config.lever is not None else ""
-        for why in filter(None, (problem, failures(run.results.conditions))):
-            failed = True
-            manner.notices.against.append(f"{run.record.name}: {why}")
     path = free_path(folder)
     results = session_results(runs, folder)
+    for run, said in zip(runs, results.runs, strict=True):
+        # without a calibration nothing can be fitted, which does not count as a failure
+        problem = said.problem if config.lever is not None else ""
+        for why in filter(None, (problem, failures(said.conditions))):
+            failed = True
+            manner.notices.against.append(f"{run.record.name}: {why}")
     write_results(path, results)
     paths = _paths(folder, runs, path)
     try:

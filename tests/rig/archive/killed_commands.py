@@ -23,6 +23,7 @@ from rig.archive import add_sessions, blind_runs, remark, thin_runs
 from rig.archive.checking import check_archive
 from rig.archive.refits import Recipe, Task, code_identity, refit
 from rig.archive.store import Archive
+from rig.sealing import seal_over
 
 OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
 _CALLS = ("fsync", "link", "replace", "rename", "write", "unlink", "remove", "mkdir", "open")
@@ -185,10 +186,7 @@ def commands() -> list[Command]:
         add_sessions(base / "archive", [base / "runs"])
 
     def blinded(base: Path) -> None:
-        from rig.archive.blind import sealed
-
-        if sealed(base / "archive") is None:
-            blind_runs(base / "archive", ["b"])
+        blind_runs(base / "archive", ["b"], [base / "runs"])
         add_sessions(base / "archive", [base / "runs"])
 
     return [
@@ -239,5 +237,7 @@ def _copies(base: Path) -> object:
 def _seals(base: Path) -> object:
     from rig.archive.blind import sealed
 
-    found = sealed(base / "archive")
-    return found is not None and sorted(found.scales)
+    found, folder = sealed(base / "archive"), seal_over(base / "runs")
+    if found is None:
+        return False
+    return sorted(found.scales), folder is not None and folder.public_key == found.public_key
