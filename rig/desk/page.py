@@ -1,4 +1,4 @@
-"""The page: head with state and keys, alarms over everything, one panel at a time; and how it looks."""
+"""The page: head with state and keys, alarms over everything, one panel at a time."""
 
 import html
 import json
@@ -13,9 +13,10 @@ from rig.desk.desk import Desk, Started
 from rig.desk.following import doing
 from rig.desk.panels import PANELS
 from rig.desk.safety import lamps
+from rig.desk.style import STYLE
 from rig.desk.tab import DELIBERATE, Tab
+from rig.desk.theme import RED_LIGHT
 from rig.instrument import Phase
-from rig.presentation import palette
 
 _LOOK_S = 0.25
 
@@ -23,22 +24,26 @@ _LOOK_S = 0.25
 def build_page(desk: Desk, off_port: int) -> None:
     """Build the page for one tab of a browser; `off_port` is where LIGHT OFF is heard beside this server."""
     tab = Tab(desk)
-    ui.add_css(STYLE + safety_bar.STYLE)
+    ui.add_css(safety_bar.STYLE + STYLE)
     ui.add_head_html(f"<script>{SCRIPT}{safety_bar.script(off_port)}</script>")
-    ui.add_body_html(NIGHT + safety_bar.BAR)
+    ui.add_body_html(RED_LIGHT + safety_bar.BAR)
     if not desk.somebody_acts:
         desk.take(tab.name)
     ui.context.client.on_delete(lambda: desk.leave(tab.name))
     with ui.header().classes("items-center no-wrap"):
-        ui.label("rig desk").classes("text-weight-bold")
+        ui.html("rig desk", tag="h1", sanitize=False).classes("text-weight-bold")
         simulated = ui.label("SIMULATED").classes("no")
         simulated.set_visibility(desk.config.simulated)
         state = ui.label().classes("ellipsis").props('role="status" aria-live="polite"')
         ui.space()
         acting = ui.label().classes("dim")
         take = ui.button("Take over", on_click=lambda: desk.take(tab.name)).props("dense outline")
-        ui.button("Night", on_click=_night).props('dense flat aria-label="red night theme, key n"')
-        ui.button("Keys", on_click=lambda: tab.press("?")).props('dense flat aria-label="keys, key ?"')
+        for name, key in (("Day", "d"), ("Night", "n")):
+            ui.button(name, on_click=partial(_theme, name.lower())).props(
+                f'dense flat aria-label="{name} theme, key {key}"'
+            )
+        keys = ui.button("Keys", on_click=lambda: tab.press("?")).props('dense flat aria-label="Keys, key ?"')
+        keys.classes("spare")
 
     asked: LatchedTrip | None = None
 
@@ -59,7 +64,7 @@ def build_page(desk: Desk, off_port: int) -> None:
     async def light() -> None:
         ui.notify(await run.io_bound(desk.light))
 
-    with ui.dialog() as leave, ui.card():
+    with ui.dialog().props('aria-label="acknowledge a trip"') as leave, ui.card():
         trip_text = ui.label().classes("middle")
         ui.label("Look that nobody is in the beam's way. Acknowledging lights nothing.")
         with ui.row():
@@ -82,6 +87,7 @@ def build_page(desk: Desk, off_port: int) -> None:
         for panel in PANELS:
             tab.building = panel.name
             with ui.tab_panel(panel.name):
+                ui.html(panel.name, tag="h2", sanitize=False).classes("unseen")
                 panel.build(desk, tab)
     tab.building = ""
 
@@ -94,7 +100,8 @@ def build_page(desk: Desk, off_port: int) -> None:
     panels.on_value_change(seen)
     for number, panel in enumerate(PANELS, start=1):
         tab.key(str(number), partial(show, panel.name))
-    tab.key("n", _night)
+    tab.key("n", partial(_theme, "night"))
+    tab.key("d", partial(_theme, "day"))
     tab.key("?", _keys().open)
 
     def pressed(event: KeyEventArguments) -> None:
@@ -156,79 +163,33 @@ def _recording(desk: Desk) -> str:
     return next((name for name, job in desk.jobs.items() if job.running and name.startswith("camera")), "")
 
 
-def _night() -> None:
-    ui.run_javascript("window.rigNight(!document.documentElement.classList.contains('night'))")
+def _theme(name: str) -> None:
+    """This theme, or the dark one where it holds already."""
+    ui.run_javascript(f"window.rigOther({json.dumps(name)})")
 
 
 def _keys() -> ui.dialog:
     panels = [
         f"<tr><th>{number}</th><td>{panel.name}</td></tr>" for number, panel in enumerate(PANELS, start=1)
     ]
-    others = [("n", "red night theme"), ("F9", "LIGHT OFF")]
+    others = [("d", "day theme"), ("n", "red night theme"), ("F9", "LIGHT OFF"), ("?", "this list")]
     others += [entry for panel in PANELS for entry in panel.keys]
     lines = [f"<tr><th>{html.escape(key)}</th><td>{html.escape(text)}</td></tr>" for key, text in others]
-    with ui.dialog() as dialog, ui.card():
+    with ui.dialog().props('aria-label="keys"') as dialog, ui.card():
+        ui.label("Keys").classes("middle")
         ui.html(f"<table class='rows'>{''.join(panels + lines)}</table>", sanitize=False)
     return dialog
 
 
-STYLE = f"""
-:root {{ color-scheme: dark; --ink: #e8e8e8; --dim: #9aa4ad; --ground: #0e1113; --card: #181d21;
-  --go: {palette.BLUISH_GREEN}; --warn: {palette.ORANGE}; --no: {palette.VERMILLION};
-  --line: {palette.SKY_BLUE}; }}
-html.night {{ filter: url(#night); }}
-body {{ background: var(--ground); color: var(--ink); font-size: 16px; }}
-.q-header {{ background: var(--card) !important; min-height: 40px; padding: 2px 12px !important;
-  align-items: center !important; }}
-.q-page, .q-tab-panels, .q-tab-panel {{ background: var(--ground) !important; color: var(--ink); }}
-.q-tab-panel {{ padding: 6px 10px; }}
-.nicegui-content {{ padding: 0; gap: 4px; }} .box {{ gap: 6px; }} .q-tab-panel > * {{ gap: 8px; }}
-.q-tab-panel {{ gap: 8px; }}
-.box {{ background: var(--card); border-radius: 6px; padding: 10px 12px; }}
-.title {{ color: var(--dim); font-size: 13px; letter-spacing: .06em; text-transform: uppercase; }}
-.large {{ font-size: 76px; line-height: 1; font-variant-numeric: tabular-nums; font-weight: 600; }}
-.middle {{ font-size: 30px; line-height: 1.2; font-variant-numeric: tabular-nums; }}
-.two, .three {{ display: grid; gap: 8px; width: 100%; grid-template-columns: minmax(0, 2fr) minmax(0, 1fr); }}
-.three {{ grid-template-columns: minmax(0, 1.25fr) minmax(0, 1fr) minmax(0, 1fr); }}
-.two.half {{ grid-template-columns: repeat(2, minmax(0, 1fr)); }}
-.three.even {{ grid-template-columns: repeat(3, minmax(0, 1fr)); }}
-@media (max-width: 900px) {{
-  .two, .three, .two.half, .three.even {{ grid-template-columns: minmax(0, 1fr); }} }}
-html.dead .q-tab-panels, html.dead .cries, html.dead .q-header {{ opacity: .35; }}
-.cries {{ position: sticky; top: 40px; z-index: 1000; width: 100%; }}
-.why-none {{ font-size: 20px; text-align: center; width: 80%; }}
-.rows {{ border-collapse: collapse; width: 100%; font-size: 14px; line-height: 1.3;
-  font-variant-numeric: tabular-nums; }}
-.rows td, .rows th {{ padding: 2px 8px 2px 0; vertical-align: top; text-align: left; font-weight: 400; }}
-.rows .judged {{ white-space: nowrap; width: 1%; }}
-.rows th {{ color: var(--dim); white-space: nowrap; }}
-.dim {{ color: var(--dim); }} .go {{ color: var(--go); }} .caution {{ color: var(--warn); }}
-.no {{ color: var(--no); font-weight: 700; }}
-.light {{ display: inline-block; width: 12px; height: 12px; border-radius: 6px; margin-right: 6px; }}
-.alarm {{ background: {palette.VERMILLION}; color: #000; font-size: 26px; font-weight: 700; padding: 8px 14px;
-  animation: flash 1s steps(2, jump-none) infinite; width: 100%; }}
-.instruction {{ background: {palette.YELLOW}; color: #000; font-size: 30px; font-weight: 700;
-  padding: 8px 14px; width: 100%; }}
-@keyframes flash {{ from {{ opacity: 1 }} to {{ opacity: .55 }} }}
-@media (prefers-reduced-motion: reduce) {{ .alarm {{ animation: none; }} }}
-.events {{ font-size: 14px; max-height: 190px; overflow-y: auto; width: 100%; }}
-svg text {{ fill: var(--dim); font-size: 12px; }}
-.text-negative, .q-field--error .q-field__messages {{ color: #ff8a65 !important; }}
-.picture {{ background: #000; }} .picture img {{ image-rendering: pixelated; touch-action: none; }}
-:focus-visible {{ outline: 2px solid var(--line); outline-offset: 2px; }}
-"""
-
-NIGHT = """
-<svg width="0" height="0" style="position: absolute" aria-hidden="true"><filter id="night"
-  color-interpolation-filters="sRGB"><feColorMatrix values=".55 .55 .3 0 0  0 0 0 0 0  0 0 0 0 0  0 0 0 1 0"/>
-</filter></svg>
-"""
-"""Turns the brightness of everything on the page into red, the pictures of the camera included."""
-
 SCRIPT = """
-window.rigNight = function (on) {
-  document.documentElement.classList.toggle('night', on);
-  localStorage.setItem('night', on ? '1' : '');
+window.rigTheme = function (name) {
+  for (const one of ['day', 'night']) document.documentElement.classList.toggle(one, one === name);
+  localStorage.setItem('theme', name);
+  window.dispatchEvent(new Event('rig-theme'));
 };
-window.rigNight(localStorage.getItem('night') === '1');
+window.rigOther = name => window.rigTheme(document.documentElement.classList.contains(name) ? 'dark' : name);
+window.rigTheme(localStorage.getItem('theme') || 'dark');
+// the frame of a picture has its name; the picture in it has none of its own
+new MutationObserver(() => document.querySelectorAll('.picture img:not([alt])').forEach(one => { one.alt = ''; }))
+  .observe(document.documentElement, {childList: true, subtree: true});
 """

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI, Request
-from fastapi.responses import FileResponse
+from fastapi.responses import FileResponse, HTMLResponse
 from nicegui import ui
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
@@ -27,6 +27,7 @@ from rig.desk.page import build_page
 from rig.desk.panels.live_picture import picture_now
 from rig.desk.safety_bar import DARK
 from rig.desk.sessions import SERVED, served_file
+from rig.desk.theme import themed_report
 from rig.presentation import say
 
 _PORT = 8642
@@ -65,17 +66,22 @@ def open_desk(source: Path, overrides: tuple[str, ...] = (), *, port: int = 0, b
         return Response(data, media_type="image/png", headers={"Cache-Control": "no-store"})
 
     @app.get(SERVED + "/{name:path}")
-    async def session_file(name: str) -> Response:
+    async def session_file(name: str, theme: str = "") -> Response:
         path = served_file(desk.config.session.output, name)
         # a session may come from anywhere: its page runs no script, and is no part of the desk's
         sandbox = {"Content-Security-Policy": "sandbox allow-popups allow-downloads"}
-        return Response(status_code=404) if path is None else FileResponse(path, headers=sandbox)
+        if path is None:
+            return Response(status_code=404)
+        if theme and path.suffix == ".html":
+            text = await run_in_threadpool(path.read_text, "utf-8", "replace")
+            return HTMLResponse(themed_report(text, theme), headers=sandbox)
+        return FileResponse(path, headers=sandbox)
 
     @ui.page("/")
     def page() -> None:
         build_page(desk, switch.port)
 
-    ui.run_with(app, title=f"rig desk {source.name}", dark=True, show_welcome_message=False, tailwind=False)
+    ui.run_with(app, title=f"rig desk {source.name}", dark=True, language="en-US", show_welcome_message=False, tailwind=False)
     guard = Guard(app, key, number, switch.port)
     switch.start()
     desk.safety.start()

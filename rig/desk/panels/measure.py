@@ -62,12 +62,12 @@ def build(desk: Desk, tab: Tab) -> None:
         is_on = status is not None and status.brake_on
         ui.notify(await run.io_bound(desk.following.order, "brake off" if is_on else "brake on"))
 
-    with ui.dialog() as sure, ui.card():
+    with ui.dialog().props('aria-label="stop the session"') as sure, ui.card():
         ui.label("Stop the session? The record is closed and fitted; nothing is lost.")
         with ui.row():
             ui.button("Stop it", on_click=lambda: sure.submit(True)).props('color="negative"')
             ui.button("Go on", on_click=lambda: sure.submit(False)).props("outline")
-    with ui.dialog() as begin, ui.card():
+    with ui.dialog().props('aria-label="start the session"') as begin, ui.card():
         what = ui.label().classes("middle")
         ui.label("The laser will be lit. Look that nobody is in the beam's way.")
         force = ui.checkbox("measure even if preflight says no-go, this session only")

@@ -14,6 +14,7 @@ from rig.wizards import next_free
 KEYS = (("o", "sessions: open the report"), ("v", "sessions: show in Rerun"))
 _COLUMNS = ("begun", "folder", "sample", "runs", "state")
 _LAST_LINES = 14
+_MARK = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${NAME}`" />'
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -78,7 +79,7 @@ def build(desk: Desk, tab: Tab) -> None:
             if job.running:
                 job.end()
 
-    with ui.dialog() as begin, ui.card():
+    with ui.dialog().props('aria-label="go on with a session"') as begin, ui.card():
         what = ui.label().classes("middle")
         ui.label("The laser will be lit. Look that nobody is in the beam's way.")
         with ui.row():
@@ -108,6 +109,8 @@ def build(desk: Desk, tab: Tab) -> None:
         ).classes("full-width")
         table.props('dense flat aria-label="sessions" rows-per-page-label="sessions a page:"')
         table.props(""":selected-rows-label="n => n + ' marked'" """)
+        table.add_slot("header-selection", f"<span class='unseen'>marked</span>{_MARK}".replace("NAME", "'all'"))
+        table.add_slot("body-selection", _MARK.replace("NAME", "props.row.folder"))
         none = ui.label(f"no session in {output} yet").classes("dim")
     with ui.column().classes("full-width box q-mt-sm"):
         ui.label("what the commands say").classes("title")

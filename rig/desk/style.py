@@ -1,0 +1,137 @@
+"""How the page looks: the style of its head, its panels, and what they are made of. Colours are `theme`'s."""
+
+from rig.desk.theme import named_colours
+
+STYLE = (
+    named_colours()
+    + """
+html.night { filter: url(#night); }
+body { background: var(--ground); color: var(--ink); font-size: 16px; }
+h1, h2, h3 { font: inherit; margin: 0; }
+.unseen { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
+.q-header { background: var(--card) !important; color: var(--ink); min-height: 40px;
+  padding: 2px 12px !important; align-items: center !important; gap: 8px; }
+.q-page, .q-tab-panels, .q-tab-panel { background: var(--ground) !important; color: var(--ink); }
+.q-tab-panel { padding: 6px 10px; gap: 8px; }
+.q-tab-panel > * { gap: 8px; }
+.nicegui-content { padding: 0; gap: 4px; }
+.box { background: var(--card); border-radius: 6px; padding: 10px 12px; gap: 6px; min-width: 0; }
+.title { color: var(--dim); font-size: 13px; letter-spacing: .06em; text-transform: uppercase; }
+.huge { font-size: clamp(56px, 9.4vw, 120px); line-height: 1; font-weight: 600; white-space: nowrap;
+  font-variant-numeric: tabular-nums; letter-spacing: -.03em; }
+.huge .unit { font-size: .25em; letter-spacing: 0; font-weight: 400; color: var(--dim); }
+.verdict { font-size: clamp(44px, 7vw, 80px); line-height: 1; font-weight: 700; }
+.advice { font-size: clamp(26px, 3.2vw, 40px); line-height: 1.15; font-weight: 600; }
+.middle { font-size: 28px; line-height: 1.2; font-variant-numeric: tabular-nums; }
+.grid { display: grid; gap: 8px; width: 100%; grid-template-columns: minmax(0, 1fr); }
+.lamps { display: flex; flex-wrap: wrap; gap: 6px; }
+.lamps > span { border: 2px solid currentColor; border-radius: 6px; padding: 3px 10px; font-weight: 600; }
+.lamps > .no { background: var(--no-ground); color: var(--on-ground); border-color: var(--no-ground); }
+.steps { display: flex; flex-wrap: wrap; gap: 4px 18px; list-style: none; margin: 0; padding: 0; }
+.steps li { color: var(--dim); border-bottom: 3px solid transparent; padding: 2px 0; }
+.steps li[aria-current] { color: var(--ink); font-weight: 700; border-color: var(--line); }
+.against { display: grid; grid-template-columns: minmax(0, auto) minmax(60px, 1fr) auto; gap: 6px 10px;
+  align-items: center; width: 100%; font-variant-numeric: tabular-nums; }
+.against .track { position: relative; height: 14px; border: 1px solid var(--edge); border-radius: 3px; }
+.against .track i { position: absolute; inset: 0 auto 0 0; background: currentColor; border-radius: 2px; }
+.against .track b { position: absolute; top: -4px; bottom: -4px; width: 2px; background: var(--ink); }
+.against .dim .track { border-style: dashed; }
+.against .note { grid-column: 1 / -1; color: var(--dim); font-size: 14px; }
+.nicegui-echart { width: 100%; min-height: 130px; }
+.chart { width: 100%; display: flex; flex-direction: column; min-height: 150px; flex: 1 1 auto; }
+.chart .nicegui-echart { flex: 1 1 auto; height: auto; }
+.chart .tools { display: flex; align-items: center; gap: 6px; flex-wrap: wrap; }
+.chart .tools button { font: inherit; font-size: 13px; color: var(--line); background: none; cursor: pointer;
+  border: 1px solid var(--edge); border-radius: 4px; padding: 2px 8px; min-height: 24px; }
+html.dead .q-tab-panels, html.dead .cries, html.dead .q-header { opacity: .35; }
+.cries { position: sticky; top: 40px; z-index: 1000; width: 100%; }
+.why-none { font-size: 20px; text-align: center; width: 80%; color: #fff; }
+.rows { border-collapse: collapse; width: 100%; font-size: 14px; line-height: 1.3;
+  font-variant-numeric: tabular-nums; }
+.rows td, .rows th { padding: 2px 8px 2px 0; vertical-align: top; text-align: left; font-weight: 400; }
+.rows .judged { white-space: nowrap; width: 1%; }
+.rows th { color: var(--dim); white-space: nowrap; }
+.dim { color: var(--dim); } .go { color: var(--go); } .caution { color: var(--warn); }
+.no { color: var(--no); font-weight: 700; }
+a { color: var(--line); }
+.light { display: inline-block; width: 12px; height: 12px; border-radius: 6px; margin-right: 6px; }
+.alarm { background: var(--alarm); color: var(--on-ground); font-size: 26px; font-weight: 700;
+  padding: 8px 14px; animation: flash 1s steps(2, jump-none) infinite; width: 100%; }
+.instruction { background: var(--told); color: var(--on-ground); font-size: 30px; font-weight: 700;
+  padding: 8px 14px; width: 100%; }
+@keyframes flash { from { box-shadow: inset 0 0 0 5px var(--ink) } to { box-shadow: none } }
+@media (prefers-reduced-motion: reduce) { .alarm { animation: none; } }
+.events { font-size: 14px; overflow-y: auto; width: 100%; flex: 1 1 120px; min-height: 90px; }
+svg text { fill: var(--dim); font-size: 12px; }
+.picture { background: #000; } .picture img { image-rendering: pixelated; touch-action: none; }
+:focus-visible { outline: 3px solid var(--line); outline-offset: 2px; }
+
+/* what Quasar has white, grey or blue of its own */
+#q-loading-bar { display: none; }
+.q-btn { color: var(--line); }
+.q-btn--outline::before { border-color: var(--edge); }
+.q-tab { color: var(--dim); opacity: 1 !important; }
+.q-tab--active { color: var(--ink); }
+.q-tab__indicator { background: var(--line); }
+.q-field__native, .q-field__input, .q-field__prefix, .q-field__suffix, .q-select__dropdown-icon,
+.q-field__append, .q-field__marginal, .q-checkbox__label { color: var(--ink); }
+.q-field__label, .q-field__messages, .q-field__bottom { color: var(--dim); }
+.q-field--outlined .q-field__control::before { border-color: var(--edge) !important; }
+.q-field--focused .q-field__control::after { border-color: var(--line) !important; }
+.q-field--error .q-field__messages, .q-field--error .q-field__label { color: var(--no) !important; }
+.q-placeholder::placeholder { color: var(--dim); opacity: 1; }
+.q-checkbox__inner { color: var(--edge) !important; }
+.q-checkbox__inner--truthy { color: var(--line) !important; }
+.q-card, .q-menu, .q-drawer { background: var(--card) !important; color: var(--ink); }
+.q-card { border: 1px solid var(--edge); }
+.q-item { color: var(--ink); } .q-item--active { color: var(--line); font-weight: 700; }
+.q-table__card, .q-table { background: var(--card) !important; color: var(--ink) !important; }
+.q-table th { color: var(--dim); opacity: 1 !important; }
+.q-table__bottom, .q-table__control { color: var(--ink) !important; }
+.q-table tbody td, .q-table th { border-color: var(--edge) !important; }
+.q-tooltip { background: var(--raised); color: var(--ink); border: 1px solid var(--edge); font-size: 14px; }
+.q-linear-progress { color: var(--line) !important; }
+.q-spinner { color: var(--line); }
+.q-expansion-item__container > .q-item { padding: 4px 0; min-height: 32px; }
+@layer theme {
+  .q-notification, .q-notification.bg-negative, .q-notification.bg-warning { color: var(--ink) !important;
+    background: var(--raised) !important; border: 2px solid var(--edge); }
+  .q-notification.bg-negative { border-color: var(--no) !important; }
+  .q-notification .q-btn { color: var(--line) !important; }
+  .q-btn.bg-positive { background: var(--go-ground) !important; color: var(--on-ground) !important; }
+  .q-btn.bg-negative { background: var(--no-ground) !important; color: var(--on-ground) !important; }
+  .q-btn.bg-primary { background: var(--raised) !important; color: var(--ink) !important; }
+  .q-btn.text-primary, .text-primary { color: var(--line) !important; }
+  .text-negative { color: var(--no) !important; } .text-grey { color: var(--dim) !important; }
+  .text-white { color: inherit !important; }
+  .nicegui-html a, .nicegui-link { color: var(--line) !important; }
+}
+
+/* the bar at the foot: in the dark it is as red as the rest */
+#safety { background: var(--bar); color: var(--bar-ink); border-color: var(--bar-ink); }
+#safety .lamp { color: var(--bar-ink); }
+#safety button { background: var(--bar-button); color: var(--bar-ink); border-color: var(--bar-ink); }
+#safety #light-off { background: var(--off); color: var(--off-ink); }
+#safety .unknown { color: var(--bar-dim); }
+html.night #safety .lamp::before { background: #f00; }
+html.night #safety .go::before, html.night #safety .dim::before, html.night #safety .unknown::before {
+  background: transparent; border: 2px solid #f00; box-sizing: border-box; }
+
+/* a room's own arrangement, from a laptop's screen on; narrower ones have all below each other */
+@media (min-width: 1000px) {
+  .fills { min-height: calc(100vh - 152px); }
+  .align { grid-template-columns: minmax(0, 7fr) minmax(300px, 3fr); }
+  .halves { grid-template-columns: repeat(2, minmax(0, 1fr)); }
+  .wide-left { grid-template-columns: minmax(0, 3fr) minmax(320px, 2fr); }
+  .measure { grid-template-columns: minmax(0, 4.6fr) minmax(0, 4fr) minmax(0, 3.4fr);
+    grid-template-rows: auto minmax(0, 1fr); }
+  .measure > .tall { grid-row: span 2; }
+}
+@media (max-width: 999px) { .q-tab { padding: 0 10px; } }
+@media (max-width: 600px) {
+  .q-header .spare { display: none; }
+  .q-tab { min-width: 0; padding: 0 8px; text-transform: none; }
+  .q-tab-panel { padding: 4px; } .box { padding: 8px; }
+}
+"""
+)

@@ -1,0 +1,103 @@
+"""axe-core over every panel in every theme: nothing that a screen reader or a weak eye stumbles over."""
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.channel import Channel, SessionNews
+from rig.desk.theme import THEMES
+from rig.settings import Configuration
+from tests.rig.desk.desk_page import DeskProcess, Page
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+PACKAGE = "axe-core@4.10.3"
+PANELS = {"1": "Align", "2": "Balance", "3": "Preflight", "4": "Measure", "5": "Calibrate", "6": "Sessions"}
+Shown = tuple[DeskProcess, Page]
+STILL = """
+document.head.append(Object.assign(document.createElement('style'),
+  {textContent: '@layer theme { * { transition: none !important; animation: none !important; } }'}))
+"""
+"""A colour that is just changing is no colour that anybody reads."""
+RUN = """
+axe.run(document, {resultTypes: ['violations']}).then(found => JSON.stringify(found.violations.map(
+  v => [v.id, v.nodes.map(n => n.target.join(' ') + ': ' + n.html.slice(0, 160) + ' ' +
+  n.any.concat(n.all).map(a => a.message).join('; ').slice(0, 200))])))
+"""
+
+
+@pytest.fixture(scope="session")
+def axe(request: pytest.FixtureRequest) -> str:
+    """The script of axe-core, installed by npm once into pytest's cache."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("npm fetches axe-core; install it for this test")
+    folder = Path(request.config.cache.mkdir("axe"))  # type: ignore[union-attr]
+    script = folder / "node_modules" / "axe-core" / "axe.min.js"
+    if not script.exists():
+        command = ["npm", "install", "--no-audit", "--no-fund", "--ignore-scripts", "--prefix", str(folder)]
+        done = subprocess.run([*command, PACKAGE], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            pytest.skip(f"npm could not install {PACKAGE}: {done.stderr.strip().splitlines()[-1:]}")
+    return script.read_text("utf-8")
+
+
+def violations(page: Page, axe: str) -> list[Any]:
+    """What axe finds wrong with the page as it is."""
+    if not page.ask("typeof axe === 'object'"):
+        page.ask(axe + "; true")
+        page.ask(STILL)
+    page.wait("!document.querySelector('[class*=enter-active], [class*=leave-active]')")
+    found: list[Any] = json.loads(page.ask(RUN))
+    return found
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_no_panel_at_rest_has_a_violation(shown: Shown, axe: str, theme: str) -> None:
+    _, page = shown
+    page.ask(f"window.rigTheme({theme!r})")
+    wrong = {}
+    for key, name in PANELS.items():
+        page.key(key)
+        page.wait(f"document.querySelector('.q-tab--active').innerText.toLowerCase() === {name.lower()!r}")
+        if found := violations(page, axe):
+            wrong[name] = found
+    page.ask("window.rigTheme('dark')")
+    assert wrong == {}, json.dumps(wrong, indent=1)
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_no_state_of_a_session_has_a_violation(
+    shown: Shown, axe: str, theme: str, desk_output: Path
+) -> None:
+    _, page = shown
+    page.ask(f"window.rigTheme({theme!r})")
+    page.key("4")
+    session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    session_news.begin_run("run 1", 255, None)
+    folder = desk_output / f"axe-{theme}"
+    folder.mkdir(parents=True)
+    wrong = {}
+    with Channel(folder, session_news, {}):
+        for state in (
+            {"phase": "rest", "progress": "spread 3 px"},
+            {"phase": "release", "instruction": "release by hand now"},
+            {"phase": "measuring", "alarm": "the laser is dark"},
+        ):
+            session_news.state(state, [("elapsed", "0:01")])
+            words = str(state.get("instruction") or state.get("alarm") or state["progress"])
+            page.wait(f"document.body.innerText.toLowerCase().includes({words!r})")
+            if found := violations(page, axe):
+                wrong[state["phase"]] = found
+        page.key("?")
+        page.wait("document.querySelector('.q-dialog .rows') !== null")
+        if found := violations(page, axe):
+            wrong["keys"] = found
+        page.type("\x1b")
+        page.ask("document.querySelector('.q-dialog__backdrop')?.click()")
+        page.wait("document.querySelector('.q-dialog .rows') === null")
+    page.wait("document.getElementById('amplitude').offsetParent === null")
+    page.ask("window.rigTheme('dark')")
+    assert wrong == {}, json.dumps(wrong, indent=1)

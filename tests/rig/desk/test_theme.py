@@ -1,0 +1,48 @@
+"""Colours of the desk: every text can be read in every theme, and no colour stands anywhere else."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from rig.desk import style, theme
+from rig.desk.theme import DRAWN, PAIRS, THEMES, contrast, themed_report
+
+DESK = Path(theme.__file__).parent
+
+
+def test_contrast_is_that_of_wcag() -> None:
+    assert contrast("#000000", "#ffffff") == pytest.approx(21.0)
+    assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)
+
+
+@pytest.mark.parametrize("name", THEMES)
+def test_texts_and_drawings_can_be_read(name: str) -> None:
+    colours = THEMES[name]
+    for pairs, least in ((PAIRS, 4.5), (DRAWN, 3.0)):
+        dull = {pair: found for pair in pairs if (found := contrast(*(colours[one] for one in pair))) < least}
+        assert dull == {}
+
+
+def test_at_night_nothing_but_red_is_lit() -> None:
+    assert all(colour[3:] == "0000" for colour in THEMES["night"].values())
+
+
+def test_every_theme_has_every_colour_and_every_colour_that_is_used_has_a_name() -> None:
+    names = set(THEMES[theme.DARK])
+    assert all(set(colours) == names for colours in THEMES.values())
+    used = set(re.findall(r"var\(--([\w-]+)\)", "".join(path.read_text("utf-8") for path in DESK.rglob("*.py"))))
+    assert used - {"name"} <= names
+
+
+def test_panels_have_no_colours_of_their_own() -> None:
+    for path in (DESK / "panels").glob("*.py"):
+        assert re.findall(r"#[0-9a-fA-F]{6}\b", path.read_text("utf-8")) == [], path.name
+    assert "#0e1113" in style.STYLE
+
+
+def test_a_report_opens_in_the_theme_of_the_desk() -> None:
+    page = "<html><head></head><body>x</body></html>"
+    assert THEMES["dark"]["ground"] in themed_report(page, "dark")
+    assert "url(#night)" in themed_report(page, "night")
+    assert themed_report(page, "</style>") == page
