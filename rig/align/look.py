@@ -1,5 +1,6 @@
 """One look at the camera while it is aligned: a frame, the spot in it, and their figures."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 from acquisition.camera import CameraSettings
@@ -9,6 +10,11 @@ from rig.devices import PictureFigures, picture
 from rig.instrument import beam_quality
 from rig.presentation import Verdict
 from rig.settings import PreflightSettings
+
+_CENTRED = 0.1
+"""Of the shorter side: so far off the crosshair a spot is centred."""
+_SHARP = 0.95
+"""Of the best sharpness so far: so near a focus is right."""
 
 
 class AlignmentFrame(NamedTuple):
@@ -43,6 +49,50 @@ class AlignmentFrame(NamedTuple):
     def beam_line(self) -> str:
         """The verdict on the beam in words; empty where it was not judged."""
         return "" if self.beam is None else self.beam.line
+
+    def lamps(self, sharpest_per_px: float = 0.0) -> list[Verdict]:
+        """Peak, saturation, centring, focus, beam: whether one can go on, else what to do.
+
+        `sharpest_per_px` is the best sharpness so far, which a focus is compared with.
+        """
+        seen, limits = self.figures, PreflightSettings()
+        low, high = limits.min_peak_fraction, limits.max_peak_fraction
+        peak_ok = low <= seen.peak <= high
+        lamps = [
+            Verdict(
+                "peak",
+                peak_ok,
+                remedy="" if peak_ok else "expose longer" if seen.peak < low else "expose shorter",
+                measured=f"{seen.peak:.0%}",
+                limit=f"{low:.0%} to {high:.0%}",
+            ),
+            Verdict(
+                "saturated",
+                not seen.saturated_px,
+                remedy="expose shorter, or less gain" if seen.saturated_px else "",
+                measured=f"{seen.saturated_px} px" if seen.saturated_px else "none",
+                limit="none",
+            ),
+        ]
+        if not self.found:
+            gone = Verdict("spot", False, remedy="let the beam fall on the sensor", measured="none found")
+            return [*lamps, gone]
+        off_px, shortest_px = max(map(abs, self._off_px)), min(self.image.shape)
+        centred = off_px <= _CENTRED * shortest_px
+        lamps.append(
+            Verdict(
+                "centring",
+                True,
+                remedy="" if centred else "bring the spot to the crosshair",
+                measured="{:+.0f}, {:+.0f} px".format(*self._off_px),
+                limit=f"{_CENTRED * shortest_px:.0f} px",
+            )
+        )
+        sharp = seen.sharpness_per_px >= _SHARP * sharpest_per_px
+        focus = "" if sharp else f"was {sharpest_per_px:.4f} /px: turn the focus back"
+        measured = f"{seen.sharpness_per_px:.4f} /px"
+        lamps.append(Verdict("focus", True, remedy=focus, measured=measured, limit="the best so far"))
+        return lamps if self.beam is None else [*lamps, self.beam]
 
     def rows(self) -> list[tuple[str, str]]:
         """The figures as a table, one row for each kind; those of the spot only where there is one."""
@@ -138,4 +188,12 @@ def take_look(
     spot = tracker.track(image)
     beam = beam_quality([image], [spot], tracker.model, full_scale_dn, PreflightSettings())
     seen = picture.figures(image, full_scale_dn)
+    if beam.ok and seen.saturated_px:
+        # of what is cut off at full scale no shape can be judged
+        beam = replace(
+            beam,
+            ok=False,
+            reason=f"{seen.saturated_px} px are saturated",
+            remedy="expose shorter, or less gain",
+        )
     return AlignmentFrame(image, full_scale_dn, seen, spot, middle_of(image, reference_px), applied, beam)

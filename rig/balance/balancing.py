@@ -126,7 +126,8 @@ def _shower(config: Configuration, reporter: Reporter) -> Callable[[Balance], No
     return lambda balance: reporter.live(find_faults(balance, height_of(config, balance), config.balance))
 
 
-_MOST_TURNS = 1000.0
+_MOST_TURNS = 50.0
+"""No weight's thread is longer: more was typed by mistake."""
 _NOTHING = Turn("", 0.0, "")
 
 

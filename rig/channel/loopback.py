@@ -105,6 +105,9 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         if address.path == "/news":
             news = {**channel.session_news.news(after), **channel.extra()}
             self._answer(json.dumps(plain_values(news)).encode(), "application/json")
+        elif address.path == "/history":
+            told = plain_values(channel.session_news.history())
+            self._answer(json.dumps(told).encode(), "application/json")
         elif address.path == "/picture":
             frame = channel.session_news.picture(after)
             if frame is None:
@@ -216,6 +219,12 @@ class Line:
     def news(self, after: int = 0) -> dict[str, Any]:
         """What `SessionNews.news` says."""
         _, _, data = self._ask("GET", f"/news?after={after}")
+        found: dict[str, Any] = json.loads(data)
+        return found
+
+    def history(self) -> dict[str, Any]:
+        """What `SessionNews.history` says."""
+        _, _, data = self._ask("GET", "/history")
         found: dict[str, Any] = json.loads(data)
         return found
 

@@ -17,14 +17,13 @@ from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from processing.ticks import NS_PER_S, seconds
+from rig.channel.run_history import RunHistory, spectrum
 from rig.instrument import Block, Snapshot, advice_for
 from rig.presentation import Verdict, balance_numbers, table_tree
 from rig.settings import Configuration
 
 _PATH_S = 20.0
 _PATH_POINTS = 400
-_SWINGS = 20_000
-_SWING_POINTS = 400
 _EVENTS = 500
 _PICTURE_INTERVAL_S = 0.1
 _WATCHED_S = 60.0
@@ -62,7 +61,7 @@ class SessionNews:
 
     def _begin(self) -> None:
         self._path: deque[Deflections] = deque()
-        self._swings: deque[tuple[float, float]] = deque(maxlen=_SWINGS)
+        self._history = RunHistory()
         self._balance: Balance | None = None
         self._state: Mapping[str, Any] = {}
         self._rows: Sequence[tuple[str, str]] = ()
@@ -99,7 +98,8 @@ class SessionNews:
         with self._lock:
             for swing in block.swings:
                 if not swing.flags:
-                    self._swings.append((seconds(swing.turn_time_ns - start_ns), swing.amplitude / size))
+                    self._history.swing(start_ns, swing, size)
+            self._history.motion(start_ns, block.deflections)
             if block.balances:
                 self._balance = block.balances[-1]
         self.before_record(frames, block.spots, block.deflections)
@@ -129,7 +129,10 @@ class SessionNews:
         self.note(event.kind, event.text, event.level, seconds(event.time_ns - start_ns))
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Does nothing: the display's values hold the snapshot."""
+        """Keep what a new fit has told; the rest of the snapshot is in the display's values."""
+        if snapshot.estimated_from:
+            with self._lock:
+                self._history.estimates(snapshot)
 
     # -- for those that answer -----------------------------------------------
 
@@ -156,7 +159,7 @@ class SessionNews:
         """
         self._asked_s = time.monotonic()
         with self._lock:
-            path, swings, balance = list(self._path), list(self._swings), self._balance
+            path, balance = list(self._path), self._balance
             events = [event for event in self._events if event["number"] > since]
         return {
             "run": self.run,
@@ -173,9 +176,14 @@ class SessionNews:
             "preflight": self._preflight,
             "events": events,
             "path": _thinned_path(path),
-            "swings": swings[:: max(1, math.ceil(len(swings) / _SWING_POINTS))],
             "balance": None if balance is None else self._of_balance(balance),
         }
+
+    def history(self) -> dict[str, Any]:
+        """What charts show of the run since it began, decimated, and the spectrum of its last seconds."""
+        with self._lock:
+            told, path = self._history.told(), list(self._path)
+        return {"run": self.run, **told, "spectrum": spectrum(path)}
 
     def _of_balance(self, balance: Balance) -> dict[str, Any]:
         return {

@@ -1,5 +1,7 @@
 """The wizards of the calibrations as the desk has them: their answers in files, what is being recorded."""
 
+import time
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,6 +40,7 @@ class Calibrating:
     def __init__(self, desk: "Desk") -> None:
         self._desk = desk
         self._recording: dict[str, tuple[Path, Job]] = {}
+        self._begun: dict[str, tuple[float, float | None]] = {}
         self.made: dict[str, Filed] = {}
         self.problems: dict[str, str] = {}
 
@@ -81,6 +84,7 @@ class Calibrating:
         else:
             words = ["camera frames", "-o", str(path), "-n", str(wanted.frames)]
             values = {} if wanted.exposure_us is None else {"camera.exposure_us": wanted.exposure_us}
+        self._begun[kind] = time.monotonic(), wanted.seconds if wanted.kind == "record" else None
         self._recording[kind] = path, self._desk.start(*words, values=values)
 
     def stop(self, kind: str) -> None:
@@ -110,6 +114,28 @@ class Calibrating:
             self.problems[kind] = job.said[-1].removeprefix("rig: ") if job.said else "it was not recorded"
         return ""
 
+    def recorded_part(self, kind: str) -> float | None:
+        """Part of the time that has passed of what is recorded; None where nothing says how long it takes."""
+        begun_s, wanted_s = self._begun.get(kind, (0.0, None))
+        return None if not wanted_s else min((time.monotonic() - begun_s) / wanted_s, 1.0)
+
+    def start_over(self, kind: str) -> None:
+        """Forget the answers; what was recorded stays."""
+        self.stop(kind)
+        drop_draft(_kept(kind))
+        self.problems.pop(kind, None)
+
+    def use(self, kind: str) -> str:
+        """The calibration made last holds for all that this desk starts; returns what to state for good."""
+        made = self.made.get(kind)
+        if made is None:
+            raise ConfigurationError(f"no calibration of the {kind} was made here yet: answer, then file it")
+        (table, keys), *_ = tomllib.loads(made.configuration).items()
+        own = {f"{table}.{key}": _from_anywhere(stated) for key, stated in keys.items()}
+        self._desk.checked(own)
+        self._desk.kept.update(own)
+        return made.configuration.replace("\n", "  ")
+
     def file(self, kind: str, filing: Filing) -> None:
         """Make the calibration and file it; takes seconds.
 
@@ -126,6 +152,13 @@ class Calibrating:
             raise
         drop_draft(_kept(kind))
         self.problems.pop(kind, None)
+
+
+def _from_anywhere(stated: object) -> object:
+    """Paths of this folder as they are found from any other."""
+    if isinstance(stated, list):
+        return [_from_anywhere(one) for one in stated]
+    return Path(str(stated)).absolute().as_posix()
 
 
 def _kept(kind: str) -> Path:

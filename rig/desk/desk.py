@@ -17,13 +17,14 @@ from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Job, start_session
 from rig.desk.safety import Safety
-from rig.desk.sessions import LookingAgain
+from rig.desk.sessions import LookingAgain, SessionIndex
 from rig.devices import Devices
-from rig.measure import session_folder
+from rig.measure import HandOver, hand_over, session_folder
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
 _PRESSES_KEPT = 64
+_HANDED_OVER = ("session.json", "results.json", "report.html")
 
 
 class Started(StrEnum):
@@ -52,7 +53,9 @@ class Desk:
         self.jobs: dict[str, Job] = {}
         self.calibrating = Calibrating(self)
         self.looking_again = LookingAgain()
+        self.sessions = SessionIndex(self.config.session.output)
         self._session: tuple[subprocess.Popen[bytes], Path] | None = None
+        self._handed_over: tuple[tuple[object, ...], HandOver | None] | None = None
         self._acting = ""
         self._pressing = threading.Lock()
         self._pressed: deque[str] = deque(maxlen=_PRESSES_KEPT)
@@ -258,6 +261,22 @@ class Desk:
         """Folder of the running session, else of the last one that this desk has seen or started."""
         return self.following.last_folder or (self._session[1] if self._session is not None else None)
 
+    def hand_over(self) -> HandOver | None:
+        """What the last session hands over; None without a record. Read again when that changes."""
+        folder = self.session_folder
+        if folder is None:
+            return None
+        stamp = tuple(
+            (folder / name).stat().st_mtime_ns if (folder / name).exists() else 0 for name in _HANDED_OVER
+        )
+        if self._handed_over is None or self._handed_over[0] != (folder, *stamp):
+            try:
+                found = hand_over(folder)
+            except RigError:
+                found = None
+            self._handed_over = (folder, *stamp), found
+        return self._handed_over[1]
+
     def last_words(self) -> list[str]:
         """What the last session has printed, its last lines."""
         folder = self.session_folder
@@ -275,6 +294,7 @@ class Desk:
         for job in self.jobs.values():
             job.end()
         self.looking_again.close()
+        self.sessions.stop()
 
 
 def _order_dark(folder: Path, who: str) -> None:

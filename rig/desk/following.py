@@ -113,6 +113,17 @@ class Following:
         finally:
             self._one_picture.release()
 
+    def history(self) -> dict[str, Any]:
+        """What charts show of the running session; empty without one, or where it does not answer. Blocks."""
+        folder = self.folder
+        try:
+            if folder is None:
+                return {}
+            with Line(folder) as line:
+                return line.history()
+        except NoSession:
+            return {}
+
     def _follow(self) -> None:
         while not self._ended.is_set():
             if self._line is None:

@@ -8,7 +8,7 @@ from nicegui import run, ui
 from nicegui.events import KeyEventArguments
 
 from rig.control import LatchedTrip
-from rig.desk import safety_bar
+from rig.desk import charts, safety_bar
 from rig.desk.desk import Desk, Started
 from rig.desk.following import doing
 from rig.desk.panels import PANELS
@@ -25,7 +25,7 @@ def build_page(desk: Desk, off_port: int) -> None:
     """Build the page for one tab of a browser; `off_port` is where LIGHT OFF is heard beside this server."""
     tab = Tab(desk)
     ui.add_css(safety_bar.STYLE + STYLE)
-    ui.add_head_html(f"<script>{SCRIPT}{safety_bar.script(off_port)}</script>")
+    ui.add_head_html(f"<script>{SCRIPT}{charts.SCRIPT}{safety_bar.script(off_port)}</script>")
     ui.add_body_html(RED_LIGHT + safety_bar.BAR)
     if not desk.somebody_acts:
         desk.take(tab.name)
@@ -148,7 +148,9 @@ def _state(desk: Desk) -> str:
     if desk.session_state is Started.RUNNING:
         return "a session begins, or is fitted"
     if desk.session_state:
-        return f"last session {desk.session_state}: {desk.session_folder and desk.session_folder.name}"
+        over = desk.hand_over()
+        ended = desk.session_state if over is None or over.ended is None else over.ended
+        return f"last session {ended}: {desk.session_folder and desk.session_folder.name}"
     if desk.session_folder is not None:
         return f"last session: {desk.session_folder.name}"
     running = [name for name, job in desk.jobs.items() if job.running]
@@ -190,6 +192,7 @@ window.rigTheme = function (name) {
 window.rigOther = name => window.rigTheme(document.documentElement.classList.contains(name) ? 'dark' : name);
 window.rigTheme(localStorage.getItem('theme') || 'dark');
 // the frame of a picture has its name; the picture in it has none of its own
-new MutationObserver(() => document.querySelectorAll('.picture img:not([alt])').forEach(one => { one.alt = ''; }))
+new MutationObserver(
+  () => document.querySelectorAll('.picture img:not([alt])').forEach(one => { one.alt = ''; }))
   .observe(document.documentElement, {childList: true, subtree: true});
 """

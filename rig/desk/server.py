@@ -81,7 +81,14 @@ def open_desk(source: Path, overrides: tuple[str, ...] = (), *, port: int = 0, b
     def page() -> None:
         build_page(desk, switch.port)
 
-    ui.run_with(app, title=f"rig desk {source.name}", dark=True, language="en-US", show_welcome_message=False, tailwind=False)
+    ui.run_with(
+        app,
+        title=f"rig desk {source.name}",
+        dark=True,
+        language="en-US",
+        show_welcome_message=False,
+        tailwind=False,
+    )
     guard = Guard(app, key, number, switch.port)
     switch.start()
     desk.safety.start()
@@ -153,7 +160,9 @@ class Guard:
             return
         refused = self._refusal(scope)
         if refused is None:
-            await self._app(scope, receive, self._with_policy(send))
+            # a report is shown within the desk's own page
+            framed = str(scope.get("path", "")).startswith(f"{SERVED}/")
+            await self._app(scope, receive, self._with_policy(send, framed=framed))
         elif scope["type"] == "websocket":
             # closed before it was accepted, which the browser sees as 403
             await send({"type": "websocket.close", "code": 1008})
@@ -184,12 +193,14 @@ class Guard:
         """Whether it comes from a page of this desk, in a browser that knows the key."""
         return origin in self._origins and self._fits(_cookie(cookie, self._cookie))
 
-    def _with_policy(self, send: Send) -> Send:
+    def _with_policy(self, send: Send, *, framed: bool) -> Send:
+        policy = self._policy.replace(b"ancestors 'none'", b"ancestors 'self'") if framed else self._policy
+
         async def passed(message: dict[str, object]) -> None:
             if message["type"] == "http.response.start":
                 headers = message.setdefault("headers", [])
                 assert isinstance(headers, list)
-                headers += [(b"content-security-policy", self._policy), (b"referrer-policy", b"no-referrer")]
+                headers += [(b"content-security-policy", policy), (b"referrer-policy", b"no-referrer")]
             await send(message)
 
         return passed  # type: ignore[return-value]

@@ -1,26 +1,38 @@
-"""The sessions of a folder as the desk lists them, and the commands that look at them again."""
+"""The sessions of a folder as the desk lists and finds them, and the commands that look at them again."""
 
+import json
+import os
 import re
+import threading
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from processing.errors import ConfigurationError, RigError
 from rig.desk.jobs import Job
-from rig.measure import RunState, SessionState, read_session
+from rig.measure import RunState, read_session, state_of
 
 SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
 _SHOWN = frozenset({".html", ".svg", ".png", ".csv", ".json"})
-_MOST = 500
+_STATE = "session.json"
 _IN_RERUN = ("view", "replay")
+_LEAST_WAIT_S, _WAIT_OF_WORK = 1.0, 15.0
+"""A large folder is looked through less often: one part in fifteen of a core at most."""
+_TOLD_AFTER = 500
+_BLOCKS = "▁▂▃▄▅▆▇█"
+_SPARKS = 12
 
 
 @dataclass(frozen=True, slots=True)
 class SessionRow:
-    """A session: its folder, when it began, what of, how many runs are complete, what is the matter.
+    """A session: its folder, when it began, what of, by whom, how many runs are complete, what is the matter.
 
-    `resumable` is True for one that was killed: its missing runs can be made.
+    `conditions` are the amplitudes it was to run between. `resumable` is True for one that was killed: its
+    missing runs can be made.
     """
 
     folder: Path
@@ -28,49 +40,133 @@ class SessionRow:
     sample: str
     runs: str
     state: str
-    report: Path | None
+    operator: str = ""
+    conditions: str = ""
     resumable: bool = False
+    text: str = field(default="", compare=False)
+
+    @property
+    def report(self) -> Path | None:
+        """Its newest report."""
+        with suppress(OSError):
+            return max(self.folder.glob("report*.html"), key=lambda path: path.stat().st_mtime, default=None)
+        return None
 
 
-def list_sessions(output: Path, running: Path | None) -> list[SessionRow]:
-    """The sessions in a folder, the newest first; at most 500."""
-    files = sorted(output.glob("*/session.json"), key=lambda path: path.stat().st_mtime, reverse=True)
-    return [_row(path.parent, running) for path in files[:_MOST]]
+class SessionPage(NamedTuple):
+    """Some of the sessions that were found, and how many those are."""
+
+    rows: Sequence[SessionRow]
+    found: int
+    all: int
 
 
-def _row(folder: Path, running: Path | None) -> SessionRow:
-    reports = sorted(folder.glob("report*.html"), key=lambda path: path.stat().st_mtime)
-    report = reports[-1] if reports else None
+class SessionIndex:
+    """All sessions of a folder, the newest first; a file is read again only when it has changed.
+
+    `look` reads the folder once; after `start` that is done again and again beside, while somebody asks.
+    """
+
+    def __init__(self, output: Path) -> None:
+        self._output = output
+        self._known: dict[str, tuple[int, SessionRow]] = {}
+        self._sorted: list[SessionRow] = []
+        self._ended, self._asked = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def page(self, running: Path | None, words: str = "", first: int = 0, most: int = 20) -> SessionPage:
+        """The sessions with all these words in folder, sample, operator, state or date; never blocks long."""
+        self._asked.set()
+        rows = self._sorted
+        wanted = words.lower().split()
+        # without words all are found
+        found = [row for row in rows if all(word in row.text for word in wanted)]
+        now = None if running is None else running.resolve()
+        return SessionPage([_running(row, now) for row in found[first : first + most]], len(found), len(rows))
+
+    def start(self) -> None:
+        """Look again and again, in a thread; the first look begins at once."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._follow, name="sessions", daemon=True)
+            self._thread.start()
+
+    def stop(self) -> None:
+        self._ended.set()
+        self._asked.set()
+
+    def look(self) -> None:
+        """Read what is new or has changed."""
+        files: list[tuple[int, str]] = []
+        with suppress(OSError), os.scandir(self._output) as entries:
+            for entry in entries:
+                with suppress(OSError):
+                    files.append((os.stat(f"{entry.path}/{_STATE}").st_mtime_ns, entry.path))
+        files.sort(reverse=True)
+        there = {path for _, path in files}
+        for gone in self._known.keys() - there:
+            del self._known[gone]
+        new = 0
+        for changed_ns, path in files:
+            before = self._known.get(path)
+            if before is None or before[0] != changed_ns:
+                self._known[path] = changed_ns, session_row(Path(path))
+                new += 1
+                if new % _TOLD_AFTER == 0:
+                    # the newest are seen while the oldest are still read
+                    self._tell(files)
+        self._tell(files)
+
+    def _tell(self, files: Sequence[tuple[int, str]]) -> None:
+        self._sorted = [self._known[path][1] for _, path in files if path in self._known]
+
+    def _follow(self) -> None:
+        while not self._ended.is_set():
+            began_s = time.monotonic()
+            self.look()
+            self._asked.clear()
+            self._ended.wait(max(_LEAST_WAIT_S, _WAIT_OF_WORK * (time.monotonic() - began_s)))
+            self._asked.wait()
+
+
+def _running(row: SessionRow, running: Path | None) -> SessionRow:
+    if running is None or row.folder.resolve() != running:
+        return row
+    return SessionRow(row.folder, row.begun, row.sample, row.runs, "running", row.operator, row.conditions)
+
+
+def session_row(folder: Path) -> SessionRow:
+    """The row of one session; of a file that is none, what is wrong with it."""
     try:
         session = read_session(folder)
     except RigError as error:
-        return SessionRow(folder, "", "", "", str(error), report)
+        return SessionRow(folder, "", "", "", str(error), text=f"{folder} {error}".lower())
     begun = min((entry.begun_utc for entry in session.entries if entry.begun_utc), default="")
-    made = len(session.complete)
     stated = session.configuration.get("session", {})
-    runs_now = running is not None and running.resolve() == folder.resolve()
     ended = state_of(session)
-    state = "running" if runs_now else "no run made" if ended is None else ended.value
-    resumable = ended is RunState.INTERRUPTED and not runs_now
-    sample = str(stated.get("sample", ""))
-    runs = f"{made} of {session.runs_wanted}"
-    when = begun.replace("T", " ").partition("+")[0]
-    return SessionRow(folder, when, sample, runs, state, report, resumable)
+    state = "no run made" if ended is None else ended.value
+    sample, operator = str(stated.get("sample", "")), str(stated.get("operator", ""))
+    runs = f"{len(session.complete)} of {session.runs_wanted}"
+    when = begun.replace("T", " ").partition("+")[0].partition(".")[0]
+    first, last = stated.get("initial_amplitude_arcsec"), stated.get("final_amplitude_arcsec")
+    conditions = "" if first is None or last is None else f"{float(first):g} to {float(last):g} arcsec"
+    notes = str(stated.get("notes", ""))
+    text = " ".join((folder.name, when, sample, operator, state, notes)).lower()
+    is_killed = ended is RunState.INTERRUPTED
+    return SessionRow(folder, when, sample, runs, state, operator, conditions, is_killed, text)
 
 
-def state_of(session: SessionState) -> RunState | None:
-    """How a session that does not run has ended: complete, stopped, failed, interrupted; None without a run.
-
-    One that was killed is interrupted: a run of it is still noted as being recorded, or its next run did not
-    begin.
-    """
-    if len(session.complete) >= session.runs_wanted:
-        return RunState.COMPLETE
-    if not session.entries:
-        return None
-    states = [entry.state for entry in session.entries]
-    ended = RunState.RECORDING not in states and states[-1] in (RunState.STOPPED, RunState.FAILED)
-    return states[-1] if ended else RunState.INTERRUPTED
+def sparkline(folder: Path) -> str:
+    """The amplitudes of a session's last run as a line of blocks; empty without results."""
+    try:
+        runs = json.loads((folder / "results.json").read_bytes())["runs"]
+        amplitudes = [one for one in runs[-1]["turning_points"]["amplitude"] if one is not None]
+    except (OSError, ValueError, KeyError, IndexError, TypeError):
+        return ""
+    if len(amplitudes) < _SPARKS:
+        return ""
+    picked = amplitudes[:: max(1, len(amplitudes) // _SPARKS)][:_SPARKS]
+    most = max(picked) or 1.0
+    return "".join(_BLOCKS[min(len(_BLOCKS) - 1, int(len(_BLOCKS) * one / most))] for one in picked)
 
 
 def served_file(output: Path, name: str) -> Path | None:

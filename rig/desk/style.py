@@ -27,6 +27,7 @@ h1, h2, h3 { font: inherit; margin: 0; }
 .lamps { display: flex; flex-wrap: wrap; gap: 6px; }
 .lamps > span { border: 2px solid currentColor; border-radius: 6px; padding: 3px 10px; font-weight: 600; }
 .lamps > .no { background: var(--no-ground); color: var(--on-ground); border-color: var(--no-ground); }
+.step { min-width: 44px; font-size: 18px; }
 .steps { display: flex; flex-wrap: wrap; gap: 4px 18px; list-style: none; margin: 0; padding: 0; }
 .steps li { color: var(--dim); border-bottom: 3px solid transparent; padding: 2px 0; }
 .steps li[aria-current] { color: var(--ink); font-weight: 700; border-color: var(--line); }
@@ -65,6 +66,10 @@ a { color: var(--line); }
 svg text { fill: var(--dim); font-size: 12px; }
 .picture { background: #000; } .picture img { image-rendering: pixelated; touch-action: none; }
 :focus-visible { outline: 3px solid var(--line); outline-offset: 2px; }
+
+.report { width: min(1000px, 94vw); max-width: 94vw !important; height: 100%; padding: 8px; }
+.report iframe { width: 100%; flex: 1 1 auto; border: 0; background: var(--ground); }
+.find { width: 260px; }
 
 /* what Quasar has white, grey or blue of its own */
 #q-loading-bar { display: none; }
@@ -121,6 +126,7 @@ html.night #safety .go::before, html.night #safety .dim::before, html.night #saf
 @media (min-width: 1000px) {
   .fills { min-height: calc(100vh - 152px); }
   .align { grid-template-columns: minmax(0, 7fr) minmax(300px, 3fr); }
+  .thirds { grid-template-columns: repeat(3, minmax(0, 1fr)); }
   .halves { grid-template-columns: repeat(2, minmax(0, 1fr)); }
   .wide-left { grid-template-columns: minmax(0, 3fr) minmax(320px, 2fr); }
   .measure { grid-template-columns: minmax(0, 4.6fr) minmax(0, 4fr) minmax(0, 3.4fr);

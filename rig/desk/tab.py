@@ -30,13 +30,15 @@ class Tab:
         """Whether this tab may act; the others watch."""
         return self._desk.acts(self.name)
 
-    def every(self, seconds: float, refresh: Callable[[], None]) -> None:
-        """Call it again and again while the panel that is being built is seen."""
+    def every(self, seconds: float, refresh: Handler) -> None:
+        """Call it again and again while the panel that is being built is seen, once at a time."""
         panel = self.building
 
-        def due() -> None:
+        async def due() -> None:
             if not panel or self.shown == panel:
-                refresh()
+                done = refresh()
+                if inspect.isawaitable(done):
+                    await done
 
         ui.timer(seconds, due)
 

@@ -144,8 +144,9 @@ def themed_report(page: str, theme: str) -> str:
         return page
     own = THEMES[theme]
     style = (
-        f":root {{ --ink: {own['ink']}; --soft: {own['dim']}; --line: {own['edge']}; --tint: {own['raised']}; "
-        f"--accent: {own['line']}; }} html {{ background: {own['ground']}; color: {own['ink']}; }} "
+        f":root {{ --ink: {own['ink']}; --soft: {own['dim']}; --line: {own['edge']}; "
+        f"--tint: {own['raised']}; --accent: {own['line']}; }} "
+        f"html {{ background: {own['ground']}; color: {own['ink']}; }} "
         f".warn {{ background: {own['raised']}; border-color: {own['no']}; }}"
     )
     if theme != "day":

@@ -124,7 +124,7 @@ def _execute(
         finally:
             # also without a terminal
             if session_news is not None:
-                session_news.state(display.values(snapshot), display.rows(snapshot))
+                session_news.state(display.values(snapshot), display.facts(snapshot))
 
     with_start = config.start.way != "at once"
     phases: PhasesBeforeRecord | None = None

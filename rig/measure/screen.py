@@ -29,6 +29,7 @@ _PLAIN_INTERVAL_S = 5.0
 _JSON_INTERVAL_S = 1.0
 _FORECAST_INTERVAL_S = 2.0
 _SWINGS_KEPT = 20_000
+_BEFORE_THE_RECORD = (Phase.REST, Phase.WARM_UP, Phase.PREFLIGHT, Phase.RELEASE)
 _NO_FORECAST = Forecast(math.nan, math.nan)
 
 
@@ -207,6 +208,12 @@ class RunDisplay:
             rows.append(("controller", devices))
         return rows
 
+    def facts(self, snapshot: Snapshot) -> list[tuple[str, str]]:
+        """The rows without what a page shows in places of their own: amplitude, end, parameters."""
+        elsewhere = {"amplitude", "controller", self._prediction(snapshot)[0]}
+        elsewhere |= {name for name, _ in estimate_rows(snapshot, ())}
+        return [row for row in self.rows(snapshot) if row[0] not in elsewhere]
+
     def _transverse(self, balance: Balance | None) -> str:
         if balance is None:
             return "-"
@@ -222,11 +229,15 @@ class RunDisplay:
         return f"X {x:+.3f}, Y {y:+.3f} {balance.unit.shown}"
 
     def _at_most_s(self, snapshot: Snapshot) -> float:
-        """Time to the limit of the run's duration."""
+        """Time to the limit of the run's duration, which begins with the record."""
+        if snapshot.phase in _BEFORE_THE_RECORD:
+            return self._longest_s
         return max(self._longest_s - snapshot.elapsed_s, 0.0)
 
     def _left(self, snapshot: Snapshot) -> Forecast:
         """Time to the end that comes first, of the amplitude or the time; NaN if it is too early to say."""
+        if snapshot.phase in _BEFORE_THE_RECORD:
+            return _NO_FORECAST
         limit_s = self._at_most_s(snapshot)
         # without a lever no amplitude ends the run
         is_limit = math.isnan(self._final) or self._forecast.remaining_s > limit_s
@@ -273,6 +284,8 @@ class RunDisplay:
         return found
 
     def _fraction(self, snapshot: Snapshot) -> float:
+        if snapshot.phase in _BEFORE_THE_RECORD:
+            return 0.0
         of_time = min(snapshot.elapsed_s / self._longest_s, 1.0)
         if not self._initial > self._final or math.isnan(snapshot.amplitude):
             return of_time

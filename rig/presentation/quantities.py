@@ -15,6 +15,7 @@ from processing.quantity import Quantity, quantities_of
 from processing.surroundings import Surroundings
 from processing.units import unit_of_name
 from rig.presentation.numbers import with_uncertainty
+from rig.presentation.traces import Traces
 
 if TYPE_CHECKING:
     from processing.contact import Parameter
@@ -65,7 +66,7 @@ def quantity(key: str, unit: str = "arcsec") -> Shown:
 
 def declaration(key: str) -> Quantity | None:
     """What is declared of the quantity with this key; None of an unknown one."""
-    known = quantities_of(Surroundings)
+    known = quantities_of(Surroundings) | quantities_of(Traces)
     return known[key] if key in known else _of_balances().get(key) or _of_fits().get(key)
 
 

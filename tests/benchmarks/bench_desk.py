@@ -70,7 +70,7 @@ def measured(seconds: float, *, desk: bool) -> dict[str, Any]:
         display = RunDisplay("benchmark", 2.0, config.deflection_unit)
 
         def show(snapshot: Snapshot) -> None:
-            session_news.state(display.values(snapshot), display.rows(snapshot))
+            session_news.state(display.values(snapshot), display.facts(snapshot))
 
         stack.enter_context(Channel(folder, session_news, {}))
         answering = stack.enter_context(own_time(_Handler, "do_GET"))

@@ -72,7 +72,7 @@ def desk_and_viewer() -> Iterator[Company]:
         display = RunDisplay("benchmark", 2.0, config.deflection_unit)
 
         def show(snapshot: Snapshot) -> None:
-            news.state(display.values(snapshot), display.rows(snapshot))
+            news.state(display.values(snapshot), display.facts(snapshot))
 
         stack.enter_context(Channel(folder, news, {}))
         stack.enter_context(Desk(source))

@@ -1,17 +1,23 @@
 """Align: the live picture with its figures, exposure, gain and region, the focus, the rest position."""
 
+import math
+from functools import partial
+
 import numpy as np
 from nicegui import run, ui
 from nicegui.events import MouseEventArguments
 
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError
-from rig.desk import drawings
+from rig.desk import tables
 from rig.desk.aligner import EXPOSE, Aligner, Wish
+from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
 from rig.desk.panels.fields import as_typed, number_field
 from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet
+from rig.desk.panels.preflight import lights
 from rig.desk.tab import DELIBERATE, Handler, Tab
+from rig.presentation import table_tree
 
 KEYS = (("z", "align: zoom 1, 4, 16"),)
 _SIZE = (800, 540)
@@ -91,37 +97,55 @@ def build(desk: Desk, tab: Tab) -> None:
         desk.checked(own)
         desk.kept.update(own)
 
-    with ui.element("div").classes("two"):
+    def zoom() -> None:
+        picture.zoom_on()
+        zooming.set_text(f"Zoom {picture.zoom}")
+
+    with ui.element("div").classes("grid align"):
         with ui.column().classes("box"):
             picture = LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk), mouse)
             with ui.row():
                 begin = ui.button("Live picture", on_click=tab.act(start))
                 begin.props(f'color="positive" {DELIBERATE}')
                 end = ui.button("Stop", on_click=tab.act(stop)).props("outline")
-                ui.button("Zoom", on_click=picture.zoom_on).props('outline aria-label="zoom, key z"')
+                zooming = ui.button("Zoom 1", on_click=zoom).props(
+                    'outline aria-label="Zoom to the spot, key z"'
+                )
                 # it begins the picture anew, and with it the light
                 ui.button("Whole sensor", on_click=tab.act(whole)).props(f"outline {DELIBERATE}")
                 ui.button("Keep for runs", on_click=tab.act(keep)).props("outline")
             kept = ui.label().classes("dim")
         with ui.column().classes("box"):
-            figures = ui.html(sanitize=False).classes("full-width").props('aria-live="off"')
+            lamps = ui.html(sanitize=False).classes("full-width").props('role="status" aria-label="lamps"')
             note = ui.label().classes("caution").props('role="status"')
-            with ui.row().classes("items-center no-wrap"):
-                exposure = number_field(desk, "camera.exposure_us", "exposure / us", None)
-                exposure.props("hide-bottom-space")
-                ui.button("Set", on_click=tab.act(lambda: typed("exposure_us", exposure))).props("outline")
-                ui.button("Auto", on_click=tab.act(lambda: wish(EXPOSE))).props("outline")
-                _stepper("exposure", lambda: turned(exposure=1 / _STEP), lambda: turned(exposure=_STEP), tab)
-            with ui.row().classes("items-center no-wrap"):
-                gain = number_field(desk, "camera.gain_db", "gain / dB", None)
-                gain.props("hide-bottom-space")
-                ui.button("Set", on_click=tab.act(lambda: typed("gain_db", gain))).props("outline")
-                _stepper("gain", lambda: turned(gain_db=-_STEP_DB), lambda: turned(gain_db=_STEP_DB), tab)
-            ui.label("histogram").classes("title")
-            histogram = ui.html(sanitize=False).classes("full-width")
-            ui.label("focus: sharpness, larger is sharper").classes("title")
-            focus = ui.html(sanitize=False).classes("full-width")
-    tab.key("z", picture.zoom_on)
+            for name, label, down, up, auto in (
+                ("exposure_us", "exposure / us", lambda: turned(1 / _STEP), lambda: turned(_STEP), True),
+                (
+                    "gain_db",
+                    "gain / dB",
+                    lambda: turned(gain_db=-_STEP_DB),
+                    lambda: turned(gain_db=_STEP_DB),
+                    False,
+                ),
+            ):
+                with ui.row().classes("items-center no-wrap full-width"):
+                    field = number_field(desk, f"camera.{name}", label, None)
+                    field.props("hide-bottom-space").classes("col")
+                    ui.button("Set", on_click=tab.act(partial(typed, name, field))).props(
+                        f'outline dense aria-label="Set {label}"'
+                    )
+                    if auto:
+                        ui.button("Auto", on_click=tab.act(lambda: wish(EXPOSE))).props(
+                            'outline dense aria-label="Auto exposure"'
+                        )
+                    _stepper(label.partition(" ")[0], down, up, tab)
+            histogram = Chart(
+                "histogram", "level_dn", (Curve("pixels", style="bars"),), tools=False, height="100px"
+            )
+            focus = Chart("focus", "elapsed_s", (Curve("sharpness_per_px"),), tools=False, height="110px")
+            with ui.expansion("figures", value=True).classes("full-width"):
+                figures = ui.html(sanitize=False).classes("full-width").props('aria-live="off"')
+    tab.key("z", zoom)
 
     def refresh() -> None:
         now = desk.aligner
@@ -130,18 +154,22 @@ def build(desk: Desk, tab: Tab) -> None:
         kept.set_text(_kept(desk))
         note.set_text("" if now is None else now.problem or now.darkness or now.note)
         sharpness = [] if now is None else list(now.focus)
-        if sharpness:
-            focus.set_content(drawings.curve(sharpness, (380, 100), "sharpness over time", "s", "1/px"))
+        focus.show([sharpness[:: 1 + len(sharpness) // 200]], empty="no sharpness yet")
         look = look_now(desk)
         if look is None:
             figures.set_content("")
-            histogram.set_content("")
+            lamps.set_content("")
+            histogram.show([[]], empty="no picture yet")
             return
-        figures.set_content(drawings.table(look.rows(), "figures of the picture"))
-        counts = np.histogram(look.image, _BARS, (0, look.full_scale_dn + 1))[0].tolist()
-        histogram.set_content(
-            drawings.bars(counts, (380, 90), "histogram of the frame", f"{look.full_scale_dn} DN")
-        )
+        best = max((one for _, one in sharpness), default=0.0)
+        lamps.set_content(lights(table_tree(look.lamps(best))))
+        figures.set_content(tables.table(look.rows(), "figures of the picture"))
+        counts, edges = np.histogram(look.image, _BARS, (0, look.full_scale_dn + 1))
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        bars = [
+            (float(at), round(math.log10(1 + count), 3)) for at, count in zip(middles, counts, strict=True)
+        ]
+        histogram.show([bars])
 
     tab.every(0.3, refresh)
     refresh()
@@ -149,7 +177,9 @@ def build(desk: Desk, tab: Tab) -> None:
 
 def _stepper(what: str, down: Handler, up: Handler, tab: Tab) -> None:
     for sign, words, do in (("-", "smaller", down), ("+", "larger", up)):
-        ui.button(sign, on_click=tab.act(do)).props(f'outline dense aria-label="{words} {what}"')
+        ui.button(sign, on_click=tab.act(do)).props(f'outline dense aria-label="{words} {what}"').classes(
+            "step"
+        )
 
 
 def _seen(desk: Desk) -> bool:

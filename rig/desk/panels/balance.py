@@ -1,30 +1,35 @@
-"""Balance: the stretched trajectory, arrows at the weights of the pendulum, what was learned."""
+"""Balance: the advice, the trajectory, faults as bars against their limits, what was learned."""
 
 import html
 import math
-from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nicegui import run, ui
 
 from processing.errors import ConfigurationError, RigError
-from rig.balance import HEAD, Learned, history_path, learned
-from rig.desk import drawings
+from rig.balance import (
+    HEAD,
+    BalanceDialogue,
+    BalanceStage,
+    Learned,
+    balance_dialogue,
+    history_path,
+    learned,
+)
+from rig.desk import charts, tables
 from rig.desk.desk import Desk
 from rig.desk.jobs import Job
 from rig.desk.tab import DELIBERATE, Tab, tell
 from rig.instrument import WEIGHTS, complete
 from rig.presentation import with_uncertainty
 
-_STRETCHES = (1.0, 5.0, 20.0)
-_WAY_LINES = 40
 _STATE = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}
 
 
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
-    stretch = 0
+    wide = False
 
     def job() -> Job | None:
         found = desk.jobs.get("balance")
@@ -72,37 +77,38 @@ def build(desk: Desk, tab: Tab) -> None:
         if found is not None:
             rows = [list(HEAD), *found.rows] if found.rows else [["nothing was learned yet"]]
             text = "".join(f"<div>{html.escape(line)}</div>" for line in found.lines)
-            past.set_content(drawings.table(rows, "turns that were learned from") + text)
+            past.set_content(tables.table(rows, "turns that were learned from") + text)
 
     def stretched() -> None:
-        nonlocal stretch
-        stretch = (stretch + 1) % len(_STRETCHES)
+        nonlocal wide
+        wide = not wide
+        stretching.set_text("to scale" if wide else "stretch X")
+        refresh()
 
-    with ui.element("div").classes("three even"):
+    with ui.column().classes("box full-width"):
+        ui.html("what to do", tag="h3", sanitize=False).classes("title")
+        advice = ui.label().classes("advice").props('role="status" aria-live="polite"')
+        detail = ui.label().classes("dim")
+        with ui.row().classes("items-center"):
+            begin = ui.button("Measure", on_click=tab.act(measure)).props(
+                f'color="positive" size="lg" aria-label="Measure the balance" {DELIBERATE}'
+            )
+            weight = ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight").props("dense outlined")
+            weight.style("min-width: 100px")
+            turns = ui.input("turns, + clockwise").props('dense outlined data-key="turns"')
+            # the next measurement follows, which lights
+            stating = ui.button("Turned", on_click=tab.act(turned)).props(f'color="positive" {DELIBERATE}')
+            ending = ui.button("End", on_click=tab.act(end)).props("outline")
+        wrong = ui.label().classes("no").props('role="alert"')
+    with ui.element("div").classes("grid halves"):
         with ui.column().classes("box"):
-            with ui.row():
-                begin = ui.button("Measure", on_click=tab.act(measure)).props(
-                    f'color="positive" aria-label="measure the balance" {DELIBERATE}'
-                )
-                ui.button("End", on_click=tab.act(end)).props("outline")
-                ui.button("Stretch", on_click=stretched).props("outline")
-            way = ui.html(sanitize=False).classes("full-width")
+            way = charts.Chart("trajectory", "deflection_x", charts.WAY, square=True)
+            way.element.style("width: min(100%, max(300px, calc(100vh - 400px)))")
+            with way.beside:
+                stretching = ui.button("stretch X", on_click=stretched).props("dense outline no-caps")
         with ui.column().classes("box"):
-            ui.label("what to turn").classes("title")
-            advice = ui.label().classes("middle").props('role="status" aria-live="polite"')
             pendulum = ui.html(sanitize=False).classes("full-width")
-            with ui.row().classes("items-center no-wrap full-width"):
-                weight = (
-                    ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight")
-                    .props("dense outlined")
-                    .style("min-width: 90px")
-                )
-                turns = ui.input("turns, + clockwise").props('dense outlined data-key="turns"')
-                # the next measurement follows, which lights
-                ui.button("Turned", on_click=tab.act(turned)).props(f'color="positive" {DELIBERATE}')
-            wrong = ui.label().classes("no").props('role="alert"')
-        with ui.column().classes("box"):
-            ui.label("faults").classes("title")
+            ui.html("faults against their limits", tag="h3", sanitize=False).classes("title")
             faults = ui.html(sanitize=False).classes("full-width")
     with ui.column().classes("full-width box"):
         with ui.row().classes("items-center"):
@@ -112,34 +118,28 @@ def build(desk: Desk, tab: Tab) -> None:
         past = ui.html(sanitize=False).classes("full-width")
 
     def refresh() -> None:
-        shown = desk.jobs.get("balance")
-        begin.set_enabled(shown is None or not shown.running or _asks(shown))
-        if shown is None:
-            news = desk.following.news
+        job_now = desk.jobs.get("balance")
+        news = desk.following.news
+        unit = "arcsec"
+        if job_now is None:
             path = news.get("path") or {"x": [], "y": []}
+            unit = str(news.get("unit") or unit)
             next_step = (news.get("balance") or {}).get("next_step")
-            advice.set_text(next_step or "measure: let it swing, not too far")
-            unit = str(news.get("unit") or "arcsec")
-            way.set_content(drawings.trajectory(path["x"], path["y"], unit, (380, 330), _STRETCHES[stretch]))
-            pendulum.set_content(drawing(None))
-            return
-        x, y = _way(shown)
-        way.set_content(drawings.trajectory(x, y, "arcsec", (380, 330), _STRETCHES[stretch]))
-        last: Mapping[str, Any] = next(
-            (one for one in reversed(shown.lines) if one["kind"] in ("found", "rejected")), {}
-        )
-        words = str(last.get("why") or last.get("text") or "")
-        if shown.running and not _asks(shown):
-            words = "measuring: hands off"
-        if not shown.running and shown.status:
-            words = " ".join(list(shown.said)[-2:]) or words
-        advice.set_text(words)
-        pendulum.set_content(drawing(last.get("turn") if not shown.running or _asks(shown) else None))
-        seen = shown.newest.get("found" if _asks(shown) else "live", {})
-        faults.set_content(_table(seen.get("faults") or [], seen.get("before") or []))
-        said = shown.lines[-1] if shown.lines else {}
-        again = shown.lines[-2] if len(shown.lines) > 1 else {}
-        wrong.set_text(str(again.get("problem") or said.get("problem") or ""))
+            words = next_step or "Measure: let it swing, not too far"
+            shown = BalanceDialogue(BalanceStage.IDLE, words, x=path["x"], y=path["y"])
+        else:
+            lines, said = list(job_now.lines), list(job_now.said)
+            shown = balance_dialogue(lines, said, running=job_now.running, failed=bool(job_now.status))
+        begin.set_enabled(shown.stage is not BalanceStage.MEASURING)
+        begin.set_text("Measure again" if shown.asks else "Measure")
+        stating.set_enabled(shown.asks)
+        ending.set_visibility(job_now is not None and job_now.running)
+        advice.set_text(shown.advice)
+        detail.set_text(shown.detail)
+        wrong.set_text(shown.problem)
+        pendulum.set_content(drawing(shown.turn))
+        faults.set_content(tables.bars(_bars(shown.faults, shown.before), "faults of the balance"))
+        charts.trajectory(way, shown.x, shown.y, unit, stretched=wide)
 
     tab.every(0.3, refresh)
     refresh()
@@ -200,35 +200,24 @@ def _asks(job: Job) -> bool:
     return bool(job.lines) and job.lines[-1]["kind"] == "ask"
 
 
-def _way(job: Job) -> tuple[list[float | None], list[float | None]]:
-    x: list[float | None] = []
-    y: list[float | None] = []
-    pieces = deque((one for one in job.lines if one["kind"] == "way"), maxlen=_WAY_LINES)
-    for piece in pieces:
-        x += piece["x"]
-        y += piece["y"]
-    return x, y
-
-
-def _table(faults: Sequence[Mapping[str, Any]], before: Sequence[Mapping[str, Any]]) -> str:
+def _bars(faults: Sequence[Mapping[str, Any]], before: Sequence[Mapping[str, Any]]) -> list[tables.Bar]:
+    """A bar for each fault; what is not known is grey, and never go."""
     rows = []
     for k, fault in enumerate(faults):
-        style, word = _STATE[fault["ok"]]
-        was = f"<td class='dim'>{_number(before[k])}</td>" if k < len(before) else ""
-        meaning = "" if fault["ok"] in (True, None) else html.escape(str(fault["meaning"]))
-        rows.append(
-            f"<tr><td class='{style}'>{word}</td><th scope='row'>{html.escape(str(fault['name']))}</th>"
-            f"<td>{_number(fault)}</td>{was}<td class='dim'>limit {fault['limit']:g}</td></tr>"
-            + (f"<tr><td></td><td colspan='4'>{meaning}</td></tr>" if meaning else "")
-        )
-    return f"<table class='rows' aria-label='faults of the balance'>{''.join(rows)}</table>"
+        part, limit_part = tables.against_limit(fault["value"], fault["limit"])
+        was = f"before: {_number(before[k])}" if k < len(before) else ""
+        meaning = str(fault["meaning"]) if fault["ok"] is False else ""
+        note = "; ".join(filter(None, (meaning, f"limit {fault['limit']:g} {fault['unit']}".rstrip(), was)))
+        shown = f"{_STATE[fault['ok']][1]} {_number(fault)}"
+        rows.append(tables.Bar(str(fault["name"]), shown, part, limit_part, _STATE[fault["ok"]][0], note))
+    return rows
 
 
 def _number(fault: Mapping[str, Any]) -> str:
     if fault["value"] is None or fault["u_value"] is None:
         return "not known"
     shown = with_uncertainty(fault["value"], fault["u_value"], signed=True)
-    return html.escape(f"{shown} {fault['unit']}".rstrip())
+    return f"{shown} {fault['unit']}".rstrip()
 
 
 def _learned(desk: Desk) -> Learned:

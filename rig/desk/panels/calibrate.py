@@ -7,14 +7,17 @@ from nicegui import run, ui
 
 from processing.errors import ConfigurationError, RigError
 from rig.calibrate import Filing
-from rig.desk import drawings
+from rig.desk import tables
 from rig.desk.calibrating import FOLDER, Calibrating
+from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
+from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.tab import DELIBERATE, Tab
 from rig.settings import number
-from rig.wizards import KINDS, Progress, Question
+from rig.wizards import KINDS, Filed, Progress, Question
 
 _DAYS = 90.0
+_SIZE = (480, 240)
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -52,16 +55,29 @@ def build(desk: Desk, tab: Tab) -> None:
             working.set_visibility(False)
             refresh()
 
+    def over() -> None:
+        calibrating.start_over(kind)
+        refresh()
+
+    def use() -> None:
+        stated = calibrating.use(kind)
+        ui.notify(f"used by all that this desk starts; to keep it for good, state: {stated}", multi_line=True)
+
+    async def look() -> None:
+        await run.io_bound(desk.begin_aligning)
+
     with ui.row().classes("items-center"):
         kinds = {name: ui.button(name, on_click=partial(choose, name)) for name in KINDS}
     for name, button in kinds.items():
-        button.props(f'dense aria-label="calibrate {name}"')
-    with ui.element("div").classes("two half"):
+        button.props(f'dense aria-label="{name}, calibrate it"')
+    with ui.element("div").classes("grid halves"):
         with ui.column().classes("box"):
-            title = ui.label().classes("middle")
+            title = ui.html(tag="h3", sanitize=False).classes("middle")
+            steps = ui.html(sanitize=False)
             asked = ui.column().classes("full-width")
-            going = ui.label().classes("dim").props('role="status" aria-live="polite"')
-            stopping = ui.button("Stop recording", on_click=tab.act(stop)).props('color="negative"')
+            going = ui.label().classes("middle").props('role="status" aria-live="polite"')
+            part = ui.linear_progress(show_value=False).props('aria-label="part of the recording done"')
+            stopping = ui.button("Cancel the recording", on_click=tab.act(stop)).props('color="negative"')
             wrong = ui.label().classes("no").props('role="alert"')
             with ui.row().classes("full-width items-center") as last:
                 by = ui.input("made by", value=desk.config.session.operator).props("dense outlined")
@@ -69,13 +85,21 @@ def build(desk: Desk, tab: Tab) -> None:
                     'dense outlined data-key="days"'
                 )
                 ui.button("File it", on_click=tab.act(file)).props('color="positive" size="lg"')
-                working = ui.spinner()
+                working = ui.spinner().props('aria-label="the calibration is made"')
                 working.set_visibility(False)
-            ui.button("Back", on_click=tab.act(back)).props('outline aria-label="one question back"')
+            with ui.row():
+                ui.button("Back", on_click=tab.act(back)).props('outline aria-label="Back one question"')
+                ui.button("Start over", on_click=tab.act(over)).props("outline")
             given = ui.html(sanitize=False).classes("full-width")
         with ui.column().classes("box"):
-            ui.label("what came out").classes("title")
+            ui.html("what the camera sees", tag="h3", sanitize=False).classes("title")
+            with ui.element("div").classes("full-width"):
+                LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk))
+            lighting = ui.button("Live picture", on_click=tab.act(look)).props(f"outline {DELIBERATE}")
+            ui.html("what came out", tag="h3", sanitize=False).classes("title")
+            using = ui.button("Use it", on_click=tab.act(use)).props('color="positive" size="lg"')
             result = ui.html(sanitize=False).classes("full-width")
+            drawn_here = ui.column().classes("full-width")
 
     def ask(question: Question) -> None:
         """The elements of one question."""
@@ -119,13 +143,19 @@ def build(desk: Desk, tab: Tab) -> None:
             return
         going.set_text(busy)
         stopping.set_visibility(bool(busy))
+        done = calibrating.recorded_part(kind)
+        part.set_visibility(bool(busy) and done is not None)
+        part.set_value(round(done or 0.0, 2))
+        lighting.set_visibility(not busy and not _seen(desk))
         wrong.set_text(calibrating.problems.get(kind, ""))
         now = (kind, calibrating.draft(kind), bool(busy), calibrating.made.get(kind))
         if now == drawn:
             return
         drawn = now
         wizard = calibrating.wizard(kind)
-        title.set_text(wizard.title)
+        title.set_content(html.escape(wizard.title))
+        steps.set_content(_steps(found, bool(busy), calibrating.made.get(kind) is not None))
+        using.set_visibility(calibrating.made.get(kind) is not None)
         for name, button in kinds.items():
             button.props(remove="outline") if name == kind else button.props("outline")
         asked.clear()
@@ -135,6 +165,9 @@ def build(desk: Desk, tab: Tab) -> None:
                 ask(found.question)
         given.set_content(_given(calibrating, kind, found))
         result.set_content(_result(calibrating, kind))
+        drawn_here.clear()
+        with drawn_here:
+            _draw(calibrating.made.get(kind))
 
     tab.every(0.5, refresh)
     refresh()
@@ -151,15 +184,15 @@ def _days(text: str | None) -> float:
 def _given(calibrating: Calibrating, kind: str, found: Progress) -> str:
     answers = dict(calibrating.draft(kind).answers)
     rows = [[question.text, answers[question.name]] for question in reversed(found.asked)]
-    return drawings.table(rows, "answers so far")
+    return tables.table(rows, "answers so far")
 
 
 def _result(calibrating: Calibrating, kind: str) -> str:
     made = calibrating.made.get(kind)
     if made is None:
-        return drawings.table([["nothing was filed at this desk yet", ""]], "result")
+        return tables.table([["nothing was filed at this desk yet", ""]], "result")
     parts = [
-        drawings.table(
+        tables.table(
             [
                 ["filed as", str(made.path)],
                 ["valid until", f"{made.calibration.valid_until:%Y-%m-%d}"],
@@ -169,10 +202,43 @@ def _result(calibrating: Calibrating, kind: str) -> str:
             "where it is filed",
         )
     ]
-    for left in made.residuals:
-        parts.append(f"<div class='title'>{html.escape(left.title)}</div>")
-        parts.append(drawings.residuals(left, (480, 150)))
     for table in made.tables:
         parts.append(f"<div class='title'>{html.escape(table.title)}</div>")
-        parts.append(drawings.table([list(table.head), *(list(row) for row in table.shown)], table.title))
+        parts.append(tables.table([list(table.head), *(list(row) for row in table.shown)], table.title))
     return "".join(parts)
+
+
+def _draw(made: Filed | None) -> None:
+    """A chart of what each fit has left over."""
+    for left in () if made is None else made.residuals:
+        chart = Chart(left.title, left.x_name, (Curve(left.y_name, style="intervals"),), height="200px")
+        chart.show([list(zip(left.x, left.y, left.u, strict=True))])
+
+
+def _steps(found: Progress, busy: bool, made: bool) -> str:
+    """Where the wizard stands: answers, recording, filing, use."""
+    answered = len(found.asked)
+    asking = found.question is not None
+    steps = (
+        (f"answers ({answered} given)", asking and not busy),
+        ("recording", busy),
+        ("file it", not asking and not busy),
+        ("use it", made and asking and not answered),
+    )
+    lines = "".join(
+        f"<li{' aria-current=step' if current else ''}>{k}. {html.escape(words)}</li>"
+        for k, (words, current) in enumerate(steps, 1)
+    )
+    return f"<ol class='steps'>{lines}</ol>"
+
+
+def _seen(desk: Desk) -> bool:
+    return desk.aligner is not None or desk.following.running
+
+
+def _why_none(desk: Desk) -> str:
+    if desk.aligner is not None:
+        return "" if desk.aligner.look is not None else "the first frame is waited for"
+    if desk.following.running:
+        return no_frame_yet(desk.following)
+    return "dark: what is recorded lights by itself"

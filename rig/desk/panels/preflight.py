@@ -7,12 +7,16 @@ from typing import Any
 from nicegui import run, ui
 
 from processing.errors import RigError
-from rig.desk import drawings
+from rig.desk import tables
 from rig.desk.desk import Desk
 from rig.desk.following import doing
 from rig.desk.tab import DELIBERATE, Tab, tell
 from rig.instrument import complete
 from rig.plan import expected_of, plan_expected, plan_table
+from rig.presentation import quantity
+
+_WELL, _USELESS = 0.1, 0.5
+"""Uncertainty over value up to which a parameter is well determined, and from which on hardly at all."""
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -28,26 +32,33 @@ def build(desk: Desk, tab: Tab) -> None:
     async def plan() -> None:
         working.set_visibility(True)
         try:
-            rows = await run.io_bound(_expected, desk) or []
-            expected.set_content(drawings.table(rows, "what the plan expects"))
+            found = await run.io_bound(_expected, desk)
+            if found is not None:
+                rows, words_of = found
+                text = f"<p class='dim'>{html.escape(words_of)}</p>"
+                expected.set_content(tables.bars(rows, "uncertainty of each parameter over its value") + text)
         except RigError as error:
             tell(str(error))
         finally:
             working.set_visibility(False)
 
-    with ui.element("div").classes("two"):
+    with ui.element("div").classes("grid wide-left"):
         with ui.column().classes("box"):
+            verdict = ui.label().classes("verdict").props('role="status" aria-live="polite"')
+            words = ui.label().classes("middle").style("white-space: pre-line")
             with ui.row().classes("items-center"):
                 button = ui.button("Run preflight", on_click=tab.act(start)).props(
-                    f'color="positive" aria-label="run preflight" {DELIBERATE}'
+                    f'color="positive" size="lg" {DELIBERATE}'
                 )
                 ending = ui.button("End", on_click=tab.act(end)).props("outline")
-                verdict = ui.label().classes("middle").props('role="status" aria-live="polite"')
-            table = ui.html(sanitize=False).classes("full-width")
+            failing = ui.html(sanitize=False).classes("full-width")
+            with ui.expansion("passed").classes("full-width") as folded:
+                passing = ui.html(sanitize=False).classes("full-width")
         with ui.column().classes("box"):
-            ui.label("what a run will tell").classes("title")
-            ui.button("Plan", on_click=plan).props("outline")
-            working = ui.spinner()
+            ui.html("what a run will tell", tag="h3", sanitize=False).classes("title")
+            with ui.row().classes("items-center"):
+                ui.button("Plan", on_click=plan).props("outline")
+                working = ui.spinner().props('aria-label="it is planned"')
             working.set_visibility(False)
             expected = ui.html(sanitize=False).classes("full-width")
 
@@ -55,20 +66,28 @@ def build(desk: Desk, tab: Tab) -> None:
         job = desk.jobs.get("preflight")
         news = desk.following.news
         found: Sequence[Mapping[str, Any]] = ()
-        words = ""
+        said = "Run preflight: it looks whether a run can be made"
         if news.get("preflight"):
             found = news["preflight"]
         elif job is not None:
             found = job.newest.get("preflight", {}).get("table", ())
-            words = "\n".join(list(job.said)[-3:])
+            said = "\n".join(list(job.said)[-3:])
             if job.running:
-                words = doing(job.newest.get("state")) or "the camera is opened"
+                said = doing(job.newest.get("state")) or "the camera is opened"
         button.set_enabled(job is None or not job.running)
         ending.set_visibility(job is not None and job.running)
         against = [one for one in found if not one["ok"]]
-        verdict.set_text(words if not found else "NO-GO" if against else "GO")
+        shown_first = against + [one for one in found if one["ok"] and (one["remedy"] or not one["made"])]
+        passed = [one for one in found if one not in shown_first]
+        verdict.set_text("" if not found else "NO-GO" if against else "GO")
+        verdict.set_visibility(bool(found))
         verdict.classes(remove="go no", add="no" if against else "go")
-        table.set_content(lights(found))
+        words.set_text("" if found else said)
+        words.set_visibility(not found)
+        failing.set_content(lights(shown_first))
+        passing.set_content(lights(passed))
+        folded.set_text(f"{len(passed)} of {len(found)} checks passed")
+        folded.set_visibility(bool(passed))
 
     tab.every(0.3, refresh)
     refresh()
@@ -95,13 +114,25 @@ def lights(verdicts: Sequence[Mapping[str, Any]]) -> str:
     return f"<table class='rows' aria-label='preflight'>{''.join(rows)}</table>"
 
 
-def _expected(desk: Desk) -> list[list[str]]:
-    """The plan's row for a run as configured, one line a quantity, and its remark."""
+def _expected(desk: Desk) -> tuple[list[tables.Bar], str]:
+    """A bar for each parameter of a run as configured, full at `_USELESS`; and the plan's remark."""
     config = complete(desk.checked())
     session = config.session
     plan = plan_expected(
         expected_of(config), [session.initial_amplitude_arcsec], [session.final_amplitude_arcsec]
     )
+    rows = []
+    for name, part in plan.relative(plan.runs[0]).items():
+        kind = "go" if part < _WELL else "caution" if part < _USELESS else "no"
+        value = quantity(name).text(plan.values[name], plan.runs[0].u[name])
+        shown = f"{100 * part:.2g} %"
+        rows.append(
+            tables.Bar(quantity(name).label, shown, min(part / _USELESS, 1.0), _WELL / _USELESS, kind, value)
+        )
     table = plan_table(plan)
-    rows = [[name, cell] for name, cell in zip(table.head, table.shown[0], strict=True)]
-    return [*rows, ["", table.note]]
+    words = ", ".join(
+        f"{name} {cell}"
+        for name, cell in zip(table.head, table.shown[0], strict=True)
+        if not name.startswith("u(")
+    )
+    return rows, f"{words}. {table.note}"

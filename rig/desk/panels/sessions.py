@@ -1,5 +1,6 @@
-"""Sessions: list, report, Rerun, replay, compare, fit again, resume what was interrupted."""
+"""Sessions: find, report, Rerun, replay, compare, fit again, resume what was interrupted."""
 
+import json
 from pathlib import Path
 from urllib.parse import quote
 
@@ -7,24 +8,30 @@ from nicegui import run, ui
 
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
-from rig.desk.sessions import SERVED, SessionRow, list_sessions
+from rig.desk.sessions import SERVED, SessionRow, sparkline
 from rig.desk.tab import DELIBERATE, Tab
 from rig.wizards import next_free
 
 KEYS = (("o", "sessions: open the report"), ("v", "sessions: show in Rerun"))
-_COLUMNS = ("begun", "folder", "sample", "runs", "state")
+_COLUMNS = ("begun", "folder", "sample", "operator", "conditions", "runs", "state", "decay")
 _LAST_LINES = 14
+_ON_A_PAGE = 15
 _MARK = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${NAME}`" />'
 
 
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
     again, output = desk.looking_again, desk.config.session.output
+    index = desk.sessions
+    index.start()
     rows: dict[str, SessionRow] = {}
+    marked: dict[str, SessionRow] = {}
+    sparks: dict[SessionRow, str] = {}
     asked: Path | None = None
+    first = 0
 
     def chosen(least: int = 1, most: int = 1) -> list[Path]:
-        folders = [Path(row["folder"]) for row in table.selected]
+        folders = [Path(name) for name in marked]
         if not least <= len(folders) <= most:
             wanted = "one session" if most == 1 else f"at least {least} sessions"
             raise ConfigurationError(f"{len(folders)} sessions are marked; mark {wanted} in the list")
@@ -32,12 +39,18 @@ def build(desk: Desk, tab: Tab) -> None:
 
     def report() -> None:
         (folder,) = chosen()
-        page = rows[str(folder)].report
+        page = marked[str(folder)].report
         if page is None:
             again.start("report", [str(folder)])
             ui.notify("the report is being made; open it when it is done")
         else:
-            ui.navigate.to(_served(page), new_tab=True)
+            # in the theme that the page has at this moment
+            ui.run_javascript(
+                f"document.querySelector('#report iframe').src = {json.dumps(_served(page) + '?theme=')} + "
+                "(localStorage.getItem('theme') || 'dark')"
+            )
+            shown_name.set_text(str(page))
+            drawer.open()
 
     def view() -> None:
         again.start("view", [*map(str, chosen(most=20)), "--view", "web"])
@@ -60,7 +73,7 @@ def build(desk: Desk, tab: Tab) -> None:
     def ask_resume() -> None:
         nonlocal asked
         (asked,) = chosen()
-        row = rows[str(asked)]
+        row = marked[str(asked)]
         if not row.resumable:
             raise ConfigurationError(
                 f"{asked}: is {row.state}; only what was interrupted goes on here, see rig run --resume"
@@ -85,7 +98,17 @@ def build(desk: Desk, tab: Tab) -> None:
         with ui.row():
             ui.button("Go on with it", on_click=tab.act(resume)).props(f'color="positive" {DELIBERATE}')
             ui.button("Not now", on_click=begin.close).props("outline")
+    drawer = ui.dialog().props('position="right" full-height aria-label="report"')
+    with drawer, ui.card().classes("report").props('id="report"'):
+        with ui.row().classes("items-center full-width no-wrap"):
+            shown_name = ui.label().classes("dim ellipsis")
+            ui.space()
+            ui.button("Close", on_click=drawer.close).props("outline")
+        ui.element("iframe").props('title="report"')
     with ui.row().classes("items-center"):
+        find = (
+            ui.input("find").props('dense outlined clearable type="search" data-key="find"').classes("find")
+        )
         for name, do, words in (
             ("Report", report, "open the report, key o"),
             ("Rerun", view, "show the marked sessions in Rerun, key v"),
@@ -94,24 +117,30 @@ def build(desk: Desk, tab: Tab) -> None:
             ("Fit again", fit, "fit all runs again into a folder of their own"),
             ("Resume …", ask_resume, "make the runs that are missing"),
         ):
-            ui.button(name, on_click=tab.act(do)).props(f'outline aria-label="{words}"').tooltip(words)
+            # what is read aloud begins with what is seen
+            ui.button(name, on_click=tab.act(do)).props(f'outline aria-label="{name}: {words}"').tooltip(
+                words
+            )
         ending = ui.button("End it", on_click=tab.act(end)).props("flat")
     with ui.column().classes("full-width box"):
         table = ui.table(
-            columns=[
-                {"name": name, "label": name, "field": name, "align": "left", "sortable": True}
-                for name in _COLUMNS
-            ],
+            columns=[{"name": name, "label": name, "field": name, "align": "left"} for name in _COLUMNS],
             rows=[],
             row_key="folder",
             selection="multiple",
-            pagination=10,
+            pagination=0,
         ).classes("full-width")
-        table.props('dense flat aria-label="sessions" rows-per-page-label="sessions a page:"')
+        table.props('dense flat hide-pagination aria-label="sessions"')
         table.props(""":selected-rows-label="n => n + ' marked'" """)
-        table.add_slot("header-selection", f"<span class='unseen'>marked</span>{_MARK}".replace("NAME", "'all'"))
+        table.add_slot(
+            "header-selection", f"<span class='unseen'>marked</span>{_MARK}".replace("NAME", "'all'")
+        )
         table.add_slot("body-selection", _MARK.replace("NAME", "props.row.folder"))
-        none = ui.label(f"no session in {output} yet").classes("dim")
+        with ui.row().classes("items-center"):
+            earlier = ui.button("Newer", on_click=lambda: turn(-1)).props("outline dense")
+            place = ui.label().props('role="status"')
+            later = ui.button("Older", on_click=lambda: turn(1)).props("outline dense")
+            count = ui.label().classes("dim")
     with ui.column().classes("full-width box q-mt-sm"):
         ui.label("what the commands say").classes("title")
         links = ui.row()
@@ -121,18 +150,52 @@ def build(desk: Desk, tab: Tab) -> None:
     tab.key("v", tab.act(view))
     shown: list[tuple[str, str]] = []
 
-    def refresh() -> None:
+    def mark() -> None:
+        """What is marked stays so on other pages."""
+        now = {str(row["folder"]) for row in table.selected}
+        for name, row in rows.items():
+            if name in now:
+                marked[name] = row
+            else:
+                marked.pop(name, None)
+        count.set_text(f"{len(marked)} marked" if marked else "")
+
+    async def turn(pages: int) -> None:
+        nonlocal first
+        first = max(0, first + pages * _ON_A_PAGE)
+        await refresh()
+
+    async def found_anew() -> None:
+        nonlocal first
+        first = 0
+        await refresh()
+
+    table.on_select(mark)
+    find.on_value_change(found_anew)
+
+    async def refresh() -> None:
         nonlocal shown
-        found = list_sessions(output, desk.following.folder)
+        page = index.page(desk.following.folder, str(find.value or ""), first, _ON_A_PAGE)
         rows.clear()
-        rows.update({str(row.folder): row for row in found})
-        listed = [{name: str(getattr(row, name)) for name in _COLUMNS} for row in found]
+        rows.update({str(row.folder): row for row in page.rows})
+        for name in marked.keys() & rows.keys():
+            marked[name] = rows[name]
+        if new := [row for row in page.rows if row not in sparks and row.state != "running"]:
+            drawn = await run.io_bound(lambda: [sparkline(row.folder) for row in new])
+            sparks.update(zip(new, drawn or [], strict=False))
+        listed = [
+            {**{name: str(getattr(row, name)) for name in _COLUMNS[:-1]}, "decay": sparks.get(row, "")}
+            for row in page.rows
+        ]
         if listed != table.rows:
             table.rows = listed
-            marked = {row["folder"] for row in table.selected}
             table.selected = [row for row in listed if row["folder"] in marked]
             table.update()
-        none.set_visibility(not found)
+        last = first + len(page.rows)
+        of = f"{page.found:,}" if page.found == page.all else f"{page.found:,} found, of {page.all:,}"
+        place.set_text(f"{first + 1} to {last} of {of}" if page.rows else f"no session in {output} is found")
+        earlier.set_enabled(first > 0)
+        later.set_enabled(last < page.found)
         said = []
         for name, job in again.jobs.items():
             state = "runs" if job.running else "done" if job.status == 0 else "failed"
@@ -156,4 +219,3 @@ def build(desk: Desk, tab: Tab) -> None:
         return f"{SERVED}/{quote(page.relative_to(output).as_posix())}"
 
     tab.every(1.0, refresh)
-    refresh()

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
 from calibration import read_calibration
-from rig.desk.sessions import list_sessions, served_file
+from rig.desk.sessions import SessionIndex, served_file
 from rig.measure.session_file import RunState, SessionFile
 from rig.settings import load_configuration
 from tests.rig.desk.desk_page import Page, desk_page
@@ -195,14 +195,44 @@ def test_only_what_was_killed_is_called_interrupted(tmp_path: Path, states: list
     for number, state in enumerate(states, 1):
         file.note(number, f"run-{number}.mcap", state)
     file.close()
-    (row,) = list_sessions(tmp_path, None)
+    index = SessionIndex(tmp_path)
+    index.look()
+    (row,) = index.page(None).rows
     assert row.state == shown
-    (row,) = list_sessions(tmp_path, folder)
+    (row,) = index.page(folder).rows
     assert row.state == "running"
+
+
+def test_sessions_are_found_by_words_page_by_page(tmp_path: Path) -> None:
+    for number in range(30):
+        folder = tmp_path / f"s{number:02d}"
+        folder.mkdir()
+        stated = {
+            "session": {"sample": "Steel" if number % 2 else "ruby", "operator": f"Person-{number:02d}-x"}
+        }
+        file = SessionFile.made(folder, tmp_path / "rig.toml", 1, stated)
+        file.note(1, "run-1.mcap", RunState.COMPLETE)
+        file.close()
+        os.utime(folder / "session.json", (number, number))
+    index = SessionIndex(tmp_path)
+    index.look()
+    page = index.page(None, "steel", first=10, most=10)
+    assert (page.found, page.all) == (15, 30)
+    assert [row.folder.name for row in page.rows] == ["s09", "s07", "s05", "s03", "s01"]
+    assert [row.folder.name for row in index.page(None, "PERSON-12-X complete").rows] == ["s12"]
+    assert index.page(None, "person-12-x failed").rows == []
+    shutil.rmtree(tmp_path / "s12")
+    os.utime(tmp_path / "s00" / "session.json", (99, 99))
+    index.look()
+    page = index.page(None)
+    assert page.all == 29
+    assert page.rows[0].folder.name == "s00", "what was written last is the newest"
 
 
 def test_a_file_that_is_no_session_is_listed_with_what_is_wrong(tmp_path: Path) -> None:
     (tmp_path / "odd").mkdir()
     (tmp_path / "odd" / "session.json").write_text("{", encoding="utf-8")
-    (row,) = list_sessions(tmp_path, None)
+    index = SessionIndex(tmp_path)
+    index.look()
+    (row,) = index.page(None).rows
     assert "cannot be read" in row.state

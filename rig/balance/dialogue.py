@@ -1,0 +1,109 @@
+"""The dialogue of `rig balance --json` as whoever shows it sees it: what to do now, the numbers, the way."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+_WAY_LINES = 40
+
+
+class BalanceStage(StrEnum):
+    """Where the dialogue is."""
+
+    IDLE = "idle"
+    MEASURING = "measuring"
+    ASKING = "asking"
+    ENDED = "ended"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class BalanceDialogue:
+    """What is to be shown; what was not determined is never "go".
+
+    `advice` says in few words what to do, `detail` why; `turn` which weight, as the reporter wrote it;
+    `faults` and those `before` the last turn; `x` and `y` are the way of the spot in arcsec;
+    `problem` is an answer that was none.
+    """
+
+    stage: BalanceStage
+    advice: str = ""
+    detail: str = ""
+    turn: Mapping[str, Any] | None = None
+    faults: Sequence[Mapping[str, Any]] = ()
+    before: Sequence[Mapping[str, Any]] = ()
+    x: list[float | None] = field(default_factory=list)
+    y: list[float | None] = field(default_factory=list)
+    problem: str = ""
+
+    @property
+    def asks(self) -> bool:
+        """Whether it waits for an answer."""
+        return self.stage is BalanceStage.ASKING
+
+    @property
+    def unknown(self) -> list[str]:
+        """Names of what was not determined."""
+        return [str(fault["name"]) for fault in self.faults if fault["ok"] is None]
+
+
+def balance_dialogue(
+    lines: Sequence[Mapping[str, Any]], said: Sequence[str], *, running: bool, failed: bool
+) -> BalanceDialogue:
+    """The dialogue from the lines that the command has printed, and its other words.
+
+    Parameters
+    ----------
+    running, failed
+        Whether the command runs, and whether it has ended with an error.
+    """
+    asks = running and bool(lines) and lines[-1]["kind"] == "ask"
+    stage = (
+        BalanceStage.ASKING if asks
+        else BalanceStage.MEASURING if running
+        else BalanceStage.FAILED if failed
+        else BalanceStage.ENDED
+    )  # fmt: skip
+    last = _newest(lines, "found", "rejected")
+    judged = _newest(lines, "live") if stage is BalanceStage.MEASURING else last
+    faults = judged.get("faults") or _newest(lines, "found").get("faults") or []
+    x, y = _way(lines)
+    problem = next((str(one["problem"]) for one in list(lines)[-2:] if one.get("problem")), "")
+    turn = None if stage is BalanceStage.MEASURING else last.get("turn")
+    advice, detail = _advice(stage, last, turn, said)
+    return BalanceDialogue(stage, advice, detail, turn, faults, last.get("before") or [], x, y, problem)
+
+
+def _advice(
+    stage: BalanceStage, last: Mapping[str, Any], turn: Mapping[str, Any] | None, said: Sequence[str]
+) -> tuple[str, str]:
+    """What to do, and why."""
+    if stage is BalanceStage.MEASURING:
+        return "Hands off: it is measured", ""
+    why, hint, text = (str(last.get(key) or "") for key in ("why", "hint", "text"))
+    if stage is BalanceStage.FAILED:
+        return "The measurement has failed", " ".join(list(said)[-2:]) or why
+    if turn is not None:
+        parts = ", then ".join(
+            f"{abs(part):.2f} turns {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn["parts"]
+        )
+        return f"Turn weight {turn['weight']}: {parts}", "; ".join(
+            filter(None, (why, hint, str(turn["why"])))
+        )
+    if last.get("kind") == "rejected":
+        return "Measure again", "; ".join(filter(None, (why, hint)))
+    unknown = [str(fault["name"]) for fault in last.get("faults") or () if fault["ok"] is None]
+    if unknown:
+        # what nobody has measured is not right because nothing is known against it
+        return "Measure again, with a larger swing", f"not known yet: {', '.join(unknown)}"
+    return (text[:1].upper() + text[1:] or "Measure"), ""
+
+
+def _newest(lines: Sequence[Mapping[str, Any]], *kinds: str) -> Mapping[str, Any]:
+    return next((one for one in reversed(lines) if one["kind"] in kinds), {})
+
+
+def _way(lines: Sequence[Mapping[str, Any]]) -> tuple[list[float | None], list[float | None]]:
+    pieces = [one for one in lines if one["kind"] == "way"][-_WAY_LINES:]
+    return [x for piece in pieces for x in piece["x"]], [y for piece in pieces for y in piece["y"]]

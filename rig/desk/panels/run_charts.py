@@ -1,0 +1,89 @@
+"""The charts of a running session: one of them is seen, as it is chosen, since the beginning of the run."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from nicegui import run, ui
+
+from rig.desk.charts import Chart, Curve, Mark, Points
+from rig.desk.desk import Desk
+from rig.desk.tab import Tab
+from rig.presentation import quantity
+
+_EVERY_S = 1.0
+_CHARTS: Mapping[str, tuple[str, Sequence[Curve]]] = {
+    "decay": (
+        "elapsed_s",
+        (Curve("amplitude", style="points"), Curve("period_s", style="points", colour="second", row=1)),
+    ),
+    "X and Y": ("elapsed_s", (Curve("deflection_x", colour="second"), Curve("deflection_y", row=1))),
+    "parameters": ("elapsed_s", ()),
+    "spectrum": (
+        "frequency_hz",
+        (
+            Curve("density_rad_per_rthz", name="X", colour="second"),
+            Curve("density_rad_per_rthz", name="Y", style="line"),
+        ),
+    ),
+}
+_MOST_PARAMETERS = 3
+
+
+class RunCharts:
+    """A choice, and the chart that is chosen; built where it is made."""
+
+    def __init__(self, desk: Desk, tab: Tab) -> None:
+        self._desk = desk
+        self._charts: dict[str, Chart] = {}
+        self._choice = ui.toggle(list(_CHARTS), value="decay", on_change=self._choose)
+        self._choice.props('dense no-caps aria-label="which chart"')
+        for name, (x, curves) in _CHARTS.items():
+            self._charts[name] = Chart(name, x, curves, logarithmic=name == "spectrum")
+        self._choose()
+        tab.every(_EVERY_S, self._refresh)
+
+    def _choose(self) -> None:
+        for name, chart in self._charts.items():
+            chart.frame.set_visibility(name == self._choice.value)
+
+    async def _refresh(self) -> None:
+        following = self._desk.following
+        if not following.running:
+            return
+        history = await run.io_bound(following.history)
+        if not history:
+            return
+        unit, name = str(following.news.get("unit") or "arcsec"), str(self._choice.value)
+        chart, marks = self._charts[name], _marks(following.events)
+        if name == "decay":
+            swings = history["swings"]
+            chart.show([[(t, a) for t, a, *_ in swings], [(t, p) for t, *_, p in swings]], unit, marks=marks)
+        elif name == "X and Y":
+            chart.show([history["x"], history["y"]], unit, marks=marks)
+        elif name == "parameters":
+            curves, points = _parameters(history["estimates"])
+            chart.declare(curves)
+            chart.show(points, unit, marks=marks, empty="the first fit comes after some swings")
+        else:
+            found = history["spectrum"]
+            chart.show([list(zip(found["f"], found[one], strict=True)) for one in "xy"], unit)
+
+
+def _parameters(estimates: Mapping[str, Sequence[Sequence[float]]]) -> tuple[list[Curve], list[Points]]:
+    """A row with its band for each parameter, in the units shown."""
+    keys = list(estimates)[:_MOST_PARAMETERS]
+    curves = [Curve(key, style="band", row=row) for row, key in enumerate(keys)]
+    points: list[Points] = [
+        [(t, value * quantity(key).factor, u * quantity(key).factor) for t, value, u in estimates[key]]
+        for key in keys
+    ]
+    return curves, points
+
+
+def _marks(events: Sequence[Mapping[str, Any]]) -> list[Mark]:
+    """Events of the run at their times."""
+    return [
+        (float(one["elapsed_s"]), f"{one['kind']}: {one['text']}")
+        for one in tuple(events)
+        if one["elapsed_s"] is not None and float(one["elapsed_s"]) >= 0
+    ]

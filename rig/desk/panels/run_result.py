@@ -1,0 +1,108 @@
+"""After a run: how it went, the result with its whole uncertainty, what limits it, what comes next."""
+
+import html
+import json
+from urllib.parse import quote
+
+from nicegui import run, ui
+
+from rig.desk import tables
+from rig.desk.charts import Chart, Curve
+from rig.desk.desk import Desk
+from rig.desk.sessions import SERVED
+from rig.desk.tab import Tab
+from rig.measure import HandOver, RunState
+
+_KINDS = {RunState.COMPLETE: "go", RunState.STOPPED: "caution"}
+_DECAY = (
+    Curve("amplitude", name="measured", style="points"),
+    Curve("amplitude", name="fit", colour="second"),
+    Curve("amplitude_residual", style="points", row=1),
+    Curve("period_s", name="measured", style="points", row=2),
+    Curve("period_s", name="fit", colour="second", row=2),
+    Curve("period_residual", style="points", row=3),
+)
+
+
+class RunResult:
+    """Shows what the last session hands over; built where it is made, hidden without one."""
+
+    def __init__(self, desk: Desk, tab: Tab) -> None:
+        self._desk = desk
+        self._drawn: HandOver | None = None
+        with ui.element("div").classes("grid wide-left") as self.frame:
+            with ui.column().classes("box"):
+                ui.html("the last session", tag="h3", sanitize=False).classes("title")
+                with ui.row().classes("items-baseline"):
+                    self._verdict = ui.label().classes("advice").props('role="status"')
+                    self._went = ui.label().classes("dim")
+                self._headline = ui.label().classes("advice")
+                self._of = ui.label().classes("dim")
+                self._next = ui.html(sanitize=False).classes("full-width")
+                with ui.row():
+                    self._report = ui.button("Report", on_click=self._open).props('outline size="lg"')
+                    ui.label("the next run starts below").classes("dim self-center")
+                self._others = ui.html(sanitize=False).classes("full-width")
+                with ui.expansion("its last words").classes("full-width"):
+                    self._words = ui.html(sanitize=False).classes("dim")
+            with ui.column().classes("box"):
+                ui.html("what limits it", tag="h3", sanitize=False).classes("title")
+                self._limits = ui.html(sanitize=False).classes("full-width")
+                self._decay = Chart("decay, fit and residuals", "elapsed_s", _DECAY, height="420px")
+        self.frame.set_visibility(False)
+        tab.every(1.0, self._refresh)
+
+    async def _refresh(self) -> None:
+        desk = self._desk
+        if desk.following.running:
+            return
+        over = await run.io_bound(desk.hand_over)
+        self.frame.set_visibility(over is not None)
+        if over is None or over is self._drawn:
+            return
+        self._drawn = over
+        self._verdict.set_text("no run made" if over.ended is None else over.ended.value)
+        kind = "no" if over.ended is None else _KINDS.get(over.ended, "no")
+        self._verdict.classes(remove="go caution no", add=kind)
+        self._went.set_text(f"{over.folder.name}: {over.went}")
+        self._headline.set_text(over.headline or "no result")
+        self._of.set_text(f"the uncertainty is of {over.of}" if over.of else "")
+        lines = [f"<li><b>{html.escape(step)}</b></li>" for step in over.next_steps]
+        lines += [f"<li>{html.escape(remark)}</li>" for remark in over.remarks]
+        self._next.set_content(f"<ul>{''.join(lines)}</ul>" if lines else "nothing is to be done about it")
+        self._others.set_content(tables.table(over.others, "all parameters") if over.others else "")
+        self._words.set_content("<br>".join(map(html.escape, desk.last_words())))
+        bars = [
+            tables.Bar(one.name, f"{100 * one.share:.0f} %", one.share, None, "dim") for one in over.limits
+        ]
+        self._limits.set_content(tables.bars(bars, "sources of the uncertainty, by their share"))
+        self._report.set_visibility(over.report is not None)
+        self._show_decay(over)
+
+    def _show_decay(self, over: HandOver) -> None:
+        drawn = over.decay
+        self._decay.frame.set_visibility(drawn is not None)
+        if drawn is None:
+            return
+        measured = list(zip(drawn.time_s, drawn.amplitude, strict=True))
+        fitted = list(zip(drawn.time_s, drawn.fitted, strict=True))
+        periods = list(zip(drawn.period_time_s, drawn.period_s, strict=True))
+        fitted_periods = list(zip(drawn.period_time_s, drawn.fitted_period_s, strict=True))
+        self._decay.show(
+            [
+                measured,
+                fitted,
+                [(t, a - b) for (t, a), (_, b) in zip(measured, fitted, strict=True)],
+                periods,
+                fitted_periods,
+                [(t, 1e3 * (a - b)) for (t, a), (_, b) in zip(periods, fitted_periods, strict=True)],
+            ]
+        )
+
+    def _open(self) -> None:
+        over = self._drawn
+        if over is None or over.report is None:
+            return
+        name = over.report.absolute().relative_to(self._desk.config.session.output.absolute()).as_posix()
+        address = json.dumps(f"{SERVED}/{quote(name)}?theme=")
+        ui.run_javascript(f"window.open({address} + (localStorage.getItem('theme') || 'dark'), '_blank')")
