@@ -16,6 +16,7 @@ from rig.presentation import Shown, quantity
 
 Points = Sequence[Sequence[float | None]]
 Mark = tuple[float, str]
+Ends = tuple[tuple[float, float], tuple[float, float]]
 _TEXT = {"color": "var(--dim)", "fontSize": 12}
 _LINES = {"lineStyle": {"color": "var(--edge)", "opacity": 0.35}}
 
@@ -83,12 +84,12 @@ class Chart:
         unit: str = "arcsec",
         *,
         marks: Sequence[Mark] = (),
-        ends: tuple[float, float] | None = None,
+        ends: Ends | None = None,
         empty: str = "nothing to draw yet",
     ) -> None:
         """Draw the points of each curve, in the units shown; `marks` are lines at an x, with words.
 
-        `ends`: the axes go from minus to plus these, of x and y.
+        `ends` are those of the axes, of x and of y.
         """
         now = (tuple(self._curves), tuple(map(tuple, points)), unit, tuple(marks), ends)
         if now == self._shown:
@@ -105,13 +106,19 @@ class Chart:
 def trajectory(
     chart: Chart, x: Sequence[float | None], y: Sequence[float | None], unit: str, *, stretched: bool
 ) -> None:
-    """Show the way of the spot in a square chart: to scale, or X as wide as Y is high. Gaps stay open."""
+    """Show the way of the spot in a square chart. Gaps stay open.
+
+    To scale it is seen about zero; stretched, each axis has what there is along it.
+    """
     way = [(a, b) if a is not None and b is not None else (None, None) for a, b in zip(x, y, strict=True)]
     known = [(a, b) for a, b in way if a is not None and b is not None]
     ends = None
     if known:
-        across, along = (_end(max(abs(one[k]) for one in known)) for k in (0, 1))
-        ends = (across, along) if stretched else (max(across, along),) * 2
+        if stretched:
+            ends = _span([a for a, _ in known]), _span([b for _, b in known])
+        else:
+            largest = _end(max(max(abs(a), abs(b)) for a, b in known))
+            ends = (-largest, largest), (-largest, largest)
     chart.show([way, known[-1:]], unit, ends=ends, empty="no trajectory yet")
 
 
@@ -120,6 +127,13 @@ WAY = (
     Curve("deflection_y", "now", style="points", colour="second"),
 )
 """Curves of a trajectory, over ``deflection_x``."""
+
+
+def _span(values: Sequence[float]) -> tuple[float, float]:
+    """Ends of an axis that holds them, at steps of a twentieth of their range."""
+    low, high = min(values), max(values)
+    step = 10.0 ** math.floor(math.log10(high - low or 1e-3)) / 2
+    return step * math.floor(low / step), step * math.ceil(high / step)
 
 
 def _end(largest: float) -> float:
@@ -135,18 +149,18 @@ def _options(
     unit: str,
     logarithmic: bool,
     marks: Sequence[Mark],
-    ends: tuple[float, float] | None,
+    ends: Ends | None,
     empty: str,
 ) -> dict[str, Any]:
     rows = max((curve.row for curve in curves), default=0) + 1
     nothing = not any(len(one) for one in points)
+    labels = {**_TEXT, "hideOverlap": True, "showMinLabel": ends is not None, "showMaxLabel": False}
     across = {
         "type": "log" if logarithmic else "value",
         "nameLocation": "middle",
         "nameGap": 24,
-        "min": "dataMin" if ends is None else -ends[0],
-        "max": "dataMax" if ends is None else ends[0],
-        "axisLabel": {**_TEXT, "hideOverlap": True, "showMinLabel": ends is not None, "showMaxLabel": False},
+        "min": "dataMin" if ends is None else ends[0][0],
+        "max": "dataMax" if ends is None else ends[0][1],
         "axisLine": {"lineStyle": {"color": "var(--edge)"}, "onZero": False},
         "splitLine": _LINES,
         "nameTextStyle": _TEXT,
@@ -172,7 +186,7 @@ def _options(
                 **across,
                 "gridIndex": row,
                 "name": x.label if last else "",
-                "axisLabel": {**across["axisLabel"], "show": last},
+                "axisLabel": {**labels, "show": last},
             }
         )
         shown = quantity(key, unit)
@@ -184,8 +198,8 @@ def _options(
                 "name": shown.label,
                 "nameTextStyle": {**_TEXT, "align": "left", "padding": [0, 0, 0, -50]},
                 "nameGap": 8,
-                "min": None if ends is None else -ends[1],
-                "max": None if ends is None else ends[1],
+                "min": None if ends is None else ends[1][0],
+                "max": None if ends is None else ends[1][1],
                 # where rows lie close the ends of one meet those of the next
                 "axisLabel": {**_TEXT, "hideOverlap": True, "showMinLabel": alone, "showMaxLabel": alone},
                 "axisLine": {"lineStyle": {"color": "var(--edge)"}},
@@ -331,9 +345,11 @@ window.rigNumber = (value, unit) => {
     const shown = chart.getOption(), rows = [['curve', 'x', 'x value', 'y', 'y value']];
     for (const one of shown.series) {
       const row = one.xAxisIndex || 0, [low, high] = ends(chart, 'xAxis', row);
+      const [under, over] = ends(chart, 'yAxis', row);
       if (one.tooltip && one.tooltip.show === false) continue;
       for (const point of one.data || []) {
         if (point[0] == null || point[0] < low || point[0] > high) continue;
+        if (point[1] == null || point[1] < under || point[1] > over) continue;
         rows.push([one.name, shown.xAxis.at(-1).name, point[0], shown.yAxis[row].name, point[1]]);
       }
     }

@@ -23,6 +23,8 @@ h1, h2, h3 { font: inherit; margin: 0; }
 .verdict { font-size: clamp(44px, 7vw, 80px); line-height: 1; font-weight: 700; }
 .advice { font-size: clamp(26px, 3.2vw, 40px); line-height: 1.15; font-weight: 600; }
 .middle { font-size: 28px; line-height: 1.2; font-variant-numeric: tabular-nums; }
+.stack { display: flex; flex-flow: column; gap: 8px; min-width: 0; }
+.stack > .box { width: 100%; } .stack > .grows { flex: 1 1 0; min-height: 140px; }
 .grid { display: grid; gap: 8px; width: 100%; grid-template-columns: minmax(0, 1fr); }
 .lamps { display: flex; flex-wrap: wrap; gap: 6px; }
 .lamps > span { border: 2px solid currentColor; border-radius: 6px; padding: 3px 10px; font-weight: 600; }
@@ -129,9 +131,8 @@ html.night #safety .go::before, html.night #safety .dim::before, html.night #saf
   .thirds { grid-template-columns: repeat(3, minmax(0, 1fr)); }
   .halves { grid-template-columns: repeat(2, minmax(0, 1fr)); }
   .wide-left { grid-template-columns: minmax(0, 3fr) minmax(320px, 2fr); }
-  .measure { grid-template-columns: minmax(0, 4.6fr) minmax(0, 4fr) minmax(0, 3.4fr);
-    grid-template-rows: auto minmax(0, 1fr); }
-  .measure > .tall { grid-row: span 2; }
+  .measure { grid-template-columns: minmax(0, 4.6fr) minmax(0, 4fr) minmax(0, 3.4fr); }
+  .measure > * { max-height: max(640px, calc(100vh - 152px)); }
 }
 @media (max-width: 999px) { .q-tab { padding: 0 10px; } }
 @media (max-width: 600px) {

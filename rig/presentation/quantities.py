@@ -66,7 +66,7 @@ def quantity(key: str, unit: str = "arcsec") -> Shown:
 
 def declaration(key: str) -> Quantity | None:
     """What is declared of the quantity with this key; None of an unknown one."""
-    known = quantities_of(Surroundings) | quantities_of(Traces)
+    known = {**quantities_of(Surroundings), **quantities_of(Traces)}
     return known[key] if key in known else _of_balances().get(key) or _of_fits().get(key)
 
 

@@ -21,10 +21,13 @@ import numpy as np
 
 from rig.channel import Channel, SessionNews
 from rig.channel.loopback import _Handler
+from rig.desk.sessions import SessionIndex
 from rig.instrument.snapshot import Snapshot
 from rig.measure.screen import RunDisplay
+from rig.measure.session_file import RunEntry, RunState, SessionState
 from rig.settings import load_configuration
 from tests.benchmarks.bench_pipeline import real_time
+from tests.benchmarks.desk_in_browser import first_paint_s, random_use
 
 RATE_HZ, WIDTH, HEIGHT = 500.0, 640, 480
 PICTURES_HZ = 10.0
@@ -50,9 +53,42 @@ def run(quick: bool = False) -> dict[str, Any]:
         "a picture at the desk, ms": float(np.median([one["picture_ms"] for one in watched])),
         "cores of the desk itself": float(np.median([one["desk_cores"] for one in watched])),
     }
+    found, rows_s, read_s = search_s(5_000 if quick else 100_000)
+    results |= {
+        "sessions searched": found,
+        "a search of them, s": rows_s,
+        "reading them all once, s": read_s,
+        "first paint, s": first_paint_s(),
+        **random_use(200 if quick else 10_000),
+    }
     for name, value in results.items():
-        print(f"{name:<36} {value:.4g}")
+        print(f"{name:<36} {value:.4g}" if isinstance(value, int | float) else f"{name:<36} {value}")
     return results
+
+
+def search_s(sessions: int) -> tuple[int, float, float]:
+    """How many sessions there are, the longest of some searches, and the first reading of all of them."""
+    with tempfile.TemporaryDirectory() as place:
+        for number in range(sessions):
+            folder = Path(place) / f"2026-{number:06d}-rig"
+            folder.mkdir()
+            state = SessionState(
+                source="rig.toml",
+                runs_wanted=1,
+                configuration={"session": {"sample": f"sample {number % 97}", "operator": "A. Person"}},
+                entries=(RunEntry(number=1, record="run-1.mcap", state=RunState.COMPLETE),),
+            )
+            (folder / "session.json").write_text(state.model_dump_json(), encoding="utf-8")
+        index = SessionIndex(Path(place))
+        began_s = time.monotonic()
+        index.look()
+        read_s = time.monotonic() - began_s
+        took_s = []
+        for words in ("", "sample 13", "nobody", "person complete 004242"):
+            began_s = time.monotonic()
+            page = index.page(None, words, first=20)
+            took_s.append(time.monotonic() - began_s)
+        return page.all, max(took_s), read_s
 
 
 def measured(seconds: float, *, desk: bool) -> dict[str, Any]:

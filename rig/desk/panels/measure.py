@@ -52,46 +52,52 @@ def build(desk: Desk, tab: Tab) -> None:
         RunResult(desk, tab)
         build_form(desk, tab)
     with ui.element("div").classes("grid measure fills") as during:
+        with ui.column().classes("stack"):
+            with ui.column().classes("box"):
+                with ui.row().classes("items-baseline"):
+                    ui.html("amplitude", tag="h3", sanitize=False).classes("title")
+                    before_it = ui.label().classes("caution").props('role="status" aria-live="polite"')
+                with ui.element("div").classes("huge"):
+                    amplitude = (
+                        ui.label()
+                        .props('role="status" aria-live="off" id="amplitude"')
+                        .style("display: inline")
+                    )
+                    unit_of = ui.label().classes("unit").style("display: inline; margin-left: .3em")
+                with ui.row().classes("items-baseline"):
+                    ui.label("time left").classes("title")
+                    left = ui.label().classes("middle")
+                progress = ui.linear_progress(value=0.0, show_value=False).props(
+                    'aria-label="part of the run done"'
+                )
+                laser = ui.label().classes("middle").props('aria-label="laser and interlock"')
+                with ui.row():
+                    ui.button("Stop", on_click=tab.act(stop)).props(
+                        'color="negative" size="lg" aria-label="Stop the session"'
+                    )
+                    brakes = ui.button("Brake", on_click=tab.act(brake)).props(
+                        'outline size="lg" aria-label="Brake on or off"'
+                    )
+            with ui.column().classes("box"):
+                LivePicture(tab, _SIZE, lambda: desk.following.running, lambda: no_frame_yet(desk.following))
         with ui.column().classes("box"):
-            with ui.row().classes("items-baseline"):
-                ui.html("amplitude", tag="h3", sanitize=False).classes("title")
-                before_it = ui.label().classes("caution").props('role="status" aria-live="polite"')
-            with ui.element("div").classes("huge"):
-                amplitude = (
-                    ui.label().props('role="status" aria-live="off" id="amplitude"').style("display: inline")
-                )
-                unit_of = ui.label().classes("unit").style("display: inline; margin-left: .3em")
-            with ui.row().classes("items-baseline"):
-                ui.label("time left").classes("title")
-                left = ui.label().classes("middle")
-            progress = ui.linear_progress(value=0.0, show_value=False).props(
-                'aria-label="part of the run done"'
-            )
-            laser = ui.label().classes("middle").props('aria-label="laser and interlock"')
-            with ui.row():
-                ui.button("Stop", on_click=tab.act(stop)).props(
-                    'color="negative" size="lg" aria-label="Stop the session"'
-                )
-                brakes = ui.button("Brake", on_click=tab.act(brake)).props(
-                    'outline size="lg" aria-label="Brake on or off"'
-                )
-        with ui.column().classes("box tall"):
             way = charts.Chart("trajectory", "deflection_x", charts.WAY, square=True)
             way.element.style("width: min(100%, max(280px, 44vh))")
             with way.beside:
                 stretching = ui.button("stretch X", on_click=stretch).props("dense outline no-caps")
             RunCharts(desk, tab)
-        with ui.column().classes("box"):
-            ui.html("what the run has told", tag="h3", sanitize=False).classes("title")
-            learned = ui.html(sanitize=False).classes("full-width")
-            state = ui.html(sanitize=False).classes("full-width")
-        with ui.column().classes("box"):
-            LivePicture(tab, _SIZE, lambda: desk.following.running, lambda: no_frame_yet(desk.following))
-        with ui.column().classes("box"):
-            ui.html("events", tag="h3", sanitize=False).classes("title")
-            events = (
-                ui.html(sanitize=False).classes("events").props('role="log" aria-label="events" tabindex="0"')
-            )
+        with ui.column().classes("stack"):
+            with ui.column().classes("box"):
+                ui.html("what the run has told", tag="h3", sanitize=False).classes("title")
+                learned = ui.html(sanitize=False).classes("full-width")
+                state = ui.html(sanitize=False).classes("full-width")
+            with ui.column().classes("box grows"):
+                ui.html("events", tag="h3", sanitize=False).classes("title")
+                events = (
+                    ui.html(sanitize=False)
+                    .classes("events")
+                    .props('role="log" aria-label="events" tabindex="0"')
+                )
 
     def refresh() -> None:
         news = desk.following.news

@@ -190,14 +190,27 @@ class DeskProcess:
         self.address = self._process.stdout.readline().strip()
         assert self.address.startswith("http"), self._process.stderr and self._process.stderr.read()
 
+    @property
+    def runs(self) -> bool:
+        return self._process.poll() is None
+
+    def said(self) -> list[str]:
+        """Ends it; what it has written on stderr."""
+        if self.runs:
+            self._process.send_signal(signal.SIGINT)
+        return [line for line in self._process.communicate(timeout=30)[1].splitlines() if line]
+
     def kill(self) -> None:
         self._process.kill()
-        self._process.communicate()
+        with contextlib.suppress(ValueError):
+            self._process.communicate()
 
     def end(self) -> int:
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
-        self._process.communicate(timeout=30)
+        with contextlib.suppress(ValueError):
+            # what it has said may have been read already
+            self._process.communicate(timeout=30)
         return self._process.returncode
 
 

@@ -23,7 +23,8 @@ document.head.append(Object.assign(document.createElement('style'),
 """
 """A colour that is just changing is no colour that anybody reads."""
 RUN = """
-axe.run(document.querySelector('.q-dialog') || document, {resultTypes: ['violations']}).then(found => JSON.stringify(found.violations.map(
+axe.run(document.querySelector('.q-dialog') || document, {resultTypes: ['violations']}).then(
+  found => JSON.stringify(found.violations.map(
   v => [v.id, v.nodes.map(n => n.target.join(' ') + ': ' + n.html.slice(0, 160) + ' ' +
   n.any.concat(n.all).map(a => a.message).join('; ').slice(0, 200))])))
 """

@@ -1,0 +1,71 @@
+"""Charts in a real browser: what is seen is exported, a zoom stays, values have their units."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+
+from acquisition.frame import Frame
+from processing.deflections import Deflections, DeflectionUnit
+from processing.spot import Spot
+from rig.channel import Channel, SessionNews
+from rig.desk.charts import Curve, _options
+from rig.presentation import quantity
+from rig.settings import Configuration
+from tests.rig.desk.desk_page import DeskProcess, Page
+
+SPOT = Spot(16.0, 32.0, 0.01, 0.01, 2.0, 2.0, 0.0, 100.0, 4.0, 1.0, 0)
+OF = "getElement(Number(document.querySelector('[aria-label=\"trajectory\"]').id.slice(1))).chart"
+
+
+def test_axes_are_named_by_the_catalogue_and_a_band_is_as_wide_as_it_says() -> None:
+    curves = (Curve("amplitude"), Curve("period_s", style="band", row=1))
+    found = _options(
+        quantity("elapsed_s"), curves, [[(0.0, 2.0)], [(0.0, 4.0, 0.5)]], "px", False, [], None, ""
+    )
+    assert [axis["name"] for axis in found["yAxis"]] == ["amplitude / px", "period / s"]
+    low, wide = (one["data"] for one in found["series"][1:3])
+    assert (low, wide) == ([(0.0, 3.5)], [(0.0, 1.0)])
+    assert found["graphic"][0]["style"]["text"] == ""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_a_trajectory_is_drawn_zoomed_and_exported(
+    shown: tuple[DeskProcess, Page], desk_output: Path
+) -> None:
+    _, page = shown
+    session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    session_news.begin_run("run 1", 255, None)
+    frame = Frame(np.full((64, 32), 40, np.uint8), 1, 1, 1)
+    y = np.linspace(-10.0, 10.0, 100)
+    none = np.zeros_like(y)
+    way = Deflections(np.arange(100) * 10**7, y, y, none, none, DeflectionUnit.PX)
+    folder = desk_output / "of-charts"
+    folder.mkdir(parents=True)
+    page.key("4")
+    with Channel(folder, session_news, {}):
+        session_news.before_record([frame], [SPOT], way)
+        page.wait(f"{OF}.getOption().series[0].data.length > 90")
+        rows = page.ask(f"rigRows({OF})")
+        assert rows[0] == ["curve", "x", "x value", "y", "y value"]
+        assert rows[1] == ["way of the spot", "X / px", -10, "Y / px", -10]
+        assert len(rows) == 102, "all points, and the newest one"
+        page.ask("document.querySelector('[aria-label=\"zoom into trajectory\"]').click()")
+        page.wait(f"{OF}.getOption().dataZoom[0].end === 75")
+        part = page.ask(f"rigRows({OF}).length")
+        assert part == pytest.approx(0.75 * 100, abs=6), "of axes that end at 15 half is seen"
+        more = Deflections(way.times_ns + 10**9, 0.5 * y, y, none, none, DeflectionUnit.PX)
+        session_news.before_record([frame], [SPOT], more)
+        page.wait(f"rigRows({OF}).length > {part} + 50")
+        assert page.ask(f"{OF}.getOption().dataZoom[0].end") == 75, "a zoom outlives new points"
+        png = page.ask(
+            "rigPicture(document.querySelector('[aria-label=\"trajectory\"]')).then(url => url.length)"
+        )
+        assert png > 5000
+        page.ask("document.querySelector('[aria-label=\"All of trajectory\"]').click()")
+        page.wait(f"{OF}.getOption().dataZoom[0].end === 100")
+        assert page.ask("rigNumber(-1.23456789, 'px')") == "−1.23457 px"
+    page.wait("document.getElementById('amplitude').offsetParent === null")

@@ -1,0 +1,40 @@
+"""What a session hands over: the result with its whole uncertainty, what limits it, what to do next."""
+
+from pathlib import Path
+
+import pytest
+
+from processing.errors import ConfigurationError
+from rig.measure import RunState, hand_over
+from rig.measure.session_file import SessionFile
+
+OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+
+
+def test_a_result_with_what_limits_it_and_what_to_do() -> None:
+    found = hand_over(OLDER / "last_of_schema_2")
+    assert found.ended is RunState.COMPLETE
+    assert found.headline.startswith("b = 0.02996 ± 0.00073")
+    assert found.of == "the whole budget, swings and apparatus"
+    assert [one.name for one in found.limits] == ["swings (fit)", "motion of the ground"]
+    assert sum(one.share for one in found.limits) == pytest.approx(1.0, abs=0.05)
+    assert found.next_steps == ["measure longer or more often: state more runs"]
+    assert any("dropped frames" in one for one in found.remarks)
+    assert found.decay is not None
+    left = [abs(a - b) for a, b in zip(found.decay.amplitude, found.decay.fitted, strict=True)]
+    assert max(left) < 0.01 * max(found.decay.amplitude)
+
+
+def test_a_session_that_was_killed_is_to_be_resumed(tmp_path: Path) -> None:
+    file = SessionFile.made(tmp_path, tmp_path / "rig.toml", 2, {})
+    file.note(1, "run-1.mcap", RunState.RECORDING)
+    file.close()
+    found = hand_over(tmp_path)
+    assert found.ended is RunState.INTERRUPTED
+    assert found.next_steps[0] == "make the missing runs: Sessions, Resume"
+    assert (found.headline, found.decay, found.report) == ("", None, None)
+
+
+def test_no_session_is_no_hand_over(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="no session"):
+        hand_over(tmp_path)
