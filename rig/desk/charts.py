@@ -57,6 +57,7 @@ class Chart:
         self._title, self._x, self._logarithmic, self._square = title, x, logarithmic, square
         self._curves: Sequence[Curve] = curves
         self._shown: object = None
+        self._small = bool(height)
         with ui.element("div").classes("chart") as self.frame:
             if tools:
                 with ui.element("div").classes("tools"):
@@ -98,6 +99,9 @@ class Chart:
         options = _options(
             quantity(self._x, unit), self._curves, points, unit, self._logarithmic, marks, ends, empty
         )
+        if self._small:
+            for axis in options["yAxis"]:
+                axis["splitNumber"] = 2
         self.element.options.clear()
         self.element.options.update(options)
         self.element.update()

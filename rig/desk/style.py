@@ -8,6 +8,7 @@ STYLE = (
 html.night { filter: url(#night); }
 body { background: var(--ground); color: var(--ink); font-size: 16px; }
 h1, h2, h3 { font: inherit; margin: 0; }
+h1 { white-space: nowrap; }
 .unseen { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
 .q-header { background: var(--card) !important; color: var(--ink); min-height: 40px;
   padding: 2px 12px !important; align-items: center !important; gap: 8px; }
@@ -33,13 +34,14 @@ h1, h2, h3 { font: inherit; margin: 0; }
 .steps { display: flex; flex-wrap: wrap; gap: 4px 18px; list-style: none; margin: 0; padding: 0; }
 .steps li { color: var(--dim); border-bottom: 3px solid transparent; padding: 2px 0; }
 .steps li[aria-current] { color: var(--ink); font-weight: 700; border-color: var(--line); }
-.against { display: grid; grid-template-columns: minmax(0, auto) minmax(60px, 1fr) auto; gap: 6px 10px;
+.against { display: grid; grid-template-columns: minmax(0, auto) minmax(60px, 1fr) auto; gap: 4px 10px;
   align-items: center; width: 100%; font-variant-numeric: tabular-nums; }
 .against .track { position: relative; height: 14px; border: 1px solid var(--edge); border-radius: 3px; }
 .against .track i { position: absolute; inset: 0 auto 0 0; background: currentColor; border-radius: 2px; }
 .against .track b { position: absolute; top: -4px; bottom: -4px; width: 2px; background: var(--ink); }
 .against .dim .track { border-style: dashed; }
-.against .note { grid-column: 1 / -1; color: var(--dim); font-size: 14px; }
+.against .note { grid-column: 1 / -1; color: var(--dim); font-size: 13px;
+  line-height: 1.1; margin-top: -3px; }
 .nicegui-echart { width: 100%; min-height: 130px; }
 .chart { width: 100%; display: flex; flex-direction: column; min-height: 150px; flex: 1 1 auto; }
 .chart .nicegui-echart { flex: 1 1 auto; height: auto; }

@@ -1,6 +1,8 @@
 """Align: the live picture with its figures, exposure, gain and region, the focus, the rest position."""
 
+import html
 import math
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -15,14 +17,15 @@ from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
 from rig.desk.panels.fields import as_typed, number_field
 from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet
-from rig.desk.panels.preflight import lights
 from rig.desk.tab import DELIBERATE, Handler, Tab
-from rig.presentation import table_tree
+from rig.presentation import Verdict
 
 KEYS = (("z", "align: zoom 1, 4, 16"),)
 _SIZE = (800, 540)
 _STEP, _STEP_DB = 1.25, 1.0
 _BARS = 64
+_SHORT = 24
+"""Letters of a number that stands in a lamp."""
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -162,7 +165,7 @@ def build(desk: Desk, tab: Tab) -> None:
             histogram.show([[]], empty="no picture yet")
             return
         best = max((one for _, one in sharpness), default=0.0)
-        lamps.set_content(lights(table_tree(look.lamps(best))))
+        lamps.set_content(_lamps(look.lamps(best)))
         figures.set_content(tables.table(look.rows(), "figures of the picture"))
         counts, edges = np.histogram(look.image, _BARS, (0, look.full_scale_dn + 1))
         middles = 0.5 * (edges[1:] + edges[:-1])
@@ -173,6 +176,20 @@ def build(desk: Desk, tab: Tab) -> None:
 
     tab.every(0.3, refresh)
     refresh()
+
+
+def _lamps(verdicts: Sequence[Verdict]) -> str:
+    """A lamp for each; what is to be done stands below."""
+    shown, told = [], []
+    for one in verdicts:
+        kind = "no" if not one.ok else "caution" if one.remedy else "go"
+        # a beam's verdict is a sentence; it is among the figures
+        words = one.measured if len(one.measured) < _SHORT else kind
+        shown.append(f"<span class='{kind}'>{html.escape(f'{one.name} {words}')}</span>")
+        if one.remedy:
+            why = "; ".join(filter(None, (one.reason, one.remedy)))
+            told.append(f"<div class='{kind}'>{html.escape(f'{one.name}: {why}')}</div>")
+    return f"<div class='lamps'>{''.join(shown)}</div>{''.join(told)}"
 
 
 def _stepper(what: str, down: Handler, up: Handler, tab: Tab) -> None:

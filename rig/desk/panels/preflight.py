@@ -1,6 +1,7 @@
 """Preflight: a light for each check with its number and remedy; what the plan expects of a run."""
 
 import html
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,8 +16,8 @@ from rig.instrument import complete
 from rig.plan import expected_of, plan_expected, plan_table
 from rig.presentation import quantity
 
-_WELL, _USELESS = 0.1, 0.5
-"""Uncertainty over value up to which a parameter is well determined, and from which on hardly at all."""
+_LEAST, _WELL, _USELESS = 1e-6, 0.1, 0.5
+"""Uncertainty over value where a bar begins, up to which it is well known, and from which on hardly."""
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -115,7 +116,7 @@ def lights(verdicts: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _expected(desk: Desk) -> tuple[list[tables.Bar], str]:
-    """A bar for each parameter of a run as configured, full at `_USELESS`; and the plan's remark."""
+    """A bar for each parameter of a run as configured, logarithmic up to its value; and the plan's remark."""
     config = complete(desk.checked())
     session = config.session
     plan = plan_expected(
@@ -124,11 +125,11 @@ def _expected(desk: Desk) -> tuple[list[tables.Bar], str]:
     rows = []
     for name, part in plan.relative(plan.runs[0]).items():
         kind = "go" if part < _WELL else "caution" if part < _USELESS else "no"
+        # of what may be a millionth or all of the value only the order is seen
+        filled, mark = (1 + math.log10(max(one, _LEAST)) / -math.log10(_LEAST) for one in (part, _WELL))
         value = quantity(name).text(plan.values[name], plan.runs[0].u[name])
         shown = f"{100 * part:.2g} %"
-        rows.append(
-            tables.Bar(quantity(name).label, shown, min(part / _USELESS, 1.0), _WELL / _USELESS, kind, value)
-        )
+        rows.append(tables.Bar(quantity(name).label, shown, filled, mark, kind, value))
     table = plan_table(plan)
     words = ", ".join(
         f"{name} {cell}"
