@@ -39,6 +39,7 @@ height_px = 640
 [simulation.release]
 way = "let go"
 """
+HANDED_OVER = "[...document.querySelectorAll('button')].some(b => b.offsetParent && b.innerText === 'REPORT')"
 SHOWN_FROM_HALF_CYCLES = 44
 
 
@@ -58,17 +59,17 @@ def photograph(page: Page) -> None:
     """From align to measure, and stop."""
     page.click("Live picture")
     page.wait_text("clean spot")
-    page.wait("document.querySelectorAll('rect').length > 30")
+    page.wait("document.querySelectorAll('[aria-label=\"histogram\"] svg path').length > 30")
     save(page, "align")
     page.click("Stop")
     page.key("3")
     page.click("Run preflight")
     page.click("Plan")
-    page.wait_text("u(b)", 120.0)
+    page.wait("document.querySelectorAll('.against span').length > 8", 120.0)
     page.wait("document.querySelectorAll('.light').length > 8")
     save(page, "preflight")
     page.key("2")
-    page.point_at("document.querySelector('[aria-label=\"measure the balance\"]')")
+    page.point_at("document.querySelector('[aria-label=\"Measure the balance\"]')")
     page.wait("document.querySelector('svg[aria-label^=\"turn weight\"]') !== null", 120.0)
     save(page, "balance")
     page.click("End")
@@ -81,7 +82,7 @@ def photograph(page: Page) -> None:
     save(page, "measure")
     page.click("Stop")
     page.click("Stop it")
-    page.wait_text("report.html", 200.0)
+    page.wait(HANDED_OVER, 200.0)
     page.key("6")
     page.wait_text("stopped")
     page.ask("document.querySelector('.q-table tbody .q-checkbox').click()")

@@ -130,7 +130,7 @@ def spectrum(path: Sequence[Deflections]) -> dict[str, list[Any]]:
     even_s = np.linspace(time_s[0], time_s[-1], len(time_s))
     rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0])
     found = [
-        welch(np.interp(even_s, time_s, one), rate_hz, nperseg=max(32, len(even_s) // 2), detrend="linear")
+        welch(np.interp(even_s, time_s, one - np.mean(one)), rate_hz, nperseg=max(32, len(even_s) // 2))
         for one in (x, y)
     ]
     frequency_hz = found[0][0][1:]

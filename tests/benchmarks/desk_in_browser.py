@@ -56,7 +56,8 @@ def random_use(count: int, seed: int = SEED) -> dict[str, Any]:
     chosen = random.Random(seed)
     with a_desk() as (_, place, desk, page):
         page.ask(WATCH)
-        lit, errors, done = 0, [], 0
+        lit = done = 0
+        errors: list[str] = []
         for number in range(count):
             if chosen.random() < 0.5:
                 page.ask(

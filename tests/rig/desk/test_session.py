@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.rig.desk.desk_page import DeskProcess, desk_page
+from tests.rig.desk.desk_page import DeskProcess, Page, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 INTERLOCK = """
@@ -21,6 +21,7 @@ when_dark = "wait"
 [preflight]
 when = "never"
 """
+HANDED_OVER = "[...document.querySelectorAll('button')].some(b => b.offsetParent && b.innerText === 'REPORT')"
 OPENS = """
 [faults]
 interlock_opens_at_s = {}
@@ -89,7 +90,7 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
             page.wait_text("laser lit: again")
             page.click("Stop")
             page.click("Stop it")
-            page.wait_text("report.html", 120.0)
+            page.wait(HANDED_OVER, 120.0)
         finally:
             again.end()
     state = json.loads((folder / "session.json").read_text())
@@ -100,3 +101,79 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
     assert '"what": "acknowledge"' in audit
     assert (folder / "report.html").exists()
     assert not (folder / ".channel.json").exists()
+
+
+def tab_to(page: Page, words: str) -> None:
+    """Press Tab until what has the focus begins with these words, as it is read aloud."""
+    name = "(e => e.ariaLabel || e.innerText || '')(document.activeElement)"
+    for _ in range(150):
+        if str(page.ask(name)).strip().lower().startswith(words.lower()):
+            return
+        for kind in ("rawKeyDown", "keyUp"):
+            page.browser.call(
+                "Input.dispatchKeyEvent", type=kind, key="Tab", code="Tab", windowsVirtualKeyCode=9
+            )
+    raise AssertionError(f"no Tab leads to {words!r}")
+
+
+def hold_enter(page: Page, until: str) -> None:
+    """Hold Enter until an expression is true."""
+    enter = {"key": "Enter", "code": "Enter", "windowsVirtualKeyCode": 13}
+    page.browser.call("Input.dispatchKeyEvent", type="rawKeyDown", **enter)
+    page.wait(until)
+    page.browser.call("Input.dispatchKeyEvent", type="keyUp", **enter)
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+@pytest.mark.timeout(300)
+def test_a_session_by_keyboard_alone(
+    desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
+) -> None:
+    with desk_page(browser, desk_configuration(INTERLOCK)) as (_, page):
+        page.type("4")
+        page.wait("document.querySelector('[data-key=\"session.notes\"]').offsetParent !== null")
+        tab_to(page, "notes")
+        page.type("by keys")
+        tab_to(page, "Start … a session")
+        page.type("\r")
+        page.wait("document.querySelector('.q-dialog [data-deliberate]') !== null")
+        tab_to(page, "Start the session")
+        page.type("\r")
+        assert "session begins" not in page.text(), "a key that is only pressed starts nothing"
+        hold_enter(page, "document.querySelector('.q-dialog [data-deliberate]') === null")
+        page.wait("parseFloat(document.getElementById('amplitude').innerText) > 50")
+        tab_to(page, "Stop the session")
+        page.type("\r")
+        page.wait_text("nothing is lost")
+        tab_to(page, "Stop it")
+        page.type("\r")
+        page.wait(HANDED_OVER, 120.0)
+        page.wait_text("stopped")
+        tab_to(page, "Report")
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+@pytest.mark.timeout(300)
+def test_a_session_on_a_phone(desk_configuration: Callable[[str], Path], browser: HeadlessBrowser) -> None:
+    with desk_page(browser, desk_configuration(INTERLOCK)) as (_, page):
+        page.browser.call(
+            "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=2, mobile=True
+        )
+        fits = "document.documentElement.scrollWidth <= 391"
+        for panel in ("Balance", "Preflight", "Calibrate", "Sessions", "Align"):
+            page.click(panel)
+            page.wait(fits, 10.0)
+        page.click("Live picture")
+        page.wait_text("100 us, gain")
+        page.click("Measure")
+        page.click("Start …")
+        page.in_dialog()
+        page.wait("parseFloat(document.getElementById('amplitude').innerText) > 50")
+        page.wait(fits)
+        page.click("Stop")
+        page.click("Stop it")
+        page.wait(HANDED_OVER, 120.0)
+        page.wait(fits)
+        page.wait_text("stopped")
