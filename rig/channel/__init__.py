@@ -1,7 +1,7 @@
 """What a running session tells on this machine, and the orders it takes: how a desk watches and acts.
 
 A session answers on a loopback port of its own, which the file `.channel.json` in its folder names with the
-key that opens it. It only ever answers: nothing waits for a reader, and without one nothing is prepared.
+secret that opens it; both ends prove that they know it, and neither says it. It only ever answers: nothing waits for a reader, and without one nothing is prepared.
 """
 
 from rig.channel.loopback import (
@@ -12,6 +12,7 @@ from rig.channel.loopback import (
     Orders,
     SessionBusy,
     SessionPicture,
+    Stranger,
     running_sessions,
 )
 from rig.channel.of_commands import devices_now, light_told

@@ -1,7 +1,6 @@
 """Both ends of a session's loopback port: it answers and takes orders, a desk asks and orders."""
 
 import contextlib
-import hmac
 import http.client
 import http.server
 import json
@@ -9,7 +8,7 @@ import os
 import secrets
 import threading
 import urllib.parse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
@@ -19,11 +18,14 @@ import numpy as np
 from acquisition.frame import Image
 from processing.errors import RigError
 from processing.spot import Spot
+from rig.channel import secret
 from rig.channel.session_news import SessionNews
 from rig.presentation import plain_values
 
 CHANNEL_NAME = ".channel.json"
 LOOPBACK = "127.0.0.1"
+WHO = "/who"
+"""Asked before anything else: a challenge, which only the session of the file can answer."""
 _MOST_ASKED_BYTES = 64 * 1024
 Orders = Mapping[str, Callable[[str], str]]
 """What may be ordered, by its first word, which is called with the rest; returns what was done, or raises
@@ -96,9 +98,20 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     timeout = 30.0
     server: _Server
 
+    def setup(self) -> None:
+        super().setup()
+        # of this connection: a proof that was made for another one fits nothing here
+        self._challenge, self._asked = secret.challenge(), 0
+
     def do_GET(self) -> None:
         address, channel = urllib.parse.urlsplit(self.path), self.server.channel
-        if not self._may_ask():
+        if address.path == WHO:
+            proof = secret.answer(channel.key, address.query)
+            self._answer(
+                json.dumps({"proof": proof, "challenge": self._challenge}).encode(), "application/json"
+            )
+            return
+        if not self._may_ask(b""):
             return
         number = urllib.parse.parse_qs(address.query).get("after", ["0"])[0]
         after = int(number) if number.isdecimal() else 0
@@ -126,10 +139,13 @@ class _Handler(http.server.BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         length = int(self.headers.get("Content-Length") or 0)
-        if not self._may_ask() or not 0 <= length <= _MOST_ASKED_BYTES:
+        if not 0 <= length <= _MOST_ASKED_BYTES:
             self.close_connection = True
             return
-        name, _, rest = self.rfile.read(length).decode(errors="replace").partition(" ")
+        body = self.rfile.read(length)
+        if not self._may_ask(body):
+            return
+        name, _, rest = body.decode(errors="replace").partition(" ")
         order = self.server.channel.orders.get(name)
         try:
             done = f"{name!r}: this session knows no such order" if order is None else order(rest)
@@ -142,9 +158,12 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     def log_message(self, format: str, *args: Any) -> None:
         """Requests are not logged."""
 
-    def _may_ask(self) -> bool:
-        channel, key = self.server.channel, self.headers.get("Authorization", "")
-        if not channel.over.is_set() and hmac.compare_digest(key.encode(), channel.key.encode()):
+    def _may_ask(self, body: bytes) -> bool:
+        channel, given = self.server.channel, self.headers.get("Authorization", "")
+        self._asked += 1
+        asked = f"{self.command} {self.path}"
+        wanted = secret.request_proof(channel.key, self._challenge, self._asked, asked, body)
+        if not channel.over.is_set() and secret.fits(given, wanted):
             return True
         self.close_connection = True
         self.send_error(http.HTTPStatus.GONE if channel.over.is_set() else http.HTTPStatus.FORBIDDEN)
@@ -191,10 +210,15 @@ class SessionPicture(NamedTuple):
     number: int
 
 
+class Stranger(NoSession):
+    """Another program answers at the port of a session that has ended."""
+
+
 class Line:
     """Connected to the session that runs in a folder. May be used from any thread, by one at a time.
 
-    Raises NoSession, as every method does, where nobody answers; SessionBusy if somebody may do so later.
+    Raises NoSession, as every method does, where nobody answers; SessionBusy if somebody may do so later;
+    Stranger if who answers does not know the session's secret, which is told nothing.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -205,6 +229,7 @@ class Line:
         except (OSError, ValueError, KeyError, TypeError):
             raise NoSession(f"{folder}: no session runs here") from None
         self._connection = http.client.HTTPConnection(LOOPBACK, port, timeout=_ANSWER_S)
+        self._challenge, self._number = "", 0
         self._one_at_a_time = threading.Lock()
 
     def __enter__(self) -> Self:
@@ -250,7 +275,14 @@ class Line:
         with self._one_at_a_time:
             connection = self._connection
             try:
-                connection.request(method, path, body, {"Authorization": self._key})
+                if connection.sock is None:
+                    self._meet(connection)
+                self._number += 1
+                data = (body or "").encode()
+                proof = secret.request_proof(
+                    self._key, self._challenge, self._number, f"{method} {path}", data
+                )
+                connection.request(method, path, data if body is not None else None, {"Authorization": proof})
                 if connection.sock is not None:
                     connection.sock.settimeout(_ORDER_S if method == "POST" else _ANSWER_S)
                 answer = connection.getresponse()
@@ -263,16 +295,35 @@ class Line:
             raise NoSession(f"{self.folder}: its session refused to answer ({answer.status})")
         return answer.status, answer.getheader("About") or "", data
 
+    def _meet(self, connection: http.client.HTTPConnection) -> None:
+        """Connect, and have the other end prove that it is the session; nothing secret is sent."""
+        asked = secret.challenge()
+        connection.request("GET", f"{WHO}?{asked}")
+        answer = connection.getresponse()
+        try:
+            told = json.loads(answer.read(_MOST_ASKED_BYTES))
+            proof, self._challenge, self._number = str(told["proof"]), str(told["challenge"]), 0
+        except (ValueError, KeyError, TypeError):
+            proof = ""
+        if not secret.fits(proof, secret.answer(self._key, asked)):
+            connection.close()
+            raise Stranger(
+                f"{self.folder}: another program answers at the port of its session, which has ended"
+            )
+        if connection.sock is None:
+            raise NoSession(f"{self.folder}: its session does not keep the connection")
 
-def running_sessions(output: Path) -> list[Path]:
-    """Folders in `output` whose session answers, the newest first; one that was killed has left its file."""
-    found = []
-    with contextlib.suppress(OSError):
-        for path in output.glob(f"*/{CHANNEL_NAME}"):
-            try:
-                with Line(path.parent) as line:
-                    line.news()
-                found.append((path.stat().st_mtime, path.parent))
-            except (NoSession, OSError):
-                continue
-    return [folder for _, folder in sorted(found, reverse=True)]
+
+def running_sessions(output: Path) -> Iterator[Path]:
+    """Folders in `output` whose session answers, the newest first, asked one after the other.
+
+    One that was killed has left its file; whoever has its port meanwhile may take long to say nothing.
+    """
+    stated = []
+    for path in output.glob(f"*/{CHANNEL_NAME}"):
+        with contextlib.suppress(OSError):
+            stated.append((path.stat().st_mtime, path.parent))
+    for _, folder in sorted(stated, reverse=True):
+        with contextlib.suppress(NoSession, OSError), Line(folder) as line:
+            line.news()
+            yield folder

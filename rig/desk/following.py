@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,7 @@ class Following:
             self._line.close()
 
     def _search(self) -> None:
-        for folder in running_sessions(self._output)[:1]:
+        for folder in islice(running_sessions(self._output), 1):
             with suppress(NoSession):
                 self._line = Line(folder)
                 self._heard, self.folder, self.last_folder = 0, folder, folder

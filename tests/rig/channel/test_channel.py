@@ -1,10 +1,13 @@
 """A session answers who has its key, keeps a frame when one is wanted, and takes the orders it knows."""
 
 import http.client
+import http.server
 import json
 import stat
+import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from acquisition.record.events import Event, EventKind
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError, RigError
 from processing.spot import Spot
-from rig.channel import Channel, Line, NoSession, SessionNews, running_sessions
+from rig.channel import Channel, Line, NoSession, SessionNews, Stranger, running_sessions, secret
 from rig.control import Interlock
 from rig.instrument import Block
 from rig.settings import Configuration
@@ -151,10 +154,61 @@ def test_of_a_killed_session_only_the_file_is_left(told: SessionNews, tmp_path: 
         (tmp_path / name).mkdir()
     (tmp_path / "killed" / ".channel.json").write_text('{"port": 1, "key": "k", "pid": 1}')
     with Channel(tmp_path / "runs", told, {}):
-        assert running_sessions(tmp_path) == [tmp_path / "runs"]
-    assert running_sessions(tmp_path) == []
+        assert list(running_sessions(tmp_path)) == [tmp_path / "runs"]
+    assert list(running_sessions(tmp_path)) == []
 
 
 def test_a_session_that_nobody_can_watch_is_measured_all_the_same(told: SessionNews, tmp_path: Path) -> None:
     with Channel(tmp_path / "missing", told, {}) as channel:
         assert "nobody can watch" in channel.problem
+
+
+class _Heard(http.server.BaseHTTPRequestHandler):
+    """Any program that has got the port of a session which was killed."""
+
+    heard: ClassVar[list[str]] = []
+
+    def do_GET(self) -> None:
+        self.heard += [self.requestline, *map(str, self.headers.values())]
+        body = b'{"run": "run 1", "events": [], "proof": "", "challenge": ""}'
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    do_POST = do_GET
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing is logged."""
+
+
+def test_a_stranger_at_the_port_of_a_killed_session_gets_no_secret_and_is_no_session(
+    told: SessionNews, tmp_path: Path
+) -> None:
+    for name in ("killed", "runs"):
+        (tmp_path / name).mkdir()
+    with Channel(tmp_path / "runs", told, {}), http.server.HTTPServer(("127.0.0.1", 0), _Heard) as stranger:
+        threading.Thread(target=stranger.serve_forever, daemon=True).start()
+        stated = {"port": stranger.server_address[1], "key": "the secret", "pid": 1}
+        (tmp_path / "killed" / ".channel.json").write_text(json.dumps(stated))
+        with Line(tmp_path / "killed") as line:
+            for ask in (line.news, line.picture, lambda: line.order("dark the desk")):
+                with pytest.raises(Stranger, match="another program answers"):
+                    ask()
+        assert list(running_sessions(tmp_path)) == [tmp_path / "runs"]
+        stranger.shutdown()
+    assert _Heard.heard
+    assert not [word for word in _Heard.heard if "the secret" in word or "dark" in word]
+
+
+def test_a_request_that_was_overheard_is_of_no_use_again(told: SessionNews, tmp_path: Path) -> None:
+    taken: list[str] = []
+    with Channel(tmp_path, told, {"stop": lambda _: str(taken.append("stop"))}), Line(tmp_path) as line:
+        line.order("stop")
+        assert line._connection.sock is not None
+        proof = secret.request_proof(line._key, line._challenge, 1, "POST /order", b"stop")
+        for connection in (line._connection, http.client.HTTPConnection("127.0.0.1", line._connection.port)):
+            connection.request("POST", "/order", b"stop", {"Authorization": proof})
+            assert connection.getresponse().status == 403
+            connection.close()
+    assert taken == ["stop"]
