@@ -1,7 +1,8 @@
 """What a running session tells on this machine, and the orders it takes: how a desk watches and acts.
 
 A session answers on a loopback port of its own, which the file `.channel.json` in its folder names with the
-secret that opens it; both ends prove that they know it, and neither says it. It only ever answers: nothing waits for a reader, and without one nothing is prepared.
+secret that opens it; both ends prove that they know it, and neither says it. It only ever answers: nothing
+waits for a reader, and without one nothing is prepared.
 """
 
 from rig.channel.loopback import (

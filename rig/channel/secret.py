@@ -1,8 +1,8 @@
 """Both ends of a channel prove that they know its secret; it is never sent.
 
-A port may have passed to another program since the file was written: who asks sends a challenge first, and says
-nothing more to whoever cannot answer it. Each request then proves the secret for this connection, its number on
-it and its content, so that nothing which was overheard can be used again.
+A port may have passed to another program since the file was written: who asks sends a challenge first, and
+says nothing more to whoever cannot answer it. Each request then proves the secret for this connection, its
+number on it and its content, so that nothing which was overheard can be used again.
 """
 
 import hashlib

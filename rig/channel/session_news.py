@@ -15,7 +15,7 @@ from acquisition.frame import Frame, Image
 from acquisition.record.events import Event
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
-from processing.spot import Spot
+from processing.spot import Spot, SpotFlag
 from processing.ticks import NS_PER_S, seconds
 from rig.channel.run_history import RunHistory, spectrum
 from rig.instrument import Block, Snapshot, advice_for
@@ -56,6 +56,7 @@ class SessionNews:
         self._picture_number = 0
         self._picture_s = 0.0
         self._frame: LastFrame | None = None
+        self._frames_s = self._seen_s = math.nan
         self.run = ""
         self._begin()
 
@@ -67,6 +68,7 @@ class SessionNews:
         self._rows: Sequence[tuple[str, str]] = ()
         self._preflight: Sequence[Mapping[str, Any]] = ()
         self._camera: dict[str, Any] = {}
+        self._frames_s = self._seen_s = math.nan
 
     def begin_run(self, title: str, full_scale_dn: int, applied: CameraSettings | None) -> None:
         """A run begins, with a camera that has read back these settings."""
@@ -116,6 +118,11 @@ class SessionNews:
                 while newest_ns - path[0].times_ns[-1] > _PATH_S * NS_PER_S:
                     path.popleft()
         now_s = time.monotonic()
+        if spots:
+            self._frames_s = now_s
+            # what was never seen is looked for since the first frame
+            if math.isnan(self._seen_s) or not spots[-1].flags & SpotFlag.LOST:
+                self._seen_s = now_s
         if self._picture_wanted and frames and spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
             self._picture_wanted, self._picture_s = False, now_s
             self._picture_number += 1
@@ -155,14 +162,18 @@ class SessionNews:
     def news(self, since: int = 0) -> dict[str, Any]:
         """Everything as plain values; of the events those with a number above `since`.
 
-        Positions and amplitudes are as shown: arcsec, or px without a lever.
+        Positions and amplitudes are as shown: arcsec, or px without a lever. `frames_age_s` is how old the last
+        frame is that was looked at, `spot_lost_s` for how long the spot has not been in any; NaN before the first.
         """
         self._asked_s = time.monotonic()
         with self._lock:
             path, balance = list(self._path), self._balance
             events = [event for event in self._events if event["number"] > since]
+        now_s = time.monotonic()
         return {
             "run": self.run,
+            "frames_age_s": now_s - self._frames_s,
+            "spot_lost_s": max(self._frames_s - self._seen_s, 0.0),
             "simulated": self._config.simulated,
             "sample": self._config.session.sample,
             "operator": self._config.session.operator,

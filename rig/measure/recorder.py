@@ -141,10 +141,15 @@ class Recorder:
         return self._entries.qsize()
 
     @property
+    def disk_silent_s(self) -> float:
+        """For how long a write has hung that takes longer than usual; 0 while none does."""
+        paused_s = time.monotonic() - self._writing_since_s
+        return paused_s if paused_s >= SLOW_S else 0.0
+
+    @property
     def alarm(self) -> str:
         """That the disk hangs; empty while it does not."""
-        paused_s = time.monotonic() - self._writing_since_s
-        if paused_s < SLOW_S:
+        if not (paused_s := self.disk_silent_s):
             return ""
         waiting = f"{self.waiting_bytes / 1e6:.0f} of {self._entries.maxsize / 1e6:.0f} MB"
         return f"the disk has not answered for {paused_s:.0f} s; {waiting} of memory wait for it"

@@ -334,6 +334,7 @@ class Recording:
                 record_bytes=self._recorder.bytes_written,
                 disk_free_bytes=self._recorder.disk_free_bytes,
                 alarm=self._recorder.alarm,
+                disk_silent_s=self._recorder.disk_silent_s,
                 reason=self._stop.reason,
                 estimates=known.estimates,
                 estimated_from=known.half_cycles,

@@ -26,7 +26,8 @@ from rig.sealing import is_blind
 from rig.settings import Configuration
 from rig.view import open_view
 
-_RESERVE_BYTES = 50 * 1024 * 1024
+LEAST_FREE_BYTES = 50 * 1024 * 1024
+"""Of disk; with less no run begins."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +59,9 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
     if record.exists():
         raise ConfigurationError(f"{record}: exists already and is never overwritten; choose another output")
     free_bytes = shutil.disk_usage(record.parent).free
-    if free_bytes < _RESERVE_BYTES:
+    if free_bytes < LEAST_FREE_BYTES:
         raise RecordError(
-            f"{record.parent}: {free_bytes // 2**20} MiB of disk are free, {_RESERVE_BYTES // 2**20} MiB are "
+            f"{record.parent}: {free_bytes // 2**20} MiB of disk are free, {LEAST_FREE_BYTES // 2**20} MiB are "
             "needed to begin; nothing was started: free some, or name another folder"
         )
     if plan.config.simulated:

@@ -1,0 +1,181 @@
+"""Which alarms follow from what is seen of the rig: values in, alarms with their causes out."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, Final
+
+from acquisition.record.events import EventKind
+from rig.alarms.catalogue import AlarmKey
+from rig.control import STALE_S, ControlState, DevicesNow, Light, Loop, SafetyNow
+from rig.instrument import Phase
+from rig.measure import LEAST_FREE_BYTES
+
+_SPOT_S = 0.5
+"""A spot that was lost for less is data, and no alarm."""
+_FRAMES_S = 1.5
+_WITH_FRAMES: Final = frozenset({Phase.REST, Phase.WARM_UP, Phase.RELEASE, Phase.MEASURING})
+_CAMERA_GONE: Final = frozenset({EventKind.CAMERA_LOST, EventKind.CAMERA_SILENT})
+OF_CAMERA: Final = _CAMERA_GONE | {EventKind.CAMERA_SPEAKS, EventKind.CAMERA_BACK}
+_OCCURRENCES: Final[Mapping[str, AlarmKey]] = {
+    EventKind.GAP: AlarmKey.FRAMES,
+    EventKind.BACKLOG: AlarmKey.BACKLOG,
+    EventKind.CAMERA_CLOCK: AlarmKey.CAMERA_CLOCK,
+    EventKind.CLOCK_STEP: AlarmKey.HOST_CLOCK,
+    EventKind.SENSOR: AlarmKey.SENSOR,
+    EventKind.REST_STEP: AlarmKey.REST_STEP,
+    EventKind.LIGHT_STEP: AlarmKey.LIGHT_STEP,
+    EventKind.PUSH: AlarmKey.PUSH,
+    EventKind.REJECTED: AlarmKey.REJECTED,
+    EventKind.POSTERIOR: AlarmKey.LIVE_FIT,
+    EventKind.WATCHER_FAILED: AlarmKey.WATCHER,
+    EventKind.FAILED: AlarmKey.SESSION_FAILED,
+    EventKind.RECORD: AlarmKey.DISK_FULL,
+}
+
+
+class HowEnded(StrEnum):
+    """How a session that was followed has ended."""
+
+    DIED = "died"
+    FAILED = "failed"
+    REGULARLY = "regularly"
+
+
+@dataclass(frozen=True, slots=True)
+class EndedSession:
+    """A session that has just ended, by the name of its folder, and why."""
+
+    name: str
+    how: HowEnded
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a desk sees at one moment.
+
+    `news` is what the running session said `news_age_s` ago, empty without one; `camera_event` its last event
+    of the camera; `folder_problem` why session.output cannot be written, `disk_free_bytes` what is free there;
+    `configuration_problem` why the file cannot be read.
+    """
+
+    safety: SafetyNow = field(default_factory=SafetyNow)
+    lit_by: str = ""
+    news: Mapping[str, Any] = field(default_factory=dict)
+    news_age_s: float = 0.0
+    session: str = ""
+    devices: DevicesNow = field(default_factory=DevicesNow)
+    camera_event: Mapping[str, Any] | None = None
+    sensor_wanted: bool = False
+    disk_free_bytes: float = math.inf
+    folder_problem: str = ""
+    configuration_problem: str = ""
+    picture_late_s: float = 0.0
+
+
+def conditions(seen: Seen) -> dict[AlarmKey, str]:
+    """The alarms whose conditions hold, each with its cause where something tells it."""
+    return dict([*_of_light(seen), *_of_session(seen), *_of_desk(seen)])
+
+
+def happened(events: Sequence[Mapping[str, Any]], ended: EndedSession | None) -> list[tuple[AlarmKey, str]]:
+    """Alarms of new events of a session, and of one that has ended."""
+    found = [
+        (key, str(event["text"]))
+        for event in events
+        if (key := _OCCURRENCES.get(str(event["kind"]))) is not None
+    ]
+    if ended is not None and ended.how is HowEnded.DIED:
+        found.append((AlarmKey.SESSION_DIED, f"{ended.name}: {ended.reason or 'killed, or crashed'}"))
+    if ended is not None and ended.how is HowEnded.FAILED:
+        found.append((AlarmKey.SESSION_FAILED, f"{ended.name}: {ended.reason}"))
+    return found
+
+
+def _of_light(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+    safety = seen.safety
+    if safety.trip is not None:
+        yield AlarmKey.TRIP, safety.trip.text
+    if safety.light is Light.DISAGREES:
+        yield AlarmKey.LIGHT_DISAGREES, ""
+    if safety.interlock is Loop.OPEN and safety.interlock_age_s <= STALE_S:
+        yield AlarmKey.INTERLOCK, ""
+    silent = safety.light in (Light.SILENT, Light.CONTROLLER_SILENT, Light.UNKNOWN)
+    if seen.lit_by and (silent or safety.light_age_s > STALE_S) and not math.isinf(safety.light_age_s):
+        yield AlarmKey.LASER_UNKNOWN, f"{seen.lit_by} has the laser, which {_silence(safety)}"
+    if seen.devices.controller not in (None, ControlState.OPEN):
+        yield AlarmKey.CONTROLLER, str(seen.devices.controller)
+
+
+def _silence(safety: SafetyNow) -> str:
+    if safety.light in (Light.SILENT, Light.CONTROLLER_SILENT):
+        return str(safety.light)
+    return "nothing was heard of for more than 2 s"
+
+
+def _of_session(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+    news = seen.news
+    if not news:
+        return
+    if seen.news_age_s > STALE_S:
+        yield AlarmKey.SESSION_FROZEN, f"{seen.session} has said nothing for more than 2 s"
+        return
+    state = news.get("state") or {}
+    crying = str(state.get("alarm") or "")
+    disk_silent_s = float(state.get("disk_silent_s") or 0.0)
+    if disk_silent_s:
+        yield AlarmKey.DISK_HANGS, "a write to the record takes more than 2 s"
+    if crying and not disk_silent_s:
+        dark = bool(news.get("darkness"))
+        yield (AlarmKey.LASER_DARK if dark else AlarmKey.STALLED), crying
+    if state.get("phase") in _WITH_FRAMES:
+        yield from _of_frames(seen)
+    if seen.sensor_wanted and state.get("phase") == Phase.MEASURING and state.get("temperature_c") is None:
+        yield AlarmKey.ENVIRONMENT, ""
+    failed = [str(row["name"]) for row in news.get("preflight") or () if not row.get("ok", True)]
+    if failed and state.get("phase") == Phase.PREFLIGHT:
+        yield AlarmKey.PREFLIGHT, ", ".join(failed)
+    yield from _of_forecast(state)
+
+
+def _of_frames(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+    news = seen.news
+    rate_hz = ((news.get("camera") or {}).get("applied") or {}).get("frame_rate_hz")
+    patience_s = max(_FRAMES_S, 3.0 / float(rate_hz)) if rate_hz else _FRAMES_S
+    age_s = news.get("frames_age_s")
+    told = seen.camera_event
+    gone = told is not None and str(told["kind"]) in _CAMERA_GONE
+    if gone or (age_s is not None and float(age_s) > patience_s):
+        yield AlarmKey.CAMERA, str(told["text"]) if told is not None and gone else ""
+    elif float(news.get("spot_lost_s") or 0.0) > _SPOT_S:
+        yield AlarmKey.SPOT, ""
+
+
+def _of_forecast(state: Mapping[str, Any]) -> Iterator[tuple[AlarmKey, str]]:
+    left_s, u_s, free_bytes, rate = (
+        state.get(key) for key in ("remaining_s", "u_remaining_s", "disk_free_bytes", "record_bytes_per_s")
+    )
+    if free_bytes is not None and rate:
+        lasts_s = max(float(free_bytes) - LEAST_FREE_BYTES, 0.0) / float(rate)
+        needed_s = float(left_s) if left_s is not None else float(state.get("at_most_s") or 0.0)
+        if lasts_s < needed_s and math.isfinite(needed_s):
+            yield (
+                AlarmKey.DISK_FORECAST,
+                f"room for {lasts_s / 60:.0f} min, needed for {needed_s / 60:.0f} min",
+            )
+    # a limit of time has no uncertainty; an amplitude that is known, and not reached, has a final one
+    if left_s is not None and u_s == 0 and state.get("amplitude_unit") == "arcsec":
+        yield AlarmKey.FORECAST, f"max_duration_s ends it in {float(left_s) / 60:.0f} min"
+
+
+def _of_desk(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+    if seen.folder_problem:
+        yield AlarmKey.OUTPUT, seen.folder_problem
+    elif seen.disk_free_bytes < LEAST_FREE_BYTES:
+        yield AlarmKey.DISK_FULL, f"{seen.disk_free_bytes / 2**20:.0f} MiB are free"
+    if seen.configuration_problem:
+        yield AlarmKey.CONFIGURATION, seen.configuration_problem
+    if seen.picture_late_s > STALE_S:
+        yield AlarmKey.CAMERA, "the live picture stands still"

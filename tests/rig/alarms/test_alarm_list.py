@@ -1,0 +1,132 @@
+"""Alarms are active, cleared, acknowledged, shelved, and each has its times."""
+
+import pytest
+
+from processing.errors import RigError
+from rig.alarms import CATALOGUE, AlarmKey, AlarmList, AlarmRow, AlarmState
+
+CAMERA, SPOT, TRIP, DIED = AlarmKey.CAMERA, AlarmKey.SPOT, AlarmKey.TRIP, AlarmKey.SESSION_DIED
+
+
+class Clock:
+    """The time of the day, which a test sets."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def alarms(clock: Clock) -> AlarmList:
+    return AlarmList(clock)
+
+
+def only(alarms: AlarmList) -> AlarmRow:
+    (row,) = alarms.rows()
+    return row
+
+
+def test_an_alarm_is_active_acknowledged_and_gone_once_its_cause_is(alarms: AlarmList, clock: Clock) -> None:
+    alarms.see({CAMERA: "no frame since 12:00"})
+    assert only(alarms).state is AlarmState.ACTIVE
+    assert only(alarms).cries
+    clock.now_s = 1005.0
+    alarms.acknowledge(CAMERA, "Ada")
+    row = only(alarms)
+    assert (row.state, row.acknowledged_s, row.acknowledged_by) == (AlarmState.ACKNOWLEDGED, 1005.0, "Ada")
+    assert not row.cries
+    clock.now_s = 1010.0
+    alarms.see({})
+    assert alarms.rows() == []
+    (past,) = alarms.past
+    assert (past.raised_s, past.acknowledged_s, past.cleared_s) == (1000.0, 1005.0, 1010.0)
+
+
+def test_one_that_was_not_seen_stays_as_cleared_until_somebody_has(alarms: AlarmList, clock: Clock) -> None:
+    alarms.see({SPOT: ""})
+    clock.now_s = 1003.0
+    alarms.see({})
+    row = only(alarms)
+    assert (row.state, row.cleared_s, row.cause) == (AlarmState.CLEARED, 1003.0, CATALOGUE[SPOT].cause)
+    assert not row.cries
+    alarms.acknowledge(SPOT, "Ada")
+    assert alarms.rows() == []
+
+
+def test_one_that_comes_again_cries_again_and_is_counted(alarms: AlarmList) -> None:
+    for _ in range(3):
+        alarms.see({SPOT: ""})
+        alarms.see({})
+    assert only(alarms).times == 3
+    alarms.see({SPOT: ""})
+    alarms.acknowledge(SPOT, "Ada")
+    alarms.see({SPOT: "still"})
+    assert only(alarms).state is AlarmState.ACKNOWLEDGED
+    alarms.see({})
+    alarms.see({SPOT: ""})
+    assert only(alarms).cries
+
+
+def test_a_shelved_one_is_silent_and_comes_back_by_itself(alarms: AlarmList, clock: Clock) -> None:
+    alarms.see({CAMERA: ""})
+    alarms.shelve(CAMERA, 600.0, "Ada")
+    assert only(alarms).state is AlarmState.SHELVED
+    clock.now_s += 599.0
+    alarms.see({CAMERA: ""})
+    assert not only(alarms).cries
+    clock.now_s += 2.0
+    alarms.see({CAMERA: ""})
+    assert only(alarms).cries
+
+
+def test_danger_is_not_shelved_and_a_trip_is_acknowledged_by_looking_only(alarms: AlarmList) -> None:
+    alarms.see({TRIP: "trip 5 (INTERLOCK): the interlock opened"})
+    with pytest.raises(RigError, match="danger is not shelved"):
+        alarms.shelve(TRIP, 60.0, "Ada")
+    with pytest.raises(RigError, match="look that nobody is in the beam's way"):
+        alarms.acknowledge(TRIP, "Ada")
+    assert only(alarms).cries
+    # whoever acknowledged the trip has acknowledged this
+    alarms.see({})
+    assert alarms.rows() == []
+
+
+def test_what_has_happened_stays_until_it_is_acknowledged(alarms: AlarmList) -> None:
+    alarms.see({}, [(DIED, "run-1 was killed")])
+    alarms.see({})
+    assert only(alarms).state is AlarmState.ACTIVE
+    alarms.acknowledge(DIED, "Ada")
+    assert alarms.rows() == []
+    with pytest.raises(RigError, match="not in the list any more"):
+        alarms.acknowledge(DIED, "Ada")
+
+
+def test_a_condition_of_a_moment_is_no_alarm(alarms: AlarmList, clock: Clock) -> None:
+    key = AlarmKey.CONTROLLER
+    alarms.see({key: ""})
+    alarms.see({})
+    alarms.see({key: ""})
+    assert alarms.rows() == []
+    clock.now_s += CATALOGUE[key].after_s
+    alarms.see({key: ""})
+    assert only(alarms).state is AlarmState.ACTIVE
+
+
+def test_what_is_to_be_seen_first_comes_first(alarms: AlarmList) -> None:
+    alarms.see({SPOT: "", AlarmKey.INTERLOCK: "", AlarmKey.CONFIGURATION: "", CAMERA: ""})
+    alarms.acknowledge(CAMERA, "Ada")
+    assert [row.key for row in alarms.rows()] == [AlarmKey.INTERLOCK, SPOT, AlarmKey.CONFIGURATION, CAMERA]
+
+
+@pytest.mark.parametrize("key", AlarmKey)
+def test_every_alarm_has_a_cause_and_a_remedy(key: AlarmKey) -> None:
+    alarm = CATALOGUE[key]
+    assert alarm.title and alarm.cause and alarm.remedy
+    assert not alarm.title.endswith(".")

@@ -1,0 +1,102 @@
+"""Which alarms follow from what a desk sees."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from acquisition.record.events import EventKind
+from rig.alarms import AlarmKey, EndedSession, HowEnded, Seen, conditions, happened
+from rig.control import ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
+from rig.instrument import Phase
+
+MEASURING = {"phase": Phase.MEASURING, "temperature_c": 20.0}
+FRESH = {"frames_age_s": 0.1, "spot_lost_s": 0.0}
+
+
+def told(state: dict[str, Any] | None = None, **news: Any) -> Seen:
+    """A session that measures, and says this."""
+    return Seen(news={**FRESH, "state": {**MEASURING, **(state or {})}, **news}, session="run-of-today")
+
+
+LIT = SafetyNow(light=Light.ON, light_age_s=0.1, interlock=Loop.CLOSED, interlock_age_s=0.1)
+TRIP = LatchedTrip(5, TripCause.INTERLOCK, "the interlock opened", True)
+
+
+@pytest.mark.parametrize(
+    ("seen", "keys"),
+    [
+        (Seen(), set()),
+        (told(), set()),
+        (Seen(safety=LIT, lit_by="the live picture"), set()),
+        (Seen(safety=replace(LIT, trip=TRIP)), {AlarmKey.TRIP}),
+        (Seen(safety=replace(LIT, interlock=Loop.OPEN)), {AlarmKey.INTERLOCK}),
+        (Seen(safety=replace(LIT, light=Light.DISAGREES)), {AlarmKey.LIGHT_DISAGREES}),
+        (Seen(safety=replace(LIT, light_age_s=2.5), lit_by="the live picture"), {AlarmKey.LASER_UNKNOWN}),
+        (Seen(safety=replace(LIT, light_age_s=2.5)), set()),
+        (Seen(devices=DevicesNow(controller=ControlState.LOST)), {AlarmKey.CONTROLLER}),
+        (replace(told(), news_age_s=2.1), {AlarmKey.SESSION_FROZEN}),
+        (told(frames_age_s=1.6), {AlarmKey.CAMERA}),
+        (told(frames_age_s=1.6, camera={"applied": {"frame_rate_hz": 0.5}}), set()),
+        (told({"phase": Phase.PREFLIGHT}, frames_age_s=9.0), set()),
+        (told(spot_lost_s=0.4), set()),
+        (told(spot_lost_s=0.6), {AlarmKey.SPOT}),
+        (told({"alarm": "the laser is dark"}, darkness="LIGHT OFF"), {AlarmKey.LASER_DARK}),
+        (told({"alarm": "the recorder has stalled"}), {AlarmKey.STALLED}),
+        (told({"alarm": "the disk has not answered", "disk_silent_s": 3.0}), {AlarmKey.DISK_HANGS}),
+        (replace(told({"temperature_c": None}), sensor_wanted=True), {AlarmKey.ENVIRONMENT}),
+        (told({"temperature_c": None}), set()),
+        (
+            told({"disk_free_bytes": 1.1e9, "record_bytes_per_s": 1e6, "remaining_s": 3600.0}),
+            {AlarmKey.DISK_FORECAST},
+        ),
+        (told({"disk_free_bytes": 9e9, "record_bytes_per_s": 1e6, "remaining_s": 3600.0}), set()),
+        (told({"remaining_s": 60.0, "u_remaining_s": 0.0, "amplitude_unit": "arcsec"}), {AlarmKey.FORECAST}),
+        (told({"remaining_s": 60.0, "u_remaining_s": 5.0, "amplitude_unit": "arcsec"}), set()),
+        (
+            told({"phase": Phase.PREFLIGHT}, preflight=[{"name": "saturation", "ok": False}]),
+            {AlarmKey.PREFLIGHT},
+        ),
+        (Seen(disk_free_bytes=1e6), {AlarmKey.DISK_FULL}),
+        (Seen(folder_problem="runs: permission denied"), {AlarmKey.OUTPUT}),
+        (Seen(configuration_problem="line 3: no such key"), {AlarmKey.CONFIGURATION}),
+        (Seen(picture_late_s=2.1), {AlarmKey.CAMERA}),
+    ],
+)
+def test_conditions(seen: Seen, keys: set[AlarmKey]) -> None:
+    assert set(conditions(seen)) == keys
+
+
+@pytest.mark.parametrize("back", [EventKind.CAMERA_SPEAKS, EventKind.CAMERA_BACK])
+def test_a_camera_that_is_gone_is_named_with_its_own_words_until_it_is_back(back: EventKind) -> None:
+    gone = {"kind": EventKind.CAMERA_LOST, "text": "usb3vision: unplugged"}
+    assert conditions(replace(told(), camera_event=gone)) == {AlarmKey.CAMERA: "usb3vision: unplugged"}
+    assert conditions(replace(told(), camera_event={"kind": back, "text": ""})) == {}
+
+
+@pytest.mark.parametrize(
+    ("kind", "key"),
+    [
+        (EventKind.GAP, AlarmKey.FRAMES),
+        (EventKind.BACKLOG, AlarmKey.BACKLOG),
+        (EventKind.CAMERA_CLOCK, AlarmKey.CAMERA_CLOCK),
+        (EventKind.CLOCK_STEP, AlarmKey.HOST_CLOCK),
+        (EventKind.SENSOR, AlarmKey.SENSOR),
+        (EventKind.REST_STEP, AlarmKey.REST_STEP),
+        (EventKind.LIGHT_STEP, AlarmKey.LIGHT_STEP),
+        (EventKind.PUSH, AlarmKey.PUSH),
+        (EventKind.REJECTED, AlarmKey.REJECTED),
+        (EventKind.POSTERIOR, AlarmKey.LIVE_FIT),
+        (EventKind.WATCHER_FAILED, AlarmKey.WATCHER),
+    ],
+)
+def test_an_event_is_an_alarm_with_its_own_words(kind: EventKind, key: AlarmKey) -> None:
+    assert happened([{"kind": str(kind), "text": "so it was"}], None) == [(key, "so it was")]
+
+
+def test_how_a_session_has_ended() -> None:
+    assert happened([], EndedSession("a", HowEnded.REGULARLY)) == []
+    assert happened([], EndedSession("a", HowEnded.DIED))[0][0] is AlarmKey.SESSION_DIED
+    assert happened([], EndedSession("a", HowEnded.FAILED, "no space left on device")) == [
+        (AlarmKey.SESSION_FAILED, "a: no space left on device")
+    ]
