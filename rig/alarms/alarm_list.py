@@ -105,7 +105,10 @@ class AlarmList:
             return sorted(self._rows.values(), key=_order)
 
     def acknowledge(self, key: AlarmKey, by: str) -> None:
-        """Somebody has seen it; one whose cause is gone leaves the list. Raises RigError where that is more."""
+        """Somebody has seen it; one whose cause is gone leaves the list.
+
+        Raises RigError for a trip, whose acknowledgement is more than that.
+        """
         with self._lock:
             row = self._row(key)
             if row.alarm.by_leave and row.cleared_s is None:

@@ -114,7 +114,7 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
         "its cable or its power",
         "plug it in again; it is looked for by itself",
         _URGENT,
-        after_s=0.5,
+        after_s=1.5,
     ),
     AlarmKey.CAMERA: Alarm(
         "no frames from the camera",

@@ -230,6 +230,7 @@ class Line:
             raise NoSession(f"{folder}: no session runs here") from None
         self._connection = http.client.HTTPConnection(LOOPBACK, port, timeout=_ANSWER_S)
         self._challenge, self._number = "", 0
+        self._was_seen = False
         self._one_at_a_time = threading.Lock()
 
     def __enter__(self) -> Self:
@@ -240,6 +241,11 @@ class Line:
 
     def close(self) -> None:
         self._connection.close()
+
+    @property
+    def process_lives(self) -> bool:
+        """False once the process is gone that was there when it first answered; its port may be another's."""
+        return not (self._was_seen and not _lives(self.pid))
 
     def news(self, after: int = 0) -> dict[str, Any]:
         """What `SessionNews.news` says."""
@@ -312,6 +318,20 @@ class Line:
             )
         if connection.sock is None:
             raise NoSession(f"{self.folder}: its session does not keep the connection")
+        self._was_seen = self._was_seen or _lives(self.pid)
+
+
+def _lives(pid: int) -> bool:
+    """Whether this system knows the process; False also where that cannot be asked."""
+    if os.name != "posix":
+        return False
+    try:
+        os.kill(pid, 0)
+    except PermissionError:
+        return True
+    except OSError:
+        return False
+    return True
 
 
 def running_sessions(output: Path) -> Iterator[Path]:

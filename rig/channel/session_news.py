@@ -162,8 +162,9 @@ class SessionNews:
     def news(self, since: int = 0) -> dict[str, Any]:
         """Everything as plain values; of the events those with a number above `since`.
 
-        Positions and amplitudes are as shown: arcsec, or px without a lever. `frames_age_s` is how old the last
-        frame is that was looked at, `spot_lost_s` for how long the spot has not been in any; NaN before the first.
+        Positions and amplitudes are as shown: arcsec, or px without a lever. `frames_age_s` is how old the
+        last frame is that was looked at, `spot_lost_s` for how long the spot has been in none; NaN before the
+        first.
         """
         self._asked_s = time.monotonic()
         with self._lock:

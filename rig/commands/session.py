@@ -1,19 +1,23 @@
-"""`rig desk`, `rig balance`, `rig preflight`, `rig doctor`: preparing a measurement, the page for all."""
+"""`rig desk` and its passwords, `rig balance`, `rig preflight`, `rig doctor`: preparing a measurement."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from acquisition.record import whole_file
 from processing.errors import MissingPackage
 from rig.commands.arguments import MODES, Config, JsonLines, Set, View
 from rig.commands.outputs import appended_file, new_file
+from rig.presentation import say
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     for command in (desk, balance, preflight, doctor):
         app.command()(command)
+    app.command("desk-password")(desk_password)
 
 
 def balance(
@@ -72,8 +76,21 @@ def balance(
 def desk(
     config: Config,
     port: Annotated[
-        int, typer.Option(help="Port of 127.0.0.1; 0: 8642, or any that is free.", min=0, max=65535)
+        int, typer.Option(help="Port; 0: the last one, 8642, or any that is free.", min=0, max=65535)
     ] = 0,
+    listen: Annotated[
+        str,
+        typer.Option(
+            metavar="ADDRESS", help="Of this machine; others reach it only with certificate and passwords."
+        ),
+    ] = "127.0.0.1",
+    certificate: Annotated[Path | None, typer.Option(help="PEM file for TLS.", dir_okay=False)] = None,
+    certificate_key: Annotated[
+        Path | None, typer.Option(help="Its key, if it is in a file of its own.", dir_okay=False)
+    ] = None,
+    passwords: Annotated[
+        Path | None, typer.Option(help="File that rig desk-password has made.", dir_okay=False)
+    ] = None,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     set_: Set = None,
 ) -> None:
@@ -84,12 +101,38 @@ def desk(
       rig desk mine.toml
     """
     try:
-        from rig.desk import open_desk
+        from rig.desk import Entrance, open_desk
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "starlette", "uvicorn"):
             raise
         raise MissingPackage("rig desk", "nicegui") from None
-    raise typer.Exit(open_desk(config, tuple(set_ or ()), port=port, browser=browser))
+    entrance = Entrance(port, listen, certificate, certificate_key, passwords)
+    raise typer.Exit(open_desk(config, tuple(set_ or ()), entrance, browser=browser))
+
+
+def desk_password(
+    file: Annotated[Path, typer.Argument(help="File of passwords; made if it is not there.", dir_okay=False)],
+    name: Annotated[str, typer.Argument(help="Of the person.")],
+    watch: Annotated[bool, typer.Option("--watch", help="May watch, and press LIGHT OFF, no more.")] = False,
+) -> None:
+    """Let somebody enter the desk from another machine: asks for a password, and adds its digest to a file.
+
+    \b
+    Example:
+      rig desk-password passwords.txt ada
+    """
+    try:
+        from rig.desk import Role, password_line
+    except ModuleNotFoundError:
+        raise MissingPackage("rig desk-password", "nicegui") from None
+    # read as it is typed; from a pipe in one line
+    password = typer.prompt("password", hide_input=True) if sys.stdin.isatty() else sys.stdin.readline()
+    line = password_line(name, Role.WATCH if watch else Role.ACT, password.rstrip("\r\n"))
+    before = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    others = [one for one in before if one.partition(":")[0] != name]
+    whole_file.replace(file, "".join(f"{one}\n" for one in [*others, line]).encode())
+    file.chmod(0o600)
+    say(f"{file}: {name} may {'watch' if watch else 'act'}")
 
 
 def preflight(

@@ -7,7 +7,14 @@ from rig.control.laser_service import LONGEST_JOB_S, LaserService
 from rig.control.lasers import LASERS, LaserSettings, LaserState, laser_unit, make_laser
 from rig.control.light_permit import Interlock, LightPermit, LightRefused, Stage
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
-from rig.control.safety_state import Holder, LatchedTrip, SafetyState, TripCause, rig_state_path
+from rig.control.safety_state import (
+    Holder,
+    LatchedTrip,
+    SafetyState,
+    TripCause,
+    rig_state_path,
+    state_folder,
+)
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings, EnvironmentSettings, WitnessSettings
 from rig.control.simulated import SimulatedOutputs, simulated_controller

@@ -94,10 +94,15 @@ def rig_state_path(laser: LaserSettings, controller: ControllerSettings) -> Path
     port = controller.port if laser.kind == "controller" else laser.port
     if port.startswith("/"):
         port = str(Path(port).resolve())
+    name = re.sub(r"[^A-Za-z0-9]+", "-", f"{laser.kind} {_device_at(port) or port}")
+    return state_folder() / f"{name}.json"
+
+
+def state_folder() -> Path:
+    """Where this user's rigs keep what must outlive a program."""
     stated = os.environ.get("XDG_STATE_HOME") or os.environ.get("LOCALAPPDATA")
     place = Path(stated) if stated else Path.home() / ".local" / "state"
-    name = re.sub(r"[^A-Za-z0-9]+", "-", f"{laser.kind} {_device_at(port) or port}")
-    return place / "optical-pendulum-rig" / f"{name}.json"
+    return place / "optical-pendulum-rig"
 
 
 def _unknown(what: str) -> _Stored:

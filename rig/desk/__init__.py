@@ -13,4 +13,5 @@ line. Work that takes longer than a moment is awaited with ``nicegui.run.io_boun
 command in a process (`Desk.start`). `panels/fields.py` has fields that the settings' own models judge.
 """
 
-from rig.desk.server import open_desk
+from rig.desk.people import Role, password_line
+from rig.desk.server import Entrance, open_desk

@@ -12,10 +12,13 @@ from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
 from rig.channel import CHANNEL_NAME, Line
 from rig.control import SafetyState, darken_beside, rig_state_path
+from rig.desk.acting import Acting
+from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Job, start_session
+from rig.desk.kept import Kept
 from rig.desk.safety import Safety
 from rig.desk.sessions import LookingAgain, SessionIndex
 from rig.devices import Devices
@@ -39,6 +42,7 @@ class Desk:
     """The desk of one configuration file; `overrides` are as of --set, and hold for all that it starts.
 
     `kept` are settings that were made at the desk (exposure, region), by key: they hold as long as it does.
+    `place` is what is kept on disk, `acting` who may act.
     """
 
     def __init__(self, source: Path, overrides: tuple[str, ...] = ()) -> None:
@@ -56,29 +60,12 @@ class Desk:
         self.sessions = SessionIndex(self.config.session.output)
         self._session: tuple[subprocess.Popen[bytes], Path] | None = None
         self._handed_over: tuple[tuple[object, ...], HandOver | None] | None = None
-        self._acting = ""
+        self.place = Kept(source)
+        self.acting = Acting()
+        self.alarming = Alarming(self)
         self._pressing = threading.Lock()
         self._pressed: deque[str] = deque(maxlen=_PRESSES_KEPT)
         self._lock = threading.Lock()
-
-    # -- who may act -----------------------------------------------------------
-
-    def acts(self, tab: str) -> bool:
-        """Whether this tab is the one that may act."""
-        return self._acting == tab
-
-    @property
-    def somebody_acts(self) -> bool:
-        return bool(self._acting)
-
-    def take(self, tab: str) -> None:
-        """From now on this tab may act, and no other."""
-        self._acting = tab
-
-    def leave(self, tab: str) -> None:
-        """A tab was closed."""
-        if self._acting == tab:
-            self._acting = ""
 
     # -- the configuration ------------------------------------------------------
 
@@ -257,6 +244,11 @@ class Desk:
         return Started.RUNNING if status is None else Started.DONE if status == 0 else Started.FAILED
 
     @property
+    def started(self) -> "tuple[subprocess.Popen[bytes], Path] | None":
+        """The process and the folder of the session that this desk has started last."""
+        return self._session
+
+    @property
     def session_folder(self) -> Path | None:
         """Folder of the running session, else of the last one that this desk has seen or started."""
         return self.following.last_folder or (self._session[1] if self._session is not None else None)
@@ -286,8 +278,14 @@ class Desk:
             return []
         return text.splitlines()[-12:]
 
+    def hold(self) -> None:
+        """Be the only desk of this configuration; raises ConfigurationError where another one is."""
+        self.place.hold()
+        self.acting = Acting(self.place.acting, self.place.note_acting)
+
     def close(self) -> None:
         """End what ends with the desk; a session goes on."""
+        self.alarming.stop()
         self.following.stop()
         self.safety.stop()
         self.end_aligning()
@@ -295,6 +293,7 @@ class Desk:
             job.end()
         self.looking_again.close()
         self.sessions.stop()
+        self.place.close()
 
 
 def _order_dark(folder: Path, who: str) -> None:

@@ -12,8 +12,11 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from rig.channel import Line, NoSession, SessionBusy, SessionPicture, running_sessions
+from processing.errors import RigError
+from rig.alarms import OF_CAMERA, EndedSession, HowEnded
+from rig.channel import CHANNEL_NAME, Line, NoSession, SessionBusy, SessionPicture, running_sessions
 from rig.control import DevicesNow, SafetyNow
+from rig.measure import RunState, read_session
 
 _LOOK_S = 0.2
 _SEARCH_S = 1.0
@@ -26,7 +29,8 @@ class Following:
 
     `news` is what it said last (empty without a session), `events` its events, `folder` where it is and
     `last_folder` where the last one was; `silent` is True while it is there and does not answer; `heard_s` is
-    the monotonic time of the last news.
+    the monotonic time of the last news. `camera_event` is the last event of its camera, `ended` are the
+    sessions that have ended under its eyes.
     """
 
     def __init__(self, output: Path) -> None:
@@ -37,6 +41,8 @@ class Following:
         self.last_folder: Path | None = None
         self.silent = False
         self.heard_s = -math.inf
+        self.camera_event: dict[str, Any] | None = None
+        self.ended: deque[EndedSession] = deque(maxlen=8)
         self._line: Line | None = None
         self._pictures: Line | None = None
         self._last_picture: SessionPicture | None = None
@@ -140,8 +146,9 @@ class Following:
         for folder in islice(running_sessions(self._output), 1):
             with suppress(NoSession):
                 self._line = Line(folder)
-                self._heard, self.folder, self.last_folder = 0, folder, folder
+                self._heard, self.camera_event = 0, None
                 self.events.clear()
+                self.folder = self.last_folder = folder
                 self._ask(self._line)
 
     def _ask(self, line: Line) -> None:
@@ -152,8 +159,9 @@ class Following:
                 self.silent, self._silent_s = True, time.monotonic()
             # one that is busy, or was stopped, is still there, and may be given orders
             is_busy = isinstance(why, SessionBusy) or time.monotonic() - self._silent_s < _SEARCH_S
-            if not is_busy or not _is_there(line):
+            if not is_busy or not line.process_lives or not _is_there(line):
                 line.close()
+                self.ended.append(_how_ended(line.folder))
                 self._line, self.folder, self.silent = None, None, False
                 self.news = {}
             return
@@ -161,6 +169,8 @@ class Following:
         for event in news["events"]:
             self._heard = max(self._heard, int(event["number"]))
             self.events.append(event)
+            if event["kind"] in OF_CAMERA:
+                self.camera_event = event
         self.news, self.heard_s = news, time.monotonic()
 
 
@@ -168,6 +178,20 @@ def doing(state: Mapping[str, Any] | None) -> str:
     """The phase of a run and its progress in words; empty before it has stated any."""
     stated = state or {}
     return ": ".join(filter(None, (stated.get("phase"), stated.get("progress"))))
+
+
+def _how_ended(folder: Path) -> EndedSession:
+    """How a session has ended that does not answer any more: one that was killed has left its file."""
+    if (folder / CHANNEL_NAME).exists():
+        return EndedSession(folder.name, HowEnded.DIED)
+    try:
+        entries = read_session(folder).entries
+    except RigError:
+        # without a record it leaves nothing
+        return EndedSession(folder.name, HowEnded.REGULARLY)
+    if entries and entries[-1].state is RunState.FAILED:
+        return EndedSession(folder.name, HowEnded.FAILED, entries[-1].reason)
+    return EndedSession(folder.name, HowEnded.REGULARLY)
 
 
 def _is_there(line: Line) -> bool:

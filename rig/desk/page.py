@@ -2,42 +2,49 @@
 
 import html
 import json
+import time
 from functools import partial
 
 from nicegui import run, ui
 from nicegui.events import KeyEventArguments
 
+from rig.alarms import AlarmRow
 from rig.control import LatchedTrip
-from rig.desk import charts, safety_bar
+from rig.desk import alarm_bar, charts, safety_bar, watchdog
+from rig.desk.alarm_bar import AlarmBar
 from rig.desk.desk import Desk, Started
+from rig.desk.drafts import KEEPING, Drafts
 from rig.desk.following import doing
 from rig.desk.panels import PANELS
+from rig.desk.people import Person
 from rig.desk.safety import lamps
 from rig.desk.style import STYLE
 from rig.desk.tab import DELIBERATE, Tab
 from rig.desk.theme import RED_LIGHT
+from rig.desk.who import Who
 from rig.instrument import Phase
 
 _LOOK_S = 0.25
 
 
-def build_page(desk: Desk, off_port: int) -> None:
+def build_page(desk: Desk, off_port: int, person: Person) -> None:
     """Build the page for one tab of a browser; `off_port` is where LIGHT OFF is heard beside this server."""
-    tab = Tab(desk)
-    ui.add_css(safety_bar.STYLE + STYLE)
-    ui.add_head_html(f"<script>{SCRIPT}{charts.SCRIPT}{safety_bar.script(off_port)}</script>")
-    ui.add_body_html(RED_LIGHT + safety_bar.BAR)
-    if not desk.somebody_acts:
-        desk.take(tab.name)
-    ui.context.client.on_delete(lambda: desk.leave(tab.name))
+    tab = Tab(desk, person)
+    ui.add_css(safety_bar.STYLE + STYLE + alarm_bar.STYLE + watchdog.STYLE)
+    script = f"{SCRIPT}{charts.SCRIPT}{safety_bar.script(off_port)}{watchdog.script()}{KEEPING}"
+    ui.add_head_html(f"<script>{script}</script>")
+    ui.add_body_html(RED_LIGHT + watchdog.BAR + safety_bar.BAR)
+    drafts = Drafts(desk, tab)
+    ui.context.client.on_connect(tab.connected)
+    ui.context.client.on_connect(drafts.connected)
+    ui.context.client.on_disconnect(tab.disconnected)
     with ui.header().classes("items-center no-wrap"):
         ui.html("rig desk", tag="h1", sanitize=False).classes("text-weight-bold")
         simulated = ui.label("SIMULATED").classes("no")
         simulated.set_visibility(desk.config.simulated)
         state = ui.label().classes("ellipsis").props('role="status" aria-live="polite"')
         ui.space()
-        acting = ui.label().classes("dim")
-        take = ui.button("Take over", on_click=lambda: desk.take(tab.name)).props("dense outline")
+        who = Who(desk, tab, drafts.named)
         for name, key in (("Day", "d"), ("Night", "n")):
             ui.button(name, on_click=partial(_theme, name.lower())).props(
                 f'dense flat aria-label="{name} theme, key {key}"'
@@ -72,7 +79,7 @@ def build_page(desk: Desk, off_port: int) -> None:
             allow.props(f'color="negative" {DELIBERATE}')
             ui.button("Not now", on_click=leave.close).props("outline")
     with ui.element("div").classes("cries"):
-        alarm = ui.label().classes("alarm").props('role="alert" aria-live="assertive"')
+        alarms = AlarmBar(desk.alarming.alarms, tab, ask_leave)
         acknowledge = ui.button("Acknowledge …", on_click=tab.act(ask_leave))
         acknowledge.props('color="negative" size="lg"').classes("full-width")
         again = ui.button("Light again", on_click=tab.act(light)).props(f'size="lg" {DELIBERATE}')
@@ -96,12 +103,16 @@ def build_page(desk: Desk, off_port: int) -> None:
 
     def seen() -> None:
         tab.shown = str(panels.value)
+        drafts.panel(tab.shown)
 
+    drafts.show = show
+    drafts.find()
     panels.on_value_change(seen)
     for number, panel in enumerate(PANELS, start=1):
         tab.key(str(number), partial(show, panel.name))
     tab.key("n", partial(_theme, "night"))
     tab.key("d", partial(_theme, "day"))
+    tab.key("a", alarms.toggle)
     tab.key("?", _keys().open)
 
     def pressed(event: KeyEventArguments) -> None:
@@ -112,30 +123,48 @@ def build_page(desk: Desk, off_port: int) -> None:
     ui.keyboard(on_key=pressed, repeating=False, ignore=["input", "select", "textarea"])
 
     def refresh() -> None:
-        if not desk.somebody_acts:
-            desk.take(tab.name)
-        acting.set_text("" if tab.acts else "this tab watches")
-        take.set_visibility(not tab.acts)
+        who.refresh()
         news = desk.following.news
         run_state = news.get("state") or {}
         state.set_text(_state(desk))
         safety = desk.safety.now
-        cry = str(run_state.get("alarm") or "")
+        crying = alarms.refresh()
         if safety.trip is not None:
-            cry = safety.trip.text
             acknowledge.set_text(f"Acknowledge trip {safety.trip.number} …")
-        alarm.set_text(cry.upper())
-        alarm.set_visibility(bool(cry))
         acknowledge.set_visibility(safety.trip is not None)
         again.set_visibility(desk.waits_for_light)
-        told = str(run_state.get("instruction") or "")
-        instruction.set_text(told.upper())
-        instruction.set_visibility(bool(told))
+        asked_for = str(run_state.get("instruction") or "")
+        instruction.set_text(asked_for.upper())
+        instruction.set_visibility(bool(asked_for))
         shown = json.dumps(lamps(safety, _recording(desk)))
-        ui.run_javascript(f"window.rigSafety({shown}, {json.dumps(cry)})")
+        cry = json.dumps(" ".join(_name(row) for row in crying))
+        told = json.dumps([_told(row) for row in crying])
+        of_session = json.dumps(_session_age(desk))
+        ui.run_javascript(f"window.rigSafety({shown}, {cry}); window.rigAlarms({told}, {of_session})")
 
     refresh()
     ui.timer(_LOOK_S, refresh)
+
+
+def _name(row: AlarmRow) -> str:
+    """One that comes again has another one."""
+    return f"{row.key}@{row.raised_s:.2f}"
+
+
+def _told(row: AlarmRow) -> dict[str, str]:
+    """As the browser is told of it."""
+    text = f"{row.cause}\n{row.alarm.remedy}"
+    return {"name": _name(row), "key": row.key, "title": row.alarm.title, "text": text}
+
+
+def _session_age(desk: Desk) -> dict[str, object] | None:
+    """How old what is shown of the session is; None without one."""
+    following = desk.following
+    if following.folder is None or not following.news:
+        return None
+    age_s = time.monotonic() - following.heard_s
+    at = time.strftime("%H:%M:%S", time.localtime(time.time() - age_s))
+    return {"who": f"session {following.folder.name}", "age_s": round(age_s, 2), "at": at}
 
 
 def _state(desk: Desk) -> str:
@@ -174,7 +203,8 @@ def _keys() -> ui.dialog:
     panels = [
         f"<tr><th>{number}</th><td>{panel.name}</td></tr>" for number, panel in enumerate(PANELS, start=1)
     ]
-    others = [("d", "day theme"), ("n", "red night theme"), ("F9", "LIGHT OFF"), ("?", "this list")]
+    others = [("d", "day theme"), ("n", "red night theme"), ("a", "the alarms"), ("F9", "LIGHT OFF")]
+    others.append(("?", "this list"))
     others += [entry for panel in PANELS for entry in panel.keys]
     lines = [f"<tr><th>{html.escape(key)}</th><td>{html.escape(text)}</td></tr>" for key, text in others]
     with ui.dialog().props('aria-label="keys"') as dialog, ui.card():

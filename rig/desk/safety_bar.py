@@ -53,7 +53,7 @@ def script(off_port: int) -> str:
 
 _SCRIPT = """
 (() => {
-  let told = {}, heard = null, silenced = '', cry = '', beep = null, answer = '';
+  let told = {}, heard = null, silenced = '', cry = '', own = null, beep = null, answer = '';
   const at = id => document.getElementById(id);
   function draw() {
     if (!at('safety')) return;
@@ -72,16 +72,22 @@ _SCRIPT = """
       ' for ' + since.toFixed(0) + ' s') : told.laser && told.laser.age_s !== null ?
       oldest.toFixed(1) + ' s old' : 'nothing is heard of the laser';
     at('lamp-age').className = 'lamp ' + (oldest > STALE_S ? 'unknown' : 'go');
-    document.documentElement.classList.toggle('dead', dead);
-    at('silence').hidden = !cry || silenced === cry;
+    at('silence').hidden = !loud() || silenced === loud();
     at('off-said').textContent = answer;
   }
   window.rigSafety = (now, alarm) => {
     told = now; heard = performance.now();
-    if (alarm !== cry) { cry = alarm; if (alarm !== silenced) silenced = ''; }
-    sound(cry !== '' && silenced !== cry);
+    cry = alarm;
+    hear();
     draw();
   };
+  // what the page itself has found is heard beside what the desk has told last
+  const loud = () => own === null ? cry : own;
+  function hear() {
+    if (loud() !== silenced) silenced = '';
+    sound(loud() !== '' && silenced !== loud());
+  }
+  window.rigCry = what => { if (what !== own) { own = what; hear(); draw(); } };
   window.rigLightOff = () => {
     const pressed = new Date().toLocaleTimeString();
     answer = 'LIGHT OFF is sent'; draw();
@@ -110,7 +116,7 @@ _SCRIPT = """
   document.addEventListener('click', event => {
     const on = event.target.closest('#light-off, #silence');
     if (on && on.id === 'light-off') window.rigLightOff();
-    if (on && on.id === 'silence') { silenced = cry; sound(false); draw(); }
+    if (on && on.id === 'silence') { silenced = loud(); sound(false); draw(); }
   }, true);
   window.addEventListener('keydown', event => {
     if (event.key === 'F9') { event.preventDefault(); if (!event.repeat) window.rigLightOff(); }

@@ -1,30 +1,31 @@
-"""Serves the desk on a loopback port until Ctrl-C, to nobody but who knows its key."""
+"""Serves the desk until Ctrl-C: on this machine by a key, on other interfaces with TLS and passwords only."""
 
 import contextlib
-import hmac
 import http
-import secrets
+import ipaddress
 import socket
+import ssl
 import threading
 import urllib.parse
 import webbrowser
-from http.cookies import CookieError, SimpleCookie
+from dataclasses import dataclass
 from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI, Request
-from fastapi.responses import FileResponse, HTMLResponse
+from fastapi.responses import FileResponse
 from nicegui import ui
 from starlette.concurrency import run_in_threadpool
-from starlette.datastructures import Headers
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
-from rig.desk.off_switch import LOOPBACK, OffSwitch
+from rig.desk.guard import LOOPBACK, PERSON, Door, Guard, let_in
+from rig.desk.login import LOGIN, login_page
+from rig.desk.off_switch import OffSwitch
 from rig.desk.page import build_page
 from rig.desk.panels.live_picture import picture_now
+from rig.desk.people import People
 from rig.desk.safety_bar import DARK
 from rig.desk.sessions import SERVED, served_file
 from rig.desk.theme import themed_report
@@ -32,25 +33,121 @@ from rig.presentation import say
 
 _PORT = 8642
 _MOST_PX = 2000
+_MOST_LOGIN_BYTES = 4096
 
 
-def open_desk(source: Path, overrides: tuple[str, ...] = (), *, port: int = 0, browser: bool = True) -> int:
+@dataclass(frozen=True, slots=True)
+class Entrance:
+    """How the desk is reached: port (0: the last one, the usual one, or any) and address to listen on.
+
+    `certificate` and `certificate_key` are PEM files for TLS, `passwords` a file that `rig desk-password` makes.
+    """
+
+    port: int = 0
+    listen: str = LOOPBACK
+    certificate: Path | None = None
+    certificate_key: Path | None = None
+    passwords: Path | None = None
+
+    @property
+    def remote(self) -> bool:
+        """Whether other machines reach it; raises ConfigurationError where they could without TLS or password."""
+        try:
+            remote = not ipaddress.ip_address(self.listen).is_loopback
+        except ValueError:
+            raise ConfigurationError(
+                f"--listen {self.listen}: should be an address of this machine, for example 0.0.0.0 for all"
+            ) from None
+        if remote and (self.certificate is None or self.passwords is None):
+            missing = " and ".join(
+                name
+                for name, value in (("--certificate", self.certificate), ("--passwords", self.passwords))
+                if value is None
+            )
+            raise ConfigurationError(
+                f"--listen {self.listen}: others would reach the laser: {missing} must be stated, too; "
+                "or leave --listen out, and use a tunnel"
+            )
+        return remote
+
+    def tls(self) -> ssl.SSLContext | None:
+        """None without a certificate; raises ConfigurationError for one that cannot be used."""
+        if self.certificate is None:
+            return None
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        try:
+            context.load_cert_chain(self.certificate, self.certificate_key)
+        except (OSError, ssl.SSLError) as error:
+            why = error.strerror or error
+            raise ConfigurationError(
+                f"--certificate {self.certificate}: cannot be used: {why}; its key is wanted, too, "
+                "in the same file or as --certificate-key"
+            ) from None
+        return context
+
+
+def open_desk(
+    source: Path, overrides: tuple[str, ...] = (), entrance: Entrance | None = None, *, browser: bool = True
+) -> int:
     """Serve the desk of a configuration until Ctrl-C; a session that it has started goes on.
 
-    `port` 0: the usual one, or any other if that is taken. The address with its key is printed on stdout.
+    The address with its key is printed on stdout, then the one for watching only. Raises ConfigurationError
+    where a desk of this configuration is open already.
     """
+    entrance = entrance or Entrance()
+    remote, tls = entrance.remote, entrance.tls()
     desk = Desk(source, overrides)
-    listening = _listening(port)
-    number = listening.getsockname()[1]
-    key = secrets.token_urlsafe(24)
-    address = f"http://{LOOPBACK}:{number}/?key={key}"
+    desk.hold()
+    try:
+        return _serve(desk, entrance, tls, remote=remote, browser=browser)
+    finally:
+        desk.close()
+
+
+def _serve(desk: Desk, entrance: Entrance, tls: ssl.SSLContext | None, *, remote: bool, browser: bool) -> int:
+    people = People(desk.place.key, desk.place.watch_key, entrance.passwords)
+    listening = _listening(entrance, desk.place.port)
+    number = int(listening.getsockname()[1])
+    switch = OffSwitch(desk.light_off, lambda *told: guard.admits(*told), entrance.listen, tls)
+    door = Door(number, switch.port, tls is not None, remote)
+    app = _application(desk, people, door)
+    title = f"rig desk {desk.source.name}"
+    ui.run_with(app, title=title, dark=True, language="en-US", show_welcome_message=False, tailwind=False)
+    guard = Guard(app, people, door)
+    switch.start()
+    desk.safety.start()
+    desk.following.start()
+    desk.alarming.start()
+    own = f"{door.scheme}://{LOOPBACK}:{number}/?key="
+    address = own + desk.place.key
+    desk.place.opened_at(address, number)
+    print(address, flush=True)
+    say("the desk is at this address, in a browser on this machine; Ctrl-C ends it, sessions go on")
+    say(f"to watch only: {own}{desk.place.watch_key}")
+    if remote:
+        say(f"from other machines: {door.scheme}://NAME-OF-THIS-MACHINE:{number}/ with name and password")
+    if browser:
+        with contextlib.suppress(webbrowser.Error):
+            webbrowser.open(address)
+    settings = uvicorn.Config(
+        guard,
+        log_level="warning",
+        access_log=False,
+        ws="websockets-sansio",
+        ssl_certfile=entrance.certificate,
+        ssl_keyfile=entrance.certificate_key,
+    )
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            uvicorn.Server(settings).run(sockets=[listening])
+    finally:
+        switch.close()
+    return 0
+
+
+def _application(desk: Desk, people: People, door: Door) -> FastAPI:
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-
-    def admits(host: str, origin: str, cookie: str) -> bool:
-        return host in switch_hosts and guard.admits(origin, cookie)
-
-    switch = OffSwitch(desk.light_off, admits)
-    switch_hosts = {f"{name}:{switch.port}" for name in (LOOPBACK, "localhost")}
 
     @app.post(DARK)
     async def dark(request: Request) -> Response:
@@ -77,141 +174,53 @@ def open_desk(source: Path, overrides: tuple[str, ...] = (), *, port: int = 0, b
             return HTMLResponse(themed_report(text, theme), headers=sandbox)
         return FileResponse(path, headers=sandbox)
 
+    @app.get(LOGIN)
+    async def ask() -> Response:
+        return HTMLResponse(login_page())
+
+    @app.post(LOGIN)
+    async def enter(request: Request) -> Response:
+        body = b""
+        async for part in request.stream():
+            body += part
+            if len(body) > _MOST_LOGIN_BYTES:
+                return HTMLResponse(login_page("that is too long"), http.HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+        told = urllib.parse.parse_qs(body.decode(errors="replace"))
+        name, password = (told.get(key, [""])[0] for key in ("name", "password"))
+        try:
+            cookie = await run_in_threadpool(people.enter, name, password)
+        except ConfigurationError as error:
+            return HTMLResponse(login_page(str(error)), http.HTTPStatus.TOO_MANY_REQUESTS)
+        if cookie is None:
+            return HTMLResponse(login_page("name or password are wrong"), http.HTTPStatus.FORBIDDEN)
+        return let_in(RedirectResponse("/", http.HTTPStatus.SEE_OTHER), door, cookie)
+
     @ui.page("/")
-    def page() -> None:
-        build_page(desk, switch.port)
+    def page(request: Request) -> None:
+        build_page(desk, door.off_port or 0, request.scope[PERSON])
 
-    ui.run_with(
-        app,
-        title=f"rig desk {source.name}",
-        dark=True,
-        language="en-US",
-        show_welcome_message=False,
-        tailwind=False,
-    )
-    guard = Guard(app, key, number, switch.port)
-    switch.start()
-    desk.safety.start()
-    desk.following.start()
-    print(address, flush=True)
-    say("the desk is at this address, in a browser on this machine; Ctrl-C ends it, sessions go on")
-    if browser:
-        with contextlib.suppress(webbrowser.Error):
-            webbrowser.open(address)
-    settings = uvicorn.Config(guard, log_level="warning", access_log=False, ws="websockets-sansio")
-    try:
-        with contextlib.suppress(KeyboardInterrupt):
-            uvicorn.Server(settings).run(sockets=[listening])
-    finally:
-        switch.close()
-        desk.close()
-    return 0
+    return app
 
 
-def _listening(port: int) -> socket.socket:
+def _listening(entrance: Entrance, last: int) -> socket.socket:
     """A socket that is bound; raises ConfigurationError if the port asked for is taken."""
-    for number in (port,) if port else (_PORT, 0):
-        listening = socket.socket()
+    asked = entrance.port
+    family = socket.AF_INET6 if ":" in entrance.listen else socket.AF_INET
+    for number in (asked,) if asked else dict.fromkeys((last or _PORT, _PORT, 0)):
+        listening = socket.socket(family)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            listening.bind((LOOPBACK, number))
+            listening.bind((entrance.listen, number))
             # from now on a browser waits instead of being refused
             listening.listen(64)
         except OSError as error:
             listening.close()
-            if port:
+            if asked:
                 raise ConfigurationError(
-                    f"--port {port}: {error.strerror or error}; name another, or leave it out"
+                    f"--port {asked}: {error.strerror or error}; name another, or leave it out"
                 ) from None
             continue
         return listening
-    raise ConfigurationError("no port of this machine is free; close something that listens")
-
-
-POLICY = (
-    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'OFF_SWITCH; frame-ancestors 'none'"
-)
-
-
-class Guard:
-    """ASGI middleware around the whole desk: for who knows its key, from this machine's browser.
-
-    Without the key (in the address at first, then in a cookie) nothing is answered: other users of this
-    machine have neither. The name of the host is checked so that no foreign page can ask under a name of its
-    own (DNS rebinding), the origin so that none can use the browser's cookie, least of all for the web
-    socket, which browsers open for anyone.
-    """
-
-    def __init__(self, app: ASGIApp, key: str, port: int, off_port: int | None = None) -> None:
-        self._app = app
-        names = () if off_port is None else (LOOPBACK, "localhost")
-        others = [f" http://{name}:{off_port}" for name in names]
-        self._policy = POLICY.replace("OFF_SWITCH", "".join(others)).encode()
-        self._key = key
-        # browsers keep one set of cookies for all ports of a host
-        self._cookie = f"rig_desk_{port}"
-        self._hosts = frozenset({f"{LOOPBACK}:{port}", f"localhost:{port}"})
-        self._origins = frozenset(f"http://{host}" for host in self._hosts)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-            return
-        refused = self._refusal(scope)
-        if refused is None:
-            # a report is shown within the desk's own page
-            framed = str(scope.get("path", "")).startswith(f"{SERVED}/")
-            await self._app(scope, receive, self._with_policy(send, framed=framed))
-        elif scope["type"] == "websocket":
-            # closed before it was accepted, which the browser sees as 403
-            await send({"type": "websocket.close", "code": 1008})
-        else:
-            await refused(scope, receive, send)
-
-    def _refusal(self, scope: Scope) -> Response | None:
-        """The answer to who may not enter, or has just come with the key; None for who may."""
-        headers = Headers(scope=scope)
-        if headers.get("host", "") not in self._hosts:
-            return PlainTextResponse("wrong host", http.HTTPStatus.MISDIRECTED_REQUEST)
-        origin = headers.get("origin")
-        if origin is None and scope["type"] == "websocket":
-            return PlainTextResponse("no origin", http.HTTPStatus.FORBIDDEN)
-        if origin is not None and origin not in self._origins:
-            return PlainTextResponse("wrong origin", http.HTTPStatus.FORBIDDEN)
-        query = urllib.parse.parse_qs(scope["query_string"].decode(errors="replace"))
-        if scope["type"] == "http" and scope["method"] == "GET" and self._fits(query.get("key", [""])[0]):
-            # the key leaves the address, and with it the browser's history
-            welcome = RedirectResponse("/", http.HTTPStatus.SEE_OTHER)
-            welcome.set_cookie(self._cookie, self._key, httponly=True, samesite="strict")
-            return welcome
-        if not self._fits(_cookie(headers.get("cookie", ""), self._cookie)):
-            return PlainTextResponse("open the address that rig desk has printed", http.HTTPStatus.FORBIDDEN)
-        return None
-
-    def admits(self, origin: str, cookie: str) -> bool:
-        """Whether it comes from a page of this desk, in a browser that knows the key."""
-        return origin in self._origins and self._fits(_cookie(cookie, self._cookie))
-
-    def _with_policy(self, send: Send, *, framed: bool) -> Send:
-        policy = self._policy.replace(b"ancestors 'none'", b"ancestors 'self'") if framed else self._policy
-
-        async def passed(message: dict[str, object]) -> None:
-            if message["type"] == "http.response.start":
-                headers = message.setdefault("headers", [])
-                assert isinstance(headers, list)
-                headers += [(b"content-security-policy", policy), (b"referrer-policy", b"no-referrer")]
-            await send(message)
-
-        return passed  # type: ignore[return-value]
-
-    def _fits(self, key: str) -> bool:
-        return hmac.compare_digest(key.encode(), self._key.encode())
-
-
-def _cookie(header: str, name: str) -> str:
-    try:
-        found = SimpleCookie(header).get(name)
-    except CookieError:
-        return ""
-    return "" if found is None else found.value
+    raise ConfigurationError(
+        f"--listen {entrance.listen}: no port of it is free, or it is none of this machine's"
+    )

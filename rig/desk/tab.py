@@ -8,6 +8,7 @@ from nicegui import context, ui
 
 from processing.errors import RigError
 from rig.desk.desk import Desk
+from rig.desk.people import Person, Role
 
 DELIBERATE = 'data-deliberate="true"'
 """Property of a button that lights, or allows light: a pointer presses it, or a key that is held on it."""
@@ -15,20 +16,46 @@ Handler = Callable[[], None] | Callable[[], Awaitable[None]]
 
 
 class Tab:
-    """A tab; `name` tells it from others, `shown` is the panel that is seen, `keys` what a key does in it."""
+    """A tab; `name` tells it from others, also after a reload, and is empty until it is connected.
 
-    def __init__(self, desk: Desk) -> None:
+    `shown` is the panel that is seen, `keys` what a key does in it, `person` who was let in,
+    `operator_name` who says to sit there.
+    """
+
+    def __init__(self, desk: Desk, person: Person) -> None:
         self._desk = desk
         self._client = context.client
-        self.name = self._client.id
+        self.person = person
+        self.operator_name = person.name
+        self.name = ""
         self.shown = ""
         self.building = ""
         self.keys: dict[str, dict[str, Handler]] = {}
 
     @property
+    def operator(self) -> str:
+        """Who works at it, as others are told."""
+        return self.operator_name or "the desk"
+
+    @property
+    def may_act(self) -> bool:
+        """Whether who sits there was let in to act."""
+        return self.person.role is Role.ACT
+
+    @property
     def acts(self) -> bool:
-        """Whether this tab may act; the others watch."""
-        return self._desk.acts(self.name)
+        """Whether this tab is the one that acts; the others watch."""
+        return self.may_act and self._desk.acting.acts(self.name)
+
+    def connected(self) -> None:
+        """The browser has opened its connection: only now is somebody there."""
+        self.name = self._client.tab_id or self.name
+        if self.may_act:
+            self._desk.acting.arrived(self.name, self.operator_name)
+
+    def disconnected(self) -> None:
+        """The browser has closed it, or was lost."""
+        self._desk.acting.left(self.name)
 
     def every(self, seconds: float, refresh: Handler) -> None:
         """Call it again and again while the panel that is being built is seen, once at a time."""
@@ -47,7 +74,8 @@ class Tab:
 
         async def acted() -> None:
             if not self.acts:
-                ui.notify("this tab watches; Take over first", type="warning")
+                why = "Take over first" if self.may_act else "its address is for watching only"
+                ui.notify(f"this tab watches; {why}", type="warning")
                 return
             try:
                 done = do()

@@ -34,8 +34,8 @@ class Snapshot:
     the last block and the start of its processing; it grows if processing is too slow. `losses` are the
     dropped frames by cause, as counted by the camera. `instruction` is a request to the operator, `devices`
     the state of laser and controller, `beam` what is fitted to the spot, `clock` the camera's against the
-    computer's, `alarm` what is wrong with light or disk, empty if nothing is, `disk_silent_s` how long a write
-    has hung that takes longer than usual.
+    computer's, `alarm` what is wrong with light or disk, empty if nothing is, `disk_silent_s` how long a
+    write has hung that takes longer than usual.
     `estimates` are the contact's parameters by key, from the first `estimated_from` half-cycles; empty before
     there are enough.
     """

@@ -61,8 +61,8 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
     free_bytes = shutil.disk_usage(record.parent).free
     if free_bytes < LEAST_FREE_BYTES:
         raise RecordError(
-            f"{record.parent}: {free_bytes // 2**20} MiB of disk are free, {LEAST_FREE_BYTES // 2**20} MiB are "
-            "needed to begin; nothing was started: free some, or name another folder"
+            f"{record.parent}: {free_bytes // 2**20} MiB of disk are free, {LEAST_FREE_BYTES // 2**20} MiB "
+            "are needed to begin; nothing was started: free some, or name another folder"
         )
     if plan.config.simulated:
         _say_if_heard(f"{plan.title}: SIMULATED, no camera is read and every number is invented")

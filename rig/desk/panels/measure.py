@@ -51,7 +51,7 @@ def build(desk: Desk, tab: Tab) -> None:
     with ui.column().classes("full-width") as before:
         RunResult(desk, tab)
         build_form(desk, tab)
-    with ui.element("div").classes("grid measure fills") as during:
+    with ui.element("div").classes("grid measure fills live") as during:
         with ui.column().classes("stack"):
             with ui.column().classes("box"):
                 with ui.row().classes("items-baseline"):

@@ -128,5 +128,5 @@ def test_what_is_to_be_seen_first_comes_first(alarms: AlarmList) -> None:
 @pytest.mark.parametrize("key", AlarmKey)
 def test_every_alarm_has_a_cause_and_a_remedy(key: AlarmKey) -> None:
     alarm = CATALOGUE[key]
-    assert alarm.title and alarm.cause and alarm.remedy
+    assert all((alarm.title, alarm.cause, alarm.remedy))
     assert not alarm.title.endswith(".")

@@ -1,15 +1,19 @@
 """Nobody gets to the desk without its key, under another name, or from a foreign page."""
 
 import asyncio
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 pytest.importorskip("starlette", reason="rig desk is not installed: pip install '.[desk]'")
 
-from rig.desk.server import Guard
+from processing.errors import ConfigurationError
+from rig.desk.guard import Door, Guard
+from rig.desk.people import People, Role, password_line
+from rig.desk.server import Entrance
 
-KEY, PORT = "the-key", 8642
+KEY, WATCH_KEY, PORT = "the-key", "the-watch-key", 8642
 HOST = f"127.0.0.1:{PORT}"
 
 
@@ -21,7 +25,17 @@ async def _app(scope: Any, receive: Any, send: Any) -> None:
     await send({"type": "http.response.body", "body": b"the desk"})
 
 
-def ask(kind: str = "http", query: str = "", **headers: str) -> dict[str, Any]:
+def ask(
+    kind: str = "http",
+    query: str = "",
+    *,
+    method: str = "GET",
+    path: str = "/",
+    peer: str = "127.0.0.1",
+    door: Door = Door(PORT, 8643),
+    people: People | None = None,
+    **headers: str,
+) -> dict[str, Any]:
     """The first thing that is answered."""
     answers: list[dict[str, Any]] = []
 
@@ -33,12 +47,13 @@ def ask(kind: str = "http", query: str = "", **headers: str) -> dict[str, Any]:
 
     scope = {
         "type": kind,
-        "method": "GET",
-        "path": "/",
+        "method": method,
+        "path": path,
+        "client": (peer, 50_000),
         "query_string": query.encode(),
         "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
     }
-    asyncio.run(Guard(_app, KEY, PORT)(scope, receive, send))  # type: ignore[arg-type]
+    asyncio.run(Guard(_app, people or People(KEY, WATCH_KEY), door)(scope, receive, send))  # type: ignore[arg-type]
     return answers[0]
 
 
@@ -83,3 +98,92 @@ def test_a_foreign_page_opens_no_web_socket_even_with_the_cookie(origin: str | N
 def test_the_desks_own_page_opens_it() -> None:
     answer = ask("websocket", host=HOST, cookie=COOKIE, origin=f"http://{HOST}")
     assert answer["type"] == "websocket.accept"
+
+
+REMOTE = Door(PORT, 8643, tls=True, remote=True)
+LAB = f"rig.lab:{PORT}"
+
+
+@pytest.fixture
+def people(tmp_path: Path) -> People:
+    path = tmp_path / "passwords.txt"
+    lines = [
+        password_line("ada", Role.ACT, "the long password"),
+        password_line("eve", Role.WATCH, "another one"),
+    ]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    path.chmod(0o600)
+    return People(KEY, WATCH_KEY, path)
+
+
+def test_the_key_for_watching_lets_in_to_watch_only() -> None:
+    seen: list[Any] = []
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        seen.append(scope["rig.person"].role)
+        await _app(scope, receive, send)
+
+    for key in (KEY, WATCH_KEY):
+        headers = [(b"host", HOST.encode()), (b"cookie", f"rig_desk_{PORT}={key}".encode())]
+        scope = {"type": "http", "method": "GET", "path": "/", "query_string": b"", "headers": headers}
+
+        async def nothing(_: Any = None) -> Any:
+            return {"type": "http.request"}
+
+        asyncio.run(Guard(app, People(KEY, WATCH_KEY), Door(PORT))(scope, nothing, nothing))
+    assert seen == [Role.ACT, Role.WATCH]
+
+
+def test_a_key_is_worth_nothing_from_another_machine(people: People) -> None:
+    told = ask(host=LAB, cookie=COOKIE, peer="192.0.2.7", door=REMOTE, people=people)
+    assert (told["status"], dict(told["headers"])[b"location"]) == (303, b"/login")
+    told = ask(query=f"key={KEY}", host=LAB, peer="192.0.2.7", door=REMOTE, people=people)
+    assert dict(told["headers"])[b"location"] == b"/login"
+    for path in ("/picture", "/_nicegui_ws/socket.io/", "/sessions/a.html"):
+        assert (
+            ask(path=path, host=LAB, cookie=COOKIE, peer="192.0.2.7", door=REMOTE, people=people)["status"]
+            == 403
+        )
+
+
+def test_a_password_lets_in_from_another_machine_and_only_from_the_desks_own_page(people: People) -> None:
+    cookie = people.enter("eve", "another one")
+    assert cookie is not None
+    headers = {"host": LAB, "cookie": f"rig_desk_{PORT}={cookie}"}
+    assert ask(peer="192.0.2.7", door=REMOTE, people=people, **headers)["status"] == 200
+    own = {"origin": f"https://{LAB}"}
+    opened = ask("websocket", peer="192.0.2.7", door=REMOTE, people=people, **headers, **own)
+    assert opened["type"] == "websocket.accept"
+    for origin in (f"http://{LAB}", "https://evil.example", f"https://evil.example:{PORT}"):
+        told = ask("websocket", peer="192.0.2.7", door=REMOTE, people=people, **headers, origin=origin)
+        assert told["type"] == "websocket.close"
+    login = {"method": "POST", "path": "/login", "peer": "192.0.2.7", "door": REMOTE, "people": people}
+    assert ask(host=LAB, **login)["status"] == 403, "a form of a foreign page"  # type: ignore[arg-type]
+    assert ask(host=LAB, origin=f"https://{LAB}", **login)["status"] == 200  # type: ignore[arg-type]
+
+
+def test_passwords_are_not_tried_for_long(people: People) -> None:
+    assert people.enter("ada", "the long password") is not None
+    for name in ("ada", "eve", "nobody", "ada", "ada"):
+        assert people.enter(name, "wrong") is None
+    with pytest.raises(ConfigurationError, match="wait a minute"):
+        people.enter("ada", "the long password")
+
+
+def test_a_file_of_passwords_holds_none_and_is_nobody_elses(tmp_path: Path) -> None:
+    path = tmp_path / "passwords.txt"
+    line = password_line("ada", Role.ACT, "the long password")
+    assert "the long password" not in line
+    path.write_text(line, encoding="utf-8")
+    path.chmod(0o644)
+    with pytest.raises(ConfigurationError, match="others may read it"):
+        People(KEY, WATCH_KEY, path)
+    with pytest.raises(ConfigurationError, match="at least 10"):
+        password_line("ada", Role.ACT, "short")
+
+
+@pytest.mark.parametrize("more", [{}, {"certificate": Path("c.pem")}, {"passwords": Path("p.txt")}])
+def test_other_interfaces_are_refused_without_tls_and_passwords(more: dict[str, Path]) -> None:
+    with pytest.raises(ConfigurationError, match="others would reach the laser: --"):
+        _ = Entrance(listen="0.0.0.0", **more).remote  # type: ignore[arg-type]
+    assert not Entrance().remote

@@ -1,6 +1,7 @@
 """The desk in a browser: who may enter and act, what is said of bad input, what keys and mouse do."""
 
 import http.client
+import threading
 import urllib.parse
 from dataclasses import asdict, replace
 from http import HTTPStatus
@@ -138,10 +139,15 @@ def test_at_night_the_page_gives_red_light_only_also_after_it_is_opened_again(sh
     assert red > 200
     page.ask("location.reload()")
     page.wait(f"document.querySelector('.q-tab') !== null && {is_night}")
-    # the tab that was left behind acts for a moment
-    page.wait("!document.body.innerText.includes('this tab watches')")
+    page.wait_text("you act since")
     page.key("n")
     page.wait(f"!{is_night}")
+
+
+def feed(news: SessionNews, frame: Frame, spot: Spot, none: Deflections, ended: threading.Event) -> None:
+    """Frames, as long as a session gets them."""
+    while not ended.wait(0.2):
+        news.before_record([frame], [spot], none)
 
 
 def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_heard(
@@ -185,13 +191,24 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         page.wait_text("the brake: does not answer; see its cable")
         page.click("close")
         assert taken == ["on"]
-        session_news.state({"phase": "measuring", "alarm": "the laser is dark"}, [])
+        fed = threading.Event()
+        feeding = threading.Thread(target=feed, args=(session_news, frame, spot, none, fed))
+        feeding.start()
+        session_news.state({"phase": "measuring", "temperature_c": 20.0, "alarm": "the laser is dark"}, [])
         page.wait_text("THE LASER IS DARK")
         colour = "getComputedStyle(document.querySelector('.alarm')).backgroundColor"
         assert page.ask(colour) == "rgb(213, 94, 0)"
         page.wait("window.rigBeep && window.rigAudio.state === 'running'")
-        session_news.state({"phase": "measuring", "alarm": ""}, [])
+        session_news.state({"phase": "measuring", "temperature_c": 20.0, "alarm": ""}, [])
         page.wait("document.querySelector('.alarm').offsetParent === null && !window.rigBeep")
+        # it stays in the list until somebody has seen it
+        page.wait_text("1 cleared")
+        page.key("a")
+        page.click("Seen")
+        page.wait_text("Alarms: none")
+        page.key("a")
+        fed.set()
+        feeding.join()
         assert "nothing is recorded yet" not in page.text()
     page.wait("document.getElementById('amplitude').offsetParent === null")
 
@@ -238,10 +255,17 @@ def test_a_second_tab_watches_until_it_takes_over(shown: Shown) -> None:
         second.wait_text("Take over first")
         assert "peak" not in page.text()
         second.click("Take over")
+        page.wait_text("somebody asks to act")
+        page.click("Keep it")
+        second.wait_text("the acting tab keeps its role")
+        second.click("Take over")
+        page.click("Give it")
         second.wait("!document.body.innerText.includes('this tab watches')")
         page.wait_text("this tab watches")
-    # who was left behind acts again
-    page.wait("!document.body.innerText.includes('this tab watches')")
+    # nobody gets it because another one has gone
+    page.wait_text("not connected")
+    page.click("Take over")
+    page.wait_text("you act since")
 
 
 def test_everything_that_can_be_pressed_or_filled_has_a_name(shown: Shown) -> None:

@@ -57,8 +57,9 @@ class Seen:
     """What a desk sees at one moment.
 
     `news` is what the running session said `news_age_s` ago, empty without one; `camera_event` its last event
-    of the camera; `folder_problem` why session.output cannot be written, `disk_free_bytes` what is free there;
-    `configuration_problem` why the file cannot be read.
+    of the camera; `lit_by` who has the laser; `folder_problem` why session.output cannot be written,
+    `disk_free_bytes` what is free there; `configuration_problem` why the file cannot be read;
+    `picture_late_s` for how long the live picture has stood still.
     """
 
     safety: SafetyNow = field(default_factory=SafetyNow)

@@ -1,0 +1,111 @@
+"""The alarms at the head of every page: the one that cries, its remedy, and the list that unfolds."""
+
+import time
+from collections.abc import Callable
+from functools import partial
+
+from nicegui import ui
+
+from rig.alarms import AlarmKey, AlarmList, AlarmRow, AlarmState
+from rig.desk.tab import Tab
+from rig.presentation import palette
+
+SHELF_S = 600.0
+_COUNTED = (AlarmState.ACTIVE, AlarmState.CLEARED, AlarmState.ACKNOWLEDGED, AlarmState.SHELVED)
+
+
+class AlarmBar:
+    """Shows the list; `ask_leave` opens the dialog of a trip, whose acknowledgement is given there only."""
+
+    def __init__(self, alarms: AlarmList, tab: Tab, ask_leave: Callable[[], None]) -> None:
+        self._alarms, self._tab, self._ask_leave = alarms, tab, ask_leave
+        self._shown: object = None
+        self._banner = ui.label().classes("alarm").props('role="alert" aria-live="assertive"')
+        self._remedy = ui.label().classes("alarm-remedy")
+        with ui.expansion().classes("full-width alarms").props("dense") as self._fold:
+            with self._fold.add_slot("header"):
+                self._counts = ui.label().props('role="status" aria-live="polite"')
+            self._list = ui.column().classes("full-width")
+
+    def toggle(self) -> None:
+        """Unfold the list, or fold it."""
+        self._fold.set_value(not self._fold.value)
+
+    def refresh(self) -> list[AlarmRow]:
+        """Show the list as it is now; returns the alarms that cry."""
+        rows, past = self._alarms.rows(), list(self._alarms.past)[:5]
+        crying = [row for row in rows if row.cries]
+        worst = crying[0] if crying else None
+        self._banner.set_text("" if worst is None else f"{worst.alarm.title}: {worst.cause}".upper())
+        self._banner.set_visibility(worst is not None)
+        self._remedy.set_text("" if worst is None else worst.alarm.remedy)
+        self._remedy.set_visibility(worst is not None)
+        counted = [(state, sum(row.state is state for row in rows)) for state in _COUNTED]
+        said = ", ".join(f"{count} {state}" for state, count in counted if count)
+        self._counts.set_text(f"Alarms: {said or 'none'}")
+        now = (rows, past, self._tab.acts)
+        if now != self._shown:
+            self._shown = now
+            self._list.clear()
+            with self._list:
+                for row in rows:
+                    self._row(row)
+                for row in past:
+                    ui.label(f"gone: {row.alarm.title}: {row.cause}; {_times(row)}").classes("dim")
+                if not rows and not past:
+                    ui.label("nothing has been wrong since this desk was opened").classes("dim")
+        return crying
+
+    def _row(self, row: AlarmRow) -> None:
+        alarm, tab = row.alarm, self._tab
+        with ui.element("div").classes(f"alarm-row {row.state}").props(f'data-alarm="{row.key}"'):
+            with ui.element("div"):
+                again = f" ({row.times} times)" if row.times > 1 else ""
+                ui.label(f"{alarm.title}{again}").classes("text-weight-bold")
+                ui.label(f"{row.state}; {_times(row)}").classes("dim")
+            ui.label(row.cause).props('aria-label="cause"')
+            ui.label(alarm.remedy).props('aria-label="remedy"')
+            with ui.row().classes("no-wrap"):
+                if alarm.by_leave and row.cleared_s is None:
+                    ui.button("Acknowledge trip …", on_click=tab.act(self._ask_leave)).props("dense outline")
+                elif row.state in (AlarmState.ACTIVE, AlarmState.CLEARED):
+                    button = ui.button("Seen", on_click=tab.act(partial(self._seen, row.key)))
+                    button.props(f'dense outline aria-label="acknowledge {alarm.title}"')
+                if row.state in (AlarmState.ACTIVE, AlarmState.ACKNOWLEDGED):
+                    button = ui.button("Shelve 10 min", on_click=tab.act(partial(self._shelve, row.key)))
+                    button.props(f'dense flat aria-label="shelve {alarm.title}"')
+
+    def _seen(self, key: AlarmKey) -> None:
+        self._alarms.acknowledge(key, self._tab.operator)
+
+    def _shelve(self, key: AlarmKey) -> None:
+        self._alarms.shelve(key, SHELF_S, self._tab.operator)
+
+
+def _times(row: AlarmRow) -> str:
+    """Since when it is as it is."""
+    who = f" by {row.acknowledged_by}" if row.acknowledged_by else ""
+    told = (
+        ("since", row.raised_s, ""),
+        ("cleared", row.cleared_s, ""),
+        ("seen", row.acknowledged_s, who),
+        ("shelved until", row.shelved_until_s, ""),
+    )
+    return ", ".join(f"{word} {_clock(at)}{by}" for word, at, by in told if at is not None)
+
+
+def _clock(at_s: float) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(at_s))
+
+
+STYLE = f"""
+.alarm-remedy {{ background: #fff; color: #000; font-size: 18px; padding: 4px 14px; width: 100%; }}
+.alarms {{ background: var(--card); color: var(--ink); }}
+.alarms .q-item {{ min-height: 26px; padding: 2px 12px; }}
+.alarm-row {{ display: grid; gap: 4px 12px; width: 100%; padding: 4px 0; border-top: 1px solid var(--dim);
+  grid-template-columns: minmax(0, 1fr) minmax(0, 1.2fr) minmax(0, 1.6fr) auto; border-left: 6px solid; }}
+.alarm-row {{ padding-left: 8px; border-left-color: var(--dim); }}
+.alarm-row.active {{ border-left-color: {palette.VERMILLION}; }}
+.alarm-row.cleared {{ border-left-color: {palette.YELLOW}; border-left-style: dashed; }}
+@media (max-width: 900px) {{ .alarm-row {{ grid-template-columns: minmax(0, 1fr); }} }}
+"""

@@ -1,0 +1,168 @@
+"""Stands around the whole desk: lets nobody in but who has a key or a password, from the desk's own page."""
+
+import http
+import urllib.parse
+from dataclasses import dataclass
+from http.cookies import CookieError, SimpleCookie
+
+from starlette.datastructures import Headers
+from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from rig.desk.login import LOGIN, refused_page
+from rig.desk.people import People, Person
+from rig.desk.sessions import SERVED
+
+LOOPBACK = "127.0.0.1"
+PERSON = "rig.person"
+"""Where in a request the person stands who has made it."""
+_HERE = frozenset({LOOPBACK, "::1"})
+POLICY = (
+    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'OFF_SWITCH; form-action 'self'; "
+    "frame-ancestors 'none'"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Door:
+    """Where the desk listens; `remote` is True on an interface that others reach, then always with TLS."""
+
+    port: int
+    off_port: int | None = None
+    tls: bool = False
+    remote: bool = False
+
+    @property
+    def scheme(self) -> str:
+        """`http`, or `https`."""
+        return "https" if self.tls else "http"
+
+    def knows(self, host: str, port: int | None = None) -> bool:
+        """Whether a request may call the desk so, with the number of its port at the end.
+
+        From another machine it is called by any name: only the one in its certificate gets there.
+        """
+        name, _, number = host.rpartition(":")
+        if number != str(self.port if port is None else port):
+            return False
+        return bool(name) if self.remote else name in (LOOPBACK, "localhost")
+
+    def is_own(self, origin: str, host: str) -> bool:
+        """Whether a request comes from a page of this desk."""
+        if self.remote:
+            return origin == f"{self.scheme}://{host}"
+        return origin in {f"{self.scheme}://{name}:{self.port}" for name in (LOOPBACK, "localhost")}
+
+    @property
+    def cookie(self) -> str:
+        """Its name; browsers keep one set of cookies for all ports of a host."""
+        return f"rig_desk_{self.port}"
+
+
+class Guard:
+    """ASGI middleware around the whole desk: for who knows its key, from this machine's browser.
+
+    Without the key (in the address at first, then in a cookie) nothing is answered: other users of this
+    machine have neither. A key is worth something on this machine only; from another one a password is. The
+    name of the host is checked so that no foreign page can ask under a name of its own (DNS rebinding), the
+    origin so that none can use the browser's cookie, least of all for the web socket, which browsers open for
+    anyone.
+    """
+
+    def __init__(self, app: ASGIApp, people: People, door: Door) -> None:
+        self._app, self._people, self._door = app, people, door
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        refused = self._refusal(scope)
+        if refused is None:
+            host = Headers(scope=scope).get("host", "").rpartition(":")[0]
+            # a report is shown within the desk's own page
+            framed = str(scope.get("path", "")).startswith(f"{SERVED}/")
+            await self._app(scope, receive, self._with_policy(send, host, framed=framed))
+        elif scope["type"] == "websocket":
+            # closed before it was accepted, which the browser sees as 403
+            await send({"type": "websocket.close", "code": 1008})
+        else:
+            await refused(scope, receive, send)
+
+    def _refusal(self, scope: Scope) -> Response | None:
+        """The answer to who may not enter, or has just come with the key; None for who may."""
+        door, headers = self._door, Headers(scope=scope)
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if not door.knows(host):
+            return PlainTextResponse("wrong host", http.HTTPStatus.MISDIRECTED_REQUEST)
+        changes = scope["type"] == "websocket" or scope["method"] == "POST"
+        if origin is None and changes:
+            return PlainTextResponse("no origin", http.HTTPStatus.FORBIDDEN)
+        if origin is not None and not door.is_own(origin, host):
+            return PlainTextResponse("wrong origin", http.HTTPStatus.FORBIDDEN)
+        here = _is_here(scope)
+        if scope["type"] == "http" and scope["method"] == "GET" and here:
+            query = urllib.parse.parse_qs(scope["query_string"].decode(errors="replace"))
+            key = query.get("key", [""])[0]
+            if key and self._people.by_key(key) is not None:
+                # the key leaves the address, and with it the browser's history
+                return let_in(RedirectResponse("/", http.HTTPStatus.SEE_OTHER), door, key)
+        if scope["path"] == LOGIN and self._people.by_password:
+            return None
+        person = self._person(headers.get("cookie", ""), here=here)
+        if person is not None:
+            scope[PERSON] = person
+            return None
+        if self._people.by_password and scope["path"] == "/":
+            return RedirectResponse(LOGIN, http.HTTPStatus.SEE_OTHER)
+        return HTMLResponse(refused_page(), http.HTTPStatus.FORBIDDEN)
+
+    def admits(self, host: str, origin: str, cookie: str, peer: str) -> bool:
+        """Whether it comes from a page of this desk, in a browser that was let in; asked beside the desk."""
+        door = self._door
+        name = host.rpartition(":")[0]
+        own = door.knows(host, door.off_port) and door.is_own(origin, f"{name}:{door.port}")
+        return own and self._person(cookie, here=peer in _HERE) is not None
+
+    def _person(self, cookies: str, *, here: bool) -> Person | None:
+        cookie = cookie_of(cookies, self._door.cookie)
+        return (self._people.by_key(cookie) if here else None) or self._people.by_login(cookie)
+
+    def _with_policy(self, send: Send, name: str, *, framed: bool) -> Send:
+        door = self._door
+        other = "" if door.off_port is None else f" {door.scheme}://{name}:{door.off_port}"
+        policy = POLICY.replace("OFF_SWITCH", other)
+        if framed:
+            policy = policy.replace("ancestors 'none'", "ancestors 'self'")
+
+        async def passed(message: dict[str, object]) -> None:
+            if message["type"] == "http.response.start":
+                headers = message.setdefault("headers", [])
+                assert isinstance(headers, list)
+                headers += [
+                    (b"content-security-policy", policy.encode()),
+                    (b"referrer-policy", b"no-referrer"),
+                ]
+            await send(message)
+
+        return passed  # type: ignore[return-value]
+
+
+def let_in(answer: Response, door: Door, cookie: str) -> Response:
+    """The answer with the cookie of who may enter."""
+    answer.set_cookie(door.cookie, cookie, httponly=True, samesite="strict", secure=door.tls)
+    return answer
+
+
+def cookie_of(header: str, name: str) -> str:
+    """The value of a cookie; empty without it."""
+    try:
+        found = SimpleCookie(header).get(name)
+    except CookieError:
+        return ""
+    return "" if found is None else found.value
+
+
+def _is_here(scope: Scope) -> bool:
+    client = scope.get("client")
+    return client is None or client[0] in _HERE
