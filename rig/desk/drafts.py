@@ -24,6 +24,7 @@ class Drafts:
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk, self._tab = desk, tab
         self._fields: dict[str, ValueElement[str]] = {}
+        self._unsaid: dict[str, str] = {}
         self._client = ui.context.client
         self.show: Callable[[str], None] = lambda _name: None
 
@@ -34,6 +35,7 @@ class Drafts:
             if key and isinstance(element, ValueElement):
                 self._fields[key] = element
                 element.on_value_change(lambda event, key=key: self._typed(key, str(event.value or "")))
+        ui.timer(_SAY_S, self._say)
         self._restore({})
 
     async def connected(self) -> None:
@@ -70,9 +72,13 @@ class Drafts:
 
     def _typed(self, key: str, value: str) -> None:
         self._desk.place.type(self._tab.operator_name, key, value)
-        if self._client.has_socket_connection:
-            with self._client:
-                ui.run_javascript(f"window.rigSaid({json.dumps(key)}, {json.dumps(value)})")
+        self._unsaid[key] = value
+
+    def _say(self) -> None:
+        """Tell the browser what it need not keep any more: what is on the disk."""
+        if self._unsaid and self._desk.place.has_written(self._tab.operator_name):
+            said, self._unsaid = self._unsaid, {}
+            ui.run_javascript(f"window.rigSaid({json.dumps(said)})")
 
 
 def _key_of(element: Element) -> str:
@@ -81,6 +87,7 @@ def _key_of(element: Element) -> str:
     return str(element.props.get("data-draft") or (key if key.startswith("session.") else ""))
 
 
+_SAY_S = 0.5
 KEEPING = """
 (() => {
   const place = 'rigDrafts';
@@ -94,10 +101,9 @@ KEEPING = """
     drafts[key] = event.target.value;
     localStorage.setItem(place, JSON.stringify(drafts));
   }, true);
-  window.rigSaid = (key, value) => {
+  window.rigSaid = said => {
     const drafts = read();
-    if (drafts[key] !== value) return;
-    delete drafts[key];
+    for (const key in said) if (drafts[key] === said[key]) delete drafts[key];
     localStorage.setItem(place, JSON.stringify(drafts));
   };
   window.rigKeep = (name, value) =>

@@ -134,9 +134,14 @@ class Kept:
         """Write what was typed since the last time."""
         with self._writing:
             for operator in tuple(self._changed):
-                self._changed.discard(operator)
                 whole = {**self._of(operator), "typed": self._typed_of(operator)}
                 self._write(_name(operator), json.dumps(whole).encode())
+                self._changed.discard(operator)
+
+    def has_written(self, operator: str) -> bool:
+        """Whether all that this operator has typed is on the disk."""
+        with self._writing:
+            return operator not in self._changed
 
     def presets(self, operator: str) -> dict[str, dict[str, str]]:
         """The sets of values that this operator has used to start sessions, by a name, the last one first."""

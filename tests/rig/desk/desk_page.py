@@ -188,7 +188,21 @@ class DeskProcess:
         )
         assert self._process.stdout is not None
         self.address = self._process.stdout.readline().strip()
-        assert self.address.startswith("http"), self._process.stderr and self._process.stderr.read()
+        if not self.address.startswith("http"):
+            raise AssertionError(self._process.communicate()[1])
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    @property
+    def watching(self) -> str:
+        """The address that lets nobody act."""
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            if line.startswith("to watch only: "):
+                return line.partition(": ")[2].strip()
+        raise AssertionError("no address to watch was said")
 
     @property
     def runs(self) -> bool:
