@@ -65,6 +65,8 @@ class EventKind(StrEnum):
     """Its clock has stepped, or frames had wrong times; what was done with them."""
     WATCHER_FAILED = "watcher failed"
     """What only watches the run (display, view, live fit, balance) has failed; the record is whole."""
+    NOTE = "note"
+    """What an operator has noted, for displays; the record has it as `/note`."""
     CLOCK_STEP = "clock step"
     """The computer's clock of the day was set: UTC of the record is that of its beginning."""
 

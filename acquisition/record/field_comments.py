@@ -44,6 +44,7 @@ _EXACT = {
     "pixels": "see 'Pixels of a window' in the attachment record.md",
     "kind": "kind of the event",
     "text": "for the user",
+    "author": "who has noted it; empty if nobody said",
 }
 
 

@@ -35,12 +35,14 @@ from acquisition.record.topics import (
     IMAGE_TOPIC,
     LOG_TOPIC,
     LOSSES,
+    NOTE,
+    RecordedLog,
+    RecordedLosses,
+    RecordedNote,
+    RecordedWindow,
     SPOT,
     SWING,
     WINDOW,
-    RecordedLog,
-    RecordedLosses,
-    RecordedWindow,
 )
 from acquisition.record.utc import utc
 from processing.balance import Balance
@@ -187,6 +189,10 @@ class RecordReader(ProvedFile):
     def events(self) -> list[Event]:
         """All events."""
         return self.values(EVENT.topic, Event)
+
+    def notes(self) -> list[RecordedNote]:
+        """What operators have noted during the run."""
+        return self.values(NOTE.topic, RecordedNote)
 
     def losses(self) -> FrameLosses | None:
         """Numbers of lost frames by cause; None if an older record does not contain them."""

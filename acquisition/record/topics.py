@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from acquisition.frame import Image
 from acquisition.record.descriptor import Kind, Meanings
+from acquisition.record.events import Event, EventKind
 from acquisition.record.schemas import MessageType, message_type_of
 from acquisition.record.window_residual import IntegerGaussian
 from processing.balance import names_with_units
@@ -70,6 +71,25 @@ class RecordedWitness(NamedTuple):
     first: float = math.nan
     second: float = math.nan
     third: float = math.nan
+
+
+class RecordedNote(NamedTuple):
+    """A line that an operator has noted; `host_time_ns` is when, `time_ns` the same on the frames' clock.
+
+    One that was typed before the run began has the time of its first frame.
+    """
+
+    time_ns: int
+    host_time_ns: int
+    author: str
+    text: str
+
+    @property
+    def event(self) -> Event:
+        """As displays show it, among the events."""
+        return Event(
+            self.time_ns, EventKind.NOTE, f"{self.author}: {self.text}" if self.author else self.text
+        )
 
 
 class ClockAnchor(NamedTuple):
@@ -242,6 +262,7 @@ EVENT = _message("Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), (
 ENVIRONMENT = message_type_of(Environment, f"{PACKAGE}.Environment", "/environment")
 REFERENCE = message_type_of(RecordedReference, f"{PACKAGE}.RecordedReference", "/reference")
 WITNESS = message_type_of(RecordedWitness, f"{PACKAGE}.RecordedWitness", "/witness")
+NOTE = message_type_of(RecordedNote, f"{PACKAGE}.RecordedNote", "/note")
 LOSSES = message_type_of(RecordedLosses, f"{PACKAGE}.RecordedLosses", "/losses")
 CLOCK = message_type_of(ClockAnchor, f"{PACKAGE}.ClockAnchor", "/clock")
 CAMERA_STEP = message_type_of(RecordedClockStep, f"{PACKAGE}.RecordedClockStep", "/camera_clock_step")

@@ -22,6 +22,8 @@ from acquisition.record.topics import (
     EVENT,
     IMAGE_TOPIC,
     LOG_TOPIC,
+    NOTE,
+    RecordedNote,
     SCHEMA_VERSION,
     SPOT,
     SPOT_UNCALIBRATED,
@@ -179,6 +181,11 @@ class RecordWriter:
         event = Event(time_ns, kind, text)
         self._add(self._numbers, EVENT.topic, time_ns, EVENT.encode(*event))
         self.write_log(time_ns, _LOG_LEVELS[event.level], "event", event.line)
+
+    def write_note(self, note: RecordedNote) -> None:
+        """Write what an operator has noted, also as a line of the log, which viewers display."""
+        self.write(NOTE, note, note.time_ns)
+        self.write_log(note.time_ns, _LOG_LEVELS[note.event.level], "note", note.event.text)
 
     def write_log(self, time_ns: int, level: int, source: str, text: str) -> None:
         """Write a line of the log; `level` as in foxglove.Log (1 debug ... 5 fatal)."""

@@ -58,6 +58,7 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "sample": Column("text", "as configured"),
     "operator": Column("text", "as configured"),
     "contact_history": Column("text", "as configured"),
+    "noted": Column("text", "what operators have noted during the run"),
     "host": Column("text", "the computer that measured"),
     "temperature_c": Column("number", "mean of what the sensor read, else as stated"),
     "humidity_percent": Column("number", "mean of what the sensor read, else as stated"),

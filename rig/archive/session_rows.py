@@ -152,6 +152,7 @@ def _of_record(path: Path) -> Row:
                 row["began_utc"] = utc(contents.start_ns).replace(tzinfo=None)
                 row["duration_s"] = seconds(contents.end_ns - contents.start_ns)
             row |= _of_metadata(texts)
+            row["noted"] = "; ".join(note.event.text for note in reader.notes()) or None
             row |= recorded_surroundings(reader).known()
     except RecordError as error:
         row |= {"state": "unreadable", "flaw": str(error).removeprefix(f"{path}: ")}

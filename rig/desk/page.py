@@ -18,6 +18,7 @@ from rig.desk.following import doing
 from rig.desk.panels import PANELS
 from rig.desk.people import Person
 from rig.desk.safety import lamps
+from rig.desk.sessions import last_state
 from rig.desk.style import STYLE
 from rig.desk.tab import DELIBERATE, Tab
 from rig.desk.theme import RED_LIGHT
@@ -176,10 +177,11 @@ def _state(desk: Desk) -> str:
         return f"{following.folder.name} · {following.news.get('run') or 'session'} · {phase or 'preparing'}"
     if desk.session_state is Started.RUNNING:
         return "a session begins, or is fitted"
-    if desk.session_state:
-        over = desk.hand_over()
-        ended = desk.session_state if over is None or over.ended is None else over.ended
-        return f"last session {ended}: {desk.session_folder and desk.session_folder.name}"
+    if desk.session_state and desk.session_folder is not None:
+        how = last_state(desk.session_folder) or str(desk.session_state)
+        # complete are its records; what it says of fits and conditions is another matter
+        more = ", not without complaint: see Measure" if desk.session_state is Started.FAILED else ""
+        return f"last session {how}{more}: {desk.session_folder.name}"
     if desk.session_folder is not None:
         return f"last session: {desk.session_folder.name}"
     running = [name for name, job in desk.jobs.items() if job.running]

@@ -8,12 +8,13 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 from processing.errors import ConfigurationError, RigError
 from rig.desk.jobs import Job
-from rig.measure import RunState, read_session, state_of
+from rig.measure import STATE_NAME, RunState, read_session, state_of
 
 SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
@@ -167,6 +168,23 @@ def sparkline(folder: Path) -> str:
     picked = amplitudes[:: max(1, len(amplitudes) // _SPARKS)][:_SPARKS]
     most = max(picked) or 1.0
     return "".join(_BLOCKS[min(len(_BLOCKS) - 1, int(len(_BLOCKS) * one / most))] for one in picked)
+
+
+@lru_cache(maxsize=8)
+def _state_at(folder: Path, _changed_ns: int) -> str:
+    try:
+        state = state_of(read_session(folder))
+    except RigError:
+        return ""
+    return "" if state is None else str(state)
+
+
+def last_state(folder: Path) -> str:
+    """The word of the list for a session that has ended; empty if it left none."""
+    try:
+        return _state_at(folder, (folder / STATE_NAME).stat().st_mtime_ns)
+    except OSError:
+        return ""
 
 
 def served_file(output: Path, name: str) -> Path | None:

@@ -34,7 +34,7 @@ class Who:
     def refresh(self) -> None:
         """Show it as it is now."""
         tab, actor = self._tab, self._desk.acting.now
-        mine = actor is not None and actor.tab == tab.name
+        mine = tab.acts
         self._text.set_text(_said(actor, mine=mine, may_act=tab.may_act))
         self._take.set_visibility(tab.may_act and not mine)
         waits = self._desk.acting.waits(tab.name)

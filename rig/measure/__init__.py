@@ -8,4 +8,4 @@ from rig.measure.preflight_alone import preflight_rig
 from rig.measure.run_panel import estimate_texts
 from rig.measure.run_setup import LEAST_FREE_BYTES
 from rig.measure.session import measure_session, session_folder, simulate_record
-from rig.measure.session_file import RunState, SessionState, read_session
+from rig.measure.session_file import STATE_NAME, RunState, SessionState, read_session

@@ -26,6 +26,7 @@ from acquisition.record.topics import (
     Environment,
     RecordedClockStep,
     RecordedLosses,
+    RecordedNote,
     RecordedReference,
     RecordedWitness,
 )
@@ -71,6 +72,7 @@ class Entry:
     temperature: CameraTemperature | None = None
     camera_steps: Sequence[RecordedClockStep] = ()
     witness: Sequence[RecordedWitness] = ()
+    notes: Sequence[RecordedNote] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
@@ -256,6 +258,8 @@ class Recorder:
             writer.write(CAMERA_STEP, step, step.time_ns)
         for sample in entry.witness:
             writer.write(WITNESS, sample, sample.time_ns)
+        for note in entry.notes:
+            writer.write_note(note)
         for name, data in entry.attachments.items():
             writer.attach(name, data)
         for event in entry.events:

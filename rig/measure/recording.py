@@ -9,7 +9,7 @@ import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import ClockAnchor
+from acquisition.record.topics import ClockAnchor, RecordedNote
 from processing.errors import DeviceError
 from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.swing import Swing
@@ -157,6 +157,7 @@ class Recording:
         self._judge = judge
         self._wall = wall
         self._clock = CameraClock()
+        self._last: Frame | None = None
 
     def make(self, begun: list[Frame], events: list[Event]) -> str:
         """Record until the run ends; returns why the start was rejected, else an empty text.
@@ -202,10 +203,10 @@ class Recording:
             taken, begun = _block_and_rest(waiting)
             if not taken:
                 # record events without waiting for frames, so that a silent camera is noted immediately
-                new = self._device_events(counts.last_ns)
-                if new:
-                    self._recorder.put(Entry(events=new))
-                    status.tell_events(counts.start_ns, new)
+                new, notes = self._device_events(counts.last_ns), self._notes(counts)
+                if new or notes:
+                    self._recorder.put(Entry(events=new, notes=notes))
+                    status.tell_events(counts.start_ns, [*new, *(note.event for note in notes)])
                 self._publish(Phase.MEASURING, counts, [], math.nan)
                 self._end_in_darkness()
                 continue
@@ -214,6 +215,8 @@ class Recording:
             if parts.posterior is not None:
                 self._wall.past(_LIVE_FIT, None, parts.posterior.take, block.swings, block.deflections)
             entry = counts.entry(frames, block, pipeline)
+            self._last = taken[-1]
+            notes = self._notes(counts)
             nothing: tuple[ClockAnchor | None, list[Event]] = (None, [])
             clock, clock_steps = nothing
             if anchors is not None:
@@ -235,6 +238,7 @@ class Recording:
                     if temperature is None
                     else self._wall.past(_TEMPERATURE, None, temperature.take, counts.last_ns),
                     camera_steps=camera_steps,
+                    notes=notes,
                 )
             )
             # frames made on demand have no age
@@ -242,7 +246,7 @@ class Recording:
             if block.swings or stream.policy == "wait" or taken_ns - published_ns > _PUBLISHED_NS:
                 published_ns = taken_ns
                 self._publish(Phase.MEASURING, counts, block.swings, age_s)
-            status.tell(counts.start_ns, frames, block, new)
+            status.tell(counts.start_ns, frames, block, [*new, *(note.event for note in notes)])
             if self._recorder.error is not None:
                 raise self._recorder.error
             self._end_in_darkness()
@@ -283,11 +287,25 @@ class Recording:
                 events=last,
                 losses=self._losses.last(counts.last_ns),
                 attachments={name: data for name, data in features.items() if data},
+                notes=self._notes(counts),
             )
         )
         self._publish(Phase.CLOSING, counts, swings, math.nan)
         status.tell(counts.start_ns, [], empty, last)
         return rejected
+
+    def _notes(self, counts: FrameCounts) -> list[RecordedNote]:
+        """What operators have noted since the last call, on the frames' clock."""
+        if self._parts.notes is None:
+            return []
+        last = self._last
+        found = []
+        for host_time_ns, author, text in self._parts.notes.take():
+            at_ns = counts.last_ns if last is None else last.time_ns + host_time_ns - last.host_time_ns
+            # what was typed before the record begins is in it, too, and frames on demand have another clock
+            at_ns = min(max(at_ns, counts.start_ns), counts.last_ns)
+            found.append(RecordedNote(at_ns, host_time_ns, author, text))
+        return found
 
     def _end_in_darkness(self) -> None:
         """End the run if the laser is dark, unless the run is to wait for its light."""

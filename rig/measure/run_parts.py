@@ -11,6 +11,7 @@ from acquisition.record.events import Event
 from rig.devices import Devices, FrameStream, TypedLeave
 from rig.instrument import Block, Optics, Snapshot
 from rig.measure.end_of_run import EndLimits
+from rig.measure.notes import Notes
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.record_file import RecordFile
 from rig.measure.start_judge import StartLimits
@@ -68,6 +69,8 @@ class RunParts:
         Whether there is somebody who may ask for light again, and acknowledge a trip.
     typed_leave
         What somebody at the terminal types meanwhile.
+    notes
+        What operators note, for the record; None: nobody can.
     """
 
     stream: FrameStream
@@ -87,6 +90,7 @@ class RunParts:
     waits_in_darkness: bool = False
     somebody_watches: Callable[[], bool] = lambda: False
     typed_leave: TypedLeave | None = None
+    notes: Notes | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from rig.devices import Devices, FrameStream, OpenCamera, TypedLeave
 from rig.instrument import Snapshot, camera_settings, frame_policy, optics_of, prepare_kernels
 from rig.measure.end_of_run import EndLimits
 from rig.measure.live_fit import live_posterior
+from rig.measure.notes import Notes
 from rig.measure.phases import PhasesBeforeRecord, preflight_wanted
 from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
@@ -36,8 +37,8 @@ class RunPlan:
 
     `start_rejected` is called with the new path of the record of each rejected start, and the reason;
     `watchers` see the run beside its display and view, `session_news` tells those
-    who watch from outside. `fitted`: parameters are fitted while it is measured. `is_last`: no other run
-    follows, for which the laser would stay lit.
+    who watch from outside, `notes` are what operators note meanwhile. `fitted`: parameters are fitted while
+    it is measured. `is_last`: no other run follows, for which the laser would stay lit.
     """
 
     config: Configuration
@@ -51,6 +52,7 @@ class RunPlan:
     start_rejected: Callable[[Path, str], None] = lambda _path, _reason: None
     watchers: Sequence[Watcher] = ()
     session_news: SessionNews | None = None
+    notes: Notes | None = None
 
 
 def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
@@ -172,6 +174,7 @@ def _execute(
         waits_in_darkness=config.laser.when_dark == "wait",
         somebody_watches=lambda: typed_leave.there or (session_news is not None and session_news.watched),
         typed_leave=typed_leave,
+        notes=plan.notes,
     )
     prepare_kernels(optics.sensor, say)
     # only now: compiling takes time, and a laser may be lit only while frames are processed

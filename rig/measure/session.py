@@ -20,6 +20,7 @@ from rig.channel import Channel, SessionNews, devices_now
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
+from rig.measure.notes import Notes
 from rig.measure.notices import Notices, announced
 from rig.measure.phases import NoGo
 from rig.measure.run_setup import RunPlan, measure_run
@@ -96,11 +97,11 @@ def make_runs(
 
     Meanwhile the session can be watched, and takes orders, through its channel.
     """
-    session_news = SessionNews(config)
-    with Channel(file.folder, session_news, orders(devices), lambda: devices_now(devices)) as channel:
+    session_news, notes = SessionNews(config), Notes(file.folder)
+    with Channel(file.folder, session_news, orders(devices, notes), lambda: devices_now(devices)) as channel:
         if channel.problem:
             say(channel.problem)
-        return _make_runs(config, source, file, devices, manner, session_news)
+        return _make_runs(config, source, file, devices, manner, session_news, notes)
 
 
 def _make_runs(
@@ -110,6 +111,7 @@ def _make_runs(
     devices: Devices,
     manner: Manner,
     session_news: SessionNews,
+    notes: Notes,
 ) -> Made:
     folder = file.folder
     records = [folder / entry.record for entry in file.state.complete]
@@ -133,6 +135,7 @@ def _make_runs(
             start_rejected=start_rejected,
             watchers=[manner.notices],
             session_news=session_news,
+            notes=notes,
         )
         try:
             await_leave(devices, session_news)

@@ -7,12 +7,16 @@ from processing.errors import RigError
 from rig.channel import Orders, SessionNews
 from rig.control import LightRefused
 from rig.devices import Audited, Devices, ask_leave, at_terminal, wait_for_command
+from rig.measure.notes import Notes
 
 _LOOK_S = 0.1
 
 
-def orders(devices: Devices) -> Orders:
-    """The orders by name; `stop` is Ctrl-C, `acknowledge` is followed by the trip's number and by whom."""
+def orders(devices: Devices, notes: Notes) -> Orders:
+    """The orders by name; `stop` is Ctrl-C, `acknowledge` is followed by the trip's number and by whom.
+
+    `note` is followed by its author and a tabulator, then its text.
+    """
 
     def stop(_: str) -> str:
         _thread.interrupt_main()
@@ -31,8 +35,13 @@ def orders(devices: Devices) -> Orders:
             raise RigError(f"acknowledge {value!r}: the number of the trip is needed")
         return devices.acknowledge(int(number), by or "desk")
 
+    def note(value: str) -> str:
+        author, tab, text = value.partition("\t")
+        return notes.write(author, text) if tab else notes.write("", author)
+
     return {
         "stop": stop,
+        "note": note,
         "acknowledge": acknowledge,
         "light": lambda _: relight(devices),
         "dark": lambda by: devices.light_off(by or "the desk"),

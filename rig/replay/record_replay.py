@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+from acquisition.record.events import Event
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from rig.analysis import (
@@ -33,6 +34,11 @@ from rig.terminal import Terminated
 from rig.view import Viewer, start_view
 
 _LOOK_S = 0.2
+
+
+def _events(reader: RecordReader) -> list[Event]:
+    """Events and notes in order of time."""
+    return sorted([*reader.events(), *(note.event for note in reader.notes())], key=lambda one: one.time_ns)
 
 
 def speed_of(text: str) -> float:
@@ -89,7 +95,7 @@ def replay_record(
                 line,
                 retrack=retrack,
                 view=view,
-                events=reader.events() if wants_view else [],
+                events=_events(reader) if wants_view else [],
             )
             player.play()
             if mode == "web" and not player.ended_by_user:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from acquisition.record.digest import known_sha256_of
 from acquisition.record.proof import measured_sha256_of
 from acquisition.record.reader import RecordReader
+from acquisition.record.topics import RecordedNote
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
 from processing.fit import measured_again, points_in_true_time
@@ -71,6 +72,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
                 **provenance["file"],
                 "began": f"{reader.utc(int(spots['time_ns'][0])):%Y-%m-%d %H:%M:%S} UTC",
             }
+        notes += [_as_line(note, rate, spots) for note in reader.notes()]
         notes += [line for line in reader.doubts() if line not in results.warnings]
     if results.sha256 != measured_sha256_of(path, known=True):
         notes.append("the record is not the one that the results were made from: its hash differs")
@@ -89,6 +91,12 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     if results.calibration:
         provenance["calibration"] = _flat(results.calibration)
     return RunData(f"Run {number}", results, stored, motion, picture, provenance, spectrum, notes)
+
+
+def _as_line(note: RecordedNote, rate: float, spots: NDArray[Any]) -> str:
+    """What an operator has noted, and how long after the first frame."""
+    first_ns = int(spots["time_ns"][0]) if len(spots) else note.time_ns
+    return f"noted at {(note.time_ns - first_ns) * 1e-9 * rate:.1f} s, {note.event.text}"
 
 
 def turning_points_again(reader: RecordReader, results: RunResults) -> StoredTurningPoints:

@@ -180,7 +180,7 @@ def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int) -> tupl
     for balance in reader.balances():
         time_s = seconds(balance.time_ns - start_ns)
         viewer.balance(time_s, balance_numbers(balance), advice=advise(balance), run=run)
-    for event in reader.events():
+    for event in [*reader.events(), *(note.event for note in reader.notes())]:
         viewer.event(start_ns, event, run=run)
     spots = _draw_spots(viewer, reader, run, start_ns)
     _draw_reference(viewer, reader, run, start_ns)

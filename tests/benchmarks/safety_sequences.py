@@ -13,6 +13,7 @@ from unittest.mock import patch
 from processing.errors import RigError
 from rig.devices import leave
 from rig.measure import session_orders
+from rig.measure.notes import Notes
 from tests.benchmarks.safety_world import (
     HEARD_WITHIN_S,
     PATHS,
@@ -80,7 +81,7 @@ def acknowledge(world: World) -> None:
     right = world.random.random() < 0.7
     number = trip.number if right else trip.number + world.random.choice([-1, 1, 7])
     with patched_wait(program), suppress(RigError):
-        session_orders.orders(program)["acknowledge"](f"{number}")
+        session_orders.orders(program, Notes(Path()))["acknowledge"](f"{number}")
         acknowledged(world, right)
 
 

@@ -12,6 +12,7 @@ from rig.control import STALE_S, DevicesNow
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
 from rig.desk.following import doing
+from rig.desk.note_line import note_line
 from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.panels.run_charts import RunCharts
 from rig.desk.panels.run_result import RunResult
@@ -93,6 +94,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 state = ui.html(sanitize=False).classes("full-width")
             with ui.column().classes("box grows"):
                 ui.html("events", tag="h3", sanitize=False).classes("title")
+                note_line(desk, tab)
                 events = (
                     ui.html(sanitize=False)
                     .classes("events")

@@ -1,0 +1,78 @@
+"""What an operator notes is in the record of the run, with its time, and on the disk at once."""
+
+import json
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from acquisition.record.reader import RecordReader
+from processing.errors import RigError
+from rig.channel import Line, NoSession
+from rig.measure.notes import NOTES_NAME, Notes
+from rig.report.source import read_source
+from rig.view.recorded import write_rrd
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+
+LIVE = {
+    **SMALL,
+    "start.way": '"at once"',
+    "preflight.when": '"never"',
+    "simulation.release.way": '"let go"',
+    "session.max_duration_s": "14",
+}
+
+
+def note_when_measuring(folder: Path, said: list[str]) -> None:
+    """As a desk: note two lines once the record has begun."""
+    deadline_s = time.monotonic() + 55.0
+    while not said and time.monotonic() < deadline_s:
+        with suppress(NoSession), Line(folder) as line:
+            while not said:
+                state = line.news()["state"]
+                if (state.get("elapsed_s") or 0.0) > 1.0:
+                    said.append(line.order("note Ada\tthe lamp in the corridor\n is on"))
+                    said.append(line.order("note and off"))
+                    with pytest.raises(RigError, match="an empty note"):
+                        line.order("note Ada\t ")
+                time.sleep(0.05)
+        time.sleep(0.05)
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(120)
+def test_a_note_goes_into_the_record_the_report_and_the_view(tmp_path: Path) -> None:
+    out, said = tmp_path / "out", list[str]()
+    person = threading.Thread(target=note_when_measuring, args=(out, said))
+    person.start()
+    done = rig("run", CONFIGS / "live.toml", "-o", out, *set_words(LIVE))
+    person.join()
+    assert said == ["noted: the lamp in the corridor is on", "noted: and off"], done.stderr
+    with RecordReader(out / "run-1.mcap") as record:
+        notes, events = record.notes(), record.events()
+        assert [(note.author, note.text) for note in notes] == [
+            ("Ada", "the lamp in the corridor is on"),
+            ("", "and off"),
+        ]
+        first, last = events[0].time_ns, events[-1].time_ns
+        assert all(first < note.time_ns <= last for note in notes)
+        assert record.counts["/note"] == 2
+        assert "note" not in {event.kind for event in events}
+    kept = [json.loads(line) for line in (out / NOTES_NAME).read_text("utf-8").splitlines()]
+    assert [one["text"] for one in kept] == ["the lamp in the corridor is on", "and off"]
+    lines = read_source(out / "results.json").runs[0].notes
+    assert any(line.endswith("s, Ada: the lamp in the corridor is on") for line in lines)
+    rrd = tmp_path / "run.rrd"
+    write_rrd([out / "run-1.mcap"], rrd)
+    assert b"the lamp in the corridor is on" in rrd.read_bytes()
+
+
+def test_a_note_that_cannot_be_kept_is_refused(tmp_path: Path) -> None:
+    notes = Notes(tmp_path / "gone")
+    with pytest.raises(RigError, match="cannot be kept"):
+        notes.write("Ada", "lost")
+    assert notes.take() == []
+    with pytest.raises(RigError, match="at most 2000"):
+        Notes(tmp_path).write("Ada", "x" * 2001)
