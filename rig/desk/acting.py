@@ -24,8 +24,8 @@ class Actor:
 class Acting:
     """Used by the desk's event loop only; `keep` is told who acts, so that a desk that comes again knows.
 
-    A tab acts because it was opened while none did, or because somebody has asked for it there. Nobody gets it
-    because another one has gone.
+    A tab acts because it was opened while none did, or because somebody has asked for it there. Nobody gets
+    it because another one has gone.
     """
 
     def __init__(

@@ -27,11 +27,11 @@ _TOLD_KEPT = 64
 
 
 class Surroundings:
-    """Disk and configuration file, looked at by a thread of their own: a disk that hangs holds up no alarm."""
+    """Disk and configuration file; in a thread of their own, because a disk that hangs holds up no alarm."""
 
     def __init__(self, desk: "Desk") -> None:
         self._desk = desk
-        self._was_there = False
+        self._was_there = desk.config.session.output.is_dir()
         self._read_ns = _changed_ns(desk.source)
         self.disk_free_bytes = math.inf
         self.folder_problem = self.configuration_problem = ""

@@ -16,7 +16,7 @@ from rig.desk.tab import Tab
 
 
 class Drafts:
-    """Of one tab. A field with `data-draft`, or with the key of a setting (`data-key`) that is a session's, is kept.
+    """Of one tab: fields with `data-draft`, or with the key (`data-key`) of a setting of sessions, are kept.
 
     `show` brings a panel to the front.
     """
@@ -91,7 +91,9 @@ _SAY_S = 0.5
 KEEPING = """
 (() => {
   const place = 'rigDrafts';
-  const read = () => { try { return JSON.parse(localStorage.getItem(place)) || {}; } catch (e) { return {}; } };
+  const read = () => {
+    try { return JSON.parse(localStorage.getItem(place)) || {}; } catch (e) { return {}; }
+  };
   const keyOf = field => field.dataset && (field.dataset.draft ||
     ((field.dataset.key || '').startsWith('session.') ? field.dataset.key : ''));
   document.addEventListener('input', event => {

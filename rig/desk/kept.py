@@ -1,4 +1,4 @@
-"""What a desk keeps on disk for this user: keys and port, who acts, what was typed; and that it is the only one."""
+"""What a desk keeps on disk for its user: keys, port, who acts, what was typed; and its being the only one."""
 
 import contextlib
 import hashlib
@@ -33,7 +33,7 @@ class _Stored(BaseModel, extra="ignore"):
 
 
 class Kept:
-    """Of one configuration. Where its folder cannot be written it lives in memory, as long as the desk does."""
+    """Of one configuration. Where its folder cannot be written it is in memory, as long as the desk lives."""
 
     def __init__(self, source: Path) -> None:
         source = source.resolve()
@@ -65,7 +65,7 @@ class Kept:
                 where = held.read().strip()
                 held.close()
                 raise ConfigurationError(
-                    f"{self._source}: a desk of it is open already: use {where or 'that one'}, or end it first"
+                    f"{self._source}: a desk of it is open already: use {where or 'that'}, or end it first"
                 ) from None
         self._lock = held
         with contextlib.suppress(ValidationError):

@@ -19,7 +19,8 @@ def login_page(problem: str = "") -> str:
     return _PAGE.format(
         body=f'{told}<form method="post" action="{LOGIN}">'
         '<label>name<input name="name" autocomplete="username" required autofocus></label>'
-        '<label>password<input name="password" type="password" autocomplete="current-password" required></label>'
+        '<label>password<input name="password" type="password" autocomplete="current-password" required>'
+        "</label>"
         "<button>Enter</button></form>"
     )
 

@@ -1,4 +1,4 @@
-"""Who may enter the desk, and as what: by the key of an address on this machine, by name and password from others."""
+"""Who may enter the desk, and as what: here by the key of an address, from elsewhere by name and password."""
 
 import base64
 import hashlib
@@ -46,8 +46,8 @@ class _Entry:
 class People:
     """Judges keys, passwords and cookies; may be used from any thread.
 
-    `passwords` is a file of lines as `password_line` makes them. Raises ConfigurationError for one that cannot
-    be read.
+    `passwords` is a file of lines as `password_line` makes them. Raises ConfigurationError for one that
+    cannot be read.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class People:
 
 
 def password_line(name: str, role: Role, password: str) -> str:
-    """The line of a person for the file of passwords; raises ConfigurationError for a password that is short."""
+    """The line of a person for the file; raises ConfigurationError for a name or password that is none."""
     if not name or ":" in name or name != name.strip() or not name.isprintable():
         raise ConfigurationError(f"name {name!r}: should be printable, without a colon")
     if len(password) < _LEAST_CHARACTERS:

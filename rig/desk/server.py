@@ -40,7 +40,7 @@ _MOST_LOGIN_BYTES = 4096
 class Entrance:
     """How the desk is reached: port (0: the last one, the usual one, or any) and address to listen on.
 
-    `certificate` and `certificate_key` are PEM files for TLS, `passwords` a file that `rig desk-password` makes.
+    `certificate` and `certificate_key` are PEM files for TLS, `passwords` a file of `rig desk-password`.
     """
 
     port: int = 0
@@ -51,7 +51,7 @@ class Entrance:
 
     @property
     def remote(self) -> bool:
-        """Whether other machines reach it; raises ConfigurationError where they could without TLS or password."""
+        """Whether others reach it; raises ConfigurationError where they could without TLS or password."""
         try:
             remote = not ipaddress.ip_address(self.listen).is_loopback
         except ValueError:

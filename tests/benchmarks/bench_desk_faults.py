@@ -1,7 +1,7 @@
 """Thirty faults at the desk: how long each takes to be an alarm on the page, with its cause and its remedy.
 
-Run as ``python -m tests.benchmarks desk_faults [--quick]`` from the repository. Desk, sessions and browser are
-processes of their own. A session of the simulated rig in real time gets the faults that the rig can have; one
+Run as ``python -m tests.benchmarks desk_faults [--quick]`` from the repository. Desk, sessions and browser
+are processes of their own. A session of the simulated rig in real time gets the faults that the rig can have; one
 that only tells (`told_session`) those that it cannot; the desk and the browser get theirs from outside.
 """
 
@@ -14,7 +14,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -195,6 +194,7 @@ def measured(
             table.page.open(desk.address)
             # an alarm cries only in a tab that somebody has touched; the list is unfolded to be read
             table.page.key("a")
+            table.page.key("4")
             of_told_session(table, config)
             of_surroundings(table, config)
             if not quick:
@@ -303,7 +303,7 @@ def of_simulated_rig(table: Table, config: Path) -> None:
 
 def of_desk(table: Table, desk: DeskProcess, config: Path) -> DeskProcess:
     """The desk hangs, dies, comes again; the network goes. Returns the desk that runs then."""
-    said = "!document.getElementById('watchdog').hidden && document.getElementById('watchdog').innerText.includes({!r})"
+    said = "(w => !w.hidden && w.innerText.includes({!r}))(document.getElementById('watchdog'))"
     page = table.page
     began_s = time.monotonic()
     os.kill(desk.pid, signal.SIGSTOP)

@@ -1,4 +1,4 @@
-"""A session that tells what it is told: a real process with a real channel, for faults that no simulated rig has.
+"""A session that tells what it is told: a process with a channel, for faults that no simulated rig has.
 
 `python -m tests.benchmarks.told_session FOLDER`. A line on standard input is a JSON object: `state`, `news`
 (kept until they are told otherwise) and `event` ([kind, text]). Frames come all the time, unless `frames` is

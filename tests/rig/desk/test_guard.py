@@ -17,6 +17,9 @@ KEY, WATCH_KEY, PORT = "the-key", "the-watch-key", 8642
 HOST = f"127.0.0.1:{PORT}"
 
 
+HERE = Door(PORT, 8643)
+
+
 async def _app(scope: Any, receive: Any, send: Any) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.accept"})
@@ -32,7 +35,7 @@ def ask(
     method: str = "GET",
     path: str = "/",
     peer: str = "127.0.0.1",
-    door: Door = Door(PORT, 8643),
+    door: Door = HERE,
     people: People | None = None,
     **headers: str,
 ) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from rig.devices import Devices, LightWatch
 from rig.devices.leave import TypedLeave
 from rig.instrument import complete
 from rig.measure import measure_session, preflight_rig, record_plainly, resume_session
+from rig.measure.notes import Notes
 from rig.measure.session_orders import orders
 from rig.settings import Configuration, load_configuration
 from tests.rig.command_line import CONFIGS, SMALL
@@ -169,7 +170,7 @@ def preflight(config: Configuration, folder: Path) -> None:
 def ordered(config: Configuration, folder: Path) -> None:
     with Devices(config) as devices:
         devices.permit.begin()
-        orders(devices)["light"]("")
+        orders(devices, Notes(folder))["light"]("")
 
 
 def typed(config: Configuration, folder: Path) -> None:

@@ -1,0 +1,119 @@
+"""What happens to a session, its folder and the configuration is an alarm of the desk, without a page."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+
+from rig.alarms import AlarmKey, AlarmState
+from rig.desk.desk import Desk
+from rig.measure.session_file import RunState, SessionFile
+from rig.settings import load_configuration, stored_configuration
+
+pytestmark = pytest.mark.realtime
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.toml"
+    output = (tmp_path / "runs").as_posix()
+    path.write_text(f'[camera]\ndriver = "simulated"\n[session]\noutput = "{output}"\n', encoding="utf-8")
+    (tmp_path / "runs" / "session").mkdir(parents=True)
+    return path
+
+
+@pytest.fixture
+def desk(config: Path) -> Iterator[Desk]:
+    found = Desk(config)
+    found.following.start()
+    found.alarming.start()
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def session(config: Path, desk: Desk) -> Iterator["subprocess.Popen[str]"]:
+    """A session in a process of its own, which the desk follows."""
+    folder = config.parent / "runs" / "session"
+    with subprocess.Popen(
+        [sys.executable, "-m", "tests.benchmarks.told_session", str(folder)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "begun\n"
+        deadline_s = time.monotonic() + 30.0
+        while not desk.following.news:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.02)
+        yield process
+        process.kill()
+
+
+def wait_for(desk: Desk, key: AlarmKey, state: AlarmState | None = AlarmState.ACTIVE) -> str:
+    """Until an alarm is in this state, None: not in the list; returns its cause."""
+    deadline_s = time.monotonic() + 40.0
+    while True:
+        found = [row for row in desk.alarming.alarms.rows() if row.key is key]
+        if [row.state for row in found] == ([] if state is None else [state]):
+            return found[0].cause if found else ""
+        assert time.monotonic() < deadline_s, desk.alarming.alarms.rows()
+        time.sleep(0.02)
+
+
+def test_a_session_that_is_frozen_and_one_that_is_killed(
+    desk: Desk, session: "subprocess.Popen[str]"
+) -> None:
+    os.kill(session.pid, signal.SIGSTOP)
+    wait_for(desk, AlarmKey.SESSION_FROZEN)
+    os.kill(session.pid, signal.SIGCONT)
+    wait_for(desk, AlarmKey.SESSION_FROZEN, AlarmState.CLEARED)
+    session.kill()
+    assert wait_for(desk, AlarmKey.SESSION_DIED).startswith("session: ")
+    desk.alarming.alarms.acknowledge(AlarmKey.SESSION_DIED, "Ada")
+    wait_for(desk, AlarmKey.SESSION_DIED, None)
+
+
+def test_a_session_that_has_failed_says_why(
+    desk: Desk, session: "subprocess.Popen[str]", config: Path
+) -> None:
+    file = SessionFile.made(
+        config.parent / "runs" / "session", config, 1, stored_configuration(load_configuration(config))
+    )
+    file.note(1, "run-1.mcap", RunState.FAILED, "no space left on device")
+    file.close()
+    assert session.stdin is not None
+    session.stdin.close()
+    assert wait_for(desk, AlarmKey.SESSION_FAILED) == "session: no space left on device"
+
+
+def test_a_session_that_ends_as_it_should_is_no_alarm(desk: Desk, session: "subprocess.Popen[str]") -> None:
+    assert session.stdin is not None
+    session.stdin.close()
+    deadline_s = time.monotonic() + 30.0
+    while desk.following.running or desk.following.ended:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    assert desk.alarming.alarms.rows() == []
+
+
+def test_a_folder_that_is_gone_and_a_configuration_that_is_broken(desk: Desk, config: Path) -> None:
+    runs, text = config.parent / "runs", config.read_text(encoding="utf-8")
+    runs.rename(config.parent / "away")
+    assert "is gone" in wait_for(desk, AlarmKey.OUTPUT)
+    (config.parent / "away").rename(runs)
+    wait_for(desk, AlarmKey.OUTPUT, AlarmState.CLEARED)
+    config.write_text(f"{text}[camera\n", encoding="utf-8")
+    wait_for(desk, AlarmKey.CONFIGURATION)
+    config.write_text(text, encoding="utf-8")
+    wait_for(desk, AlarmKey.CONFIGURATION, AlarmState.CLEARED)
