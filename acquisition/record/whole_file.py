@@ -10,6 +10,7 @@ import errno
 import os
 import re
 import secrets
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -78,8 +79,35 @@ def being_written(
         claim.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def folder_being_written(path: Path) -> Iterator[Path]:
+    """The same for a folder of plain files, which must not exist: it takes its name with all that is in it.
+
+    Raises FileExistsError, and OSError where it cannot be written.
+    """
+    if os.path.lexists(path):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+    take_away_leftovers(path.parent, path.name)
+    beside = _name_beside(path)
+    claim = beside.with_name(f"{beside.name}{_CLAIM}")
+    number = _claimed(claim)
+    try:
+        beside.mkdir()
+        yield beside
+        for place, _, files in os.walk(beside):
+            for file in files:
+                _force(Path(place) / file)
+            sync_folder(Path(place))
+        beside.rename(path)
+        sync_folder(path.parent)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+        os.close(number)
+        claim.unlink(missing_ok=True)
+
+
 def take_away_leftovers(folder: Path, name: str = "") -> list[Path]:
-    """Remove what killed processes left of files being written in a folder, or of one file; says of which.
+    """Remove what killed processes left of what was being written in a folder, or of one name; says of which.
 
     What a living process writes is locked, and stays.
     """
@@ -97,7 +125,10 @@ def take_away_leftovers(folder: Path, name: str = "") -> list[Path]:
             continue
         if _is_nobodys(path):
             with contextlib.suppress(OSError):
-                path.with_name(entry.removesuffix(_CLAIM)).unlink(missing_ok=True)
+                written = path.with_name(entry.removesuffix(_CLAIM))
+                if written.is_dir() and not written.is_symlink():
+                    shutil.rmtree(written)
+                written.unlink(missing_ok=True)
                 path.unlink(missing_ok=True)
                 gone.append(folder / found[1])
     return gone

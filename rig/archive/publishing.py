@@ -1,10 +1,7 @@
 """`rig archive publish`: runs, their results and inputs as an RO-Crate, a folder that describes itself."""
 
-import contextlib
 import datetime
-import os
 import re
-import secrets
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,6 +11,7 @@ from typing import Any, NamedTuple
 from acquisition.record.digest import sha256_of
 from acquisition.record.proof import Thinning, measured_sha256_of
 from acquisition.record.reader import RecordReader
+from acquisition.record.whole_file import folder_being_written
 from processing.errors import ConfigurationError, MissingPackage, RecordError
 from rig.analysis import read_results, results_path, write_results
 from rig.archive.blind import sealed
@@ -80,28 +78,26 @@ def publish_runs(
         refuse_blind(record, "a publication")
     if not runs:
         raise ConfigurationError("no run is meant: name one, or state a condition that one meets")
-    if os.path.lexists(output):
-        raise ConfigurationError(f"{output}: exists already and is not overwritten; choose another name")
-    beside = output.with_name(f".{output.name}.{secrets.token_hex(4)}")
+    by_folder: dict[Path, dict[Path, str]] = {}
+    for sha256, record in runs.items():
+        by_folder.setdefault(record.parent, {})[record] = sha256
     try:
-        by_folder: dict[Path, dict[Path, str]] = {}
-        for sha256, record in runs.items():
-            by_folder.setdefault(record.parent, {})[record] = sha256
-        for number, (folder, records) in enumerate(sorted(by_folder.items()), 1):
-            target = beside / f"session-{number}-{folder.name}"
-            _copy_session(folder, records, target)
-            if pixels is not None:
-                for record, sha256 in records.items():
-                    copy, rule = target / record.name, f"{pixels} in a publication"
-                    thin_copy(archive, record, copy, sha256, pixels, rule)
-        _describe(ROCrate(), beside, statement, simulated_among(archive, runs), len(runs))
-        _check(ROCrate(beside), beside)
-        beside.rename(output)
+        with folder_being_written(output) as beside:
+            for number, (folder, records) in enumerate(sorted(by_folder.items()), 1):
+                target = beside / f"session-{number}-{folder.name}"
+                _copy_session(folder, records, target)
+                if pixels is not None:
+                    for record, sha256 in records.items():
+                        copy, rule = target / record.name, f"{pixels} in a publication"
+                        thin_copy(archive, record, copy, sha256, pixels, rule)
+            _describe(ROCrate(), beside, statement, simulated_among(archive, runs), len(runs))
+            _check(ROCrate(beside), beside)
+    except FileExistsError:
+        raise ConfigurationError(
+            f"{output}: exists already and is not overwritten; choose another name"
+        ) from None
     except OSError as error:
         raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
-    finally:
-        with contextlib.suppress(OSError):
-            shutil.rmtree(beside)
     return f"{output}: {len(runs)} run{'s' if len(runs) != 1 else ''} of {len(by_folder)} sessions"
 
 

@@ -11,7 +11,6 @@ import contextlib
 import hashlib
 import os
 import re
-import secrets
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -258,9 +257,7 @@ class _Copy:
             return set()
 
     def _remember(self, names: set[str]) -> None:
-        beside = self.folder / f"{_SEEN}.{secrets.token_hex(4)}"
-        beside.write_text("\n".join(sorted(names)), encoding="utf-8")
-        beside.replace(self.folder / _SEEN)
+        whole_file.replace(self.folder / _SEEN, "\n".join(sorted(names)).encode())
 
 
 def _order_of_sending(name: str) -> tuple[int, str]:

@@ -129,7 +129,8 @@ def snap(
     """
     import cv2
 
-    from processing.errors import ConfigurationError
+    from acquisition.record import whole_file
+    from processing.errors import ConfigurationError, RecordError
     from rig.devices import picture as camera_picture
     from rig.instrument import beam_quality, complete, optics_of
     from rig.settings import load_configuration
@@ -146,7 +147,11 @@ def snap(
         done, png = cv2.imencode(".png", image)
         if not done:
             raise ConfigurationError(f"{output}: can't be written as PNG")
-        output.write_bytes(png.tobytes())
+        try:
+            whole_file.take_away_leftovers(output.parent, output.name)
+            whole_file.write_new(output, png.tobytes())
+        except OSError as error:
+            raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
         typer.echo("pixels in each range of grey values (bars: logarithmic)")
         for line in camera_picture.histogram_bars(image, info.full_scale_dn):
             typer.echo(line)

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import cv2
 
-from processing.errors import ConfigurationError, DataError
+from acquisition.record import whole_file
+from processing.errors import ConfigurationError, DataError, RecordError
 from rig.channel import light_told
 from rig.devices import Devices, ask_leave
 from rig.instrument import complete
@@ -60,11 +61,14 @@ def take_frames(config: Configuration, folder: Path, count: int) -> Path:
     images = [frame.image for frame in frames if frame is not None]
     if len(images) < count:
         raise DataError(f"the camera gave {len(images)} frames, {count} were asked for")
-    folder.mkdir(parents=True)
-    for number, image in enumerate(images):
-        path = folder / f"{number:03d}.png"
-        done, png = cv2.imencode(".png", image)
-        if not done:
-            raise DataError(f"{path}: cannot be written as PNG")
-        path.write_bytes(png.tobytes())
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file.folder_being_written(folder) as beside:
+            for number, image in enumerate(images):
+                done, png = cv2.imencode(".png", image)
+                if not done:
+                    raise DataError(f"{folder / f'{number:03d}.png'}: cannot be written as PNG")
+                (beside / f"{number:03d}.png").write_bytes(png.tobytes())
+    except OSError as error:
+        raise RecordError(f"{folder}: cannot be written: {error.strerror or error}") from None
     return folder

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from acquisition.record import whole_file
 from processing.errors import RecordError
 from processing.fit import FitMethod
 from rig.analysis import curves_of
@@ -75,7 +76,9 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
             body.append(html.table(combined))
             with styled():
                 body += save_figures(_drawings(series), folder)
-        target.write_text(html.page(f"Tables and figures of {SOURCE}", "made again", body), encoding="utf-8")
+        page = html.page(f"Tables and figures of {SOURCE}", "made again", body)
+        whole_file.take_away_leftovers(target.parent, target.name)
+        whole_file.write_new(target, page.encode())
     except OSError as error:
         raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
     return target

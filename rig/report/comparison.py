@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import stdtrit
 
+from acquisition.record import whole_file
 from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
@@ -85,7 +86,9 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
                 drawings = [comparison_figure(names, bars), *([against_figure(seen, over)] if over else [])]
                 figures = save_figures(drawings, files)
             body = [*figures, *(html.table(content) for content in tables)]
-            output.write_text(html.page("Series compared", ", ".join(series), body), encoding="utf-8")
+            page = html.page("Series compared", ", ".join(series), body)
+            whole_file.take_away_leftovers(output.parent, output.name)
+            whole_file.write_new(output, page.encode())
         except OSError as error:
             raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
     return tables

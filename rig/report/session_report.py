@@ -62,6 +62,7 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     body = [*_summary(source)]
     try:
         files.mkdir(parents=True, exist_ok=True)
+        whole_file.take_away_leftovers(target.parent, target.name)
         if source.series is not None:
             body += _series(source.series, files)
         for number_, run in enumerate(source.runs, start=1):
@@ -363,11 +364,12 @@ def _pictures(drawings: Sequence[ReportFigure], files: Path) -> list[tuple[Repor
 
     A frame is pixels, and goes into the page as PNG; everything else is lines, as SVG.
     """
+    whole_file.take_away_leftovers(files)
     found = []
     for drawing in drawings:
         vector, pixels = svg(drawing), png(drawing)
-        (files / f"{drawing.name}.svg").write_bytes(vector)
-        (files / f"{drawing.name}.png").write_bytes(pixels)
+        whole_file.replace(files / f"{drawing.name}.svg", vector)
+        whole_file.replace(files / f"{drawing.name}.png", pixels)
         inside = (pixels, "image/png") if drawing.name.endswith("frame") else (vector, "image/svg+xml")
         found.append((drawing, html.picture(drawing, *inside)))
     return found
@@ -380,8 +382,9 @@ def save_figures(drawings: Sequence[ReportFigure], files: Path) -> list[str]:
 
 def save_tables(tables: Sequence[Table], files: Path) -> None:
     """Write every table as CSV."""
+    whole_file.take_away_leftovers(files)
     for table in tables:
-        (files / f"{table.name}.csv").write_text(table.csv(), encoding="utf-8")
+        whole_file.replace(files / f"{table.name}.csv", table.csv().encode())
 
 
 def _provenance(source: ReportSource) -> list[str]:

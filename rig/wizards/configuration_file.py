@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from acquisition.cameras.drivers import DRIVERS
+from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 from rig.settings import SCHEMA, SCHEMA_KEY, Configuration, commented_file, load_configuration
 from rig.wizards.keys import Keys
@@ -55,19 +56,20 @@ def write_configuration(path: Path, stated: Keys) -> Configuration:
     """
     refuse_existing(path)
     text = configuration_text(stated, datetime.datetime.now().astimezone())
+    found: list[Configuration] = []
+
+    def prove(beside: Path) -> None:
+        try:
+            found.append(load_configuration(beside, needs_camera="camera.driver" in stated))
+        except ConfigurationError as error:
+            raise ConfigurationError(str(error).replace(str(beside), str(path))) from None
+
     try:
-        path.touch(exist_ok=False)
+        with whole_file.being_written(path, prove=prove) as beside:
+            beside.write_text(text, encoding="utf-8")
     except OSError as error:
         raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
-    try:
-        path.write_text(text, encoding="utf-8")
-        return load_configuration(path, needs_camera="camera.driver" in stated)
-    except OSError as error:
-        path.unlink()
-        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
-    except BaseException:
-        path.unlink()
-        raise
+    return found[0]
 
 
 def refuse_existing(path: Path) -> None:

@@ -87,3 +87,33 @@ def test_what_the_dead_left_is_taken_away_and_nothing_else(tmp_path: Path) -> No
     assert sorted(path.name for path in tmp_path.iterdir()) == [".hidden", ".run-2.mcap.89abcdef"]
     assert whole_file.take_away_leftovers(tmp_path) == [tmp_path / "run-2.mcap"]
     assert [path.name for path in tmp_path.iterdir()] == [".hidden"]
+
+
+def test_a_folder_appears_whole_and_what_a_kill_left_of_it_is_taken_away(tmp_path: Path) -> None:
+    path = tmp_path / "crate"
+
+    def killed() -> None:
+        with whole_file.folder_being_written(path) as beside:
+            (beside / "inner").mkdir()
+            (beside / "inner" / "file").write_bytes(b"half")
+            os._exit(9)
+
+    child = os.fork()
+    if child == 0:
+        killed()
+    os.waitpid(child, 0)
+    left = [entry.name for entry in tmp_path.iterdir()]
+    assert len(left) == 2
+    assert not path.exists()
+    with whole_file.folder_being_written(path) as beside:
+        # of who writes at the same time nothing is taken away
+        whole_file.take_away_leftovers(tmp_path)
+        (beside / "file").write_bytes(b"whole")
+        assert not path.exists()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["crate"]
+    assert (path / "file").read_bytes() == b"whole"
+    with pytest.raises(FileExistsError), whole_file.folder_being_written(path):
+        pass
+    with pytest.raises(ValueError, match="not good"), whole_file.folder_being_written(tmp_path / "other"):
+        raise ValueError("not good")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["crate"]

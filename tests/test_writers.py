@@ -1,0 +1,105 @@
+"""One way to write a file: whatever else opens one for writing stands here, with its reason."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+_CALLS = {
+    "write_text", "write_bytes", "touch", "copyfile", "copy2", "copyfileobj", "copytree", "move",
+    "imwrite", "FileSink", "NamedTemporaryFile", "mkstemp", "rename", "symlink_to", "hardlink_to",
+}  # fmt: skip
+"""Names of calls that write or name a file whatever is given to them."""
+_CREATES = {"O_WRONLY", "O_RDWR", "O_CREAT"}
+
+ALLOWED = {
+    # the way itself, and records, which grow while they are measured and are proved by their own sums
+    "acquisition/record/whole_file.py": "is the way",
+    "acquisition/record/container.py": "a record while it is measured, which a cut must leave readable",
+    # names that being_written or folder_being_written gave
+    "rig/export/tables.py": "under the name that being_written gives",
+    "rig/export/nexus.py": "under the name that being_written gives",
+    "rig/wizards/configuration_file.py": "under the name that being_written gives",
+    "rig/measure/plain_record.py": "in the folder that folder_being_written gives",
+    "rig/archive/publishing.py": "in the folder that folder_being_written gives",
+    # lines that are added, never changed
+    "rig/balance/history.py": "a history to which lines are added",
+    "rig/devices/audit.py": "a chain of lines, each forced to the disk, which knows where it was cut",
+    "rig/desk/jobs.py": "what a program prints",
+    "rig/archive/checking.py": "how far a check has come, which a cut only makes shorter",
+    # no content that anybody keeps
+    "rig/channel/loopback.py": "a live port, gone with its process",
+    "rig/control/safety_state.py": "a lock",
+    "rig/measure/session_file.py": "a lock",
+    "rig/measure/record_file.py": "a record set aside under another name",
+    "rig/terminal/interruption.py": "the null device",
+    "rig/measure/screen.py": "the null device",
+    # devices
+    "rig/control/beside.py": "a device's port",
+    "rig/control/usbtmc.py": "a device's port",
+    "acquisition/cameras/v4l2/kernel.py": "a device's node",
+    "acquisition/cameras/usb3vision/genapi/register_nodes.py": "registers of a camera",
+    # other programs' own
+    "rig/rerun/output.py": "a stream that Rerun's library writes, read again when it ends",
+    "rig/control/firmware/board.py": "runs on the controller, with a rename of its own",
+}  # fmt: skip
+"""Modules that write otherwise, and why they may."""
+
+
+def _writes(tree: ast.AST) -> Iterator[str]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and (name := _written_by(node)):
+            yield name
+
+
+def _written_by(call: ast.Call) -> str:
+    """The name of a call that writes a file, else nothing."""
+    name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+    owner = call.func.value if isinstance(call.func, ast.Attribute) else None
+    of = owner.id if isinstance(owner, ast.Name) else ""
+    inner = call.args[0] if call.args else None
+    if isinstance(inner, ast.Call) and getattr(inner.func, "attr", "") == "dup":
+        return ""  # of what is open
+    if name in _CALLS or (of, name) == ("shutil", "copy"):
+        return name
+    if (of, name) == ("os", "open"):
+        flags = {part.attr for part in ast.walk(call) if isinstance(part, ast.Attribute)}
+        return "os.open" if flags & _CREATES else ""
+    if name in ("open", "fdopen", "File"):
+        texts = [part.value for part in [*call.args, *(key.value for key in call.keywords)]
+                 if isinstance(part, ast.Constant) and isinstance(part.value, str)]  # fmt: skip
+        return name if any(set(text) <= set("rwxabt+") and set(text) & set("wxa+") for text in texts) else ""
+    if name in ("savefig", "write_table", "to_csv", "write_csv") and owner is not None and call.args:
+        target = call.args[-1 if name.startswith("write") and len(call.args) > 1 else 0]
+        # into memory, or what such a variable names
+        in_memory = isinstance(target, ast.Name) and target.id in ("out", "data", "file", "beside", "run")
+        return "" if in_memory else name
+    return ""
+
+
+def test_nothing_writes_a_file_but_the_one_writer_and_what_says_why() -> None:
+    found: dict[str, list[str]] = {}
+    for package in ("rig", "acquisition", "calibration", "processing"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            calls = list(_writes(ast.parse(path.read_text(encoding="utf-8"))))
+            if calls:
+                found[path.relative_to(ROOT).as_posix()] = calls
+    others = {name: calls for name, calls in found.items() if name not in ALLOWED}
+    assert not others, f"write through acquisition.record.whole_file, or say why not: {others}"
+    # a reason that has nothing to say any more
+    assert not ALLOWED.keys() - found.keys()
+
+
+def test_a_writer_of_its_own_is_found() -> None:
+    for text in (
+        "path.write_text('x')",
+        "open(path, 'w')",
+        "path.open('ab')",
+        "os.open(path, os.O_WRONLY | os.O_CREAT)",
+        "figure.savefig(path)",
+        "h5py.File(path, 'x')",
+        "parquet.write_table(table, path)",
+    ):
+        assert list(_writes(ast.parse(text))), text
+    for text in ("path.open('rb')", "open(path)", "path.read_text()", "figure.savefig(out)"):
+        assert not list(_writes(ast.parse(text))), text
