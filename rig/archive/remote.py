@@ -164,9 +164,11 @@ class _Copy:
         """Write there what is new here; of what was taken away here only merged files, which are derived."""
         here, seen = self._here(), self._seen()
         new = sorted(here - seen, key=_order_of_sending)
+        sent: list[str] = []
         while new:
             name = new.pop(0)
             if self._create(name):
+                sent.append(name)
                 continue
             if name.startswith(f"{FACTS}/"):
                 again = self._after_theirs([name, *(other for other in new if other.startswith(f"{FACTS}/"))])
@@ -175,12 +177,25 @@ class _Copy:
                 # who was there first is right
                 (self.folder / name).unlink()
                 self._bring([name])
+        self._prove_sent(sent)
         with _said_in_a_line(self._url):
             for name in seen - here:
                 if name.startswith("merged/"):
                     with contextlib.suppress(FileNotFoundError):
                         self._system.rm_file(f"{self._root}/{name}")
         self._remember(self._here())
+
+    def _prove_sent(self, names: Sequence[str]) -> None:
+        """Raise RecordError where a file that was taken is not there as it was sent."""
+        for first in range(0, len(names), _AT_ONCE):
+            part = names[first : first + _AT_ONCE]
+            found = self._read(part)
+            for name in part:
+                if name in found and found[name] != (self.folder / name).read_bytes():
+                    raise RecordError(
+                        f"{self._url}/{name}: was sent, and is not there as it was sent; somebody wrote over "
+                        "it, or the server keeps it not as it says; rig archive check --repair puts it right"
+                    )
 
     def _create(self, name: str) -> bool:
         """Write a file there; False where another one has its name."""

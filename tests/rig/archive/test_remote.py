@@ -1,7 +1,12 @@
 """An archive on S3: a real server here on loopback, two computers that use it at once."""
 
+import http.client
+import http.server
+import os
 import shutil
 import sys
+import threading
+import urllib.parse
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -166,6 +171,141 @@ def _files(url: str, cache: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     with opened(url) as folder:
         return list(folder.rglob("*"))
+
+
+class Lying(http.server.BaseHTTPRequestHandler):
+    """Hands on what is asked to the server behind it, and lies as it is told."""
+
+    protocol_version = "HTTP/1.1"
+    behind: tuple[str, int]
+    lie = ""
+
+    def _answer(self) -> None:
+        length = int(self.headers.get("Content-Length") or 0)
+        body, is_put = self.rfile.read(length), self.command == "PUT"
+        if is_put and self.lie == "takes and keeps nothing" and "/remarks/" in self.path:
+            status, headers, data = 200, [("ETag", '"0"')], b""
+        else:
+            if is_put and self.lie == "keeps another bit" and "/remarks/" in self.path:
+                body = body[:9] + bytes([body[9] ^ 1]) + body[10:]
+            server = http.client.HTTPConnection(*self.behind)
+            # a checksum of what it was sent would give the lie away to the server behind
+            kept = {
+                name: value
+                for name, value in self.headers.items()
+                if not name.lower().startswith(("x-amz-checksum", "content-md5"))
+            }
+            server.request(self.command, self.path, body, kept)
+            answer = server.getresponse()
+            status, headers, data = answer.status, answer.getheaders(), answer.read()
+            server.close()
+            if self.command == "GET" and self.lie == "gives half" and ".parquet" in self.path:
+                data = data[: len(data) // 2]
+        self.send_response(status)
+        for name, value in headers:
+            if name.lower() not in (
+                "content-length",
+                "transfer-encoding",
+                "connection",
+                "server",
+                "date",
+            ) and (self.lie == "" or not name.lower().startswith("x-amz-checksum")):
+                self.send_header(name, value)
+        size = {name.lower(): value for name, value in headers}.get("content-length", "0")
+        self.send_header("Content-Length", size if self.command == "HEAD" else str(len(data)))
+        self.end_headers()
+        self.wfile.write(b"" if self.command == "HEAD" else data)
+
+    do_GET = do_PUT = do_POST = do_HEAD = do_DELETE = _answer
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.mark.parametrize("lie", ["takes and keeps nothing", "keeps another bit", "gives half"])
+def test_an_endpoint_that_lies_is_not_believed(
+    url: str, lie: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    true = os.environ["AWS_ENDPOINT_URL"]
+    assert on(monkeypatch, tmp_path / "one", url, "add", tmp_path / "runs").returncode == 0
+    address = urllib.parse.urlsplit(true)
+    handler = type("Handler", (Lying,), {"behind": (address.hostname, address.port), "lie": lie})
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server.server_port}")
+    fsspec_forgets()
+    user = tmp_path / ("two" if lie == "gives half" else "one")
+    done = on(monkeypatch, user, url, "tag", "good", "--where", "b > 0")
+    server.shutdown()
+    server.server_close()
+    assert done.returncode == 1, done.stdout
+    assert lie != "gives half" or "sessions/" in done.stderr
+    # what was said and not kept is not lost: it is here, and is sent to a server that keeps it
+    monkeypatch.setenv("AWS_ENDPOINT_URL", true)
+    fsspec_forgets()
+    if lie == "keeps another bit":
+        assert on(monkeypatch, user, url, "check", "--repair").returncode == 0
+    elif lie == "gives half":
+        assert on(monkeypatch, user, url, "tag", "good", "--where", "b > 0").returncode == 0
+    assert on(monkeypatch, user, url, "list").returncode == 0
+    listed = on(monkeypatch, tmp_path / "three", url, "list", "--columns", "tags", "--format", "json")
+    assert "good" in listed.stdout
+
+
+def fsspec_forgets() -> None:
+    import fsspec
+
+    fsspec.get_filesystem_class("s3").clear_instance_cache()
+
+
+def test_refused_credentials_are_said_and_nothing_is_lost(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    assert on(monkeypatch, tmp_path / "one", url, "add", tmp_path / "runs").returncode == 0
+    kept = {path: path.read_bytes() for path in (tmp_path / "one").rglob("*") if path.is_file()}
+    # the server's own: from the first call on it wants a key that it knows
+    from moto import settings
+    from moto.core.responses import ActionAuthenticatorMixin
+
+    def authorised(after: float) -> None:
+        settings.INITIAL_NO_AUTH_ACTION_COUNT = after
+        ActionAuthenticatorMixin.request_count = 0
+
+    authorised(0)
+    fsspec_forgets()
+    try:
+        for words in (("list",), ("add", tmp_path / "runs"), ("check",)):
+            done = on(monkeypatch, tmp_path / "one", url, *words)
+            ours = [line for line in done.stderr.splitlines() if "HTTP/1.1" not in line]
+            assert done.returncode == 1, words
+            assert len(ours) == 1, ours
+            assert "Access" in ours[0] or "Forbidden" in ours[0] or "denied" in ours[0].lower(), ours
+    finally:
+        authorised(float("inf"))
+        fsspec_forgets()
+    assert {path: path.read_bytes() for path in (tmp_path / "one").rglob("*") if path.is_file()} == kept
+    assert on(monkeypatch, tmp_path / "one", url, "list").returncode == 0
+
+
+def test_an_upload_that_was_cut_is_no_file(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    assert on(monkeypatch, tmp_path / "one", url, "add", tmp_path / "runs").returncode == 0
+    (fact, *_) = bucket().find("laboratory/friction/sessions")
+    data = bucket().cat_file(fact)
+    bucket().rm_file(fact)
+    key = fact.removeprefix("laboratory/")
+    begun = bucket().call_s3("create_multipart_upload", Bucket="laboratory", Key=key)
+    part = {"Bucket": "laboratory", "Key": key, "UploadId": begun["UploadId"], "PartNumber": 1}
+    bucket().call_s3("upload_part", **part, Body=data[:100])
+    assert not bucket().exists(fact)
+    done = on(monkeypatch, tmp_path / "two", url, "list")
+    assert (done.returncode, "is missing" in done.stderr) == (1, True)
+    # who has it sends it again
+    assert on(monkeypatch, tmp_path / "one", url, "list").returncode == 0
+    assert bucket().cat_file(fact) == data
+    assert on(monkeypatch, tmp_path / "two", url, "list").returncode == 0
 
 
 @pytest.mark.parametrize(("address", "said"), [("s4://laboratory/a", "s4"), ("s3://nowhere/a", "nowhere")])
