@@ -16,6 +16,7 @@ from acquisition.frame import Image
 from processing.errors import ConfigurationError, DataError
 from processing.spot import SensorModel, SpotFlag, SpotTracker
 from processing.ticks import seconds
+from processing.torn_positions import torn_positions
 from processing.units import conversion
 from rig.analysis.tables import known_unit
 from rig.analysis.trajectory import ANGLES, Trajectory
@@ -32,6 +33,8 @@ _LOSSY = (
 _U_LOSSY_IN_NOISES = 1.0
 """Of H.264, H.265 and MPEG-4 of known swings (crf 8 to 28, periods 1.7 and 4 s) amplitudes were too small
 by 0 to 0.07 px, which is 0.1 to 1.8 of the noise of a position in the same film."""
+_PLACES = 5
+"""That a line names one by one."""
 _FEWEST_FOUND = 0.5
 """Share of the frames below which what was followed is hardly what swings."""
 
@@ -94,6 +97,7 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
         status = camera.status
     finally:
         camera.close()
+    since_ns = np.array(times_ns, dtype=np.int64) - times_ns[0]
     lost = f"{status.dropped_by_camera} missing, {status.incomplete} damaged or of another size"
     followed = "a dark object (the picture is inverted)" if dark else "a bright spot"
     said = [
@@ -108,12 +112,13 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
             f"{path}: in {flags['LOST']} of {status.delivered} frames there is nothing to follow; a bright "
             "spot on a dark ground or a dark object on an even one is needed (--dark, --bright)"
         )
-    since_ns = np.array(times_ns, dtype=np.int64) - times_ns[0]
-    xy = np.array(places) * factor
+    xy = np.array(places)
     inside = _inside(seconds(since_ns), asked)
+    if camera.lossy:
+        said += _torn(seconds(since_ns[inside]), xy[inside])
     return Trajectory(
         times_ns=since_ns[inside],
-        positions=tuple(xy[inside].T),
+        positions=tuple((factor * xy[inside]).T),
         names=("x", "y"),
         unit=unit,
         scale_rad=conversion(unit, "rad") if unit in ANGLES else None,
@@ -155,6 +160,17 @@ def inverted(image: Image, full_scale_dn: int) -> Image:
     """Dark becomes bright; what is above full scale is black."""
     turned: NDArray[np.int64] = full_scale_dn - np.minimum(image, full_scale_dn).astype(np.int64)
     return np.asarray(turned.astype(image.dtype))
+
+
+def _torn(since_s: NDArray[np.float64], places: NDArray[np.float64]) -> list[str]:
+    """A line on positions that tear off: a decoder takes some damage of a compressed film for good data."""
+    torn = torn_positions(since_s, places)
+    if not torn:
+        return []
+    at = ", ".join(f"{since_s[one]:.3f} s" for one in torn[:_PLACES])
+    more = f" and {len(torn) - _PLACES} more" if len(torn) > _PLACES else ""
+    what = "damage that the decoder took for good data, or a push"
+    return [f"positions tear off at {at}{more}: {what}; --from and --to leave it out"]
 
 
 def _flagged(flags: Counter[str], count: int) -> str:

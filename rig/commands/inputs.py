@@ -36,6 +36,24 @@ def recorded(given: _Given) -> _Given:
     return given
 
 
+def recorded_or_fitted(given: _Given) -> _Given:
+    """The same; a folder, or results.json, that rig fit made of a table or a film, is taken too."""
+    for path in _paths(there(given)):
+        if not is_of_table(path):
+            records_in(path)
+    return given
+
+
+def is_of_table(path: Path) -> bool:
+    """Whether it is what rig fit leaves of a table or a film, beside which there is no record."""
+    folder = path if path.is_dir() else path.parent
+    return (
+        (path.is_dir() or path.suffix.lower() == ".json")
+        and not any(folder.glob("*.mcap"))
+        and any(folder.glob("results*.json"))
+    )
+
+
 def with_results(given: _Given) -> _Given:
     """The same, for folders of sessions, which must hold results, and for files."""
     for path in _paths(there(given)):

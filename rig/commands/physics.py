@@ -10,7 +10,14 @@ import typer
 from processing.errors import ConfigurationError
 from rig.commands.arguments import ResultsFolder, Set
 from rig.commands.films import table_report
-from rig.commands.inputs import one_record, recorded, records_in, there
+from rig.commands.inputs import (
+    is_of_table,
+    one_record,
+    recorded,
+    recorded_or_fitted,
+    records_in,
+    there,
+)
 from rig.commands.outputs import folder_without
 
 if TYPE_CHECKING:
@@ -212,9 +219,9 @@ def plan(
     source: Annotated[
         Path,
         typer.Argument(
-            help="A run of this rig (.mcap) or its folder, or its configuration (TOML).",
+            help="A run of this rig (.mcap) or its folder, a fitted table's, or a configuration (TOML).",
             show_default=False,
-            callback=recorded,
+            callback=recorded_or_fitted,
         ),
     ],
     first: Annotated[
@@ -257,14 +264,15 @@ def plan(
 ) -> None:
     """Show what runs to come will tell of the contact.
 
-    Uncertainties over first and last amplitudes, number of runs and rig time, from a run of this rig or from
-    its configuration; then which two runs, one after the other, tell a contact that ages, which one
-    decay cannot.
+    Uncertainties over first and last amplitudes, number of runs and rig time, from a run of this rig, a table
+    or film that was fitted, or a configuration; then which two runs, one after the other, tell a contact
+    that ages, which one decay cannot.
 
     \b
     Examples:
       rig plan runs/first/run-1.mcap --first 124 --last 2 -o plans
       rig plan configs/basement.toml --runs 1 --runs 3
+      rig plan fits/decay
       rig plan configs/basement.toml --witness 0.05
     """
     firsts, lasts = first or [300.0, 124.0, 60.0], last or [30.0, 15.0, 8.0, 4.0, 2.0]
@@ -277,6 +285,7 @@ def plan(
 
     from rig.plan import (
         ageing_table,
+        expected_of_table,
         plan_ageing,
         plan_expected,
         plan_runs,
@@ -284,10 +293,19 @@ def plan(
         print_plan,
         save_plan,
     )
+    from rig.presentation import say
 
     if source.suffix.lower() == ".toml":
         expected = planned_expectation(source, set_ or [], noise, contact)
         planned = plan_expected(expected, firsts, lasts, ground, counts, witness)
+    elif is_of_table(source):
+        if noise is not None or contact is not None or set_:
+            raise ConfigurationError(
+                f"{source}: a table's results have their own noise, contact and configuration; leave out "
+                "--noise, --contact and --set"
+            )
+        planned = plan_expected(expected_of_table(source), firsts, lasts, ground, counts, witness)
+        say("without the waveform of the swings, which results do not hold: uncertainties are upper limits")
     else:
         from rig.analysis import analyse_record, refuse_unread
         from rig.sealing import refuse_blind

@@ -84,6 +84,41 @@ def planned_expectation(
     return expected._replace(values={name: known.get(name, own) for name, own in expected.values.items()})
 
 
+def expected_of_table(results: Path) -> Expected:
+    """Contact, noise and ground of the longest decay of a table or film, as its results have them.
+
+    Raises
+    ------
+    DataError
+        No decay in it has a fit of the contact.
+    """
+    fitted = [
+        run
+        for run in read_results(results).runs
+        if FitMethod.EXACT in run.fits and run.pendulum is not None and run.turning_points is not None
+    ]
+    if not fitted:
+        raise DataError(
+            f"{results}: no decay in it has a fit of the contact; rig fit TABLE --unit arcsec --config "
+            "CONFIG makes one"
+        )
+    run = max(fitted, key=lambda run: run.half_cycles)
+    exact, stored = run.fits[FitMethod.EXACT], run.turning_points
+    assert stored is not None
+    points, ground = stored.points(), exact.ground
+    scale = 1.0 if ground is None else ground.measurement_scale
+    conditions = Conditions(
+        scale * float(np.median(points.u_amplitude)),
+        scale * float(np.median(points.u_time_s * points.amplitude)),
+        0.0 if ground is None else ground.density_rad_per_s2_rthz.value,
+    )
+    names = DEFAULT_LAW.names(drag=DRAG.key in exact.parameters)
+    values = {name: exact.parameters[name].value for name in names}
+    pendulum = run.pendulum
+    assert pendulum is not None
+    return Expected(values, pendulum, conditions)
+
+
 def _contact_of(results: Path) -> dict[str, float]:
     """The contact's values by key, of the first fitted run of a results file."""
     found = read_results(results)

@@ -120,6 +120,14 @@ def test_a_fitted_table_gives_the_report_and_the_plan_of_a_run(tmp_path: Path) -
     assert done.returncode == 0, done.stderr
     made = {path.name for path in (tmp_path / "out" / "report" / "run-1").iterdir()}
     assert {"parameters.csv", "budget.csv", "residuals.svg", "table4-loops.svg"} <= made
+    planned = rig("plan", tmp_path / "out", "--first", "124", "--last", "30", "-o", tmp_path / "plan")
+    assert planned.returncode == 0, planned.stderr
+    lines = (tmp_path / "plan" / "plan.csv").read_text().splitlines()
+    row = dict(zip(lines[0].split(","), lines[1].split(","), strict=True))
+    (run,) = read_results(tmp_path / "out").runs
+    u_b = float(row["u_b"])
+    # the run that was made goes to an amplitude of 90 arcsec; one to 30 tells more
+    assert 0.0 < u_b < run.fits["exact"].parameters["b"].standard_uncertainty
     rows = session_rows(tmp_path / "out").rows
     assert rows[0]["b"] > 0
     assert rows[0]["law"] == "paper"
