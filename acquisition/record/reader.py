@@ -36,13 +36,13 @@ from acquisition.record.topics import (
     LOG_TOPIC,
     LOSSES,
     NOTE,
+    SPOT,
+    SWING,
+    WINDOW,
     RecordedLog,
     RecordedLosses,
     RecordedNote,
     RecordedWindow,
-    SPOT,
-    SWING,
-    WINDOW,
 )
 from acquisition.record.utc import utc
 from processing.balance import Balance

@@ -23,13 +23,13 @@ from acquisition.record.topics import (
     IMAGE_TOPIC,
     LOG_TOPIC,
     NOTE,
-    RecordedNote,
     SCHEMA_VERSION,
     SPOT,
     SPOT_UNCALIBRATED,
     SWING,
     SWING_UNCALIBRATED,
     WINDOW,
+    RecordedNote,
 )
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit

@@ -1,4 +1,4 @@
-"""What a desk keeps on disk for its user: keys, port, who acts, what was typed; and its being the only one."""
+"""What a desk keeps on disk for its user: keys, port, who acts, what was typed; and its lock."""
 
 import contextlib
 import hashlib

@@ -1,7 +1,7 @@
 """Thirty faults at the desk: how long each takes to be an alarm on the page, with its cause and its remedy.
 
 Run as ``python -m tests.benchmarks desk_faults [--quick]`` from the repository. Desk, sessions and browser
-are processes of their own. A session of the simulated rig in real time gets the faults that the rig can have; one
+are processes of their own. A session of the simulated rig in real time gets the faults that it can have; one
 that only tells (`told_session`) those that it cannot; the desk and the browser get theirs from outside.
 """
 
