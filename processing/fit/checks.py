@@ -4,10 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
-from processing.estimate import WELL_DETERMINED
 from processing.fit.ground import Ground
 from processing.fit.whiteness import Whiteness
 from processing.swing import TurningPoints
@@ -151,14 +149,3 @@ def of_overstated(chi2_per_dof: float, dof: int) -> tuple[str, ...]:
 def of_limits(limited: Sequence[str]) -> tuple[str, ...]:
     """Parameters at a limit of the range of search."""
     return tuple(f"{name} stands at the limit of its range: the data do not determine it" for name in limited)
-
-
-def of_uncertainties(names: tuple[str, ...], values: Floats, covariance: Floats) -> tuple[str, ...]:
-    """Parameters with a large relative uncertainty; the last two names (amplitude, time) are not tested."""
-    found = []
-    for name, value, variance in zip(names[:-2], values, np.diag(covariance), strict=False):
-        u = float(np.sqrt(variance))
-        if u > WELL_DETERMINED * abs(value):
-            known = f"u = {u / abs(value):.0%} of it" if value and np.isfinite(u) else "u without limit"
-            found.append(f"{name} is poorly determined ({known}): take its interval, not its value")
-    return tuple(found)

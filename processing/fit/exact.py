@@ -20,7 +20,6 @@ from processing.fit.checks import (
     of_ground,
     of_limits,
     of_overstated,
-    of_uncertainties,
 )
 from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence
 from processing.fit.exact_model import ExactModel
@@ -317,7 +316,6 @@ def _result(
             *of_ground(ground, points),
             *of_correlation(white),
             *of_limits(model.columns.at_limit(solution.values)),
-            *of_uncertainties(model.names, values, covariance),
         ),
         half_cycles=count,
         ground=ground,

@@ -7,6 +7,7 @@ from processing.contact import DRAG
 from processing.estimate import Determinacy, Estimate
 from processing.fit import WAVEFORM, BaseMotion, Drag, DragFinding, FitMethod, Ground
 from rig.analysis.headline import drag_headline, headline
+from rig.analysis.limits import whole_result
 from rig.analysis.results import RunResults
 from rig.analysis.witnessed_fits import witness_sentences
 from rig.presentation import plain, quantity, with_uncertainty
@@ -33,6 +34,22 @@ def remarks(run: RunResults) -> list[str]:
         lines.append(f"Hardly told apart by the data (correlation): {names}.".replace("-", "−"))
     lines += [f"{item.text}." for item in run.identifiability if item.verdict is not Determinacy.DETERMINED]
     return [*lines, *run.notes]
+
+
+def brief_remarks(run: RunResults) -> list[str]:
+    """What no reader of the result should miss: a drag, a ground that is seen, a witness, what to do next."""
+    exact = run.fits.get(FitMethod.EXACT)
+    if exact is None:
+        return []
+    lines = [drag_headline(run.drag, fitted=DRAG.key in exact.parameters)]
+    lines += [ground_sentence(exact.ground)] if exact.ground is not None and exact.ground.seen else []
+    lines += [] if run.witness is None else witness_sentences(run.witness)
+    result = whole_result(run)
+    steps = "; ".join(result.next_steps)
+    symbol = result.text.partition(" = ")[0]
+    if steps:
+        lines.append(f"What limits {symbol}: {result.limits[0].name}. Next: {steps}.")
+    return list(filter(None, lines))
 
 
 def ground_sentence(ground: Ground) -> str:

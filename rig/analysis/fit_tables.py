@@ -69,8 +69,8 @@ def whole_table(run: RunResults) -> Table:
     exact, verdicts, energy = run.fits.get(FitMethod.EXACT), run.verdicts(), run.surface_energy_j_per_m2
     found = {} if exact is None else dict(exact.parameters)
     if energy is not None:
-        found |= {SURFACE_ENERGY: energy.table2, "surface_energy_eq2_j_per_m2": energy.eq2}
-    order = [*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY, "surface_energy_eq2_j_per_m2"]
+        found[SURFACE_ENERGY] = energy.table2
+    order = [*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY]
     rows: list[list[Cell]] = []
     shown = []
     for name in (each for each in order if each in found):
@@ -88,8 +88,7 @@ def whole_table(run: RunResults) -> Table:
         rows if any(row[-1] for row in shown) else (),
         ("", "value", "unit", "of its variance"),
         shown,
-        "Value ± standard uncertainty of swings and apparatus together. -v, and the report, show the "
-        "uncertainty of the swings alone, and the paper's Eqs. 5 and 6 beside.",
+        "Value ± standard uncertainty of swings and apparatus together.",
     )
 
 

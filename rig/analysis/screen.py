@@ -6,9 +6,10 @@ from pathlib import Path
 
 from rich.console import Console
 
+from processing.fit import FitMethod
 from rig.analysis.compared_laws import law_table
 from rig.analysis.decay_values import decay_lines
-from rig.analysis.fit_remarks import remarks
+from rig.analysis.fit_remarks import brief_remarks, remarks
 from rig.analysis.fit_tables import combined_table, parameter_table, quality_table, whole_table
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.waveform_results import waveform_table
@@ -20,9 +21,9 @@ logger = logging.getLogger(__name__)
 def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) -> None:
     """The runs, then the `paths` that were written, by what they hold.
 
-    Of several fitted runs one combined table, and of each run only what was not as it should be; tables and
-    remarks of every run where this logger is enabled for INFO (``rig -v``), or where there is only one: its
-    exact fit with the whole budget, and with ``-v`` both fits with the uncertainties of the swings alone.
+    Of several fitted runs one combined table, and of each run only what was not as it should be. Of one the
+    exact fit with the whole budget, what limits it and what to do. Where this logger is enabled for INFO
+    (``rig -v``) of every run both fits with the swings' own uncertainties, their quality, all remarks.
     """
     console = Console()
     combined = combined_table(results)
@@ -43,8 +44,13 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
         print_run(run, head, lines, short=short)
     if combined is not None:
         print_tables([combined])
-        if short:
-            console.print("  -v shows tables and remarks of every run", highlight=False, markup=False)
+    if not logger.isEnabledFor(logging.INFO) and any(run.fits for run in results.runs):
+        console.print(
+            "  -v, and the report, show both fits of every run, their quality, and more remarks",
+            highlight=False,
+            markup=False,
+            soft_wrap=True,
+        )
     if results.series is not None and results.series.instrument is not None:
         for line in results.series.instrument.text:
             console.print(line, highlight=False, markup=False)
@@ -57,28 +63,31 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
 
     `short` leaves out tables of the fits and remarks.
     """
-    console = Console()
+    console, full = Console(), logger.isEnabledFor(logging.INFO)
     console.print(head, highlight=False, markup=False, soft_wrap=True)
     for line in lines:
         console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
     if run.problem:
         console.print(f"  no fit: {run.problem}", highlight=False, markup=False, soft_wrap=True)
     if run.fits and not short:
-        whole, quality = whole_table(run), quality_table(run.fits)
-        if whole.rows and not logger.isEnabledFor(logging.INFO):
-            print_tables([whole, quality])
-        else:
-            parameters = parameter_table(run.fits, run.surface_energy_j_per_m2, run.verdicts())
-            print_tables([*([whole] if whole.rows else []), parameters, quality])
+        whole = whole_table(run)
+        tables = [whole] if whole.rows else []
+        if full or not tables:
+            tables.append(parameter_table(run.fits, run.surface_energy_j_per_m2, run.verdicts()))
+        print_tables([*tables, quality_table(run.fits)] if full else tables)
     if run.laws is not None:
         print_tables([law_table(run.laws), waveform_table(run.laws)])
         console.print(f"  {run.laws.verdict}", highlight=False, markup=False, soft_wrap=True)
-    for line in (*(run.instrument.text if run.instrument else ()), *(() if short else remarks(run))):
+    said = [] if short else remarks(run) if full else brief_remarks(run)
+    for line in (*(run.instrument.text if run.instrument else ()), *said):
         console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
     for condition in run.conditions:
         if not condition.ok or condition.remedy:
             line = f"  {condition.name.upper()}: {condition.measured} (limit {condition.limit}); "
             line += f"{condition.reason}; {condition.remedy}"
             console.print(line, highlight=False, markup=False, soft_wrap=True)
-    for warning in run.warnings:
+    # what only the asymptotic fit is warned of concerns no number that is shown
+    of_other = run.fits[FitMethod.ASYMPTOTIC].warnings if FitMethod.ASYMPTOTIC in run.fits else ()
+    hidden = () if full or short else [f"{FitMethod.ASYMPTOTIC} fit: {warning}" for warning in of_other]
+    for warning in (one for one in run.warnings if one not in hidden):
         console.print(f"  note: {warning}", highlight=False, markup=False, soft_wrap=True)

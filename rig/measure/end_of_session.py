@@ -1,37 +1,23 @@
 """What a session that has ended hands over: how it went, the result, what limits it, what to do next."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, NamedTuple
 
 from processing.angle import ARCSEC_RAD
-from processing.contact import DEFAULT_LAW
 from processing.errors import DataError, RigError
-from processing.estimate import Estimate
-from processing.fit import Budget, FitMethod
-from rig.analysis import RunResults, budget_of, curves_of, determined_text, read_results, results_path
+from processing.fit import FitMethod
+from rig.analysis import (
+    Limit,
+    RunResults,
+    curves_of,
+    determined_text,
+    read_results,
+    results_path,
+    whole_result,
+)
 from rig.measure.session_file import RunState, SessionState, read_session
-from rig.presentation import SOURCES, quantity
-
-_SHOWN_SHARE = 0.02
-_LIMITS_FROM = 0.25
-_ENERGY = "surface_energy_table2_j_per_m2"
-_DO: Final[Mapping[str, str]] = {
-    "swings": "measure longer or more often: state more runs",
-    "ground": "measure while the ground is quieter, or record a witness of it (rig fit --witness)",
-    "misfit": "look in the report how far the law misses the decay, and compare the laws",
-    "position_errors": "map the sensor's errors of position",
-    "ageing": "wait until the contact has settled, or state its history",
-    "period_drift": "let the temperature settle before the next run",
-}
-
-
-class Limit(NamedTuple):
-    """A source of the result's uncertainty, and its share of the variance."""
-
-    name: str
-    share: float
+from rig.presentation import quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +87,8 @@ def hand_over(folder: Path) -> HandOver:
     except RigError as error:
         return HandOver(folder, ended, went, next_steps=[*steps, str(error)], report=report)
     run = results.runs[-1]
-    headline, of, limits = _headline(run, {} if results.series is None else results.series.budget)
-    do = [_DO.get(one.name, f"know better: {_name(one)}") for one in limits if one.share >= _LIMITS_FROM]
+    found = whole_result(run, None if results.series is None else results.series.budget)
+    headline, of = found.text, found.of
     against = [f"{one.name}: {one.said}" for one in run.conditions if not one.ok or one.remedy]
     remarks = [*run.warnings, *against]
     if run.problem:
@@ -114,8 +100,8 @@ def hand_over(folder: Path) -> HandOver:
         went,
         headline,
         of,
-        [Limit(_name(one), one.share) for one in limits],
-        [*steps, *do],
+        found.limits,
+        [*steps, *found.next_steps],
         _others(run),
         report,
         _decay(run),
@@ -133,36 +119,6 @@ def _steps_of_end(ended: RunState | None) -> list[str]:
     if ended is RunState.INTERRUPTED:
         return ["make the missing runs: Sessions, Resume"]
     return ["see why it failed, then start again"] if ended is RunState.FAILED else []
-
-
-def _headline(run: RunResults, of_series: Mapping[str, Budget]) -> tuple[str, str, list[Limit]]:
-    """The result that is looked for first, what its uncertainty is of, and what makes it, largest first."""
-    if run.instrument is not None:
-        return (run.instrument.text[0] if run.instrument.text else ""), "the swings", []
-    exact, verdicts = run.fits.get(FitMethod.EXACT), run.verdicts()
-    if exact is None:
-        return "", "", []
-    budget = of_series or run.budget
-    for name in (_ENERGY, *DEFAULT_LAW.names(drag=False)):
-        item = budget_of(name, budget, verdicts)
-        if item is not None:
-            shown = quantity(name)
-            text = (
-                f"{shown.symbol} = {shown.text(item.value, item.standard_uncertainty)} {shown.unit}".rstrip()
-            )
-            sources = sorted(item.sources, key=lambda line: -line.share)
-            limits = [Limit(one.source, one.share) for one in sources if one.share >= _SHOWN_SHARE]
-            return text, "the whole budget, swings and apparatus", limits
-    name, found = next(iter(exact.parameters.items()), ("", Estimate(float("nan"), float("nan"))))
-    if not name:
-        return "", "", []
-    shown = quantity(name)
-    text = f"{shown.symbol} = {determined_text(name, found, verdicts)} {shown.unit}".rstrip()
-    return text, "the swings alone", [Limit("swings", 1.0)]
-
-
-def _name(limit: Limit) -> str:
-    return SOURCES.get(limit.name, limit.name)
 
 
 def _others(run: RunResults) -> list[tuple[str, str]]:

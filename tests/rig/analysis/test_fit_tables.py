@@ -56,7 +56,10 @@ _RUN = RunResults(
 )
 
 
-def test_the_terminal_shows_the_report_s_tables(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_terminal_shows_the_report_s_tables_where_asked(
+    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, logger="rig.analysis.screen")
     print_results(SessionResults(runs=(_RUN,)), [])
     printed = capsys.readouterr().out
     tables = [
