@@ -141,7 +141,7 @@ class Guard:
                 assert isinstance(headers, list)
                 headers += [
                     (b"content-security-policy", policy.encode()),
-                    (b"referrer-policy", b"no-referrer"),
+                    (b"referrer-policy", b"same-origin"),
                 ]
             await send(message)
 

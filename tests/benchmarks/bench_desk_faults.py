@@ -260,10 +260,11 @@ def of_surroundings(table: Table, config: Path) -> None:
     )
     record = folder / "run-1.mcap"
     deadline_s = time.monotonic() + 120.0
-    while session.poll() is None and time.monotonic() < deadline_s:
-        if record.exists() and record.stat().st_size >= 2048 * 1024 - 65536:
+    while time.monotonic() < deadline_s:
+        # a little before the write that fails
+        if record.exists() and record.stat().st_size >= 0.9 * 2048 * 1024:
             break
-        time.sleep(0.02)
+        time.sleep(0.01)
     table.take("the record cannot be written any more", AlarmKey.SESSION_FAILED, time.monotonic())
     session.kill()
     session.communicate()
@@ -297,7 +298,7 @@ def of_simulated_rig(table: Table, config: Path) -> None:
     finally:
         session.kill()
         session.communicate()
-    table.page.wait("document.querySelector('[data-alarm=\"session died\"].active')")
+    table.page.wait("document.querySelector('[data-alarm=\"session died\"].active') !== null")
     table.acknowledge()
 
 

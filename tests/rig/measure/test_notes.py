@@ -15,6 +15,7 @@ from rig.measure.notes import NOTES_NAME, Notes
 from rig.report.source import read_source
 from rig.view.recorded import write_rrd
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.view.rrd_contents import column
 
 LIVE = {
     **SMALL,
@@ -66,7 +67,8 @@ def test_a_note_goes_into_the_record_the_report_and_the_view(tmp_path: Path) -> 
     assert any(line.endswith("s, Ada: the lamp in the corridor is on") for line in lines)
     rrd = tmp_path / "run.rrd"
     write_rrd([out / "run-1.mcap"], rrd)
-    assert b"the lamp in the corridor is on" in rrd.read_bytes()
+    texts = [text for (text,) in column(rrd, "/events", "TextLog:text")[1]]
+    assert "note: Ada: the lamp in the corridor is on" in texts
 
 
 def test_a_note_that_cannot_be_kept_is_refused(tmp_path: Path) -> None:
