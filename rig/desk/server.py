@@ -33,6 +33,7 @@ from rig.presentation import say
 
 _PORT = 8642
 _MOST_PX = 2000
+_GOODBYE_S = 3
 _MOST_LOGIN_BYTES = 4096
 
 
@@ -137,6 +138,8 @@ def _serve(desk: Desk, entrance: Entrance, tls: ssl.SSLContext | None, *, remote
         ws="websockets-sansio",
         ssl_certfile=entrance.certificate,
         ssl_keyfile=entrance.certificate_key,
+        # a browser that keeps its connection does not answer the goodbye of TLS
+        timeout_graceful_shutdown=None if tls is None else _GOODBYE_S,
     )
     try:
         with contextlib.suppress(KeyboardInterrupt):
