@@ -7,7 +7,7 @@ from functools import partial
 from nicegui import ui
 
 from rig.alarms import AlarmKey, AlarmList, AlarmRow, AlarmState
-from rig.desk.tab import Tab
+from rig.desk.tab import DELIBERATE, Tab
 from rig.presentation import palette
 
 SHELF_S = 600.0
@@ -70,7 +70,7 @@ class AlarmBar:
                     ui.button("Acknowledge trip …", on_click=tab.act(self._ask_leave)).props("dense outline")
                 elif row.state in (AlarmState.ACTIVE, AlarmState.CLEARED):
                     button = ui.button("Seen", on_click=tab.act(partial(self._seen, row.key)))
-                    button.props(f'dense outline aria-label="acknowledge {alarm.title}"')
+                    button.props(f'dense outline aria-label="acknowledge {alarm.title}" {DELIBERATE}')
                 if row.state in (AlarmState.ACTIVE, AlarmState.ACKNOWLEDGED):
                     button = ui.button("Shelve 10 min", on_click=tab.act(partial(self._shelve, row.key)))
                     button.props(f'dense flat aria-label="shelve {alarm.title}"')

@@ -1,4 +1,4 @@
-"""Looks at everything the desk knows, four times a second, and keeps the list of alarms; needs no page."""
+"""Looks at everything the desk knows, ten times a second, and keeps the list of alarms; needs no page."""
 
 import math
 import os
@@ -20,7 +20,7 @@ from rig.measure import read_session, state_of
 if TYPE_CHECKING:
     from rig.desk.desk import Desk
 
-_LOOK_S = 0.25
+_LOOK_S = 0.1
 _SURROUNDINGS_S = 1.0
 _CLOCK_STEP_S = 0.5
 _TOLD_KEPT = 64

@@ -154,7 +154,7 @@ class Table:
             "![...document.querySelectorAll('.alarm-row button')].some(b => b.innerText === 'SEEN')",
             lambda: self.page.ask(
                 "[...document.querySelectorAll('.alarm-row button')].filter(b => b.innerText === 'SEEN')"
-                ".forEach(b => b.click())"
+                ".forEach(b => { b.rigHeld = true; b.click(); b.rigHeld = false; })"
             ),
         )
 
