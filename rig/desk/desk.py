@@ -195,12 +195,11 @@ class Desk:
         if folder is not None and folder not in told:
             _order_dark(folder, who)
 
-    def acknowledge(self, number: int) -> str:
+    def acknowledge(self, number: int, who: str = "the desk") -> str:
         """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be. May wait.
 
         Lights nothing.
         """
-        who = "the desk"
         if (aligner := self.aligner) is not None and aligner.running:
             return aligner.acknowledge(number, who)
         if self.following.running:

@@ -166,10 +166,13 @@ class Following:
                 self.news = {}
             return
         self.silent = False
+        if news["run"] != self.news.get("run"):
+            # a camera that was lost in the run before is opened again
+            self.camera_event = None
         for event in news["events"]:
             self._heard = max(self._heard, int(event["number"]))
             self.events.append(event)
-            if event["kind"] in OF_CAMERA:
+            if event["kind"] in OF_CAMERA and event["run"] == news["run"]:
                 self.camera_event = event
         self.news, self.heard_s = news, time.monotonic()
 

@@ -67,7 +67,7 @@ def build_page(desk: Desk, off_port: int, person: Person) -> None:
     async def acknowledged() -> None:
         leave.close()
         if (trip := asked) is not None:
-            ui.notify(await run.io_bound(desk.acknowledge, trip.number))
+            ui.notify(await run.io_bound(desk.acknowledge, trip.number, tab.operator))
 
     async def light() -> None:
         ui.notify(await run.io_bound(desk.light))

@@ -1,8 +1,8 @@
 """Thirty faults at the desk: how long each takes to be an alarm on the page, with its cause and its remedy.
 
 Run as ``python -m tests.benchmarks desk_faults [--quick]`` from the repository. Desk, sessions and browser
-are processes of their own. A session of the simulated rig in real time gets the faults that it can have; one
-that only tells (`told_session`) those that it cannot; the desk and the browser get theirs from outside.
+are processes of their own. A session of the simulated rig in real time gets the faults that the rig can
+have; one that only tells (`told_session`) those that it cannot; desk and browser get theirs from outside.
 """
 
 import contextlib

@@ -84,6 +84,21 @@ def test_a_session_that_does_not_answer_is_not_given_up(following: Following, tm
     until(lambda: not following.running)
 
 
+def test_the_camera_of_a_new_run_has_nothing_to_do_with_the_last_one(tmp_path: Path) -> None:
+    folder = tmp_path / "session"
+    folder.mkdir()
+    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    follower = Following(tmp_path)
+    with Channel(folder, told, {}):
+        told.begin_run("run 1", 255, None)
+        told.note("camera lost", "unplugged", "warning", 3.0)
+        follower.start()
+        assert follower.camera_event is not None
+        told.begin_run("run 2", 255, None)
+        until(lambda: follower.news["run"] == "run 2" and follower.camera_event is None)
+    follower.stop()
+
+
 def test_a_session_that_was_killed_is_given_up_although_its_file_is_there(
     following: Following, tmp_path: Path
 ) -> None:

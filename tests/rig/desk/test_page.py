@@ -174,7 +174,13 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
     folder = desk_output / "of-another"
     folder.mkdir(parents=True)
     page.key("4")
-    with Channel(folder, session_news, {"brake": brake}, lambda: now):
+    noted: list[str] = []
+
+    def note(value: str) -> str:
+        noted.append(value)
+        return "noted"
+
+    with Channel(folder, session_news, {"brake": brake, "note": note}, lambda: now):
         session_news.state({"phase": "rest", "progress": "spread 3 px"}, [])
         page.wait_text("nothing is recorded yet: rest: spread 3 px")
         page.wait_text("no frame yet: rest: spread 3 px")
@@ -191,6 +197,15 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         page.wait_text("the brake: does not answer; see its cable")
         page.click("close")
         assert taken == ["on"]
+        page.click("who are you?")
+        page.wait("document.querySelector('.q-dialog input') === document.activeElement")
+        page.type("Ada\r")
+        page.wait_text("Ada")
+        field = "document.querySelector('[data-draft=note]')"
+        page.wait(f"document.querySelector('.q-dialog') === null && ({field}.focus(), true)")
+        page.type("a door slammed\r")
+        page.wait(f"{field}.value === ''")
+        assert noted == ["Ada\ta door slammed"]
         fed = threading.Event()
         feeding = threading.Thread(target=feed, args=(session_news, frame, spot, none, fed))
         feeding.start()
