@@ -26,6 +26,8 @@ from tests.rig.view.headless_browser import HeadlessBrowser, headless_browser
 
 ASKED_S = 3.0
 _LIMIT_S = 30.0
+_LARGEST_KIB = 4608
+"""Of a file, in place of a full disk; what a record reserves at its start fits in."""
 LASER = """
 [controller]
 watchdog_s = 5.0
@@ -249,10 +251,10 @@ def of_surroundings(table: Table, config: Path) -> None:
     config.write_text(text, encoding="utf-8")
     table.page.wait("!document.querySelector('.alarm-row.active')")
     table.acknowledge()
-    # a disk that is full ends the session at its first block
+    # no more can be written, as on a full disk
     folder = runs / "full"
     session = subprocess.Popen(
-        ["bash", "-c", 'ulimit -f 2048; exec "$@"', "-", *run_words(config, folder)],
+        ["bash", "-c", f'ulimit -f {_LARGEST_KIB}; exec "$@"', "-", *run_words(config, folder)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         cwd=config.parent,
@@ -262,7 +264,7 @@ def of_surroundings(table: Table, config: Path) -> None:
     deadline_s = time.monotonic() + 120.0
     while time.monotonic() < deadline_s:
         # a little before the write that fails
-        if record.exists() and record.stat().st_size >= 0.9 * 2048 * 1024:
+        if record.exists() and record.stat().st_size >= 0.9 * 1024 * _LARGEST_KIB:
             break
         time.sleep(0.01)
     table.take("the record cannot be written any more", AlarmKey.SESSION_FAILED, time.monotonic())
