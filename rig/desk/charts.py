@@ -381,7 +381,9 @@ window.rigNumber = (value, unit) => {
   document.addEventListener('click', async event => {
     const button = event.target.closest('[data-chart]');
     if (!button) return;
-    const component = getElement(Number(button.dataset.chart)), chart = component.chart;
+    const component = getElement(Number(button.dataset.chart)), chart = component && component.chart;
+    // one that was not seen yet is not drawn yet
+    if (!chart) return;
     const name = component.$el.getAttribute('aria-label').replace(/[^\w]+/g, '-');
     if (button.dataset.do === 'png') keep(await window.rigPicture(component.$el), name + '.png');
     if (button.dataset.do === 'csv') {
