@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 from processing.contact.laws import DEFAULT_LAW
+from processing.estimate import Determinacy
 from processing.fit import Budget, FitMethod
-from rig.analysis.determined import determined_text
 from rig.analysis.headline import SURFACE_ENERGY, budget_of
 from rig.analysis.results import RunResults
 from rig.presentation import SOURCES, quantity
@@ -70,6 +70,10 @@ def whole_result(run: RunResults, of_series: Mapping[str, Budget] | None = None)
             sources = sorted(item.sources, key=lambda line: -line.share)
             limits = [Limit(one.source, one.share) for one in sources if one.share >= _SHOWN_SHARE]
             return WholeResult(text.rstrip(), "the whole budget, swings and apparatus", limits)
-    name, found = next(iter(exact.parameters.items()))
-    text = f"{quantity(name).symbol} = {determined_text(name, found, verdicts)} {quantity(name).unit}"
-    return WholeResult(text.rstrip(), "the swings alone", [Limit("swings", 1.0)])
+    for name in DEFAULT_LAW.names(drag=False):
+        verdict = verdicts.get(name)
+        if name in exact.parameters and (verdict is None or verdict.verdict is Determinacy.DETERMINED):
+            shown = quantity(name)
+            text = f"{shown.symbol} = {shown.text(*exact.parameters[name])} {shown.unit}"
+            return WholeResult(text.rstrip(), "the swings alone", [Limit("swings", 1.0)])
+    return WholeResult("No parameter is determined", "", [Limit("swings", 1.0)])

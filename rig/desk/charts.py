@@ -223,7 +223,8 @@ def _options(
             "data": [{"xAxis": at, "name": words} for at, words in marks],
         }
     # a square has no room beside its axis's name
-    named = ends is None and len({curve.name for curve in curves if curve.name}) > 1
+    names = list(dict.fromkeys(curve.name for curve in curves if curve.name))
+    named = ends is None and len(names) > 1
     every = list(range(rows))
     return {
         "animation": False,
@@ -231,7 +232,7 @@ def _options(
         "xAxis": x_axes,
         "yAxis": y_axes,
         "series": series,
-        "legend": {"show": named, "right": 8, "top": 0, "textStyle": _TEXT, "itemHeight": 8},
+        "legend": {"show": named, "data": names, "right": 8, "top": 0, "textStyle": _TEXT, "itemHeight": 8},
         "axisPointer": {"link": [{"xAxisIndex": "all"}]},
         "tooltip": {
             "trigger": "axis",

@@ -64,7 +64,7 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
         # preflight gives the camera free and takes it itself
         page.key("3")
         page.click("Run preflight")
-        page.wait_text("saturation")
+        page.wait_text("checks passed")
         page.wait("/NO-GO|GO/.test(document.body.innerText)")
         # measure; only now, so that the interlock opens in the session however long all that has taken
         config.write_text(config.read_text("utf-8") + OPENS.format(8.0), encoding="utf-8")
