@@ -10,7 +10,8 @@ says its keys. `desk` is what all tabs share: configuration, running session, jo
 this tab of the browser: `tab.every(seconds, function)` keeps something fresh while the panel is seen,
 `tab.act(function)` makes a handler that works only in the tab that may act, and shows a RigError as one
 line. Work that takes longer than a moment is awaited with ``nicegui.run.io_bound``; what moves devices is a
-command in a process (`Desk.start`). `panels/fields.py` has fields that the settings' own models judge.
+command in a process (`Desk.start`). Charts are declared by quantities (`charts.py`), colours have names
+(`theme.py`). `panels/fields.py` has fields that the settings' own models judge.
 """
 
 from rig.desk.people import Role, password_line

@@ -10,7 +10,7 @@ from nicegui.events import KeyEventArguments
 
 from rig.alarms import AlarmRow
 from rig.control import LatchedTrip
-from rig.desk import alarm_bar, charts, safety_bar, watchdog
+from rig.desk import alarm_bar, chart_script, safety_bar, watchdog
 from rig.desk.alarm_bar import AlarmBar
 from rig.desk.desk import Desk, Started
 from rig.desk.drafts import KEEPING, Drafts
@@ -32,7 +32,7 @@ def build_page(desk: Desk, off_port: int, person: Person) -> None:
     """Build the page for one tab of a browser; `off_port` is where LIGHT OFF is heard beside this server."""
     tab = Tab(desk, person)
     ui.add_css(safety_bar.STYLE + STYLE + alarm_bar.STYLE + watchdog.STYLE)
-    script = f"{SCRIPT}{charts.SCRIPT}{safety_bar.script(off_port)}{watchdog.script()}{KEEPING}"
+    script = f"{SCRIPT}{chart_script.SCRIPT}{safety_bar.script(off_port)}{watchdog.script()}{KEEPING}"
     ui.add_head_html(f"<script>{script}</script>")
     ui.add_body_html(RED_LIGHT + watchdog.BAR + safety_bar.BAR)
     drafts = Drafts(desk, tab)

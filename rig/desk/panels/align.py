@@ -13,7 +13,8 @@ from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError
 from rig.desk import tables
 from rig.desk.aligner import EXPOSE, Aligner, Wish
-from rig.desk.charts import Chart, Curve
+from rig.desk.chart_options import Curve
+from rig.desk.charts import Chart
 from rig.desk.desk import Desk
 from rig.desk.panels.fields import as_typed, number_field
 from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet

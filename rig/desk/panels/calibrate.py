@@ -9,7 +9,8 @@ from processing.errors import ConfigurationError, RigError
 from rig.calibrate import Filing
 from rig.desk import tables
 from rig.desk.calibrating import FOLDER, Calibrating
-from rig.desk.charts import Chart, Curve
+from rig.desk.chart_options import Curve
+from rig.desk.charts import Chart
 from rig.desk.desk import Desk
 from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.tab import DELIBERATE, Tab

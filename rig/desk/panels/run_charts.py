@@ -5,7 +5,8 @@ from typing import Any
 
 from nicegui import run, ui
 
-from rig.desk.charts import Chart, Curve, Mark, Points
+from rig.desk.chart_options import Curve, Mark, Points
+from rig.desk.charts import Chart
 from rig.desk.desk import Desk
 from rig.desk.tab import Tab
 from rig.presentation import quantity

@@ -7,7 +7,8 @@ from urllib.parse import quote
 from nicegui import run, ui
 
 from rig.desk import tables
-from rig.desk.charts import Chart, Curve
+from rig.desk.chart_options import Curve
+from rig.desk.charts import Chart
 from rig.desk.desk import Desk
 from rig.desk.sessions import SERVED
 from rig.desk.tab import Tab

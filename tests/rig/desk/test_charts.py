@@ -11,7 +11,7 @@ from acquisition.frame import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from rig.channel import Channel, SessionNews
-from rig.desk.charts import Curve, _options
+from rig.desk.chart_options import Curve, chart_options
 from rig.presentation import quantity
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page
@@ -22,7 +22,7 @@ OF = "getElement(Number(document.querySelector('[aria-label=\"trajectory\"]').id
 
 def test_axes_are_named_by_the_catalogue_and_a_band_is_as_wide_as_it_says() -> None:
     curves = (Curve("amplitude"), Curve("period_s", style="band", row=1))
-    found = _options(
+    found = chart_options(
         quantity("elapsed_s"), curves, [[(0.0, 2.0)], [(0.0, 4.0, 0.5)]], "px", False, [], None, ""
     )
     assert [axis["name"] for axis in found["yAxis"]] == ["amplitude / px", "period / s"]
