@@ -71,7 +71,8 @@ svg text { fill: var(--dim); font-size: 12px; }
 .picture { background: #000; } .picture img { image-rendering: pixelated; touch-action: none; }
 :focus-visible { outline: 3px solid var(--line); outline-offset: 2px; }
 
-.report { width: min(1000px, 94vw); max-width: 94vw !important; height: 100%; padding: 8px; }
+.report { width: min(1000px, 94vw); max-width: 94vw !important; height: calc(100vh - 90px); padding: 8px;
+  margin-bottom: 64px; }
 .report iframe { width: 100%; flex: 1 1 auto; border: 0; background: var(--ground); }
 .find { width: 260px; }
 
