@@ -15,3 +15,4 @@ from processing.campaign.evidence import (
 )
 from processing.campaign.forms import FRICTION, ORDER, Effect, Form
 from processing.campaign.posterior import CampaignPosterior, fit_campaign, moved_by
+from processing.campaign.sampling import SETTLED, Sampled, predictive_check, sample_campaign

@@ -233,6 +233,19 @@ def _curvature(design: Design, h: Floats, w: Floats) -> Floats:
     return np.asarray(0.5 * (found + found.T))
 
 
+def weighted_levels(
+    rng: np.random.Generator, design: Design, h: Floats, start: Floats
+) -> tuple[Floats, Floats]:
+    """Latent numbers for draws of the scatters from their marginal density, and the weights of both."""
+    w, log_w = _draw_levels(rng, design, h, start)
+    log_ratio = [
+        log_density(design, h[part], w[part]) - log_marginal(design, h[part], start)[0] - log_w[part]
+        for part in _parts(design, len(h))
+    ]
+    whole = np.concatenate(log_ratio)
+    return w, np.exp(whole - logsumexp(whole))
+
+
 def _draw_t(
     rng: np.random.Generator, centre: Floats, covariance: Floats, draws: int, tails: float
 ) -> tuple[Floats, Floats]:

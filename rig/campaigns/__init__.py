@@ -8,6 +8,7 @@ from rig.campaigns.results import (
     CampaignRun,
     CampaignSource,
     CampaignValue,
+    SamplerFindings,
 )
 from rig.campaigns.sources import runs_of_archive, runs_of_folders
 from rig.campaigns.stated import StatedCampaign, read_campaign

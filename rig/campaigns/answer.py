@@ -15,12 +15,15 @@ from processing.campaign import (
     CompressedRun,
     Effect,
     Level,
+    Sampled,
     chance,
     compare_forms,
     find_change,
     fit_campaign,
     is_seen,
     parameters,
+    predictive_check,
+    sample_campaign,
     span_of,
     within,
 )
@@ -38,6 +41,7 @@ from rig.campaigns.results import (
     CampaignResults,
     CampaignRun,
     CampaignValue,
+    SamplerFindings,
     likelihood_tree,
 )
 from rig.campaigns.stated import StatedCampaign, StatedEffect
@@ -58,8 +62,8 @@ class Campaign:
     stated: StatedCampaign
 
 
-def answer_of(found: Sequence[FoundRun], stated: StatedCampaign) -> Campaign:
-    """The answer of a campaign.
+def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool = False) -> Campaign:
+    """The answer of a campaign; with `sample` the posterior is a sampler's.
 
     Raises
     ------
@@ -82,7 +86,12 @@ def answer_of(found: Sequence[FoundRun], stated: StatedCampaign) -> Campaign:
     runs = [run for _, run in entered]
     names = _names(stated, runs)
     model = _model(stated, names, reference_rad, runs)
-    posterior = fit_campaign(runs, model, draws=stated.draws, seed=stated.seed)
+    sampled = sample_campaign(runs, model, seed=stated.seed) if sample else None
+    posterior = (
+        fit_campaign(runs, model, draws=stated.draws, seed=stated.seed)
+        if sampled is None
+        else sampled.posterior
+    )
     alone = fit_campaign(runs, model.without_priors(), draws=stated.draws, seed=stated.seed)
     contacts = _contacts(posterior, alone, [one for one, _ in entered], reference_rad)
     forms = compare_forms(runs, model, stated.candidates) if stated.candidate else None
@@ -117,10 +126,12 @@ def answer_of(found: Sequence[FoundRun], stated: StatedCampaign) -> Campaign:
             contact: {name: budget_of_level(posterior, name, contact) for name in names}
             for contact in contacts
         },
-        draws=stated.draws,
+        draws=len(posterior.weight),
         draws_that_count=posterior.effective,
+        predictive_p=predictive_check(posterior, seed=stated.seed),
+        sampler=None if sampled is None else _findings(sampled),
         left_out=tuple(left_out),
-        warnings=_warnings(posterior, alone),
+        warnings=_warnings(posterior, alone, sampled),
         simulated=any(bool(one.run.simulated) for one, _ in entered),
         stated=stated.model_dump(mode="json", exclude_defaults=True),
     )
@@ -302,8 +313,20 @@ def _runs(
     return tuple(out)
 
 
-def _warnings(found: CampaignPosterior, alone: CampaignPosterior) -> tuple[str, ...]:
+def _findings(sampled: Sampled) -> SamplerFindings:
+    return SamplerFindings(
+        worst_r_hat=max(sampled.r_hat.values()),
+        fewest_draws=min(sampled.effective.values()),
+        settled=sampled.settled,
+    )
+
+
+def _warnings(found: CampaignPosterior, alone: CampaignPosterior, sampled: Sampled | None) -> tuple[str, ...]:
     said: list[str] = []
+    if sampled is not None and not sampled.settled:
+        said.append(
+            f"the sampler's chains differ (R-hat {max(sampled.r_hat.values()):.2f}): doubt its answer"
+        )
     for run, bad in zip(found.runs, found.bad, strict=True):
         if bad > _BAD:
             said.append(f"{run.label} is a bad run with {100 * bad:.0f} %: it counts for little; look at it")

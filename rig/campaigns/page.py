@@ -11,6 +11,7 @@ from rig.analysis import encoded
 from rig.campaigns.answer import Campaign
 from rig.campaigns.figures import figures_of
 from rig.campaigns.latex import latex_table
+from rig.campaigns.results import CampaignResults
 from rig.campaigns.tables import Beliefs, tables_of
 from rig.presentation import Table, plain_values
 from rig.report import html, save_figures, save_tables, styled
@@ -53,6 +54,16 @@ def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
     return [path, target]
 
 
+def _method(results: CampaignResults) -> str:
+    if results.sampler is None:
+        return "Laplace's method over the scatters;"
+    found = results.sampler
+    return (
+        f"Sampled by emcee (worst R-hat {found.worst_r_hat:.3f}, at least {found.fewest_draws:.0f} "
+        "independent draws);"
+    )
+
+
 def _page(campaign: Campaign, tables: list[Table], figures: list[str], sha256: str) -> str:
     results = campaign.results
     count = len(results.runs)
@@ -68,8 +79,9 @@ def _page(campaign: Campaign, tables: list[Table], figures: list[str], sha256: s
     body += [shown[0], *figures, *shown[1:]]
     body.append(
         html.paragraph(
-            f"Laplace's method over the scatters; {results.draws_that_count:.0f} of {results.draws} draws "
-            f"count. sha256 of {NAME}: {sha256}.",
+            f"{_method(results)} {results.draws_that_count:.0f} of {results.draws} draws count. Runs of the "
+            f"model scatter as much as the real ones with p = {results.predictive_p:.2g}. "
+            f"sha256 of {NAME}: {sha256}.",
             "note",
         )
     )

@@ -89,13 +89,23 @@ class CampaignRun:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SamplerFindings:
+    """What the sampler's chains say of themselves: the worst R-hat, the fewest independent draws."""
+
+    worst_r_hat: float
+    fewest_draws: float
+    settled: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignResults:
     """campaign.json.
 
     `between_runs` and `between_contacts` are standard deviations, of b, c and gamma as fractions. `shared`
     are inputs that runs have in common, in their standard uncertainties: what the runs say of them.
     `nothing` is the probability that no candidate holds. `draws_that_count` says how well Laplace's method
-    describes the posterior. `stated` is what the configuration states.
+    describes the posterior, `predictive_p` how probable it is
+    that runs of the model scatter as much as the real ones. `stated` is what the configuration states.
     """
 
     schema: int = SCHEMA
@@ -113,6 +123,8 @@ class CampaignResults:
     budgets: Mapping[str, Mapping[str, tuple[CampaignSource, ...]]] = field(default_factory=dict)
     draws: int = 0
     draws_that_count: float = nan
+    predictive_p: float = nan
+    sampler: SamplerFindings | None = None
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     simulated: bool = False

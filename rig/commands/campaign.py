@@ -42,6 +42,9 @@ def campaign(
     where: Annotated[
         str, typer.Option(help="The archive's runs that meet a condition, as of rig archive list.")
     ] = "",
+    sample: Annotated[
+        bool, typer.Option("--sample", help="The full posterior by a sampler (emcee), with its R-hat.")
+    ] = False,
 ) -> None:
     """Many runs, one answer: a model over all of them.
 
@@ -74,13 +77,13 @@ def campaign(
 
     stated = StatedCampaign() if config is None else read_campaign(config)
     if archive is None:
-        found = answer_of(runs_of_folders(folders or []), stated)
+        found = answer_of(runs_of_folders(folders or []), stated, sample=sample)
     else:
         from rig.archive import opened
 
         with opened(archive) as place:
             runs = runs_of_archive(place, where)
-        found = answer_of(runs, stated)
+        found = answer_of(runs, stated, sample=sample)
     print_tables(campaign_tables(found))
     for line in (*found.results.left_out, *found.results.warnings):
         say(line)

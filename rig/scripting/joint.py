@@ -11,6 +11,7 @@ def campaign(
     sessions: Sequence[str | Path | Session],
     stated: str | Path | None = None,
     *,
+    sample: bool = False,
     output: str | Path | None = None,
 ) -> Campaign:
     """Fit one model over the runs of several sessions, as `rig campaign` does.
@@ -22,6 +23,8 @@ def campaign(
         contact.
     stated
         TOML file with parameters, effects and priors; None: all parameters, no effects.
+    sample
+        The full posterior by a sampler (emcee) in the place of Laplace's method.
     output
         Folder for campaign.json, page, figures and tables; None: nothing is written.
 
@@ -36,9 +39,8 @@ def campaign(
         Results cannot be read, a run is there twice, or something is stated that there is not.
     """
     folders = [one.folder if isinstance(one, Session) else Path(one) for one in sessions]
-    found = answer_of(
-        runs_of_folders(folders), StatedCampaign() if stated is None else read_campaign(Path(stated))
-    )
+    known = StatedCampaign() if stated is None else read_campaign(Path(stated))
+    found = answer_of(runs_of_folders(folders), known, sample=sample)
     if output is not None:
         save_campaign(found, Path(output))
     return found

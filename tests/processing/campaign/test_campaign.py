@@ -20,9 +20,12 @@ from processing.campaign import (
     fit_campaign,
     is_seen,
     parameters,
+    predictive_check,
+    sample_campaign,
     to_coordinates,
     within,
 )
+from processing.campaign.sampling import effective_draws, split_r_hat
 from processing.errors import DataError
 from processing.estimate import Estimate
 from tests.processing.campaign.simulated_campaigns import AIR, NAMES, World, made
@@ -199,6 +202,38 @@ def test_equivalence_needs_a_narrow_band() -> None:
     slope = found.draws(next(level for level in found.levels if level.kind == "effect"))
     assert within(found, slope, 1.0) > 0.999
     assert within(found, slope, 1e-4) < 0.5
+
+
+def test_a_sampler_agrees() -> None:
+    pytest.importorskip("emcee")
+    runs = made(world(), 8, np.random.default_rng(10), names=("c",)).runs
+    model = CampaignModel(names=("c",))
+    quick, sampled = fit_campaign(runs, model, draws=4000), sample_campaign(runs, model, steps=600)
+    assert sampled.settled
+    assert min(sampled.effective.values()) > 200
+    for level in (C, Level("between runs", "c")):
+        one, other = quick.estimate(level), sampled.posterior.estimate(level)
+        assert other.value == pytest.approx(one.value, abs=0.15 * one.standard_uncertainty)
+        assert other.standard_uncertainty == pytest.approx(one.standard_uncertainty, rel=0.15)
+
+
+def test_chains_that_differ_are_told() -> None:
+    rng = np.random.default_rng(11)
+    chains = rng.normal(size=(4, 500, 10))
+    assert split_r_hat(chains) < 1.01
+    assert effective_draws(chains) == pytest.approx(20_000, rel=0.1)
+    apart = chains + np.arange(4)[:, None, None]
+    assert split_r_hat(apart) > 1.2
+    slow = np.repeat(chains, 10, axis=1)
+    assert effective_draws(slow) == pytest.approx(20_000, rel=0.3)
+
+
+def test_runs_that_the_model_cannot_make_are_told() -> None:
+    runs = made(world(), 20, np.random.default_rng(12)).runs
+    free = fit_campaign(runs, CampaignModel(names=NAMES))
+    assert 0.02 < predictive_check(free) < 0.98
+    bound = fit_campaign(runs, CampaignModel(names=NAMES, scatter=(), bad_run_chance=0.0))
+    assert predictive_check(bound) < 0.05
 
 
 def test_coordinates_return() -> None:
