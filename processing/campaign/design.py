@@ -178,7 +178,7 @@ def design_of(runs: Sequence[CompressedRun], model: CampaignModel) -> Design:
             blurred.append(blur)
             blurred_by.append(len(levels))
         add(Level("effect", effect.label), column, 0.0, model.size(effect.parameter) / span)
-    grows = any(_in_time(effect) for effect in model.effects)
+    grows = any(effect.bends_decays for effect in model.effects)
     for source in dict.fromkeys(source for run in runs for source in run.shared):
         if grows and source == GROWTH:
             continue  # what an effect describes is no input of which little is known
@@ -255,12 +255,6 @@ def _moments(low: float, high: float) -> tuple[float, float, float]:
     return mean, (1 - 2 / np.pi) * apart**2 + product, mean * ((4 / np.pi - 1) * apart**2 + product)
 
 
-def _in_time(effect: Effect) -> bool:
-    """Whether friction grows within each run by this effect."""
-    in_time = effect.form is Form.DURING or effect.covariate.endswith("_s")
-    return effect.parameter == FRICTION and in_time
-
-
 def _effect(
     runs: Sequence[CompressedRun], effect: Effect, names: Sequence[str]
 ) -> tuple[Floats, Floats, float]:
@@ -273,7 +267,7 @@ def _effect(
     column, blur = np.zeros((len(runs), len(names))), np.zeros((len(runs), len(names)))
     column[:, moved] = (effect.value(x) * here)[:, None]
     blur[:, moved] = (effect.slope(x) * u * here)[:, None]
-    if _in_time(effect):
+    if effect.bends_decays:
         rate = effect.slope(x) * here
         for row, run in enumerate(runs):
             for name, by in zip(run.names, run.by_growth if run.by_growth is not None else (), strict=False):

@@ -53,6 +53,12 @@ class Effect:
         over = "" if self.form is Form.DURING else f" over {self.covariate}"
         return f"{self.parameter}{of}: {self.form}{over}{where}"
 
+    @property
+    def bends_decays(self) -> bool:
+        """Whether friction grows within each run by it."""
+        in_time = self.form is Form.DURING or self.covariate.endswith("_s")
+        return self.parameter == FRICTION and in_time
+
     def moves(self) -> tuple[str, ...]:
         """The coordinates that it moves."""
         return _MOVES.get(self.parameter, (self.parameter,))

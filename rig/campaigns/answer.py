@@ -327,6 +327,12 @@ def _warnings(found: CampaignPosterior, alone: CampaignPosterior, sampled: Sampl
         said.append(
             f"the sampler's chains differ (R-hat {max(sampled.r_hat.values()):.2f}): doubt its answer"
         )
+    blind = [run.label for run in found.runs if run.by_growth is None]
+    if blind and any(effect.bends_decays for effect in found.model.effects):
+        said.append(
+            f"{', '.join(blind[:3])}{' ...' if len(blind) > 3 else ''}: what friction that grows does to the "
+            "decay is not in the results and not counted; rig fit --set fit.u_ageing=0.01 makes them again"
+        )
     for run, bad in zip(found.runs, found.bad, strict=True):
         if bad > _BAD:
             said.append(f"{run.label} is a bad run with {100 * bad:.0f} %: it counts for little; look at it")

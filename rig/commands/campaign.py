@@ -21,6 +21,7 @@ def campaign(
         typer.Argument(
             help="Folders of sessions, in the order in which they were measured; each is a contact.",
             show_default=False,
+            callback=with_results,
         ),
     ] = None,
     output: Annotated[
@@ -62,7 +63,6 @@ def campaign(
         raise ConfigurationError(f"{folders[0]}: folders and --archive exclude each other; leave one out")
     if where and archive is None:
         raise ConfigurationError(f"--where {where!r}: has no effect without --archive")
-    with_results(folders or [])
 
     from rig.campaigns import (
         StatedCampaign,

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from processing.errors import ConfigurationError
 
-_Given = TypeVar("_Given", Path, list[Path], Path | None)
+_Given = TypeVar("_Given", Path, list[Path], Path | None, list[Path] | None)
 _KINDS = {"": "file or folder", ".mcap": "record", ".toml": "file", ".rrd": "Rerun file"}
 _MOST_NAMED = 5
 

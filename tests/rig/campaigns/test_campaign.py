@@ -156,6 +156,13 @@ def test_what_is_stated_wrongly_is_said_in_a_line(tmp_path: Path, text: str, sai
     assert len(done.stderr.strip().splitlines()) == 1
 
 
+def test_growth_within_runs_that_is_not_known_is_said(tmp_path: Path) -> None:
+    folders = humid_campaign(tmp_path)
+    growing = {"parameters": ["b", "p", "c"], "effect": [{"parameter": "friction", "form": "during"}]}
+    found = answer_of(runs_of_folders(folders), StatedCampaign.model_validate(growing))
+    assert "rig fit --set fit.u_ageing=0.01" in " ".join(found.results.warnings)
+
+
 def test_a_run_counts_once(tmp_path: Path) -> None:
     first = run(1, GLASS, np.random.default_rng(1))
     folder = session(tmp_path / "monday", [first, twice(first)])
