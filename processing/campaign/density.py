@@ -15,6 +15,8 @@ from processing.campaign.design import Design
 _LOG_2PI = float(np.log(2 * np.pi))
 _STEPS = 60
 _SETTLED = 1e-7
+_TOGETHER = 4_000_000
+"""Numbers of one array: draws are made in parts."""
 
 
 class Spread(NamedTuple):
@@ -138,3 +140,11 @@ def log_marginal(design: Design, h: Floats, start: Floats) -> tuple[Floats, Cond
     log_det = 2 * np.sum(np.log(np.diagonal(factor, axis1=-2, axis2=-1)), axis=-1)
     value = log_density(design, h, inner.w, inner.spread)
     return np.asarray(value + 0.5 * design.x.shape[2] * _LOG_2PI - 0.5 * log_det), inner
+
+
+def in_parts(design: Design, draws: int) -> list[slice]:
+    """Draws in parts whose largest arrays are of a bearable size."""
+    runs, subs, size = design.y.shape
+    each = runs * size * max(subs * size * (1 + len(design.blurred_by)), design.x.shape[2])
+    width = max(1, _TOGETHER // max(each, 1))
+    return [slice(begin, begin + width) for begin in range(0, draws, width)]

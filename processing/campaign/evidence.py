@@ -11,7 +11,8 @@ from processing.arrays import Floats
 from processing.campaign.compressed import CompressedRun
 from processing.campaign.design import CampaignModel, Level, design_of
 from processing.campaign.forms import ORDER, Effect, Form
-from processing.campaign.posterior import CampaignPosterior, laplace
+from processing.campaign.laplace import likeliest
+from processing.campaign.posterior import CampaignPosterior
 from processing.errors import DataError
 
 SEEN = 0.05
@@ -67,10 +68,10 @@ def compare_forms(runs: Sequence[CompressedRun], model: CampaignModel, candidate
     Half of the probability beforehand is that of nothing, the candidates share the other half: among many a
     chance resemblance is charged for.
     """
-    base = laplace(design_of(runs, model))
+    base = likeliest(design_of(runs, model))
     gains = np.array(
         [
-            laplace(design_of(runs, model.with_effects(*model.effects, one)), base.h).log_evidence
+            likeliest(design_of(runs, model.with_effects(*model.effects, one)), base.h).log_evidence
             - base.log_evidence
             for one in candidates
         ]
@@ -97,12 +98,12 @@ def find_change(runs: Sequence[CompressedRun], model: CampaignModel, parameter: 
     if len(runs) < 2 * _FEWEST:
         raise DataError(f"{len(runs)} runs: a change needs {_FEWEST} on either side")
     places = np.arange(_FEWEST, len(runs) - _FEWEST + 1)
-    base = laplace(design_of(runs, model))
+    base = likeliest(design_of(runs, model))
     gains = []
     for place in places.tolist():
         step = Effect(parameter=parameter, covariate=ORDER, form=Form.STEP, reference=place)
         changed = design_of(runs, model.with_effects(*model.effects, step))
-        gains.append(laplace(changed, base.h).log_evidence - base.log_evidence)
+        gains.append(likeliest(changed, base.h).log_evidence - base.log_evidence)
     found = np.array(gains)
     share = np.exp(found - logsumexp(found))
     reached = np.cumsum(share)

@@ -16,7 +16,9 @@ from processing.arrays import Floats
 from processing.campaign.compressed import CompressedRun
 from processing.campaign.density import log_marginal
 from processing.campaign.design import CampaignModel, Level, design_of
-from processing.campaign.posterior import CampaignPosterior, laplace, weighted_levels
+from processing.campaign.laplace import likeliest
+from processing.campaign.posterior import CampaignPosterior
+from processing.campaign.weighted_draws import weighted_levels
 from processing.errors import ConfigurationError
 
 SETTLED = 1.05
@@ -63,7 +65,7 @@ def sample_campaign(
             "the sampler needs emcee: pip install 'optical-pendulum-rig[campaign]', or leave it out"
         ) from None
     design = design_of(runs, model)
-    found = laplace(design)
+    found = likeliest(design)
     rng = np.random.default_rng(seed)
     size = len(found.h)
     if not size:

@@ -97,6 +97,7 @@ def covariate_figure(campaign: Campaign) -> ReportFigure | None:
             axes.set_xscale("log")
         axes.set_xlabel(label)
         axes.set_title(coordinate_label(name, results.reference_arcsec), fontsize=7.5)
+    figure.subplots_adjust(top=1 - 0.6 / figure.get_figheight())
     figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=4)
     return ReportFigure(
         "covariates",

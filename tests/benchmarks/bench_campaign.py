@@ -271,7 +271,7 @@ def age(count: int) -> dict[str, float]:
                 alone.append((p.value - truth.p) / p.standard_uncertainty)
             clock_s += lasting_s + 120.0
         names = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
-        model = CampaignModel(names=names, effects=(ages,), scatter=("c",), sizes={"b": 0.3})
+        model = CampaignModel(names=names, effects=(ages,), scatter=("b", "c"), sizes={"b": 0.3})
         found = fit_campaign(runs, model, seed=campaign)
         p = found.estimate(Level("contact", "p", "glass"))
         slope = found.estimate(effect_of(found))

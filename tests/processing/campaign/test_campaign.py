@@ -195,6 +195,14 @@ def test_without_priors_the_data_decide() -> None:
     assert fit_campaign(runs, strict.without_priors()).estimate(C).value == pytest.approx(-17.975, abs=0.02)
 
 
+def test_draws_without_priors_count_where_runs_hardly_scatter() -> None:
+    """The sizes are made so wide then that the scatter is 1e-4 of them."""
+    runs = [plain_run(-18.0 + 0.001 * (i % 3), 0.002) for i in range(30)]
+    found = fit_campaign(runs, CampaignModel(names=("c",)).without_priors())
+    assert found.effective > 300
+    assert found.estimate(Level("between runs", "c")).value < 0.003
+
+
 def test_equivalence_needs_a_narrow_band() -> None:
     found = fit_campaign(
         made(world(), 20, np.random.default_rng(9)).runs, CampaignModel(names=NAMES, effects=(HUMIDITY,))
