@@ -84,7 +84,6 @@ class _Adding:
     def __post_init__(self) -> None:
         self.store.begin()
         self._seal = sealed(self.store.folder)
-        self._sealed: dict[str, str] = {}
         self._there = self.store.sessions.names()
         self._added_runs: set[str] = set()
         self._written_s = time.monotonic()
@@ -101,12 +100,6 @@ class _Adding:
             self.places[folder] = _Place(version, sha256, files, tuple(runs))
         found = connection.execute("select sha256, computer, folder from open_runs").fetchall()
         self.listed = {sha256: (computer, folder) for sha256, computer, folder in found}
-        if self._seal is not None:
-            question = (
-                "select sha256, coalesce(results_sha256, ''), sealed from versions where sealed is not null"
-            )
-            for sha256, results, text in connection.execute(question).fetchall():
-                self._sealed[f"{sha256} {results}"] = text
         known = {
             version for (version,) in connection.execute("select distinct version from versions").fetchall()
         }
@@ -141,7 +134,7 @@ class _Adding:
         rows = found.rows
         if self._seal is not None and self._seal.public_key:
             hides = [*self._seal.scales, *withheld(self._seal)]
-            rows = [enclosed_row(row, self._seal.public_key, hides, self._sealed) for row in rows]
+            rows = [enclosed_row(row, self._seal.public_key, hides) for row in rows]
         version, sha256 = self.store.sessions.write(found.session, rows)
         self._there.add(version)
         inside = not any(Path(row["record"]).is_absolute() for row in found.rows)

@@ -34,21 +34,14 @@ def withheld(seal: Seal) -> list[str]:
     return [*dict.fromkeys(numbers), *(_COUNTS if "period0_s" in seal.scales else ())]
 
 
-def enclosed_row(
-    row: Mapping[str, Any], public_key: str, seal_columns: Iterable[str], known: Mapping[str, str]
-) -> dict[str, Any]:
-    """A row with its hidden values sealed; one that is sealed already, and one that has none, as it is.
-
-    `known` has what was sealed before by the hash of record and results: sealed again it would be another
-    text, and the state another one.
-    """
+def enclosed_row(row: Mapping[str, Any], public_key: str, seal_columns: Iterable[str]) -> dict[str, Any]:
+    """A row with its hidden values sealed; one that is sealed already, and one that has none, as it is."""
     hides = [*seal_columns, *(name for name in _TEXTS if re.search(r"\d", row.get(name) or ""))]
     values = {name: row[name] for name in hides if row.get(name) is not None}
     if row.get("sealed") or not values:
         return dict(row)
-    before = known.get(f"{row['sha256']} {row.get('results_sha256') or ''}")
     open_ = {name: value for name, value in row.items() if name not in values}
-    return {**open_, "sealed": before or enclosed(json.dumps({"row": values}).encode(), public_key)}
+    return {**open_, "sealed": enclosed(json.dumps({"row": values}).encode(), public_key)}
 
 
 def disclosed_table(texts: Sequence[str], keys: Sequence[bytes]) -> Any:

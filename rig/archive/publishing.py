@@ -26,6 +26,13 @@ _MEDIA_TYPES = {
     ".toml": "application/toml",
     ".md": "text/markdown",
 }
+_MEANINGS = {
+    ".mcap": "record of a run: spots, half-cycles, events, pixels",
+    "results.json": "results of the analysis of the records beside it",
+    "session.json": "the session's runs and their states",
+    ".toml": "configuration or calibration, as the record holds it",
+    ".md": "what the record's topics and fields mean",
+}
 
 
 class Statement(NamedTuple):
@@ -146,21 +153,29 @@ def _describe(crate: Any, folder: Path, statement: Statement, simulated: int, ru
     )
     crate.datePublished = datetime.datetime.now(datetime.UTC).date().isoformat()
     licence = f"https://spdx.org/licenses/{statement.licence}"
-    crate.license = crate.add(
-        ContextEntity(crate, licence, {"@type": "CreativeWork", "name": statement.licence, "url": licence})
-    )
-    crate.root_dataset["author"] = [
+    said = {"@type": "CreativeWork", "name": statement.licence, "url": licence}
+    said["description"] = f"The licence {statement.licence}, as SPDX has it"
+    crate.license = crate.add(ContextEntity(crate, licence, said))
+    authors = [
         crate.add(Person(crate, _identifier(text, place), {"name": text.partition("http")[0].strip(" ,")}))
         for place, text in enumerate(statement.authors, 1)
     ]
-    crate.root_dataset["citation"] = statement.citation or (
+    crate.root_dataset["author"] = authors if len(authors) > 1 else authors[0]
+    crate.root_dataset["publisher"] = authors[0]
+    # what is cited is known by its address, and a text by which to credit is no citation
+    crate.root_dataset["creditText"] = statement.citation or (
         f"{', '.join(text.partition('http')[0].strip(' ,') for text in statement.authors)}: {statement.title}"
     )
+    if address := re.search(r"https?://\S+", statement.citation):
+        article = {"@type": "ScholarlyArticle", "name": statement.citation}
+        crate.root_dataset["citation"] = crate.add(ContextEntity(crate, address[0], article))
     for path in sorted(folder.rglob("*")):
         if path.is_file():
             described = {
                 "name": path.name,
                 "contentSize": str(path.stat().st_size),
+                "description": _MEANINGS.get(path.name)
+                or _MEANINGS.get(path.suffix, "an input of the session"),
                 "encodingFormat": _MEDIA_TYPES.get(path.suffix, "application/octet-stream"),
                 "sha256": sha256_of(path),
             }

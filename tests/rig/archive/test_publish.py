@@ -4,6 +4,7 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 
@@ -38,7 +39,7 @@ def test_a_crate_is_described_proved_and_read_again(archive: Path, tmp_path: Pat
     wrong = rig(*other, "--author", "Ada https://orcid.org/0000-0000-0000-0002")
     assert (wrong.returncode, "is no ORCID" in wrong.stderr) == (2, True)
     assert root["license"]["@id"] == "https://spdx.org/licenses/CC-BY-4.0"
-    assert root["author"][0]["@id"] == "https://orcid.org/0000-0000-0000-0001"
+    assert root["author"]["@id"] == "https://orcid.org/0000-0000-0000-0001"
     files = {path.relative_to(crate).as_posix() for path in crate.rglob("*") if path.is_file()}
     assert files - set(tree) == {"ro-crate-metadata.json"} - set(tree)
     assert "session-1-series/inputs/calibration/lever.toml" in files
@@ -53,6 +54,49 @@ def test_a_crate_is_described_proved_and_read_again(archive: Path, tmp_path: Pat
     assert listed[0] == listed[1] != []
     assert "exists already" in rig(*words).stderr
     assert not list(tmp_path.glob(".crate*"))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_crate_is_what_its_profile_asks(
+    archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Judged by roc-validator, without a network: its stored profiles, the context that rocrate holds."""
+    services = pytest.importorskip("rocrate_validator.services", reason="pip install roc-validator")
+    rocrate = pytest.importorskip("rocrate")
+    from rocrate_validator import models
+    from rocrate_validator.utils import http
+
+    text = (Path(rocrate.__file__).parent / "data" / "ro-crate.jsonld").read_text(encoding="utf-8")
+
+    class Answer:
+        status_code = 200
+        headers: ClassVar = {"Content-Type": "application/ld+json"}
+
+        def json(self) -> Any:
+            return json.loads(text)
+
+    def get(_: object, address: str, *__: object, **___: object) -> Answer:
+        assert address.startswith("https://w3id.org/ro/crate/"), f"{address}: is not here"
+        return Answer()
+
+    monkeypatch.setattr(http.HttpRequester, "get", get, raising=False)
+    cite = ("--citation", "Example, A.: Friction https://doi.org/10.3390/lubricants11020088")
+    for crate, more in ((tmp_path / "crate", ()), (tmp_path / "cited", cite)):
+        words = ("--where", "state = 'whole'", "-o", crate, *SAID, *more, "--archive", archive)
+        assert rig("archive", "publish", *words).returncode == 0
+        asked = services.ValidationSettings(
+            rocrate_uri=str(crate),
+            requirement_severity=models.Severity.RECOMMENDED,
+            profile_identifier="ro-crate-1.3",
+            skip_availability_check=True,
+        )
+        found = services.validate(asked).get_issues()
+        # what nobody has stated: where an author works, and how to reach him
+        unstated = ("affiliation", "contactPoint")
+        assert not [
+            str(item.message) for item in found if not any(word in str(item.message) for word in unstated)
+        ]
 
 
 @pytest.mark.parametrize(("pixels", "said"), [("recompressed", "recorded"), ("dropped", "dropped")])
