@@ -91,6 +91,7 @@ class _Copy:
 
     def __init__(self, url: str) -> None:
         self._url = url.rstrip("/")
+        self._keeps = True
         with _said_in_a_line(url):
             self._system, self._root = _system(self._url)
         self.folder = _cache() / hashlib.sha256(self._url.encode()).hexdigest()[:16]
@@ -165,6 +166,8 @@ class _Copy:
         here, seen = self._here(), self._seen()
         new = sorted(here - seen, key=_order_of_sending)
         sent: list[str] = []
+        if new and MANIFEST not in new:
+            self._keeps = self._keeps_what_is_there()
         while new:
             name = new.pop(0)
             if self._create(name):
@@ -203,10 +206,29 @@ class _Copy:
         prove(self.folder / name, name, data)
         with _said_in_a_line(self._url):
             try:
+                if not self._keeps:
+                    self._system.invalidate_cache()
+                    if self._system.exists(f"{self._root}/{name}"):
+                        raise FileExistsError
                 self._system.pipe_file(f"{self._root}/{name}", data, mode="create")
             except FileExistsError:
                 return self._read([name]).get(name) == data
         return True
+
+    def _keeps_what_is_there(self) -> bool:
+        """Whether the server refuses to write over a file where it is asked to; that it does not is said."""
+        # its own content: where it is written over, it stays as it is
+        data = (self.folder / MANIFEST).read_bytes()
+        with _said_in_a_line(self._url):
+            try:
+                self._system.pipe_file(f"{self._root}/{MANIFEST}", data, mode="create")
+            except FileExistsError:
+                return True
+        say(
+            f"{self._url}: the server writes over what is there, asked not to (If-None-Match): two who "
+            "write in the same moment may lose what one of them says; use it one after the other"
+        )
+        return False
 
     def _after_theirs(self, names: Sequence[str]) -> set[str]:
         """Give facts that were not sent numbers behind those that somebody else has sent meanwhile.

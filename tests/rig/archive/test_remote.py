@@ -1,5 +1,6 @@
 """An archive on S3: a real server here on loopback, two computers that use it at once."""
 
+import contextlib
 import http.client
 import http.server
 import os
@@ -194,6 +195,7 @@ class Lying(http.server.BaseHTTPRequestHandler):
                 name: value
                 for name, value in self.headers.items()
                 if not name.lower().startswith(("x-amz-checksum", "content-md5"))
+                and (self.lie != "writes over" or name.lower() != "if-none-match")
             }
             server.request(self.command, self.path, body, kept)
             answer = server.getresponse()
@@ -229,21 +231,13 @@ def test_an_endpoint_that_lies_is_not_believed(
     shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
     true = os.environ["AWS_ENDPOINT_URL"]
     assert on(monkeypatch, tmp_path / "one", url, "add", tmp_path / "runs").returncode == 0
-    address = urllib.parse.urlsplit(true)
-    handler = type("Handler", (Lying,), {"behind": (address.hostname, address.port), "lie": lie})
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server.server_port}")
-    fsspec_forgets()
     user = tmp_path / ("two" if lie == "gives half" else "one")
-    done = on(monkeypatch, user, url, "tag", "good", "--where", "b > 0")
-    server.shutdown()
-    server.server_close()
+    with lying(lie, monkeypatch):
+        done = on(monkeypatch, user, url, "tag", "good", "--where", "b > 0")
     assert done.returncode == 1, done.stdout
     assert lie != "gives half" or "sessions/" in done.stderr
     # what was said and not kept is not lost: it is here, and is sent to a server that keeps it
-    monkeypatch.setenv("AWS_ENDPOINT_URL", true)
-    fsspec_forgets()
+    assert os.environ["AWS_ENDPOINT_URL"] == true
     if lie == "keeps another bit":
         assert on(monkeypatch, user, url, "check", "--repair").returncode == 0
     elif lie == "gives half":
@@ -251,6 +245,45 @@ def test_an_endpoint_that_lies_is_not_believed(
     assert on(monkeypatch, user, url, "list").returncode == 0
     listed = on(monkeypatch, tmp_path / "three", url, "list", "--columns", "tags", "--format", "json")
     assert "good" in listed.stdout
+
+
+@contextlib.contextmanager
+def lying(lie: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Between the program and the server somebody who lies so."""
+    true = os.environ["AWS_ENDPOINT_URL"]
+    address = urllib.parse.urlsplit(true)
+    handler = type("Handler", (Lying,), {"behind": (address.hostname, address.port), "lie": lie})
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server.server_port}")
+    fsspec_forgets()
+    try:
+        yield
+    finally:
+        server.shutdown()
+        server.server_close()
+        monkeypatch.setenv("AWS_ENDPOINT_URL", true)
+        fsspec_forgets()
+
+
+def test_a_server_that_writes_over_what_is_there_is_said_and_loses_nothing_sent_before(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    series = shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    other = shutil.copytree(OLDER / "uncalibrated", tmp_path / "more" / "uncalibrated")
+    with lying("writes over", monkeypatch):
+        assert on(monkeypatch, tmp_path / "three", url, "add", series.parent).returncode == 0
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "two"))
+        # two users of one computer: the same names of facts, sent one after the other
+        with opened(url) as folder:
+            (series / "results.json").unlink()
+            add_sessions(folder, [series.parent])
+            done = on(monkeypatch, tmp_path / "one", url, "add", other.parent)
+            assert "writes over what is there" in done.stderr
+            monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "two"))
+    for user in ("one", "two", "three", "four"):
+        done = on(monkeypatch, tmp_path / user, url, "list", "--columns", "run", "--format", "json")
+        assert (done.returncode, done.stdout.count("run-")) == (0, 3), done.stderr
 
 
 def fsspec_forgets() -> None:
