@@ -8,11 +8,13 @@ from processing.arrays import Floats
 
 _BESIDE: Final = 3
 """Neighbours on each side that foretell a position."""
-_AROUND: Final = 40
+_AROUND: Final = 100
 """Neighbours on each side that say how well they foretell it."""
-_TORN: Final = 8.0
-"""Standard deviations: with noise alone once in 10^15 positions."""
-_LEAST_PX: Final = 0.02
+_USUAL: Final = 0.95
+"""Part of them that is taken for usual: compression has long tails, as it stores nothing where little moves."""
+_TORN: Final = 4.0
+"""Times the usual: of noise alone nearly eight standard deviations."""
+_LEAST_PX: Final = 0.1
 """A tear that matters nowhere."""
 
 
@@ -20,7 +22,7 @@ def torn_positions(time_s: Floats, positions: Floats) -> list[int]:
     """First indices of stretches at which one of the coordinates (n, m), in px, tears off.
 
     Each position is foretold by a cubic through three neighbours on each side. How far off that usually is
-    (noise, and what a cubic lacks of a swing) is told by the median of forty on each side. Where a neighbour
+    (noise, and what a cubic lacks of a swing) is told by a hundred on each side. Where a neighbour
     is lost nothing is said.
     """
     count = len(time_s)
@@ -40,7 +42,7 @@ def torn_positions(time_s: Floats, positions: Floats) -> list[int]:
         if not known.any():
             continue
         usual = np.full(len(off), np.nan)
-        usual[known] = 1.4826 * np.nanmedian(around[known], axis=1)
+        usual[known] = np.nanquantile(around[known], _USUAL, axis=1)
         with np.errstate(invalid="ignore"):
             torn[middle] |= off > np.maximum(_TORN * usual, _LEAST_PX)
     places = np.flatnonzero(torn)

@@ -131,3 +131,18 @@ def test_compression_is_a_line_in_the_budget_of_a_films_laws(
     lines = [line for line in budget if line["source"] == "common_amplitude_rad"]
     assert bool(lines) == has_line
     assert all(line["contribution"] > 0.0 for line in lines)
+
+
+def test_damage_that_a_decoder_takes_for_good_data_is_named_where_it_is(tmp_path: Path) -> None:
+    """The spot jumps in three pictures, as a changed bit of a compressed film makes it."""
+    pictures = swing(count=240)
+    pictures[150:153] = [np.roll(picture, 3, axis=1) for picture in pictures[150:153]]
+    said = {}
+    for codec, ending in (("libx264", "mp4"), ("ffv1", "mkv")):
+        film = Film(codec=codec, ending=ending, pixels="yuv420p")
+        path = write_film(tmp_path / f"swing.{ending}", pictures, film)
+        said[codec] = [line for line in film_trajectory(path, FilmAsked()).understood if "tear off" in line]
+    assert len(said["libx264"]) == 1
+    assert said["libx264"][0].startswith(("positions tear off at 4.9", "positions tear off at 5.0"))
+    # what has no loss is judged by its checksums
+    assert said["ffv1"] == []
