@@ -11,7 +11,7 @@ _BESIDE: Final = 3
 _AROUND: Final = 100
 """Neighbours on each side that say how well they foretell it."""
 _USUAL: Final = 0.95
-"""Part of them that is taken for usual: compression has long tails, as it stores nothing where little moves."""
+"""Part of them that is taken for usual: compression, which stores nothing where little moves, has tails."""
 _TORN: Final = 4.0
 """Times the usual: of noise alone nearly eight standard deviations."""
 _LEAST_PX: Final = 0.1

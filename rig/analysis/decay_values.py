@@ -1,7 +1,7 @@
 """What every decay has, whether or not a law can be fitted: period, decrement, damping, in its own unit."""
 
 from dataclasses import fields, replace
-from math import hypot
+from math import hypot, pi
 from typing import Any
 
 from processing.damping import fit_damping
@@ -30,17 +30,17 @@ def decay_values(
     """Fields of `RunResults`; amplitudes in a unit that is `unit_size` in that of the points.
 
     `u_clock` is what the second of the times is uncertain by, relative; `u_common` the standard uncertainty
-    of an error that all amplitudes share, in the unit of the points: what it would change is in the
-    uncertainties.
+    of an error that all half-cycles share, in the unit of the points: of their amplitudes, and as a lag of
+    the position where the swing turns, of their times. What it would change is in the uncertainties.
     """
     found = _of(points, summary, unit_size)
     period_s, u_s = found["period_s"]
     found["period_s"] = Estimate(period_s, hypot(u_s, u_clock * period_s))
     if not u_common > 0:
         return found
-    moved = replace(points, amplitude=points.amplitude + u_common)
+    lag_s = u_common * period_s / (2.0 * pi * points.amplitude)
+    moved = replace(points, amplitude=points.amplitude + u_common, time_s=points.time_s + lag_s)
     other = _of(moved, summarise_decay(moved), unit_size)
-    other["period_s"] = found["period_s"]
     return {name: _wider(value, other[name]) for name, value in found.items()}
 
 

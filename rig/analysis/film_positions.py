@@ -1,5 +1,6 @@
 """Positions of the spot, or of a dark object, in a film or a folder of images: a trajectory in px."""
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,7 +106,7 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
         *([_LOSSY.format(camera.lossy)] if camera.lossy else []),
         f"frames: {status.delivered} read, {lost}",
         f"followed: {followed}; {flags['LOST']} frames without one" + _flagged(flags, status.delivered),
-        f"position: x and y, in {unit}" + (f", {asked.size} a pixel" if asked.size else ""),
+        f"position: x and y, in {unit}" + (f", a pixel is {factor:.6g} {unit}" if asked.size else ""),
     ]
     if flags["LOST"] > (1.0 - _FEWEST_FOUND) * status.delivered:
         raise DataError(
@@ -184,18 +185,21 @@ def _flagged(flags: Counter[str], count: int) -> str:
 
 
 def _pixel(text: str) -> tuple[float, str]:
-    """Size of a pixel and its unit."""
+    """Size of a pixel and its unit: stated, or a length over the number of pixels that it takes."""
     if not text:
         return 1.0, "px"
-    number, _, unit = text.strip().partition(" ")
+    whole, over, count = text.partition(" over ")
+    number, _, unit = whole.strip().partition(" ")
+    pixels, _, px = count.strip().partition(" ")
     known = known_unit(unit)
     try:
-        size = float(number)
-    except ValueError:
+        size = float(number) / (float(pixels) if over else 1.0)
+    except (ValueError, ZeroDivisionError):
         size = 0.0
-    if not known or not size > 0:
+    if not known or not 0 < size < math.inf or (over and known_unit(px) != "px"):
         raise ConfigurationError(
-            f"--pixel {text!r}: a number and a unit are needed, as '0.142 mm' or '3.2 arcsec'"
+            f"--pixel {text!r}: a number and a unit are needed, as '0.142 mm' or '3.2 arcsec', or a length "
+            "over its pixels: '85 mm over 600 px'"
         )
     return size, known
 

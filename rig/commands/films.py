@@ -44,7 +44,11 @@ def video(
         ),
     ] = None,
     pixel: Annotated[
-        str, typer.Option(help="Size of a pixel with its unit: '0.142 mm', '3.2 arcsec'; default: px.")
+        str,
+        typer.Option(
+            help="Size of a pixel with its unit, or a length over its pixels: '0.142 mm', '3.2 arcsec', "
+            "'85 mm over 600 px'; default: px."
+        ),
     ] = "",
     rate: Annotated[
         float | None, typer.Option(min=0.001, help="Frames a second, of images or of a film that says none.")
