@@ -6,7 +6,7 @@ from math import nan
 from typing import Self
 
 from processing.spot import LONGEST_CHOICE_FRAMES, BeamUse, SpotFlag, SpotModel
-from rig.presentation import Verdict
+from rig.presentation import Verdict, percent
 
 _EASED = SpotFlag.MULTIPLE | SpotFlag.LEARNED
 """Flags that name the model, and are no fault of a spot."""
@@ -81,7 +81,7 @@ class Beam:
             else "",
             self.remedy if poor else "",
             measured=f"{self.model or 'no spot'}, POOR_FIT in {self.poor_fit_frames} of {self.judged_frames} "
-            f"({100 * (self.poor_fit_frames / max(self.judged_frames, 1)):.2g} %)",
+            f"({percent(self.poor_fit_frames / max(self.judged_frames, 1))})",
             limit=f"{100 * most:g} %",
         )
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from processing.fit import Drifts, FitResult, InputQuantity
 from processing.surroundings import Surroundings
-from rig.presentation import quantity
+from rig.presentation import percent, quantity
 from rig.settings import Configuration
 
 
@@ -39,7 +39,7 @@ def limit_sentence(drifts: Drifts, believed: BelievedDrifts, fit: FitResult) -> 
     if not moved:
         return ""
     return (
-        f"One decay cannot tell a contact that ages: {100 * share:.2g} % over the run would move "
+        f"One decay cannot tell a contact that ages: {percent(share)} over the run would move "
         f"{', '.join(moved)} of the swings; the budget has it (fit.u_ageing). Runs from other first "
         "amplitudes, and after waiting, can tell."
     )

@@ -31,7 +31,7 @@ def remarks(run: RunResults) -> list[str]:
     if run.strong_correlations:
         pairs = run.strong_correlations
         names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
-        lines.append(f"Hardly told apart by the data (correlation): {names}.".replace("-", "−"))
+        lines.append(f"Strongly correlated in this run: {names}.".replace("-", "−"))
     lines += [f"{item.text}." for item in run.identifiability if item.verdict is not Determinacy.DETERMINED]
     return [*lines, *run.notes]
 

@@ -13,7 +13,7 @@ from processing.fit import Ground
 from processing.spot import SpotFlag
 from rig.analysis.beam import Beam
 from rig.analysis.run_clock import RunClock, clock_verdict
-from rig.presentation import Verdict
+from rig.presentation import Verdict, percent
 from rig.settings import PreflightSettings
 
 _MOST_KELVIN = 1.0
@@ -82,7 +82,7 @@ def _fraction(name: str, count: int, of: int, most: float, remedy: str) -> Verdi
         ok,
         "" if ok else "too many",
         "" if ok else remedy,
-        measured=f"{count} of {of} ({100 * part:.2g} %)",
+        measured=f"{count} of {of} ({percent(part)})",
         limit=f"{100 * most:g} %",
     )
 
@@ -156,7 +156,7 @@ def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
             ok,
             "" if ok else "it drove the pendulum more than friction braked it",
             "" if ok else "measure at a quieter time or place; end at a larger amplitude",
-            measured=f"{100 * part:.2g} % of the half-cycles left out, uncertainties × {widest:.2g}",
+            measured=f"{percent(part)} of the half-cycles left out, uncertainties × {widest:.2g}",
             limit=f"{100 * _MOST_LEFT_OUT:g} % left out",
         )
     ]

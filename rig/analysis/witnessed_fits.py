@@ -9,7 +9,7 @@ from processing.contact import PendulumOnBall
 from processing.fit import FitResult, Response, Witness, WitnessUse, fit_with_witness, with_place_errors
 from processing.swing import TurningPoints
 from rig.analysis.witness_file import WitnessRecord
-from rig.presentation import plain, quantity, with_uncertainty
+from rig.presentation import percent, plain, quantity, with_uncertainty
 
 WitnessAt = Callable[[int], tuple[Witness, bool]]
 """A witness for a run whose first fitted turning point is at a time in ns, and whether its clock is known."""
@@ -55,7 +55,7 @@ def _told(use: WitnessUse) -> list[str]:
         return [f"Witness of the ground {use.verdict}{reason}{judged}{sought}. All stands as without it."]
     before, left = use.ground_alone_rad_per_s2_rthz, use.ground_left_rad_per_s2_rthz
     explained = (
-        f"it explains {100 * use.explained:.4g} % of the drive at the pendulum's frequency, which falls from "
+        f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
         f"{with_uncertainty(*before)} to {with_uncertainty(*left)} rad/s²/√Hz"
     )
     if use.spectra is not None and isfinite(use.spectra.coherence_near):

@@ -15,6 +15,7 @@ from processing.ticks import seconds
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.calibrate.spots import whole_spots
 from rig.instrument import frame_shape, recorded_configuration
+from rig.presentation import percent
 from rig.settings import Configuration
 
 _SHORTEST_ROW_S = 0.5e-6
@@ -44,7 +45,7 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
             _of_pulses(record, spots, times_s, rows, stated, config),
             "brightness of a pulsed spot",
         )
-        notes = [f"at one end of its path the spot was darker by {100 * found.ramp:.3g} %"]
+        notes = [f"at one end of its path the spot was darker by {percent(found.ramp, 3)}"]
         rolls = True
     else:
         found, method = fit_row_time(times_s, y_px), "second harmonic of a swing across the rows"

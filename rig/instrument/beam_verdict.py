@@ -7,7 +7,7 @@ import numpy as np
 
 from acquisition.frame import Image
 from processing.spot import BeamShape, Spot, SpotFlag, SpotModel, beam_shape
-from rig.presentation import Verdict
+from rig.presentation import Verdict, percent
 from rig.settings import PreflightSettings
 
 NAME = "beam quality"
@@ -61,9 +61,9 @@ def beam_quality(
     same = [spot for spot in found if spot.flags & SpotFlag.LEARNED == learned]
     poor = float(np.mean([bool(spot.flags & SpotFlag.POOR_FIT) for spot in same]))
     chi2 = float(np.median([spot.chi2_per_dof for spot in same]))
-    words = f"{model or 'one Gaussian so far'}, chi2/dof {chi2:.2f}, POOR_FIT in {100 * poor:.3g} % of frames"
+    words = f"{model or 'one Gaussian so far'}, chi2/dof {chi2:.2f}, POOR_FIT in {percent(poor, 3)} of frames"
     if shape is not None:
-        words += f", off a Gaussian by {100 * shape.departure:.2g} % of its peak"
+        words += f", off a Gaussian by {percent(shape.departure)} of its peak"
     edge = float(np.mean([bool(spot.flags & SpotFlag.EDGE) for spot in found]))
     cut = float(np.mean([bool(spot.flags & SpotFlag.CUT) for spot in found]))
     is_cut = cut > limits.max_lost_fraction
@@ -93,9 +93,7 @@ def _cuts(at_edge: bool, is_cut: bool, shape: BeamShape | None) -> list[_Fault]:
     if is_cut:
         if shape is None:
             return [_Fault(False, "something cuts it", free)]
-        reason = (
-            f"something cuts it: {100 * shape.departure:.2g} % of its peak are missing, and told by an edge"
-        )
+        reason = f"something cuts it: {percent(shape.departure)} of its peak are missing, and told by an edge"
         return [_Fault(shape.departure < _CUT, reason, free)]
     if shape is None or _is_ghost(shape):
         return []
@@ -103,7 +101,7 @@ def _cuts(at_edge: bool, is_cut: bool, shape: BeamShape | None) -> list[_Fault]:
         reason = f"something cuts it: one side falls {shape.lopsided:.1f} times as steeply as the other"
         return [_Fault(False, reason, free)]
     if not shape.extra_light and shape.away_sigmas > _FLANK_SIGMAS and shape.departure > _DEPARTURE:
-        reason = f"something cuts it: {100 * shape.departure:.2g} % are missing {shape.away_px:.0f} px off"
+        reason = f"something cuts it: {percent(shape.departure)} are missing {shape.away_px:.0f} px off"
         return [_Fault(shape.departure < _CUT, reason, free)]
     return []
 
@@ -123,7 +121,7 @@ def _bad_fit(poor: bool, chi2: float, model: SpotModel | None, *, noise_is_known
 def _other_shapes(shape: BeamShape | None) -> list[_Fault]:
     if shape is None or shape.departure <= _DEPARTURE:
         return []
-    part = f"{100 * shape.departure:.2g} %"
+    part = percent(shape.departure)
     if _is_ghost(shape):
         reason = f"a second spot or ghost: {part} more light {shape.away_px:.0f} px off"
         return [_Fault(True, reason, "tilt or wedge what reflects twice: window, filter, cover glass")]

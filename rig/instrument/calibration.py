@@ -8,6 +8,7 @@ from typing import Any
 
 from calibration import CalibrationFile, Kind, Lever, moved_between, parse_calibration
 from processing.errors import ConfigurationError
+from rig.presentation import percent
 from rig.settings import Configuration, FitSettings, validate_configuration
 
 PREFIX = "calibration/"
@@ -171,7 +172,7 @@ def _checks(
             ratio, u = check.details["ratio"], check.details["u_both"]
             warnings.append(
                 f"known angles on {check.measured_at:%Y-%m-%d %H:%M}: the lever's scale is off by "
-                f"{100 * (ratio - 1):+.3g} % (u = {100 * u:.2g} %)"
+                f"{100 * (ratio - 1):+.3g} % (u = {percent(u)})"
             )
     before = [check for check, _ in found if check.measured_at <= began]
     after = [check for check, _ in found if check.measured_at >= ended]
@@ -184,7 +185,7 @@ def _checks(
         )
         if moved:
             warnings.append(
-                f"the lever's scale moved by {100 * change:+.3g} % (u = {100 * u_change:.2g} %) between the "
+                f"the lever's scale moved by {100 * change:+.3g} % (u = {percent(u_change)}) between the "
                 "checks before and after this run"
             )
     return [_entry(check, data, began) | {"found": check.details} for check, data in found], warnings

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from processing.estimate import Estimate
 from rig.instrument import Snapshot
-from rig.presentation import quantity
+from rig.presentation import percent, quantity
 from rig.settings import StopCondition
 
 _TWO_COLUMNS_FROM = 120
@@ -120,7 +120,7 @@ def estimate_texts(key: str, one: Estimate) -> tuple[str, str]:
     relative = one.standard_uncertainty / abs(one.value) if one.value else float("inf")
     if not relative < _SHOWN_FROM:
         return "not yet seen", ""
-    return quantity(key).text(one.value, one.standard_uncertainty), f"{100 * relative:.2g} %"
+    return quantity(key).text(one.value, one.standard_uncertainty), percent(relative)
 
 
 def _text(key: str, one: Estimate) -> str:

@@ -7,7 +7,7 @@ from math import isfinite, nan
 from processing.angle import ARCSEC_RAD
 from processing.fit import PlannedSeries, planned_series
 from rig.plan.plan import Plan
-from rig.presentation import Cell, Table, quantity
+from rig.presentation import Cell, Table, percent, quantity
 
 _PER_HOUR = 3600.0
 _LITTLE = 1.2
@@ -44,7 +44,7 @@ def plan_ageing(plan: Plan, waits_s: Sequence[float]) -> AgeingPlan:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %" if isfinite(share) and share < 10 else "not told"
+    return percent(share) if isfinite(share) and share < 10 else "not told"
 
 
 def ageing_table(planned: AgeingPlan) -> Table:

@@ -15,7 +15,7 @@ from processing.errors import DataError
 from processing.fit import Conditions, FitMethod, PlannedRun, planned_run
 from rig.analysis import AnalysedRun
 from rig.plan.expected import Expected
-from rig.presentation import Cell, Table, print_tables, quantity
+from rig.presentation import Cell, Table, percent, print_tables, quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ def plan_expected(
 
 def _share(u: float, value: float) -> str:
     """An uncertainty over its value, or beside it where that is none: no drag."""
-    return f"{100 * u / abs(value):.2g} %" if value else f"{u:.2g}"
+    return percent(u / abs(value)) if value else f"{u:.2g}"
 
 
 def plan_table(plan: Plan) -> Table:

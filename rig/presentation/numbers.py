@@ -81,6 +81,12 @@ def plain(value: float, digits: int = 4) -> str:
     return mantissa.replace("-", MINUS) + power(exponent)
 
 
+def percent(fraction: float, digits: int = 2) -> str:
+    """A fraction in per cent, with so many significant digits and no power of ten: `0.25 %`, `130 %`."""
+    text = f"{100 * fraction:.{digits}g}"
+    return f"{100 * fraction:.0f} %" if "e+" in text else f"{text} %"
+
+
 def _decimal(value: float) -> Decimal:
     """The number as Python prints it, so that 4.95 is halfway between 4.9 and 5.0."""
     return Decimal(repr(float(value)))

@@ -14,7 +14,7 @@ from rig.desk.following import doing
 from rig.desk.tab import DELIBERATE, Tab, tell
 from rig.instrument import complete
 from rig.plan import expected_of, plan_expected, plan_table
-from rig.presentation import quantity
+from rig.presentation import percent, quantity
 
 _LEAST, _WELL, _USELESS = 1e-6, 0.1, 0.5
 """Uncertainty over value where a bar begins, up to which it is well known, and from which on hardly."""
@@ -128,7 +128,7 @@ def _expected(desk: Desk) -> tuple[list[tables.Bar], str]:
         # of what may be a millionth or all of the value only the order is seen
         filled, mark = (1 + math.log10(max(one, _LEAST)) / -math.log10(_LEAST) for one in (part, _WELL))
         value = quantity(name).text(plan.values[name], plan.runs[0].u[name])
-        shown = f"{100 * part:.2g} %"
+        shown = percent(part)
         rows.append(tables.Bar(quantity(name).label, shown, filled, mark, kind, value))
     table = plan_table(plan)
     words = ", ".join(

@@ -121,7 +121,7 @@ def test_what_is_hardly_determined_is_said_and_nothing_of_what_is() -> None:
     )
     assert remarks(results) == [
         ground_sentence(_DRIVEN),
-        "Hardly told apart by the data (correlation): b and p (−0.998).",
+        "Strongly correlated in this run: b and p (−0.998).",
         "c < 2e-9.",
         "a note",
     ]
