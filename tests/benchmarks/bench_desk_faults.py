@@ -261,13 +261,14 @@ def of_surroundings(table: Table, config: Path) -> None:
         env={**os.environ, "PYTHONPATH": os.getcwd()},
     )
     record = folder / "run-1.mcap"
-    deadline_s = time.monotonic() + 120.0
-    while time.monotonic() < deadline_s:
-        # a little before the write that fails
-        if record.exists() and record.stat().st_size >= 0.9 * 1024 * _LARGEST_KIB:
-            break
+    size, grown_s = 0, time.monotonic() + 120.0
+    # it is written twice a second; the last write is a little before the one that fails
+    while time.monotonic() - grown_s < 1.2:
+        with contextlib.suppress(FileNotFoundError):
+            if (now := record.stat().st_size) > size and now > 2**20:
+                size, grown_s = now, time.monotonic()
         time.sleep(0.01)
-    table.take("the record cannot be written any more", AlarmKey.SESSION_FAILED, time.monotonic())
+    table.take("the record cannot be written any more", AlarmKey.SESSION_FAILED, grown_s)
     session.kill()
     session.communicate()
     table.acknowledge()
