@@ -130,6 +130,8 @@ def seal_folders(archive: Path, folders: Sequence[Path]) -> list[str]:
     for folder in (folder.resolve() for folder in folders):
         if found is None or not found.public_key:
             raise ConfigurationError(f"{archive}: has no seal with a key for folders; unblind it, then blind")
+        # what a command left that was killed when its seal had its name
+        whole_file.take_away_leftovers(folder)
         known = seal_over(folder)
         if known is None or known.public_key != found.public_key:
             seal_folder(folder, found.public_key)
