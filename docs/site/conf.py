@@ -55,6 +55,7 @@ CONTENTS = {
         "docs/video",
         "docs/tables",
         "docs/archive",
+        "docs/campaign",
         "docs/api",
         "docs/notebook",
         "CONTRIBUTING",

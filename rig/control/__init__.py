@@ -15,8 +15,9 @@ from rig.control.safety_state import (
     rig_state_path,
     state_folder,
 )
+from rig.control.seedlink import SeedLinkStation
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings, EnvironmentSettings, WitnessSettings
 from rig.control.simulated import SimulatedOutputs, simulated_controller
 from rig.control.states import STALE_S, DevicesNow, LaserNow, Light, Loop, SafetyNow
-from rig.control.witness import WitnessSample, WitnessService
+from rig.control.witness import WitnessLines, WitnessSample, WitnessSamples

@@ -1,4 +1,4 @@
-"""Reads the samples of a witness of the ground: lines from a serial port, or from a file that grows."""
+"""Samples of a witness of the ground: lines from a serial port, or from a file that grows."""
 
 import contextlib
 import math
@@ -92,15 +92,11 @@ class FileTail:
             raise PortLost(f"{self._path}: cannot be read: {error.strerror or error}") from error
 
 
-class WitnessService(DeviceThread):
-    """Takes every line in a thread from `start` to `close`; reopens what was unplugged."""
+class WitnessSamples(DeviceThread):
+    """Takes samples in a thread from `start` to `close`; reopens what was unplugged or is not reached."""
 
-    def __init__(self, settings: WitnessSettings, open_line: Callable[[], SerialLine] | None = None) -> None:
+    def __init__(self, settings: WitnessSettings) -> None:
         self._settings = settings
-        self._open_line = open_line or self._configured
-        self._line: SerialLine | None = None
-        self._reader: LineReader | None = None
-        self._between_lines = False
         self._samples: deque[WitnessSample] = deque(maxlen=_MOST_WAITING)
         self._last_error = ""
         self.last_ns = -1
@@ -122,6 +118,27 @@ class WitnessService(DeviceThread):
         """Those since the last call, oldest first. Never blocks; only one thread may call it."""
         return [self._samples.popleft() for _ in range(len(self._samples))]
 
+    def _keep(self, sample: WitnessSample) -> None:
+        self._samples.append(sample)
+        self.last_ns = time.monotonic_ns()
+
+    def _say_once(self, error: str) -> None:
+        """An event for an error, unless it is that of the last attempt."""
+        if error != self._last_error:
+            self._say(error)
+        self._last_error = error
+
+
+class WitnessLines(WitnessSamples):
+    """Every line of a serial port or of a file that grows is a sample."""
+
+    def __init__(self, settings: WitnessSettings, open_line: Callable[[], SerialLine] | None = None) -> None:
+        self._open_line = open_line or self._configured
+        self._line: SerialLine | None = None
+        self._reader: LineReader | None = None
+        self._between_lines = False
+        super().__init__(settings)
+
     def _configured(self) -> SerialLine:
         settings = self._settings
         if settings.kind == "file":
@@ -139,9 +156,7 @@ class WitnessService(DeviceThread):
                 self._last_error = ""
             self._read(self._reader)
         except DeviceError as error:
-            if str(error) != self._last_error:
-                self._say(str(error))
-            self._last_error = str(error)
+            self._say_once(str(error))
             self._finish()
             return _REOPEN_S
         return 0.0
@@ -161,8 +176,7 @@ class WitnessService(DeviceThread):
         if sample is None:
             self.unread_lines += 1
             return
-        self._samples.append(sample)
-        self.last_ns = now_ns
+        self._keep(sample)
 
     def _finish(self) -> None:
         line, self._line, self._reader = self._line, None, None

@@ -1,6 +1,7 @@
 """The witness of the ground of a session, on the clock of its frames."""
 
 import math
+from importlib.util import find_spec
 from typing import Protocol, Self
 
 from acquisition.camera import Camera
@@ -9,9 +10,9 @@ from acquisition.frame import Frame
 from acquisition.record.topics import RecordedWitness
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.witness import SimulatedWitness
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, MissingPackage
 from processing.ticks import nanoseconds, seconds
-from rig.control import WitnessService, WitnessSettings
+from rig.control import SeedLinkStation, WitnessLines, WitnessSamples, WitnessSettings
 from rig.settings import Configuration
 
 
@@ -60,6 +61,8 @@ def ground_witness(config: Configuration) -> GroundWitness | None:
             f"witness.kind = {settings.kind!r} samples as time passes, and the frames come on demand: set "
             "simulation.real_time = true, or 'simulated'"
         )
+    if settings.kind == "seedlink" and find_spec("obspy") is None:
+        raise MissingPackage("witness.kind = 'seedlink'", "obspy")
     return _Connected(settings)
 
 
@@ -68,7 +71,8 @@ class _Connected:
 
     def __init__(self, settings: WitnessSettings) -> None:
         self._settings = settings
-        self._service = WitnessService(settings)
+        by_seedlink = settings.kind == "seedlink"
+        self._service: WitnessSamples = (SeedLinkStation if by_seedlink else WitnessLines)(settings)
 
     def __enter__(self) -> Self:
         self._service.start()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.control import WitnessService, WitnessSettings
+from rig.control import WitnessLines, WitnessSettings
 from rig.control.witness import sample_of
 from rig.settings import keys_with_faults
 
@@ -56,7 +56,7 @@ def test_a_serial_instrument_is_read_line_by_line() -> None:
     settings = WitnessSettings(
         kind="serial", port=os.ttyname(slave), columns=("time_s", "z"), stale_after_s=LIMIT_S
     )
-    service = WitnessService(settings)
+    service = WitnessLines(settings)
     assert service.silent
     samples = []
 
@@ -79,7 +79,7 @@ def test_a_serial_instrument_is_read_line_by_line() -> None:
 def test_a_file_is_read_as_it_grows_and_again_when_it_is_replaced(tmp_path: Path) -> None:
     path = tmp_path / "station.txt"
     settings = WitnessSettings(kind="file", file=path, columns=("z",), stale_after_s=LIMIT_S)
-    service = WitnessService(settings)
+    service = WitnessLines(settings)
     values: list[float] = []
     with service:
         until(lambda: "cannot be read" in " ".join(service.take_events()))
