@@ -1,0 +1,192 @@
+"""Which runs reach a goal in the least rig time: chosen one after the other, then exchanged, then ordered."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, log
+
+import numpy as np
+
+from processing.arrays import Floats
+from processing.campaign.outlook import CandidateRun, Outlook
+
+_ENDLESS = 1e4
+"""Runs of every kind after which nothing more is to be had."""
+_SWEEPS = 4
+_CLOSE = 0.999
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenRun:
+    """A run of a plan, and the worst expected uncertainty over its limit before it and after it."""
+
+    candidate: CandidateRun
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """Runs in the order in which they should be made.
+
+    Attributes
+    ----------
+    runs
+        Empty where the goal is reached already, or cannot be.
+    now, expected
+        Worst expected uncertainty over its limit: at present, and after all runs.
+    floor
+        What is left of it after as many runs as one likes: above 1 the goal cannot be reached by these.
+    next_best
+        By label, of what could have been the first run: by which factor it lowers `now`, per hour.
+    """
+
+    runs: tuple[ChosenRun, ...]
+    now: float
+    expected: float
+    floor: float
+    next_best: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def reached(self) -> bool:
+        return self.expected < 1
+
+    @property
+    def rig_time_s(self) -> float:
+        return sum(one.candidate.rig_time_s for one in self.runs)
+
+
+def choose_runs(ahead: Outlook, *, longest_s: float = inf, most: int = 200, seed: int = 1) -> Choice:
+    """The set of runs that reaches all goals in the least rig time, randomised in blocks by a seed.
+
+    Where they cannot be reached within `longest_s` or by `most` runs, the runs that come nearest; where no
+    number of runs reaches them, none.
+    """
+    now = ahead.ratio(ahead.before)
+    floor = ahead.ratio(ahead.before + _ENDLESS * sum(_once(ahead)))
+    ranked = _ranked(ahead)
+    if now < 1 or floor >= 1:
+        return Choice(runs=(), now=now, expected=now, floor=floor, next_best=ranked)
+    starts = [_greedily(ahead, [], longest_s, most)]
+    starts += [_alone(ahead, which, longest_s, most) for which in range(len(ahead.candidates))]
+    good = [one for one in starts if _ratio(ahead, one) < 1]
+    if good:
+        best = min(
+            (_exchanged(ahead, one) for one in sorted(good, key=lambda one: _time_s(ahead, one))[:3]),
+            key=lambda one: _time_s(ahead, one),
+        )
+    else:
+        best = min(starts, key=lambda one: _ratio(ahead, one))
+    order = _in_blocks(ahead.candidates, best, np.random.default_rng(seed))
+    # where it counts when a run is made, another order may need more of them
+    if good:
+        order = _greedily(ahead, order, longest_s, most)
+    runs, before, ratio = [], ahead.before, now
+    for place, which in enumerate(order):
+        before = before + ahead.adds(which, _time_s(ahead, order[:place]), place)
+        after = ahead.ratio(before)
+        runs.append(ChosenRun(ahead.candidates[which], ratio, after))
+        ratio = after
+    return Choice(runs=tuple(runs), now=now, expected=ratio, floor=floor, next_best=ranked)
+
+
+def _once(ahead: Outlook) -> list[Floats]:
+    return [ahead.adds(which, 0.0, place) for which in range(len(ahead.candidates)) for place in (0, 1)]
+
+
+def _ranked(ahead: Outlook) -> tuple[tuple[str, float], ...]:
+    """Candidates by what each would gain of the goal's logarithm in an hour."""
+    begin = log(ahead.merit(ahead.before))
+    gains = [
+        (
+            one.label,
+            3600 * (begin - log(ahead.merit(ahead.before + ahead.adds(which, 0.0, 0)))) / one.rig_time_s,
+        )
+        for which, one in enumerate(ahead.candidates)
+    ]
+    return tuple(sorted(gains, key=lambda one: -one[1]))
+
+
+def _time_s(ahead: Outlook, order: Sequence[int]) -> float:
+    return sum(ahead.candidates[which].rig_time_s for which in order)
+
+
+def _after(ahead: Outlook, order: Sequence[int]) -> Floats:
+    whole, elapsed_s = ahead.before, 0.0
+    for place, which in enumerate(order):
+        whole = whole + ahead.adds(which, elapsed_s, place)
+        elapsed_s += ahead.candidates[which].rig_time_s
+    return whole
+
+
+def _ratio(ahead: Outlook, order: Sequence[int]) -> float:
+    return ahead.ratio(_after(ahead, order))
+
+
+def _greedily(ahead: Outlook, begun: Sequence[int], longest_s: float, most: int) -> list[int]:
+    """Runs added one after the other, each the one that gains most for its time."""
+    order, whole, elapsed_s = list(begun), _after(ahead, begun), _time_s(ahead, begun)
+    while ahead.ratio(whole) >= 1 and len(order) < most:
+        merit, best, gain = ahead.merit(whole), -1, 0.0
+        for which, one in enumerate(ahead.candidates):
+            if elapsed_s + one.rig_time_s <= longest_s:
+                after = ahead.merit(whole + ahead.adds(which, elapsed_s, len(order)))
+                found = (log(merit) - log(after)) / one.rig_time_s
+                best, gain = (which, found) if found > gain else (best, gain)
+        if best < 0:
+            break
+        whole = whole + ahead.adds(best, elapsed_s, len(order))
+        elapsed_s += ahead.candidates[best].rig_time_s
+        order.append(best)
+    return order
+
+
+def _alone(ahead: Outlook, which: int, longest_s: float, most: int) -> list[int]:
+    """Runs of one kind, of all contacts in turns."""
+    kind = ahead.candidates[which].label
+    turns = [place for place, one in enumerate(ahead.candidates) if one.label == kind]
+    if turns[0] != which:
+        return []
+    order: list[int] = []
+    whole, elapsed_s = ahead.before, 0.0
+    while ahead.ratio(whole) >= 1 and len(order) < most:
+        one = turns[len(order) % len(turns)]
+        if elapsed_s + ahead.candidates[one].rig_time_s > longest_s:
+            break
+        whole = whole + ahead.adds(one, elapsed_s, len(order))
+        elapsed_s += ahead.candidates[one].rig_time_s
+        order.append(one)
+    return order
+
+
+def _exchanged(ahead: Outlook, begun: list[int]) -> list[int]:
+    """Runs left out, or exchanged for shorter ones, as long as the goal is reached."""
+    order = list(begun)
+    for _ in range(_SWEEPS):
+        best, least_s = order, _time_s(ahead, order)
+        seen: set[int] = set()
+        for place, which in enumerate(order):
+            if which in seen and not ahead.ordered:
+                continue
+            seen.add(which)
+            for other in (None, *range(len(ahead.candidates))):
+                tried = [*order[:place], *([] if other is None else [other]), *order[place + 1 :]]
+                if _time_s(ahead, tried) < least_s and _ratio(ahead, tried) < _CLOSE:
+                    best, least_s = tried, _time_s(ahead, tried)
+        if best is order:
+            break
+        order = best
+    return order
+
+
+def _in_blocks(
+    candidates: Sequence[CandidateRun], chosen: Sequence[int], rng: np.random.Generator
+) -> list[int]:
+    """A block has one of each kind that is left, of every contact, in an order by chance."""
+    left = {which: chosen.count(which) for which in sorted(set(chosen))}
+    order: list[int] = []
+    while any(left.values()):
+        block = [which for which, count in left.items() if count]
+        order += [block[place] for place in rng.permutation(len(block)).tolist()]
+        for which in block:
+            left[which] -= 1
+    return order
