@@ -36,15 +36,15 @@ class Choice:
         Worst expected uncertainty over its limit: at present, and after all runs.
     floor
         What is left of it after as many runs as one likes: above 1 the goal cannot be reached by these.
-    next_best
-        By label, of what could have been the first run: by which factor it lowers `now`, per hour.
+    gains
+        By label, how much each candidate as the first run would lower the logarithm of `now` in an hour.
     """
 
     runs: tuple[ChosenRun, ...]
     now: float
     expected: float
     floor: float
-    next_best: tuple[tuple[str, float], ...] = ()
+    gains: tuple[tuple[str, float], ...] = ()
 
     @property
     def reached(self) -> bool:
@@ -65,7 +65,7 @@ def choose_runs(ahead: Outlook, *, longest_s: float = inf, most: int = 200, seed
     floor = ahead.ratio(ahead.before + _ENDLESS * sum(_once(ahead)))
     ranked = _ranked(ahead)
     if now < 1 or floor >= 1:
-        return Choice(runs=(), now=now, expected=now, floor=floor, next_best=ranked)
+        return Choice(runs=(), now=now, expected=now, floor=floor, gains=ranked)
     starts = [_greedily(ahead, [], longest_s, most)]
     starts += [_alone(ahead, which, longest_s, most) for which in range(len(ahead.candidates))]
     good = [one for one in starts if _ratio(ahead, one) < 1]
@@ -86,7 +86,7 @@ def choose_runs(ahead: Outlook, *, longest_s: float = inf, most: int = 200, seed
         after = ahead.ratio(before)
         runs.append(ChosenRun(ahead.candidates[which], ratio, after))
         ratio = after
-    return Choice(runs=tuple(runs), now=now, expected=ratio, floor=floor, next_best=ranked)
+    return Choice(runs=tuple(runs), now=now, expected=ratio, floor=floor, gains=ranked)
 
 
 def _once(ahead: Outlook) -> list[Floats]:
@@ -181,12 +181,18 @@ def _exchanged(ahead: Outlook, begun: list[int]) -> list[int]:
 def _in_blocks(
     candidates: Sequence[CandidateRun], chosen: Sequence[int], rng: np.random.Generator
 ) -> list[int]:
-    """A block has one of each kind that is left, of every contact, in an order by chance."""
+    """A block has one of each kind that is left; contacts, and the kinds of each, in an order by chance.
+
+    Within a block the runs of a contact are together: changing it takes a person.
+    """
     left = {which: chosen.count(which) for which in sorted(set(chosen))}
     order: list[int] = []
     while any(left.values()):
         block = [which for which, count in left.items() if count]
-        order += [block[place] for place in rng.permutation(len(block)).tolist()]
+        contacts = list(dict.fromkeys(candidates[which].contact for which in block))
+        for place in rng.permutation(len(contacts)).tolist():
+            own = [which for which in block if candidates[which].contact == contacts[place]]
+            order += [own[place] for place in rng.permutation(len(own)).tolist()]
         for which in block:
             left[which] -= 1
     return order

@@ -84,8 +84,8 @@ def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
     if not entered:
         raise DataError(f"no run can enter the campaign: {'; '.join(left_out)}")
     runs = [run for _, run in entered]
-    names = _names(stated, runs)
-    model = _model(stated, names, reference_rad, runs)
+    names = names_of(stated, runs)
+    model = model_of(stated, names, reference_rad, runs)
     sampled = sample_campaign(runs, model, seed=stated.seed) if sample else None
     posterior = (
         fit_campaign(runs, model, draws=stated.draws, seed=stated.seed)
@@ -138,7 +138,8 @@ def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
     return Campaign(results, posterior, stated)
 
 
-def _names(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> tuple[str, ...]:
+def names_of(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> tuple[str, ...]:
+    """The parameters that are modelled."""
     known = (*DEFAULT_LAW.names(), DRAG.key)
     if unknown := [name for name in stated.parameters if name not in known]:
         raise ConfigurationError(f"parameters: there is no {unknown[0]!r}; a campaign has {', '.join(known)}")
@@ -146,9 +147,10 @@ def _names(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> tuple[str, 
     return stated.parameters or tuple(name for name in known if name in seen)
 
 
-def _model(
+def model_of(
     stated: StatedCampaign, names: tuple[str, ...], reference_rad: float, runs: Sequence[CompressedRun]
 ) -> CampaignModel:
+    """What is stated, as the model takes it."""
     levels = {}
     for name, prior in stated.prior.items():
         if name not in names:

@@ -87,6 +87,11 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
         return tuple(one.effect() for one in self.effect)
 
     @property
+    def covariates(self) -> set[str]:
+        """All that something may depend on."""
+        return {one.covariate for one in (*self.effect, *self.candidate)}
+
+    @property
     def candidates(self) -> tuple[Effect, ...]:
         return tuple(one.effect() for one in self.candidate)
 

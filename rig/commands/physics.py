@@ -17,6 +17,7 @@ from rig.commands.inputs import (
     recorded_or_fitted,
     records_in,
     there,
+    with_results,
 )
 from rig.commands.outputs import folder_without
 
@@ -261,6 +262,31 @@ def plan(
         list[float] | None,
         typer.Option(min=0.0, help="Minutes between runs that tell ageing; may be repeated; default: 0, 60."),
     ] = None,
+    target: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--for",
+            metavar="TARGET",
+            help="Choose runs that reach it soonest: 'u(c)/c<0.05', or two forms; may be repeated.",
+        ),
+    ] = None,
+    campaign: Annotated[
+        Path | None, typer.Option(help="With --for: what is stated (campaign.toml).", callback=there)
+    ] = None,
+    after: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="With --for: a folder of runs of the sample that were made; may be repeated.",
+            callback=with_results,
+        ),
+    ] = None,
+    sample: Annotated[
+        list[str] | None,
+        typer.Option(help="With --for: a sample to measure; may be repeated; default: session.sample."),
+    ] = None,
+    hours: Annotated[
+        float | None, typer.Option(min=0.1, help="With --for: rig time that the runs may take.")
+    ] = None,
 ) -> None:
     """Show what runs to come will tell of the contact.
 
@@ -274,7 +300,12 @@ def plan(
       rig plan configs/basement.toml --runs 1 --runs 3
       rig plan fits/decay
       rig plan configs/basement.toml --witness 0.05
+      rig plan configs/basement.toml --for "u(c)/c<0.05" --hours 10 -o plans
     """
+    if not target:
+        stated = {"--campaign": campaign, "--after": after, "--sample": sample, "--hours": hours}
+        if given := next((name for name, value in stated.items() if value), ""):
+            raise ConfigurationError(f"{given}: has no effect without --for TARGET")
     firsts, lasts = first or [300.0, 124.0, 60.0], last or [30.0, 15.0, 8.0, 4.0, 2.0]
     counts = runs or [1]
     if min(lasts) >= max(firsts):
@@ -282,6 +313,23 @@ def plan(
             f"--last {min(lasts):g}: should be below the first amplitude, {max(firsts):g} arcsec; name a "
             "smaller one, or a larger --first"
         )
+
+    if target:
+        if source.suffix.lower() != ".toml":
+            raise ConfigurationError(
+                f"{source}: --for plans runs of a configuration; name its TOML file, and what was found by "
+                "--contact or --after"
+            )
+        if runs is not None:
+            raise ConfigurationError("--runs: --for chooses how many; leave it out, or limit --hours")
+        from rig.commands.planned_for import Asked, plan_for
+
+        asked = Asked(
+            source, target, firsts, lasts, set_ or [], noise, contact, ground, witness, wait, campaign,
+            after or [], sample or [], hours,
+        )  # fmt: skip
+        plan_for(asked, output)
+        return
 
     from rig.plan import (
         ageing_table,

@@ -1,7 +1,7 @@
 """Likelihoods of decays between two amplitudes, by a formula of their own: what planned campaigns measure.
 
-The amplitude a (over 60 arcsec) falls as da/dt = -(B a^p + C + D a); every half-swing measures it with the same
-noise, and D is the air, of which something is known beside the run.
+The amplitude a (over 60 arcsec) falls as da/dt = -(B a^p + C + D a); every half-swing measures it with
+the same noise, and D is the air, of which something is known beside the run.
 """
 
 from functools import cache
@@ -31,7 +31,9 @@ class Decay(NamedTuple):
     by_growth: Floats
 
 
-def _times(at: Floats, truth: tuple[float, ...], air: float, growth: float = 0.0, whole_s: float = 1.0) -> Floats:
+def _times(
+    at: Floats, truth: tuple[float, ...], air: float, growth: float = 0.0, whole_s: float = 1.0
+) -> Floats:
     """Times at which amplitudes `at`, which fall, are passed."""
     log_b, p, log_c = truth
     contact = np.exp(log_b) * at**p + np.exp(log_c)
@@ -52,7 +54,7 @@ def decay(first_arcsec: float, last_arcsec: float, truth: tuple[float, ...] = TR
     seen_s = np.arange(0.0, lasting_s, HALF_PERIOD_S)
 
     def seen(changed: tuple[float, ...], air: float, growth: float = 0.0) -> Floats:
-        return np.interp(seen_s, _times(at, changed, air, growth, lasting_s), at)
+        return np.asarray(np.interp(seen_s, _times(at, changed, air, growth, lasting_s), at))
 
     step, columns = 1e-4, []
     for place in range(3):
@@ -66,7 +68,7 @@ def decay(first_arcsec: float, last_arcsec: float, truth: tuple[float, ...] = TR
     rate = np.gradient(middle, seen_s)
     # a later begin: the run's own
     jacobian = np.column_stack([*columns, rate / np.abs(rate[0])]) / NOISE
-    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    covariance: Floats = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=np.float64)
     to = (covariance @ jacobian.T) / NOISE
     return Decay(lasting_s, covariance[:3, :3], (to @ by_air)[:3], (to @ grown)[:3])
 
