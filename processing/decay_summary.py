@@ -12,7 +12,9 @@ from processing.swing import TurningPoints
 _FEWEST = 4  # a straight line, and two degrees of freedom for its scatter
 _FEWEST_OF_PART = 3
 _NOT_CONSTANT = 4.0
-"""chi2/dof of a constant value above which the value is reported as one that changes."""
+"""chi2/dof of a constant value above which the scatter does not describe what is left of it."""
+_AGREE = 2.0
+"""Standard uncertainties of their difference within which both ends agree."""
 _PART = 3
 """The change is that from the first to the last third of the half-cycles."""
 
@@ -36,8 +38,14 @@ class DecayMean:
 
     @property
     def changes(self) -> bool:
-        """Whether one value does not describe the decay."""
-        return self.chi2_per_dof > _NOT_CONSTANT
+        """Whether one value does not describe the decay: it leaves more than the scatter, and the ends
+        disagree. What leaves more without a change of the value is in `u` by its chi2/dof.
+        """
+        if not self.chi2_per_dof > _NOT_CONSTANT:
+            return False
+        if np.isnan(self.first):
+            return True
+        return bool(abs(self.last - self.first) > _AGREE * np.hypot(self.u_first, self.u_last))
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,15 +98,9 @@ def _mean(index: Ints, values: Floats, u_values: Floats, factor: float) -> Decay
     first = _slope(index[:count], values[:count], u_values[:count], factor)
     last = _slope(index[-count:], values[-count:], u_values[-count:], factor)
     # from the middle of the first third to that of the last are two thirds of the decay
+    found = replace(found, first=first.value, u_first=first.u, last=last.value, u_last=last.u)
     spread = 1.5 * abs(last.value - first.value) / np.sqrt(12.0) if found.changes else 0.0
-    return replace(
-        found,
-        u=float(np.hypot(found.u, spread)),
-        first=first.value,
-        u_first=first.u,
-        last=last.value,
-        u_last=last.u,
-    )
+    return replace(found, u=float(np.hypot(found.u, spread)))
 
 
 def _slope(index: Ints, values: Floats, u_values: Floats, factor: float) -> DecayMean:
