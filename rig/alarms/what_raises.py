@@ -15,6 +15,8 @@ from rig.measure import LEAST_FREE_BYTES
 _SPOT_S = 0.5
 """A spot that was lost for less is data, and no alarm."""
 _FRAMES_S = 1.5
+_NEWS_S = 10.0
+"""A busy machine makes the news of a sound session late by seconds, never by so much."""
 _WITH_FRAMES: Final = frozenset({Phase.REST, Phase.WARM_UP, Phase.RELEASE, Phase.MEASURING})
 _CAMERA_GONE: Final = frozenset({EventKind.CAMERA_LOST, EventKind.CAMERA_SILENT})
 OF_CAMERA: Final = _CAMERA_GONE | {EventKind.CAMERA_SPEAKS, EventKind.CAMERA_BACK}
@@ -56,7 +58,8 @@ class EndedSession:
 class Seen:
     """What a desk sees at one moment.
 
-    `news` is what the running session said `news_age_s` ago, empty without one; `camera_event` its last event
+    `news` is what the running session said `news_age_s` ago, empty without one, and `beat_age_s` how long ago
+    it gave any sign of life; `camera_event` its last event
     of the camera; `lit_by` who has the laser; `folder_problem` why session.output cannot be written,
     `disk_free_bytes` what is free there; `configuration_problem` why the file cannot be read;
     `picture_late_s` for how long the live picture has stood still.
@@ -66,6 +69,7 @@ class Seen:
     lit_by: str = ""
     news: Mapping[str, Any] = field(default_factory=dict)
     news_age_s: float = 0.0
+    beat_age_s: float = math.inf
     session: str = ""
     devices: DevicesNow = field(default_factory=DevicesNow)
     camera_event: Mapping[str, Any] | None = None
@@ -120,8 +124,11 @@ def _of_session(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
     news = seen.news
     if not news:
         return
-    if seen.news_age_s > STALE_S:
+    if min(seen.news_age_s, seen.beat_age_s) > STALE_S:
         yield AlarmKey.SESSION_FROZEN, f"{seen.session} has said nothing for more than 2 s"
+        return
+    if seen.news_age_s > _NEWS_S:
+        yield AlarmKey.SESSION_FROZEN, f"{seen.session} answers, but has told nothing for {_NEWS_S:g} s"
         return
     state = news.get("state") or {}
     crying = str(state.get("alarm") or "")

@@ -5,6 +5,7 @@ secret that opens it; both ends prove that they know it, and neither says it. It
 waits for a reader, and without one nothing is prepared.
 """
 
+from rig.channel.event_log import newest_first
 from rig.channel.loopback import (
     CHANNEL_NAME,
     Channel,

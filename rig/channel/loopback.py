@@ -247,6 +247,15 @@ class Line:
         """False once the process is gone that was there when it first answered; its port may be another's."""
         return not (self._was_seen and not _lives(self.pid))
 
+    def beat(self) -> None:
+        """Return once the session has answered at all; for that it waits for nothing, and makes nothing."""
+        with self._one_at_a_time:
+            try:
+                self._meet(self._connection)
+            except (OSError, http.client.HTTPException) as error:
+                self._connection.close()
+                raise self._unanswered(error) from None
+
     def news(self, after: int = 0) -> dict[str, Any]:
         """What `SessionNews.news` says."""
         _, _, data = self._ask("GET", f"/news?after={after}")
@@ -295,11 +304,14 @@ class Line:
                 data = answer.read()
             except (OSError, http.client.HTTPException) as error:
                 connection.close()
-                why = f"{self.folder}: its session does not answer: {error}"
-                raise (SessionBusy if isinstance(error, TimeoutError) else NoSession)(why) from None
+                raise self._unanswered(error) from None
         if answer.status not in (http.HTTPStatus.OK, http.HTTPStatus.NO_CONTENT):
             raise NoSession(f"{self.folder}: its session refused to answer ({answer.status})")
         return answer.status, answer.getheader("About") or "", data
+
+    def _unanswered(self, error: Exception) -> NoSession:
+        why = f"{self.folder}: its session does not answer: {error}"
+        return SessionBusy(why) if isinstance(error, TimeoutError) else NoSession(why)
 
     def _meet(self, connection: http.client.HTTPConnection) -> None:
         """Connect, and have the other end prove that it is the session; nothing secret is sent."""

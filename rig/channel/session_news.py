@@ -56,7 +56,7 @@ class SessionNews:
         self._picture_number = 0
         self._picture_s = 0.0
         self._frame: LastFrame | None = None
-        self._frames_s = self._seen_s = math.nan
+        self._frames_s = self._seen_s = self._record_s = math.nan
         self.run = ""
         self._begin()
 
@@ -68,7 +68,7 @@ class SessionNews:
         self._rows: Sequence[tuple[str, str]] = ()
         self._preflight: Sequence[Mapping[str, Any]] = ()
         self._camera: dict[str, Any] = {}
-        self._frames_s = self._seen_s = math.nan
+        self._frames_s = self._seen_s = self._record_s = math.nan
 
     def begin_run(self, title: str, full_scale_dn: int, applied: CameraSettings | None) -> None:
         """A run begins, with a camera that has read back these settings."""
@@ -97,6 +97,8 @@ class SessionNews:
     def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
         """Keep references to deflections and half-cycles, and the newest frame if it is wanted."""
         size = self._unit.shown_size
+        if frames and math.isnan(self._record_s):
+            self._record_s = time.monotonic() - seconds(frames[-1].time_ns - start_ns)
         with self._lock:
             for swing in block.swings:
                 if not swing.flags:
@@ -144,7 +146,7 @@ class SessionNews:
     # -- for those that answer -----------------------------------------------
 
     def note(self, kind: str, text: str, level: str = "info", elapsed_s: float = math.nan) -> None:
-        """Add a line to the events; those with a time are a run's."""
+        """Add a line to the events; those with a time, since their record began, are a run's."""
         with self._lock:
             self._event_number += 1
             self._events.append(
@@ -156,6 +158,7 @@ class SessionNews:
                     "level": level,
                     "text": text,
                     "at": time.strftime("%H:%M:%S"),
+                    "noted_s": time.monotonic(),
                 }
             )
 
@@ -164,7 +167,7 @@ class SessionNews:
 
         Positions and amplitudes are as shown: arcsec, or px without a lever. `frames_age_s` is how old the
         last frame is that was looked at, `spot_lost_s` for how long the spot has been in none; NaN before the
-        first.
+        first. `record_began_s` is when the record began on the clock of the events' `noted_s`; NaN before.
         """
         self._asked_s = time.monotonic()
         with self._lock:
@@ -175,6 +178,7 @@ class SessionNews:
             "run": self.run,
             "frames_age_s": now_s - self._frames_s,
             "spot_lost_s": max(self._frames_s - self._seen_s, 0.0),
+            "record_began_s": self._record_s,
             "simulated": self._config.simulated,
             "sample": self._config.session.sample,
             "operator": self._config.session.operator,

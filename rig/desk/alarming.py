@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from processing.errors import RigError
 from rig.alarms import AlarmKey, AlarmList, EndedSession, HowEnded, Seen, conditions, happened
-from rig.control import SafetyNow
+from rig.control import STALE_S, SafetyNow
 from rig.instrument import Phase
 from rig.measure import read_session, state_of
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _LOOK_S = 0.1
 _SURROUNDINGS_S = 1.0
 _CLOCK_STEP_S = 0.5
+_SECOND_LOOK_S = 0.4
 _TOLD_KEPT = 64
 
 
@@ -75,6 +76,7 @@ class Alarming:
         self._told: deque[object] = deque(maxlen=_TOLD_KEPT)
         self._begun: object = None
         self._picture = (0, 0, 0.0)
+        self._late_since_s = math.inf
         self._clocks_s = time.time() - time.monotonic()
 
     def start(self) -> None:
@@ -117,6 +119,7 @@ class Alarming:
             lit_by=self._lit_by(safety, age_s),
             news=news if running else {},
             news_age_s=age_s,
+            beat_age_s=self._beat_age_s(),
             session="" if following.folder is None else following.folder.name,
             devices=following.devices,
             camera_event=following.camera_event,
@@ -126,6 +129,18 @@ class Alarming:
             configuration_problem=around.configuration_problem,
             picture_late_s=self._picture_late_s(),
         )
+
+    def _beat_age_s(self) -> float:
+        """How long ago the session gave a sign of life; that it is late is believed at a second look.
+
+        A desk that was held up itself finds everything late at its first one.
+        """
+        age_s, now_s = self._desk.following.heartbeat.age_s, time.monotonic()
+        if age_s <= STALE_S:
+            self._late_since_s = math.inf
+            return age_s
+        self._late_since_s = min(self._late_since_s, now_s)
+        return age_s if now_s - self._late_since_s >= _SECOND_LOOK_S else STALE_S
 
     def _lit_by(self, safety: SafetyNow, news_age_s: float) -> str:
         aligner, following = self._desk.aligner, self._desk.following

@@ -16,6 +16,7 @@ from processing.errors import RigError
 from rig.alarms import OF_CAMERA, EndedSession, HowEnded
 from rig.channel import CHANNEL_NAME, Line, NoSession, SessionBusy, SessionPicture, running_sessions
 from rig.control import DevicesNow, SafetyNow
+from rig.desk.heartbeat import Heartbeat
 from rig.measure import RunState, read_session
 
 _LOOK_S = 0.2
@@ -29,8 +30,8 @@ class Following:
 
     `news` is what it said last (empty without a session), `events` its events, `folder` where it is and
     `last_folder` where the last one was; `silent` is True while it is there and does not answer; `heard_s` is
-    the monotonic time of the last news. `camera_event` is the last event of its camera, `ended` are the
-    sessions that have ended under its eyes.
+    the monotonic time of the last news, `heartbeat` tells when it last gave a sign of life. `camera_event` is
+    the last event of its camera, `ended` are the sessions that have ended under its eyes.
     """
 
     def __init__(self, output: Path) -> None:
@@ -43,6 +44,7 @@ class Following:
         self.heard_s = -math.inf
         self.camera_event: dict[str, Any] | None = None
         self.ended: deque[EndedSession] = deque(maxlen=8)
+        self.heartbeat = Heartbeat(lambda: self.folder)
         self._line: Line | None = None
         self._pictures: Line | None = None
         self._last_picture: SessionPicture | None = None
@@ -55,10 +57,12 @@ class Following:
         """Look for a session once, so that who asks next knows of it; then go on beside."""
         self._search()
         threading.Thread(target=self._follow, name="following", daemon=True).start()
+        self.heartbeat.start()
 
     def stop(self) -> None:
         self._ended.set()
         self._wake.set()
+        self.heartbeat.stop()
 
     @property
     def running(self) -> bool:

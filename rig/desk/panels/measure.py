@@ -1,6 +1,7 @@
 """Measure: begin a session, watch it at arm's length, brake, stop; what it gave, and what comes next."""
 
 import html
+import math
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 from nicegui import run, ui
 
 from processing.estimate import Estimate
+from rig.channel import newest_first
 from rig.control import STALE_S, DevicesNow
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
@@ -128,7 +130,9 @@ def build(desk: Desk, tab: Tab) -> None:
         path = news.get("path") or {"x": [], "y": []}
         charts.trajectory(way, path["x"], path["y"], unit, stretched=stretched)
         state.set_content(tables.table([list(row) for row in news.get("rows") or []], "state of the run"))
-        events.set_content("".join(map(_event, reversed(desk.following.events))))
+        events.set_content(
+            "".join(_event(at_s, event) for at_s, event in newest_first(news, tuple(desk.following.events)))
+        )
 
     tab.every(0.25, refresh)
     refresh()
@@ -167,9 +171,8 @@ def _estimates(run_state: Mapping[str, Any]) -> list[list[str]]:
     return rows or [["parameters", "nothing yet: the first fit comes after some swings"]]
 
 
-def _event(event: Mapping[str, Any]) -> str:
+def _event(at_s: float, event: Mapping[str, Any]) -> str:
     grave = {"error": "no", "warning": "caution"}.get(str(event["level"]), "")
-    at = event["elapsed_s"]
-    when = str(event["at"]) if at is None else f"{float(at):.1f} s"
+    when = str(event["at"]) if math.isnan(at_s) else f"{at_s:.1f} s"
     text = html.escape(f"{event['kind']}: {event['text']}")
     return f"<div class='{grave}'><span class='dim'>{when}</span> {text}</div>"

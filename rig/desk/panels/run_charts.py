@@ -55,7 +55,7 @@ class RunCharts:
         if not history:
             return
         unit, name = str(following.news.get("unit") or "arcsec"), str(self._choice.value)
-        chart, marks = self._charts[name], _marks(following.events)
+        chart, marks = self._charts[name], _marks(following.events, str(following.news.get("run") or ""))
         if name == "decay":
             swings = history["swings"]
             chart.show([[(t, a) for t, a, *_ in swings], [(t, p) for t, *_, p in swings]], unit, marks=marks)
@@ -81,10 +81,10 @@ def _parameters(estimates: Mapping[str, Sequence[Sequence[float]]]) -> tuple[lis
     return curves, points
 
 
-def _marks(events: Sequence[Mapping[str, Any]]) -> list[Mark]:
-    """Events of the run at their times."""
+def _marks(events: Sequence[Mapping[str, Any]], run: str) -> list[Mark]:
+    """Events of the run at their times; those of an earlier one have another beginning."""
     return [
         (float(one["elapsed_s"]), f"{one['kind']}: {one['text']}")
         for one in tuple(events)
-        if one["elapsed_s"] is not None and float(one["elapsed_s"]) >= 0
+        if one["run"] == run and one["elapsed_s"] is not None and float(one["elapsed_s"]) >= 0
     ]

@@ -36,6 +36,10 @@ TRIP = LatchedTrip(5, TripCause.INTERLOCK, "the interlock opened", True)
         (Seen(safety=replace(LIT, light_age_s=2.5)), set()),
         (Seen(devices=DevicesNow(controller=ControlState.LOST)), {AlarmKey.CONTROLLER}),
         (replace(told(), news_age_s=2.1), {AlarmKey.SESSION_FROZEN}),
+        # a busy machine: the news are late, the session lives
+        (replace(told(), news_age_s=4.0, beat_age_s=0.3), set()),
+        (replace(told(), news_age_s=4.0, beat_age_s=2.1), {AlarmKey.SESSION_FROZEN}),
+        (replace(told(), news_age_s=10.1, beat_age_s=0.3), {AlarmKey.SESSION_FROZEN}),
         (told(frames_age_s=1.6), {AlarmKey.CAMERA}),
         (told(frames_age_s=1.6, camera={"applied": {"frame_rate_hz": 0.5}}), set()),
         (told({"phase": Phase.PREFLIGHT}, frames_age_s=9.0), set()),

@@ -4,8 +4,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,8 @@ import pytest
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
 from rig.alarms import AlarmKey, AlarmState
+from rig.channel import Channel, SessionNews
+from rig.control import STALE_S
 from rig.desk.desk import Desk
 from rig.measure.session_file import RunState, SessionFile
 from rig.settings import load_configuration, stored_configuration
@@ -60,6 +63,13 @@ def session(config: Path, desk: Desk) -> Iterator["subprocess.Popen[str]"]:
         process.kill()
 
 
+def wait_until(state: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + 30.0
+    while not state():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+
+
 def wait_for(desk: Desk, key: AlarmKey, state: AlarmState | None = AlarmState.ACTIVE) -> str:
     """Until an alarm is in this state, None: not in the list; returns its cause."""
     deadline_s = time.monotonic() + 40.0
@@ -82,6 +92,24 @@ def test_a_session_that_is_frozen_and_one_that_is_killed(
     assert wait_for(desk, AlarmKey.SESSION_DIED).startswith("session: ")
     desk.alarming.alarms.acknowledge(AlarmKey.SESSION_DIED, "Ada")
     wait_for(desk, AlarmKey.SESSION_DIED, None)
+
+
+def test_a_session_whose_news_are_late_is_not_frozen(desk: Desk, config: Path) -> None:
+    """On a busy machine the threads that make the news come late; the session answers all the same."""
+    told = SessionNews(load_configuration(config))
+    held, go_on = threading.Event(), threading.Event()
+
+    def extra() -> dict[str, object]:
+        if held.is_set():
+            go_on.wait(60.0)
+        return {}
+
+    with Channel(config.parent / "runs" / "session", told, {}, extra):
+        wait_until(lambda: bool(desk.following.news))
+        held.set()
+        wait_until(lambda: time.monotonic() - desk.following.heard_s > 2.0 * STALE_S)
+        assert AlarmKey.SESSION_FROZEN not in {row.key for row in desk.alarming.alarms.rows()}
+        go_on.set()
 
 
 def test_a_session_that_has_failed_says_why(
