@@ -105,6 +105,7 @@ def align_camera(
     tracker: SpotTracker,
     *,
     folder: Path,
+    reference: tuple[SpotTracker, int] | None = None,
     reference_px: tuple[float, float] | None = None,
     seconds: float = 0.0,
     viewer: Viewer | None = None,
@@ -121,6 +122,8 @@ def align_camera(
         Settings that the camera has read back.
     folder
         Where the key `s` puts its pictures, align-1.png and so on; none is written over.
+    reference
+        Follows the reference's spot, and the row from which on frames are its own.
     reference_px
         Where the spot should rest, (x, y); default: the middle of the frame.
     seconds
@@ -142,7 +145,7 @@ def align_camera(
         while going:
             going, wish = False, None
             for *_, frame in watch_latest(camera, FrameQueue(1, "latest"), 1, end_s):
-                look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, applied)
+                look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, applied, reference)
                 if viewer is not None:
                     viewer.image(time.monotonic() - begun_s, frame.image, (look.spot.x_px, look.spot.y_px))
                 for key in terminal.pressed(0.0):

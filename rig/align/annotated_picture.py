@@ -41,12 +41,19 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
     blue = palette.rgba(palette.SKY_BLUE)[:3]
     cv2.line(picture, (cross[0], 0), (cross[0], size[1] - 1), blue, thin)
     cv2.line(picture, (0, cross[1]), (size[0] - 1, cross[1]), blue, thin)
-    if look.found:
-        spot = look.spot
+    reference = look.reference
+    if reference is not None:
+        # from this line on the frame is the reference's
+        row = at(0.0, reference.from_row_px - 0.5)[1]
+        cv2.line(picture, (0, row), (size[0] - 1, row), palette.rgba(palette.BLUISH_GREEN)[:3], thin)
+    for spot, colour in (
+        *([(look.spot, palette.YELLOW)] if look.found else []),
+        *([(reference.spot, palette.BLUISH_GREEN)] if reference is not None and reference.found else []),
+    ):
         half = tuple(max(1, round(_ELLIPSE_SIGMAS * s * scale)) for s in (spot.sigma_x_px, spot.sigma_y_px))
-        yellow = palette.rgba(palette.YELLOW)[:3]
+        rgb = palette.rgba(colour)[:3]
         angle_deg = math.degrees(spot.rotation_rad)
-        cv2.ellipse(picture, at(spot.x_px, spot.y_px), half, angle_deg, 0.0, 360.0, yellow, thin)
+        cv2.ellipse(picture, at(spot.x_px, spot.y_px), half, angle_deg, 0.0, 360.0, rgb, thin)
     picture[saturated] = palette.rgba(palette.VERMILLION)[:3]
     return picture
 

@@ -3,6 +3,8 @@
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from acquisition.camera import CameraSettings
 from acquisition.frame import Image
 from processing.spot import Spot, SpotFlag, SpotTracker
@@ -15,6 +17,36 @@ _CENTRED = 0.1
 """Of the shorter side: so far off the crosshair a spot is centred."""
 _SHARP = 0.95
 """Of the best sharpness so far: so near a focus is right."""
+
+
+class SeenReference(NamedTuple):
+    """The spot in the part of a frame that the reference has for itself, and that part's saturated pixels.
+
+    `spot` is in px of the whole frame; its fields are NaN if none was found.
+    """
+
+    spot: Spot
+    from_row_px: int
+    saturated_px: int
+
+    @property
+    def found(self) -> bool:
+        """Is there a spot at all?"""
+        return not self.spot.flags & SpotFlag.LOST
+
+    @property
+    def lamp(self) -> Verdict:
+        """Whether the reference can be followed, else what to do."""
+        if not self.found:
+            remedy = f"let the reference's beam fall below row {self.from_row_px}"
+            return Verdict("reference", False, remedy=remedy, measured="none found", limit="one spot")
+        reason = remedy = ""
+        if self.saturated_px:
+            reason, remedy = f"{self.saturated_px} px are saturated", "weaken the reference's beam"
+        elif self.spot.flags & (SpotFlag.EDGE | SpotFlag.CUT):
+            reason, remedy = "it is cut by the edge of its part", "move it to the middle of its part"
+        measured = f"{self.spot.x_px:.1f}, {self.spot.y_px:.1f} px"
+        return Verdict("reference", not reason, reason, remedy, measured=measured, limit="one whole spot")
 
 
 class AlignmentFrame(NamedTuple):
@@ -30,6 +62,8 @@ class AlignmentFrame(NamedTuple):
         Settings that the camera has read back.
     beam
         The verdict on the beam; None where it was not judged.
+    reference
+        The reference's spot, in the frame's px; None where it has none, or where it was not looked for.
     """
 
     image: Image
@@ -39,6 +73,7 @@ class AlignmentFrame(NamedTuple):
     middle_px: tuple[float, float]
     applied: CameraSettings
     beam: Verdict | None = None
+    reference: SeenReference | None = None
 
     @property
     def found(self) -> bool:
@@ -51,7 +86,7 @@ class AlignmentFrame(NamedTuple):
         return "" if self.beam is None else self.beam.line
 
     def lamps(self, sharpest_per_px: float = 0.0) -> list[Verdict]:
-        """Peak, saturation, centring, focus, beam: whether one can go on, else what to do.
+        """Peak, saturation, centring, focus, beam, reference: whether one can go on, else what to do.
 
         `sharpest_per_px` is the best sharpness so far, which a focus is compared with.
         """
@@ -74,9 +109,10 @@ class AlignmentFrame(NamedTuple):
                 limit="none",
             ),
         ]
+        of_reference = [] if self.reference is None else [self.reference.lamp]
         if not self.found:
             gone = Verdict("spot", False, remedy="let the beam fall on the sensor", measured="none found")
-            return [*lamps, gone]
+            return [*lamps, gone, *of_reference]
         off_px, shortest_px = max(map(abs, self._off_px)), min(self.image.shape)
         centred = off_px <= _CENTRED * shortest_px
         lamps.append(
@@ -92,7 +128,7 @@ class AlignmentFrame(NamedTuple):
         focus = "" if sharp else f"was {sharpest_per_px:.4f} /px: turn the focus back"
         measured = f"{seen.sharpness_per_px:.4f} /px"
         lamps.append(Verdict("focus", True, remedy=focus, measured=measured, limit="the best so far"))
-        return lamps if self.beam is None else [*lamps, self.beam]
+        return [*lamps, *([] if self.beam is None else [self.beam]), *of_reference]
 
     def rows(self) -> list[tuple[str, str]]:
         """The figures as a table, one row for each kind; those of the spot only where there is one."""
@@ -117,6 +153,8 @@ class AlignmentFrame(NamedTuple):
             ]
         else:
             rows.append(("spot", "none found"))
+        if self.reference is not None:
+            rows.append(("reference", self.reference.lamp.measured))
         offset_px = (applied.offset_x_px, applied.offset_y_px)
         begins = "" if None in offset_px else f" from ({offset_px[0]}, {offset_px[1]})"
         exposed = "unknown" if exposure is None else f"{exposure:.6g} us"
@@ -160,6 +198,8 @@ class AlignmentFrame(NamedTuple):
         exposure, gain = self.applied.exposure_us, self.applied.gain_db
         region += f"  exposure {'unknown' if exposure is None else f'{exposure:.6g} us'}"
         region += f"  gain {'unknown' if gain is None else f'{gain:.3g} dB'}"
+        if self.reference is not None:
+            region += f"  {self.reference.lamp.line}"
         if not self.found:
             return [light, "no spot", "", region]
         off_x_px, off_y_px = self._off_px
@@ -183,11 +223,23 @@ def take_look(
     tracker: SpotTracker,
     reference_px: tuple[float, float] | None,
     applied: CameraSettings,
+    reference: tuple[SpotTracker, int] | None = None,
 ) -> AlignmentFrame:
-    """Find the spot in a frame, and judge frame and beam."""
-    spot = tracker.track(image)
-    beam = beam_quality([image], [spot], tracker.model, full_scale_dn, PreflightSettings())
-    seen = picture.figures(image, full_scale_dn)
+    """Find the spot in a frame, and judge frame and beam.
+
+    `reference` follows the reference's spot, from the row on from which the frame is its own; figures and
+    beam are of the part above.
+    """
+    part, other = image, None
+    if reference is not None and reference[1] < len(image):
+        follower, row = reference
+        part, below = image[:row], image[row:]
+        found = follower.track(below)
+        saturated_px = int(np.count_nonzero(below >= full_scale_dn))
+        other = SeenReference(found._replace(y_px=found.y_px + row), row, saturated_px)
+    spot = tracker.track(part)
+    beam = beam_quality([part], [spot], tracker.model, full_scale_dn, PreflightSettings())
+    seen = picture.figures(part, full_scale_dn)
     if beam.ok and seen.saturated_px:
         # of what is cut off at full scale no shape can be judged
         beam = replace(
@@ -196,4 +248,6 @@ def take_look(
             reason=f"{seen.saturated_px} px are saturated",
             remedy="expose shorter, or less gain",
         )
-    return AlignmentFrame(image, full_scale_dn, seen, spot, middle_of(image, reference_px), applied, beam)
+    return AlignmentFrame(
+        image, full_scale_dn, seen, spot, middle_of(image, reference_px), applied, beam, other
+    )

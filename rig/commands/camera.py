@@ -280,12 +280,14 @@ def align(
         if rrd is not None or view:
             viewer = start_view(loaded, rrd, MODES[view], "balancing", "aligning", info.full_scale_dn)
             stack.callback(viewer.close)
+        optics = optics_of(loaded, info.full_scale_dn)
         for path in align_camera(
             camera,
             info,
             applied,
-            optics_of(loaded, info.full_scale_dn).tracker(),
+            optics.tracker(),
             folder=output,
+            reference=optics.reference(),
             reference_px=reference_px,
             seconds=seconds,
             viewer=viewer,

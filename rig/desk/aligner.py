@@ -173,6 +173,7 @@ class Aligner:
             self._seen_s = time.monotonic()
             light = LightWatch(devices)
             tracker = optics.tracker()
+            reference = optics.reference()
             lever = config.lever
             reference_px = None
             if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
@@ -181,7 +182,9 @@ class Aligner:
                 frames = watch_latest(camera, FrameQueue(1, "latest"), 1, float("inf"), interval_s=_LOOK_S)
                 with contextlib.closing(frames):
                     for *_, frame in frames:
-                        look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, self.applied)
+                        look = take_look(
+                            frame.image, info.full_scale_dn, tracker, reference_px, self.applied, reference
+                        )
                         self.focus.append((time.monotonic() - begun_s, look.figures.sharpness_per_px))
                         self.look, self.number = look, self.number + 1
                         light.look()
@@ -206,7 +209,7 @@ class Aligner:
                         self.note = "nothing has changed: the camera's limit" if same else ""
                     except (DeviceError, RigError) as error:
                         self.note = str(error)
-                    tracker = optics.tracker()
+                    tracker, reference = optics.tracker(), optics.reference()
             devices.darken("the live picture is closed")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
-from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections
+from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections, displacements
 from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.spot import SensorModel, Spot, SpotTracker
@@ -169,7 +169,8 @@ class Pipeline:
 class Deflector:
     """Converts spots to deflections: tilts along the pendulum's axes, in rad.
 
-    Without a lever they are displacements along the sensor's axes (x to the right, y upward), in px.
+    Without a lever they are displacements along the same axes in px; where none are stated these are the
+    sensor's (x to the right, y upward).
     `reference_px` is the position (x, y) of the spot at zero tilt, `unit` the unit of the deflections.
     """
 
@@ -195,8 +196,8 @@ class Deflector:
         x_px, y_px, u_x_px, u_y_px = table.T
         times_ns = self._shutter.times_ns(times_ns, y_px, self._rows)
         if self._lever is None:
-            x, y = x_px - self.reference_px[0], self.reference_px[1] - y_px
-            return Deflections(times_ns, x, y, u_x_px.copy(), u_y_px.copy(), self.unit)
+            moved = displacements(self._axes, x_px, y_px, u_x_px, u_y_px, self.reference_px)
+            return Deflections(times_ns, *moved, self.unit)
         tilts = deflections(self._lever, self._axes, x_px, y_px, u_x_px, u_y_px, self.reference_px)
         return Deflections(times_ns, *tilts, self.unit)
 
@@ -218,6 +219,10 @@ class Optics:
         """A new tracker."""
         return SpotTracker(self.sensor)
 
+    def reference(self) -> tuple[SpotTracker, int] | None:
+        """A new tracker of the reference's spot, and the row from which on frames are its own."""
+        return None if self.reference_row is None else (self.tracker(), self.reference_row)
+
     def deflector(self, sensor_shape: tuple[int, int]) -> Deflector:
         """Converts spots to deflections, on a sensor of (ny, nx) pixels."""
         return Deflector(self.lever, self.axes, sensor_shape, self.shutter)
@@ -234,7 +239,7 @@ class Optics:
             shutter=self.shutter,
             beside=beside,
             wall=wall,
-            reference=None if self.reference_row is None else (self.tracker(), self.reference_row),
+            reference=self.reference(),
         )
 
     @property

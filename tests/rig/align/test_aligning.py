@@ -14,7 +14,7 @@ from processing.spot import SensorModel, SpotTracker
 from rig.align import align_camera
 from rig.align.aligning import half_blocks, histogram_line
 from rig.align.annotated_picture import annotated_picture
-from rig.align.look import AlignmentFrame
+from rig.align.look import AlignmentFrame, take_look
 from rig.devices.picture import figures
 from rig.instrument import camera_settings, make_camera
 from rig.presentation import palette
@@ -75,6 +75,34 @@ def test_crosshair_ellipse_and_saturation_stand_where_they_are() -> None:
     cross = coloured(picture, palette.SKY_BLUE)
     assert np.bincount(cross[:, 0]).argmax() == pytest.approx(199.5, abs=1)
     assert np.bincount(cross[:, 1]).argmax() == pytest.approx(149.5, abs=1)
+
+
+@pytest.mark.parametrize(
+    ("below_dn", "ok", "said"),
+    [
+        (90.0, True, ", 320.0 px"),
+        (0.0, False, "below row 260"),
+        (900.0, False, "weaken the reference's beam"),
+    ],
+)
+def test_the_reference_is_a_second_spot_with_a_lamp_of_its_own(below_dn: float, ok: bool, said: str) -> None:
+    """The pendulum's spot is found although the reference's is the brighter one."""
+    image = np.maximum(spot_at(100.0, 120.0, 60.0), spot_at(210.0, 320.0, below_dn))
+    model = SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=FULL_SCALE_DN)
+    reference = (SpotTracker(model), 260)
+    look = take_look(image, FULL_SCALE_DN, SpotTracker(model), None, CameraSettings(), reference)
+    assert (look.spot.x_px, look.spot.y_px) == pytest.approx((100.0, 120.0), abs=0.5)
+    lamps = {one.name: one for one in look.lamps()}
+    # what is wrong with the reference is none of the pendulum's spot
+    assert lamps["saturated"].ok
+    assert lamps["reference"].ok is ok
+    assert said in lamps["reference"].line
+    drawn = coloured(annotated_picture(look, SHAPE[1], SHAPE[0]), palette.BLUISH_GREEN)
+    assert np.bincount(drawn[:, 0]).argmax() == pytest.approx(259.5, abs=1)
+    ellipse = drawn[drawn[:, 0] > 262]
+    assert (len(ellipse) > 0) is (below_dn > 0.0)
+    if below_dn:
+        assert ellipse.mean(axis=0) == pytest.approx([320.0, 210.0], abs=4.0)
 
 
 def test_a_saturated_pixel_stays_visible_in_a_small_picture() -> None:
