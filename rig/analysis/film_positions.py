@@ -36,6 +36,8 @@ _U_LOSSY_IN_NOISES = 1.0
 by 0 to 0.07 px, which is 0.1 to 1.8 of the noise of a position in the same film."""
 _PLACES = 5
 """That a line names one by one."""
+_WHITE = "GROUND_SATURATED"
+"""The ground of a dark object is at full scale, which takes its edges' shape."""
 _FEWEST_FOUND = 0.5
 """Share of the frames below which what was followed is hardly what swings."""
 
@@ -84,17 +86,19 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
     try:
         camera.configure(CameraSettings())
         camera.start()
-        gain = _WELL_E / info.full_scale_dn
-        tracker = SpotTracker(SensorModel(gain, gain, info.full_scale_dn))
-        dark, times_ns, places, flags = asked.dark, list[int](), list[tuple[float, float]](), Counter[str]()
+        full_dn = info.full_scale_dn
+        dark, tracker = asked.dark, None
+        times_ns, places, flags = list[int](), list[tuple[float, float]](), Counter[str]()
         while (frame := camera.read(1.0)) is not None:
             if dark is None:
                 dark = looks_dark(frame.image)
-            image = inverted(frame.image, info.full_scale_dn) if dark else frame.image
-            spot = tracker.track(image)
+            tracker = tracker or SpotTracker(_sensor(full_dn, dark=dark))
+            spot = tracker.track(inverted(frame.image, full_dn) if dark else frame.image)
             times_ns.append(frame.device_time_ns or 0)
             places.append((spot.x_px, spot.y_px))
             flags.update(flag.name or "" for flag in SpotFlag(spot.flags))
+            if dark:
+                flags[_WHITE] += int(2 * np.count_nonzero(frame.image >= full_dn) > frame.image.size)
         status = camera.status
     finally:
         camera.close()
@@ -157,6 +161,12 @@ def looks_dark(image: Image) -> bool:
     return bool(middle - low > _DARK * (high - middle))
 
 
+def _sensor(full_scale_dn: int, *, dark: bool) -> SensorModel:
+    """Black becomes full scale in an inverted picture, but is as good a level as any: nothing is cut off."""
+    gain = _WELL_E / full_scale_dn
+    return SensorModel(gain, gain, 2.0 * full_scale_dn if dark else full_scale_dn)
+
+
 def inverted(image: Image, full_scale_dn: int) -> Image:
     """Dark becomes bright; what is above full scale is black."""
     turned: NDArray[np.int64] = full_scale_dn - np.minimum(image, full_scale_dn).astype(np.int64)
@@ -178,7 +188,7 @@ def _flagged(flags: Counter[str], count: int) -> str:
     """What else was noticed of a good part of the frames."""
     doubts = [
         f"{name.lower().replace('_', ' ')} in {100 * flags[name] / count:.0f} %"
-        for name in ("SATURATED", "EDGE", "CUT", "POOR_FIT", "MULTIPLE")
+        for name in ("SATURATED", _WHITE, "EDGE", "CUT", "POOR_FIT", "MULTIPLE")
         if flags[name] > 0.05 * count
     ]
     return f"; {', '.join(doubts)}" if doubts else ""

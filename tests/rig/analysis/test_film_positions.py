@@ -85,6 +85,28 @@ def test_a_dark_object_is_followed_and_a_pixel_has_a_size(tmp_path: Path) -> Non
             film_trajectory(film, FilmAsked(size=wrong))
 
 
+@pytest.mark.parametrize(("ground", "said"), [(190.0, ""), (300.0, "ground saturated in 100 %")])
+def test_a_black_object_is_not_saturated_but_its_ground_may_be(
+    tmp_path: Path, ground: float, said: str
+) -> None:
+    """Black is full scale of the inverted picture, which is no camera's."""
+    rng = np.random.default_rng(4)
+    y, x = np.mgrid[:NY, :NX]
+    places = 80.3 + 40.0 * np.sin(2.0 * np.pi * np.arange(30) / RATE_HZ / PERIOD_S)
+    pictures = []
+    for at in places:
+        light = ground * (1.0 - 1.1 / (1.0 + np.exp(1.5 * (np.hypot(x - at, y - 47.8) - 7.0))))
+        noisy = light + 1.5 * rng.standard_normal(light.shape)
+        pictures.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+    found = film_trajectory(write_film(tmp_path / "black.mkv", pictures, Film()), FilmAsked())
+    (followed,) = [line for line in found.understood if line.startswith("followed")]
+    assert "a dark object" in followed
+    assert "0 frames without one" in followed
+    assert ("saturated" in followed) == bool(said)
+    assert said in followed
+    assert np.abs(found.positions[0] - places).max() < 0.1
+
+
 def test_what_compression_does_to_all_amplitudes_is_in_the_uncertainty(tmp_path: Path) -> None:
     """H.264 makes amplitudes too small, which the scatter does not show."""
     film = Film(codec="libx264", ending="mp4", pixels="yuv420p", options={"crf": "28"})
