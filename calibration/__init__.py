@@ -4,7 +4,7 @@ scipy is imported inside functions: the settings import this package, and import
 scipy.stats would slow down the start of every command.
 """
 
-from calibration.axes import Axes, deflections
+from calibration.axes import Axes, deflections, displacements
 from calibration.axes_fit import AxesFit, Sign, fit_axes
 from calibration.known_angle import ScaleCheck, check_scale, moved_between
 from calibration.lever_fit import LadderFit, LadderSteps, fit_ladder, lever_from_shifts, lever_from_tilts

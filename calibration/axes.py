@@ -37,6 +37,29 @@ class Axes(BaseModel, frozen=True, extra="forbid"):
         )
 
 
+def displacements(
+    axes: Axes,
+    x_px: ArrayLike,
+    y_px: ArrayLike,
+    u_x_px: ArrayLike,
+    u_y_px: ArrayLike,
+    reference_px: tuple[float, float],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Displacements of the spot along the fast and the slow mode in px, with their standard uncertainties.
+
+    Parameters are those of `deflections`, for which this needs no lever.
+    """
+    inverse = np.linalg.inv(axes.directions())
+    dx_px = np.asarray(x_px, dtype=float) - reference_px[0]
+    dy_px = np.asarray(y_px, dtype=float) - reference_px[1]
+    return (
+        inverse[0, 0] * dx_px + inverse[0, 1] * dy_px,
+        inverse[1, 0] * dx_px + inverse[1, 1] * dy_px,
+        np.hypot(inverse[0, 0] * np.asarray(u_x_px), inverse[0, 1] * np.asarray(u_y_px)),
+        np.hypot(inverse[1, 0] * np.asarray(u_x_px), inverse[1, 1] * np.asarray(u_y_px)),
+    )
+
+
 def deflections(
     lever: Lever,
     axes: Axes,
@@ -65,13 +88,7 @@ def deflections(
         where the spot is NaN. The uncertainties are those of the spot alone: the uncertainty of the lever's
         scale is common to all tilts and is a part of the fit's uncertainty budget.
     """
-    inverse = np.linalg.inv(axes.directions())
-    dx_px = np.asarray(x_px, dtype=float) - reference_px[0]
-    dy_px = np.asarray(y_px, dtype=float) - reference_px[1]
-    fast_px = inverse[0, 0] * dx_px + inverse[0, 1] * dy_px
-    slow_px = inverse[1, 0] * dx_px + inverse[1, 1] * dy_px
-    u_fast_px = np.hypot(inverse[0, 0] * np.asarray(u_x_px), inverse[0, 1] * np.asarray(u_y_px))
-    u_slow_px = np.hypot(inverse[1, 0] * np.asarray(u_x_px), inverse[1, 1] * np.asarray(u_y_px))
+    fast_px, slow_px, u_fast_px, u_slow_px = displacements(axes, x_px, y_px, u_x_px, u_y_px, reference_px)
     return (
         lever.square().tilt_rad(fast_px),
         lever.tilt_rad(slow_px),

@@ -49,6 +49,7 @@ from rig.analysis.settled import settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import doubts_of, recorded_surroundings
+from rig.analysis.swing_direction import why_no_half_cycles
 from rig.analysis.witness_file import Begin, WitnessRecord
 from rig.analysis.witnessed_fits import WitnessAt, WitnessedWith, of_source
 from rig.instrument import (
@@ -258,6 +259,8 @@ def analyse_swings(
         decay = DecayFits(
             {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
         )
+    ratio = deflections.fast_ratio()
+    across = why_no_half_cycles(path.name, ratio, len(points), config.axes)
     errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
     u_second = u_clock if config.timebase is None else max(config.timebase.u_camera_rate, u_clock)
     results = replace(
@@ -266,7 +269,7 @@ def analyse_swings(
         position_errors=errors,
         fits={name: fit_results(fit, config.pendulum) for name, fit in decay.fits.items()},
         surface_energy_j_per_m2=decay.surface_energy,
-        problem=decay.problem,
+        problem=across or decay.problem,
         warnings=tuple(dict.fromkeys([*_fit_warnings(decay.fits), *filter(None, [settled.doubt])])),
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
@@ -274,7 +277,7 @@ def analyse_swings(
         **values_of_points(points, unit.shown_size, u_second),
     )
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
-    rig = rig_quantities(config, deflections.fast_ratio(), rest_rad, u_clock)
+    rig = rig_quantities(config, ratio, rest_rad, u_clock)
     believed = believed_drifts(config, air)
     if rig is not None:
         rig = replace(rig, common_amplitude_rad=InputQuantity(0.0, u_common_rad))
