@@ -21,6 +21,7 @@ ALLOWED = {
     "rig/export/nexus.py": "under the name that being_written gives",
     "rig/wizards/configuration_file.py": "under the name that being_written gives",
     "rig/measure/plain_record.py": "in the folder that folder_being_written gives",
+    "rig/archive/eln.py": "in the folder that folder_being_written gives",
     "rig/archive/publishing.py": "in the folder that folder_being_written gives",
     # lines that are added, never changed
     "rig/balance/history.py": "a history to which lines are added",

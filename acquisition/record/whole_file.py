@@ -87,12 +87,7 @@ def folder_being_written(path: Path) -> Iterator[Path]:
     """
     if os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-    take_away_leftovers(path.parent, path.name)
-    beside = _name_beside(path)
-    claim = beside.with_name(f"{beside.name}{_CLAIM}")
-    number = _claimed(claim)
-    try:
-        beside.mkdir()
+    with folder_beside(path) as beside:
         yield beside
         for place, _, files in os.walk(beside):
             for file in files:
@@ -100,6 +95,21 @@ def folder_being_written(path: Path) -> Iterator[Path]:
             sync_folder(Path(place))
         beside.rename(path)
         sync_folder(path.parent)
+
+
+@contextlib.contextmanager
+def folder_beside(path: Path) -> Iterator[Path]:
+    """A folder beside a file that is made of what lies in it; it goes when the block ends.
+
+    Raises OSError where it cannot be made.
+    """
+    take_away_leftovers(path.parent, path.name)
+    beside = _name_beside(path)
+    claim = beside.with_name(f"{beside.name}{_CLAIM}")
+    number = _claimed(claim)
+    try:
+        beside.mkdir()
+        yield beside
     finally:
         shutil.rmtree(beside, ignore_errors=True)
         os.close(number)

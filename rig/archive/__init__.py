@@ -13,14 +13,15 @@ from rig.archive.remote import is_remote, opened
 
 if TYPE_CHECKING:
     from rig.archive.checking import check_archive
+    from rig.archive.crates import Statement
     from rig.archive.differences import print_differences
     from rig.archive.laboratories import compare_groups
-    from rig.archive.publishing import Statement, publish_runs
+    from rig.archive.publishing import publish_runs
     from rig.archive.refitting import refit_runs
     from rig.archive.thinning import thin_runs
 
 _LATER = {
-    "Statement": "publishing",
+    "Statement": "crates",
     "check_archive": "checking",
     "compare_groups": "laboratories",
     "print_differences": "differences",

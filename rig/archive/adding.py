@@ -26,12 +26,16 @@ def add_sessions(archive: Path, sources: Sequence[Path], *, read: bool = False) 
 
     A session whose files are as they were by name, size and time is not read, unless `read`. What is seen
     last is what is listed, also where it was seen before and something else in between. Flaws of records are
-    said on stderr and listed as their `state`.
+    said on stderr and listed as their `state`. A file .eln is unpacked into the folder of its name beside it.
 
     Raises ConfigurationError for a folder without sessions, and without DuckDB; RecordError, when all others
     are added, where a session's files cannot be read: it stays as it was.
     """
+    # `list` needs none of it
+    from rig.archive.eln import is_eln, unpacked
+
     duckdb_module()
+    sources = [unpacked(source) if is_eln(source) and source.is_file() else source for source in sources]
     for source in sources:
         if not any(True for _ in session_folders(source, archive)):
             raise ConfigurationError(

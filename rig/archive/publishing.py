@@ -1,47 +1,25 @@
 """`rig archive publish`: runs, their results and inputs as an RO-Crate, a folder that describes itself."""
 
-import datetime
 import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from acquisition.record.digest import sha256_of
 from acquisition.record.proof import Thinning, measured_sha256_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.whole_file import folder_being_written
+from acquisition.record.whole_file import being_written, folder_being_written, folder_beside
 from processing.errors import ConfigurationError, MissingPackage, RecordError
 from rig.analysis import read_results, results_path, write_results
 from rig.archive.blind import sealed
 from rig.archive.chosen import chosen_runs, simulated_among
+from rig.archive.crates import ELN_CRATE, Statement, check_crate, describe
+from rig.archive.eln import check_eln, is_eln, write_eln
 from rig.archive.thinning import thin_copy
 from rig.sealing import refuse_blind
 
 _INPUTS = ("configuration.", "calibration/", "record.md")
-_MEDIA_TYPES = {
-    ".mcap": "application/octet-stream",
-    ".json": "application/json",
-    ".toml": "application/toml",
-    ".md": "text/markdown",
-}
-_MEANINGS = {
-    ".mcap": "record of a run: spots, half-cycles, events, pixels",
-    "results.json": "results of the analysis of the records beside it",
-    "session.json": "the session's runs and their states",
-    ".toml": "configuration or calibration, as the record holds it",
-    ".md": "what the record's topics and fields mean",
-}
-
-
-class Statement(NamedTuple):
-    """What is said of a publication: its title, its licence (name of SPDX), who made it, what to cite."""
-
-    title: str
-    licence: str
-    authors: Sequence[str]
-    citation: str = ""
 
 
 def publish_runs(
@@ -54,8 +32,10 @@ def publish_runs(
 ) -> str:
     """Write runs that are named or meet a condition as an RO-Crate into a new folder; says what it holds.
 
+    An `output` that ends in .eln is a file instead, which electronic laboratory notebooks read.
+
     One folder a session, with its records, their results, and configuration and calibrations as the records
-    hold them. The folder appears when everything in it is proved: each record has the hash that the archive
+    hold them. The output appears when everything in it is proved: each record has the hash that the archive
     knows, and every file is described. With `pixels` those are recompressed or dropped, in the copies alone,
     as `rig archive thin` does it: the copy states the hash of the record as it was measured.
 
@@ -88,17 +68,27 @@ def publish_runs(
     by_folder: dict[Path, dict[Path, str]] = {}
     for sha256, record in runs.items():
         by_folder.setdefault(record.parent, {})[record] = sha256
+    simulated = simulated_among(archive, runs)
+
+    def fill(target: Path, crate: Any) -> None:
+        for number, (folder, records) in enumerate(sorted(by_folder.items()), 1):
+            session = target / f"session-{number}-{folder.name}"
+            _copy_session(folder, records, session)
+            if pixels is not None:
+                for record, sha256 in records.items():
+                    copy, rule = session / record.name, f"{pixels} in a publication"
+                    thin_copy(archive, record, copy, sha256, pixels, rule)
+        describe(crate, target, statement, simulated, len(runs))
+        check_crate(target)
+
     try:
-        with folder_being_written(output) as beside:
-            for number, (folder, records) in enumerate(sorted(by_folder.items()), 1):
-                target = beside / f"session-{number}-{folder.name}"
-                _copy_session(folder, records, target)
-                if pixels is not None:
-                    for record, sha256 in records.items():
-                        copy, rule = target / record.name, f"{pixels} in a publication"
-                        thin_copy(archive, record, copy, sha256, pixels, rule)
-            _describe(ROCrate(), beside, statement, simulated_among(archive, runs), len(runs))
-            _check(ROCrate(beside), beside)
+        if is_eln(output):
+            with being_written(output, prove=check_eln) as beside, folder_beside(output) as content:
+                fill(content, ROCrate(version=ELN_CRATE))
+                write_eln(content, output.stem, beside)
+        else:
+            with folder_being_written(output) as beside:
+                fill(beside, ROCrate())
     except FileExistsError:
         raise ConfigurationError(
             f"{output}: exists already and is not overwritten; choose another name"
@@ -140,55 +130,6 @@ def _copy_inputs(record: Path, target: Path) -> None:
                 (target / name).write_bytes(data)
 
 
-def _describe(crate: Any, folder: Path, statement: Statement, simulated: int, runs: int) -> None:
-    """Name every file, and state title, licence, authors, what to cite, and how many runs are simulated."""
-    from rocrate.model.contextentity import ContextEntity
-    from rocrate.model.person import Person
-
-    invented = f"SIMULATED ({simulated} of {runs} runs): " if simulated else ""
-    crate.name = f"{invented}{statement.title}"
-    crate.description = (
-        f"{crate.name}: records (MCAP) of an optical pendulum, results of their analysis (JSON), "
-        "configuration and calibrations. rig archive add reads the folder."
-    )
-    crate.datePublished = datetime.datetime.now(datetime.UTC).date().isoformat()
-    licence = f"https://spdx.org/licenses/{statement.licence}"
-    said = {"@type": "CreativeWork", "name": statement.licence, "url": licence}
-    said["description"] = f"The licence {statement.licence}, as SPDX has it"
-    crate.license = crate.add(ContextEntity(crate, licence, said))
-    authors = [
-        crate.add(Person(crate, _identifier(text, place), {"name": text.partition("http")[0].strip(" ,")}))
-        for place, text in enumerate(statement.authors, 1)
-    ]
-    crate.root_dataset["author"] = authors if len(authors) > 1 else authors[0]
-    crate.root_dataset["publisher"] = authors[0]
-    # what is cited is known by its address, and a text by which to credit is no citation
-    crate.root_dataset["creditText"] = statement.citation or (
-        f"{', '.join(text.partition('http')[0].strip(' ,') for text in statement.authors)}: {statement.title}"
-    )
-    if address := re.search(r"https?://\S+", statement.citation):
-        article = {"@type": "ScholarlyArticle", "name": statement.citation}
-        crate.root_dataset["citation"] = crate.add(ContextEntity(crate, address[0], article))
-    for path in sorted(folder.rglob("*")):
-        if path.is_file():
-            described = {
-                "name": path.name,
-                "contentSize": str(path.stat().st_size),
-                "description": _MEANINGS.get(path.name)
-                or _MEANINGS.get(path.suffix, "an input of the session"),
-                "encodingFormat": _MEDIA_TYPES.get(path.suffix, "application/octet-stream"),
-                "sha256": sha256_of(path),
-            }
-            crate.add_file(path, path.relative_to(folder).as_posix(), properties=described)
-    crate.write(folder)
-
-
-def _identifier(author: str, place: int) -> str:
-    """The address of a person (ORCID) where one is stated."""
-    found = re.search(r"https?://\S+", author)
-    return found[0] if found else f"#author-{place}"
-
-
 def _has_orcid(author: str) -> bool:
     """Whether the address is that of an ORCID whose last character checks the others (ISO 7064, 11-2)."""
     found = re.search(r"https?://orcid\.org/(\d{4})-(\d{4})-(\d{4})-(\d{3})([\dX])$", author.strip())
@@ -198,17 +139,3 @@ def _has_orcid(author: str) -> bool:
     for digit in "".join(found.groups()[:4]):
         total = 2 * (total + int(digit))
     return found[5] == "0123456789X"[(12 - total % 11) % 11]
-
-
-def _check(crate: Any, folder: Path) -> None:
-    """Every file is described, and everything described is there with the hash that is stated."""
-    described = {entity.id: entity.get("sha256") for entity in crate.data_entities if entity.type == "File"}
-    there = {
-        path.relative_to(folder).as_posix(): path
-        for path in folder.rglob("*")
-        if path.is_file() and path.name not in ("ro-crate-metadata.json", "ro-crate-preview.html")
-    }
-    wrong = sorted(set(described) ^ set(there))
-    wrong += [name for name, path in there.items() if described.get(name) != sha256_of(path)]
-    if wrong:
-        raise RecordError(f"{folder}: {wrong[0]} is not as the description of the crate says")

@@ -43,7 +43,9 @@ def register(app: typer.Typer) -> None:
 def add(
     folders: Annotated[
         list[Path],
-        typer.Argument(help="Folders; the sessions in and below them.", show_default=False, callback=there),
+        typer.Argument(
+            help="Folders, the sessions in and below them; or files .eln.", show_default=False, callback=there
+        ),
     ],
     read: Annotated[
         bool, typer.Option("--read", help="Read also what looks as it was, to find damage.")
@@ -287,7 +289,9 @@ def view(
 def publish(
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", help="Folder to make.", show_default=False, callback=new_folder),
+        typer.Option(
+            "-o", "--output", help="Folder, or file .eln, to make.", show_default=False, callback=new_folder
+        ),
     ],
     title: Annotated[str, typer.Option(help="Title of the publication.", show_default=False)],
     author: Annotated[
@@ -304,7 +308,7 @@ def publish(
     ] = "kept",
     archive: Archive = _PLACE,
 ) -> None:
-    """Write runs with results and inputs as an RO-Crate."""
+    """Write runs with results and inputs as an RO-Crate: a folder, or a file .eln for notebooks."""
     from acquisition.record.proof import Thinning
     from rig.archive import Statement, opened, publish_runs
 
