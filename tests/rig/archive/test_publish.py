@@ -105,10 +105,10 @@ def test_a_crate_is_what_its_profile_asks(
         )
         found = services.validate(asked).get_issues()
         # what nobody has stated: where an author works, how to reach him, which organisation publishes
-        unstated = ("affiliation", "contactPoint", "SHOULD be an `Organization`")
+        unstated = ["affiliation", "contactPoint", "SHOULD be an `Organization`"]
         if crate.name == "friction":
             # a list also of one part, as the ELN Consortium's schema asks
-            unstated = (*unstated, '"hasPart" SHOULD be represented as a single value')
+            unstated.append('"hasPart" SHOULD be represented as a single value')
         assert not [
             str(item.message) for item in found if not any(word in str(item.message) for word in unstated)
         ]
