@@ -181,18 +181,20 @@ def _exchanged(ahead: Outlook, begun: list[int]) -> list[int]:
 def _in_blocks(
     candidates: Sequence[CandidateRun], chosen: Sequence[int], rng: np.random.Generator
 ) -> list[int]:
-    """A block has one of each kind that is left; contacts, and the kinds of each, in an order by chance.
-
-    Within a block the runs of a contact are together: changing it takes a person.
+    """As many blocks as there are runs of the most frequent kind; other kinds are spread over them evenly, by
+    chance. In a block the runs of a contact are together, for changing it takes a person.
     """
-    left = {which: chosen.count(which) for which in sorted(set(chosen))}
+    counts = {which: chosen.count(which) for which in sorted(set(chosen))}
+    blocks: list[list[int]] = [[] for _ in range(max(counts.values(), default=0))]
+    for which, count in counts.items():
+        for place in (
+            ((np.arange(count) + rng.uniform(size=count)) * len(blocks) / count).astype(int).tolist()
+        ):
+            blocks[place].append(which)
     order: list[int] = []
-    while any(left.values()):
-        block = [which for which, count in left.items() if count]
+    for block in blocks:
         contacts = list(dict.fromkeys(candidates[which].contact for which in block))
-        for place in rng.permutation(len(contacts)).tolist():
-            own = [which for which in block if candidates[which].contact == contacts[place]]
+        for contact in rng.permutation(len(contacts)).tolist():
+            own = [which for which in block if candidates[which].contact == contacts[contact]]
             order += [own[place] for place in rng.permutation(len(own)).tolist()]
-        for which in block:
-            left[which] -= 1
     return order

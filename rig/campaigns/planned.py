@@ -212,8 +212,9 @@ def _likelihood(
 def campaign_plan_table(planned: PlannedCampaign) -> Table:
     """A row for every run: what it is, when it begins, and what is left of the goal after it."""
     rows: list[list[Cell]] = []
-    shown, elapsed_s = [], 0.0
-    several = len(planned.within.samples) > 1
+    shown: list[list[str]] = []
+    elapsed_s, several = 0.0, len(planned.within.samples) > 1
+    last: PlannedKind | None = None
     for number, one in enumerate(planned.choice.runs, start=1):
         kind = planned.kind(one.candidate)
         elapsed_s += one.candidate.rig_time_s
@@ -221,7 +222,11 @@ def campaign_plan_table(planned: PlannedCampaign) -> Table:
             [number, kind.sample, kind.first_arcsec, kind.last_arcsec, kind.waiting_s, elapsed_s, one.after]
         )
         run = f"{one.candidate.label} on {kind.sample}" if several else one.candidate.label
-        shown.append([f"{number}", run, f"{elapsed_s / 60:.0f}", f"{one.after:.2f}"])
+        first = f"{number}"
+        if kind == last:
+            first = f"{shown.pop()[0].split('-')[0]}-{number}"
+        shown.append([first, run, f"{elapsed_s / 60:.0f}", f"{one.after:.2f}"])
+        last = kind
     return Table(
         "plan_for",
         f"Runs for {' and '.join(target.text for target in planned.targets)}",
@@ -259,5 +264,10 @@ def reasons(planned: PlannedCampaign) -> list[str]:
         )
     best = ", ".join(f"{label} ({gain:.2g})" for label, gain in choice.gains[:3])
     said.append(f"Most for its time, as ln u in an hour, give at first {best}.")
+    if not planned.made:
+        said.append(
+            "Runs are supposed to scatter as the priors say (size in campaign.toml): plan again after a few "
+            "(--after), which know it better."
+        )
     said.append(f"The order is by chance, in blocks with one of each kind (seed {planned.seed}).")
     return said
