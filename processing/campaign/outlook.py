@@ -24,6 +24,8 @@ from processing.estimate import Estimate
 PLACE: Final = "place"
 """The place of a planned run in the campaign, as a covariate."""
 _SCATTERS = 8
+_WIDENED = 30.0
+"""A prior is none where it is this much wider than stated."""
 _SEEN_TOGETHER = 2
 """Values among which a covariate that nobody sets is thought to alternate."""
 
@@ -121,6 +123,9 @@ class Outlook:
         self.levels = design.levels
         self._h = _scatters(design, posterior)
         u = np.tile(design.prior_u, (len(self._h), 1))
+        # what a form is told by is the runs' say, not what is thought of its slope beforehand
+        asked = {_by_place(goal.effect).label for goal in goals if goal.effect is not None}
+        u[:, [level.kind == "effect" and level.name in asked for level in design.levels]] *= _WIDENED
         varies = design.varies >= 0
         u[:, varies] = np.exp(self._h[:, design.varies[varies]])
         self.before = u[:, :, None] ** -2 * np.eye(u.shape[1])

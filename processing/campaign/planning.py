@@ -70,10 +70,7 @@ def choose_runs(ahead: Outlook, *, longest_s: float = inf, most: int = 200, seed
     starts += [_alone(ahead, which, longest_s, most) for which in range(len(ahead.candidates))]
     good = [one for one in starts if _ratio(ahead, one) < 1]
     if good:
-        best = min(
-            (_exchanged(ahead, one) for one in sorted(good, key=lambda one: _time_s(ahead, one))[:3]),
-            key=lambda one: _time_s(ahead, one),
-        )
+        best = _exchanged(ahead, min(good, key=lambda one: _time_s(ahead, one)))
     else:
         best = min(starts, key=lambda one: _ratio(ahead, one))
     order = _in_blocks(ahead.candidates, best, np.random.default_rng(seed))
@@ -162,16 +159,25 @@ def _exchanged(ahead: Outlook, begun: list[int]) -> list[int]:
     """Runs left out, or exchanged for shorter ones, as long as the goal is reached."""
     order = list(begun)
     for _ in range(_SWEEPS):
-        best, least_s = order, _time_s(ahead, order)
+        whole, elapsed_s = _after(ahead, order), _time_s(ahead, order)
+        best, least_s = order, elapsed_s
         seen: set[int] = set()
         for place, which in enumerate(order):
             if which in seen and not ahead.ordered:
                 continue
             seen.add(which)
-            for other in (None, *range(len(ahead.candidates))):
-                tried = [*order[:place], *([] if other is None else [other]), *order[place + 1 :]]
-                if _time_s(ahead, tried) < least_s and _ratio(ahead, tried) < _CLOSE:
-                    best, least_s = tried, _time_s(ahead, tried)
+            began_s = _time_s(ahead, order[:place]) if ahead.ordered else 0.0
+            less = whole - ahead.adds(which, began_s, place)
+            for other in (-1, *range(len(ahead.candidates))):
+                after_s = elapsed_s - ahead.candidates[which].rig_time_s
+                after_s += ahead.candidates[other].rig_time_s if other >= 0 else 0.0
+                if after_s >= least_s:
+                    continue
+                tried = [*order[:place], *([other] if other >= 0 else []), *order[place + 1 :]]
+                # later runs move to other times, and places: looked at only where it promises something
+                promised = less if other < 0 else less + ahead.adds(other, began_s, place)
+                if ahead.ratio(promised) < _CLOSE and _ratio(ahead, tried) < _CLOSE:
+                    best, least_s = tried, after_s
         if best is order:
             break
         order = best
