@@ -147,8 +147,10 @@ class Outlook:
         return float(np.max(self._ratios(information)))
 
     def merit(self, information: Floats) -> float:
-        """A smooth form of `ratio`: what is not the worst counts, too."""
-        return float(np.sum(self._ratios(information) ** 4) ** 0.25)
+        """A smooth form of `ratio`: what is not the worst counts, and each draw of the scatters alike, of
+        which large ones would else decide alone."""
+        of_draws = np.sqrt(self._variances(information)) / self._limits
+        return float(np.exp(np.mean(0.25 * np.log(np.sum(of_draws**4, axis=1)))))
 
     def adds(self, which: int, elapsed_s: float, place: int) -> Floats:
         """Information of a candidate that is begun then, as the run of that place (from 0) to come."""
@@ -160,10 +162,14 @@ class Outlook:
         return self._rows[key]
 
     def _ratios(self, information: Floats) -> Floats:
+        # scatters are not known: variances are averaged over them
+        return np.asarray(np.sqrt(self._variances(information).mean(axis=0)) / self._limits)
+
+    def _variances(self, information: Floats) -> Floats:
+        """Of the goals' combinations (M, G)."""
         columns = np.broadcast_to(self._targets.T, (len(information), *self._targets.T.shape))
         solved = np.linalg.solve(information, columns)
-        # scatters are not known: variances are averaged over them
-        return np.asarray(np.sqrt(np.einsum("gp,mpg->mg", self._targets, solved).mean(axis=0)) / self._limits)
+        return np.asarray(np.einsum("gp,mpg->mg", self._targets, solved))
 
     def _placed(self, candidate: CandidateRun, elapsed_s: float, place: int) -> CompressedRun:
         """A candidate as a run of the campaign: when it would be made, and under what."""
