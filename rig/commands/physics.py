@@ -237,7 +237,12 @@ def plan(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="Folder for the picture.", callback=folder_without("plan.*")),
+        typer.Option(
+            "-o",
+            "--output",
+            help="Folder for the picture, or the plan.",
+            callback=folder_without("plan.*", "plan-*.toml"),
+        ),
     ] = None,
     set_: Set = None,
     runs: Annotated[
