@@ -269,5 +269,7 @@ def reasons(planned: PlannedCampaign) -> list[str]:
             "Runs are supposed to scatter as the priors say (size in campaign.toml): plan again after a few "
             "(--after), which know it better."
         )
-    said.append(f"The order is by chance, in blocks with one of each kind (seed {planned.seed}).")
+    said.append(
+        f"The order is by chance, in blocks over which each kind is spread evenly (seed {planned.seed})."
+    )
     return said
