@@ -203,11 +203,14 @@ def report(config: Configuration, folder: Path, made: Made, manner: Manner) -> i
             manner.notices.against.append(f"{run.record.name}: {why}")
     write_results(path, results)
     paths = _paths(folder, runs, path)
-    try:
-        paths.append(("report", make_report(path)))
-    except RigError as error:
-        # records and results are complete, so a missing report is not fatal
-        say(f"no report: {error}", error=True)
+    if any(run.sealed is not None for run in results.runs):
+        say("the folder is blind: results are sealed, and a report waits for rig archive unblind")
+    else:
+        try:
+            paths.append(("report", make_report(path)))
+        except RigError as error:
+            # records and results are complete, so a missing report is not fatal
+            say(f"no report: {error}", error=True)
     if manner.json_lines:
         print_json_line("results", {"path": str(path), "failed": failed})
     else:

@@ -14,7 +14,7 @@ from rig.archive import add_sessions, blind_runs, list_runs, unseal
 from rig.archive.blind import sealed
 from rig.archive.columns import COLUMNS, PARAMETERS
 from rig.archive.store import Archive
-from tests.rig.command_line import rig
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 
 OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
 
@@ -131,3 +131,18 @@ def test_a_seal_of_an_earlier_version_holds(archive: Path) -> None:
     told = row(archive)
     assert told["c"] != true["c"]
     assert set(COLUMNS) <= set(told)
+
+
+def test_a_run_in_a_blind_folder_says_once_and_as_no_error_why_it_has_no_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    (tmp_path / "runs").mkdir()
+    blind_runs(tmp_path / "archive", [], [tmp_path / "runs"])
+    wanted = set_words({**SMALL, "session.max_duration_s": "70"})
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "runs" / "first", *wanted)
+    assert done.returncode == 0, done.stderr
+    said = [line for line in (done.stdout + done.stderr).splitlines() if "report" in line]
+    assert said == ["the folder is blind: results are sealed, and a report waits for rig archive unblind"]
+    assert "rig: " not in done.stderr
+    assert not list((tmp_path / "runs" / "first").glob("report*"))
