@@ -171,6 +171,8 @@ class AlignmentFrame(NamedTuple):
     @property
     def _edge_px(self) -> float:
         height_px, width_px = self.image.shape
+        if self.reference is not None:
+            height_px = self.reference.from_row_px
         spot = self.spot
         return float(min(spot.x_px, spot.y_px, width_px - 1 - spot.x_px, height_px - 1 - spot.y_px))
 

@@ -87,14 +87,15 @@ def test_crosshair_ellipse_and_saturation_stand_where_they_are() -> None:
 )
 def test_the_reference_is_a_second_spot_with_a_lamp_of_its_own(below_dn: float, ok: bool, said: str) -> None:
     """The pendulum's spot is found although the reference's is the brighter one."""
-    image = np.maximum(spot_at(100.0, 120.0, 60.0), spot_at(210.0, 320.0, below_dn))
+    image = np.maximum(spot_at(100.0, 200.0, 60.0), spot_at(210.0, 320.0, below_dn))
     model = SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=FULL_SCALE_DN)
     reference = (SpotTracker(model), 260)
     look = take_look(image, FULL_SCALE_DN, SpotTracker(model), None, CameraSettings(), reference)
-    assert (look.spot.x_px, look.spot.y_px) == pytest.approx((100.0, 120.0), abs=0.5)
+    assert (look.spot.x_px, look.spot.y_px) == pytest.approx((100.0, 200.0), abs=0.5)
     lamps = {one.name: one for one in look.lamps()}
     # what is wrong with the reference is none of the pendulum's spot
     assert lamps["saturated"].ok
+    assert dict(look.rows())["nearest edge"] == "59 px"
     assert lamps["reference"].ok is ok
     assert said in lamps["reference"].line
     drawn = coloured(annotated_picture(look, SHAPE[1], SHAPE[0]), palette.BLUISH_GREEN)
