@@ -23,9 +23,9 @@ _PART = 3
 class DecayMean:
     """Mean over a decay of a value that may change with the amplitude.
 
-    `u` is multiplied by sqrt(max(1, chi2_per_dof)). Where `changes`, no constant value describes the decay,
-    and `u` also holds the spread of a value that goes evenly from `first` to `last`, its means over the first
-    and the last third, with `u_first` and `u_last`; these are NaN for fewer than nine half-cycles.
+    `u` is multiplied by sqrt(max(1, chi2_per_dof)). Where that is more than scatter, `u` also holds
+    the spread of a value that goes evenly from `first` to `last`, its means over the first and the last third,
+    with `u_first` and `u_last`; these are NaN for fewer than nine half-cycles.
     """
 
     value: float
@@ -99,7 +99,9 @@ def _mean(index: Ints, values: Floats, u_values: Floats, factor: float) -> Decay
     last = _slope(index[-count:], values[-count:], u_values[-count:], factor)
     # from the middle of the first third to that of the last are two thirds of the decay
     found = replace(found, first=first.value, u_first=first.u, last=last.value, u_last=last.u)
-    spread = 1.5 * abs(last.value - first.value) / np.sqrt(12.0) if found.changes else 0.0
+    # also where the ends agree: what is more than scatter may be a change that they are too few to show
+    is_more = found.chi2_per_dof > _NOT_CONSTANT
+    spread = 1.5 * abs(last.value - first.value) / np.sqrt(12.0) if is_more else 0.0
     return replace(found, u=float(np.hypot(found.u, spread)))
 
 
