@@ -23,8 +23,8 @@ _PART = 3
 class DecayMean:
     """Mean over a decay of a value that may change with the amplitude.
 
-    `u` is multiplied by sqrt(max(1, chi2_per_dof)). Where that is more than scatter, `u` also holds
-    the spread of a value that goes evenly from `first` to `last`, its means over the first and the last third,
+    `u` is multiplied by sqrt(max(1, chi2_per_dof)). Where that is more than scatter, `u` also holds the
+    spread of a value that goes evenly from `first` to `last`, its means over the first and the last third,
     with `u_first` and `u_last`; these are NaN for fewer than nine half-cycles.
     """
 
