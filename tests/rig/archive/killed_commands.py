@@ -1,11 +1,12 @@
 """Commands of an archive killed at every moment: nothing is lost, nothing invented, the next one completes.
 
 A command runs in a process of its own that ends itself, as a kill does, at one of its calls that change
-a file.
+a file, or at one of its requests to where a remote archive lies.
 """
 
 import contextlib
 import datetime
+import importlib.util
 import json
 import os
 import random
@@ -20,14 +21,19 @@ from unittest.mock import patch
 from acquisition.record.reader import RecordReader
 from acquisition.record.repaired import repaired
 from rig.archive import add_sessions, blind_runs, remark, thin_runs
+from rig.archive.bucket import Bucket
 from rig.archive.checking import check_archive
 from rig.archive.refits import Recipe, Task, code_identity, refit
+from rig.archive.remote import opened
 from rig.archive.store import Archive
 from rig.sealing import seal_over
 
 OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
 _CALLS = ("fsync", "link", "replace", "rename", "write", "unlink", "remove", "mkdir", "open")
+_REQUESTS = ("names", "read", "create", "overwrite", "take_away", "try_to_write_over")
 _ENDED_NORMALLY = 0
+_STAYS = ".seen"
+"""Of a copy of a remote archive."""
 
 
 class Command(NamedTuple):
@@ -56,6 +62,8 @@ def _dying(at: int, count_to: Path | None) -> Iterator[None]:
 
     for name in _CALLS:
         setattr(os, name, dying(getattr(os, name)))
+    for name in _REQUESTS:
+        setattr(Bucket, name, dying(getattr(Bucket, name)))
     yield
     if count_to is not None:
         count_to.write_text(str(count))
@@ -130,7 +138,7 @@ def _killed(command: Command, each: int, base: Path) -> tuple[int, int, list[str
             wrong.append(f"{command.name} at {at}: the next one fails")
         elif _asked(lambda: command.look(place), told) != after:
             wrong.append(f"{command.name} at {at}: the next one does not complete")
-        left = [path.name for path in place.rglob(".*")]
+        left = [path.name for path in place.rglob(".*") if path.name != _STAYS]
         if left:
             wrong.append(f"{command.name} at {at}: left {left}")
     return done, calls, wrong
@@ -189,6 +197,34 @@ def commands() -> list[Command]:
         blind_runs(base / "archive", ["b"], [base / "runs"])
         add_sessions(base / "archive", [base / "runs"])
 
+    def sent(base: Path) -> None:
+        with _remote(base, base / "cache") as archive:
+            add_sessions(archive, [base / "runs"])
+
+    def prepared_remote(base: Path) -> None:
+        (base / "bucket").mkdir()
+        sessions(base)
+
+    def sent_before(base: Path) -> None:
+        prepared_remote(base)
+        sent(base)
+
+    def withdrawn_remote(base: Path) -> None:
+        sent_before(base)
+        (base / "runs" / "series" / "results.json").unlink()
+
+    def tag_sent(base: Path) -> None:
+        with _remote(base, base / "cache") as archive:
+            if "good" not in str(_runs_of(archive)):
+                remark(archive, [], "true", add="good")
+
+    remote = [
+        Command("add, remote", prepared_remote, sent, _runs_there),
+        Command("add again, remote", withdrawn_remote, sent, _runs_there),
+        Command("tag, remote", sent_before, tag_sent, _runs_there),
+    ]
+    if importlib.util.find_spec("fsspec") is None:
+        remote = []
     return [
         Command("add", sessions, add, _runs),
         Command("add again", withdrawn, add, _runs),
@@ -200,11 +236,38 @@ def commands() -> list[Command]:
             "check --repair", damaged, lambda base: check_archive(base / "archive", repair=True), _states
         ),
         Command("recover", cut, lambda base: repaired(base / "runs" / "series" / "run-2.mcap"), _copies),
+        *remote,
     ]
 
 
+@contextlib.contextmanager
+def _remote(base: Path, cache: Path) -> Iterator[Path]:
+    """An archive that lies where fsspec reaches it, with its copy in a cache."""
+    import fsspec
+
+    with (
+        # as a bucket, which has no folders to be made
+        patch.dict(fsspec.config.conf, {"file": {"auto_mkdir": True}}),
+        patch.dict(os.environ, {"XDG_CACHE_HOME": str(cache)}),
+        opened((base / "bucket" / "archive").as_uri()) as archive,
+    ):
+        yield archive
+
+
+def _runs_there(base: Path) -> object:
+    """What somebody sees who has no copy yet."""
+    if not (base / "bucket" / "archive").exists():
+        return []
+    with tempfile.TemporaryDirectory() as cache, _remote(base, Path(cache)) as archive:
+        return _runs_of(archive)
+
+
 def _runs(base: Path, *, refits: bool = False) -> object:
-    archive = Archive(base / "archive")
+    return _runs_of(base / "archive", refits=refits)
+
+
+def _runs_of(folder: Path, *, refits: bool = False) -> object:
+    archive = Archive(folder)
     try:
         connection = archive.connection(refits=refits)
     except Exception as error:
