@@ -26,6 +26,8 @@ class Copy:
         self.bucket = Bucket(url)
         self.folder = _cache() / hashlib.sha256(self.bucket.url.encode()).hexdigest()[:16]
         self.folder.mkdir(parents=True, exist_ok=True)
+        for place in (self.folder, *(path for path in self.folder.iterdir() if path.is_dir())):
+            whole_file.take_away_leftovers(place)
 
     def names(self) -> set[str]:
         """Names of all files of the copy."""

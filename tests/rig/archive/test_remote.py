@@ -83,6 +83,20 @@ def test_two_computers_use_one_archive(
     assert "late.json" in {path.name for path in _files(url, tmp_path / "three", monkeypatch)}
 
 
+def test_what_a_killed_command_leaves_in_the_copy_goes(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with opened(url) as folder:
+        (folder / "sessions").mkdir()
+    # of what was brought, and of the list of what was seen
+    left = [folder / "..seen.0d7e33ab", folder / "sessions" / ".a.parquet.0d7e33ab"]
+    for path in left:
+        path.touch()
+    with opened(url):
+        assert not any(path.exists() for path in left)
+
+
 def on(monkeypatch: pytest.MonkeyPatch, cache: Path, url: str, *words: str | Path) -> Done:
     """A command of one user, whose copy of the archive lies in a cache of his own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
