@@ -38,9 +38,9 @@ def write_new(path: Path, data: bytes, *, mode: int = 0o666) -> None:
     sync_folder(path.parent)
 
 
-def replace(path: Path, data: bytes) -> None:
+def replace(path: Path, data: bytes, *, mode: int = 0o666) -> None:
     """Write a file in place of an older one; a symbolic link of this name is replaced, never followed."""
-    with _written_beside(path, data) as beside:
+    with _written_beside(path, data, mode) as beside:
         beside.replace(path)
     sync_folder(path.parent)
 

@@ -6,11 +6,10 @@ from typing import Annotated
 
 import typer
 
-from acquisition.record import whole_file
 from processing.errors import MissingPackage
 from rig.commands.arguments import MODES, Config, JsonLines, Set, View
+from rig.commands.inputs import there
 from rig.commands.outputs import appended_file, new_file
-from rig.presentation import say
 
 
 def register(app: typer.Typer) -> None:
@@ -84,12 +83,16 @@ def desk(
             metavar="ADDRESS", help="Of this machine; others reach it only with certificate and passwords."
         ),
     ] = "127.0.0.1",
-    certificate: Annotated[Path | None, typer.Option(help="PEM file for TLS.", dir_okay=False)] = None,
+    certificate: Annotated[
+        Path | None, typer.Option(help="PEM file for TLS.", dir_okay=False, callback=there)
+    ] = None,
     certificate_key: Annotated[
-        Path | None, typer.Option(help="Its key, if it is in a file of its own.", dir_okay=False)
+        Path | None,
+        typer.Option(help="Its key, if it is in a file of its own.", dir_okay=False, callback=there),
     ] = None,
     passwords: Annotated[
-        Path | None, typer.Option(help="File that rig desk-password has made.", dir_okay=False)
+        Path | None,
+        typer.Option(help="File that rig desk-password has made.", dir_okay=False, callback=there),
     ] = None,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     set_: Set = None,
@@ -125,13 +128,15 @@ def desk_password(
         from rig.desk import Role, password_line
     except ModuleNotFoundError:
         raise MissingPackage("rig desk-password", "nicegui") from None
+    from acquisition.record import whole_file
+    from rig.presentation import say
+
     # read as it is typed; from a pipe in one line
     password = typer.prompt("password", hide_input=True) if sys.stdin.isatty() else sys.stdin.readline()
     line = password_line(name, Role.WATCH if watch else Role.ACT, password.rstrip("\r\n"))
     before = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
     others = [one for one in before if one.partition(":")[0] != name]
-    whole_file.replace(file, "".join(f"{one}\n" for one in [*others, line]).encode())
-    file.chmod(0o600)
+    whole_file.replace(file, "".join(f"{one}\n" for one in [*others, line]).encode(), mode=0o600)
     say(f"{file}: {name} may {'watch' if watch else 'act'}")
 
 
