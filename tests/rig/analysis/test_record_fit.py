@@ -36,7 +36,8 @@ def test_results_say_what_the_record_holds(runs: list[AnalysedRun], measured_ser
 def test_a_clock_that_is_slow_makes_the_period_longer(runs: list[AnalysedRun]) -> None:
     slow = analyse_record(runs[0].record, ["timebase.camera_rate=1.001", "timebase.u_camera_rate=1e-6"])
     before, after = (run.results.fits["exact"].estimate("period0_s") for run in (runs[0], slow))
-    assert after.value / before.value == pytest.approx(1.001, rel=1e-6)
+    # what is known of the air stands in s and does not become longer with the clock
+    assert after.value / 1.001 == pytest.approx(before.value, abs=0.05 * before.standard_uncertainty)
     assert slow.results.half_cycles == runs[0].results.half_cycles
 
 
