@@ -41,7 +41,7 @@ def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
         whole_file.write_new(path, text.encode())
         tables = campaign_tables(campaign)
         save_tables(tables, files)
-        (files / "contacts.tex").write_text(latex_table(campaign.results), encoding="utf-8")
+        whole_file.replace(files / "contacts.tex", latex_table(campaign.results).encode())
         with styled():
             figures = save_figures(figures_of(campaign), files)
         whole_file.write_new(target, _page(campaign, tables, figures, sha256_of(path)).encode())
