@@ -46,11 +46,10 @@ def brief_remarks(run: RunResults) -> list[str]:
     lines += [] if run.witness is None else witness_sentences(run.witness)
     result = whole_result(run)
     steps = "; ".join(result.next_steps)
-    symbol, determined, _ = result.text.partition(" = ")
-    if steps and determined:
-        lines.append(f"What limits {symbol}: {result.limits[0].name}. Next: {steps}.")
+    if steps and result.symbol:
+        lines.append(f"What limits {result.symbol}: {result.limits[0].name}. Next: {steps}.")
     elif steps:
-        lines.append(f"{symbol}. Next: {steps}.")
+        lines.append(f"{result.text}. Next: {steps}.")
     return list(filter(None, lines))
 
 

@@ -37,12 +37,14 @@ class Limit(NamedTuple):
 class WholeResult(NamedTuple):
     """A result as text, whether its uncertainty is the whole or the swings' alone, and what makes it.
 
-    Empty where nothing was fitted. `limits` are the largest first.
+    Empty where nothing was fitted. `limits` are the largest first; `symbol` is
+    that of a quantity which the data determine.
     """
 
     text: str = ""
     of: str = ""
     limits: Sequence[Limit] = ()
+    symbol: str = ""
 
     @property
     def next_steps(self) -> list[str]:
@@ -69,11 +71,11 @@ def whole_result(run: RunResults, of_series: Mapping[str, Budget] | None = None)
             text = f"{shown.symbol} = {shown.text(item.value, item.standard_uncertainty)} {shown.unit}"
             sources = sorted(item.sources, key=lambda line: -line.share)
             limits = [Limit(one.source, one.share) for one in sources if one.share >= _SHOWN_SHARE]
-            return WholeResult(text.rstrip(), "the whole budget, swings and apparatus", limits)
+            return WholeResult(text.rstrip(), "the whole budget, swings and apparatus", limits, shown.symbol)
     for name in DEFAULT_LAW.names(drag=False):
         verdict = verdicts.get(name)
         if name in exact.parameters and (verdict is None or verdict.verdict is Determinacy.DETERMINED):
             shown = quantity(name)
             text = f"{shown.symbol} = {shown.text(*exact.parameters[name])} {shown.unit}"
-            return WholeResult(text.rstrip(), "the swings alone", [Limit("swings", 1.0)])
+            return WholeResult(text.rstrip(), "the swings alone", [Limit("swings", 1.0)], shown.symbol)
     return WholeResult("No parameter is determined", "", [Limit("swings", 1.0)])

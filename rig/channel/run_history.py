@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
 
 from processing.deflections import Deflections
 from processing.swing import Swing
@@ -126,6 +125,9 @@ def spectrum(path: Sequence[Deflections]) -> dict[str, list[Any]]:
     time_s, x, y = time_s[good], x[good], y[good]
     if len(time_s) < _FEWEST_FOR_SPECTRUM:
         return {"f": [], "x": [], "y": []}
+    # here, because it takes half a second
+    from scipy.signal import welch
+
     # a camera's interval hardly varies; what is missing is drawn straight over
     even_s = np.linspace(time_s[0], time_s[-1], len(time_s))
     rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0])

@@ -33,7 +33,9 @@ def report(
         ),
     ] = None,
 ) -> None:
-    """Write a report: HTML, figures as SVG and PNG, tables as CSV.
+    """Write a report: HTML page, figures, tables.
+
+    Figures as SVG and PNG, tables as CSV.
 
     \b
     Example:

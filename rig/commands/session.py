@@ -118,7 +118,9 @@ def desk_password(
     name: Annotated[str, typer.Argument(help="Of the person.")],
     watch: Annotated[bool, typer.Option("--watch", help="May watch, and press LIGHT OFF, no more.")] = False,
 ) -> None:
-    """Let somebody enter the desk from another machine: asks for a password, and adds its digest to a file.
+    """Let a person enter the desk from elsewhere.
+
+    Asks for a password, and adds its digest to a file.
 
     \b
     Example:

@@ -114,7 +114,7 @@ def test_light_off_darkens_a_frozen_session_from_a_watching_tab_with_a_dialog_op
             )
             watching.open(desk.address)
             watching.wait_text("this tab watches")
-            watching.click("Keys")
+            watching.key("?")
             watching.wait("document.querySelector('.q-dialog table') !== null")
             watching.wait(f"{LAMP.format('laser')} === 'laser unknown'")
             watching.point_at("document.getElementById('light-off')")
@@ -230,7 +230,7 @@ def test_a_trip_in_a_calibrations_recording_is_an_alarm_and_the_recording_can_be
     board.interlock(closed=False)
     board.wait_lit(False)
     page.wait_text("INTERLOCK")
-    page.click("Stop recording")
+    page.click("Cancel the recording")
     page.wait_text("the recording was stopped")
     # it stays, with the interlock open
     page.key("4")
