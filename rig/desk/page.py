@@ -31,7 +31,7 @@ _LOOK_S = 0.25
 def build_page(desk: Desk, off_port: int, person: Person) -> None:
     """Build the page for one tab of a browser; `off_port` is where LIGHT OFF is heard beside this server."""
     tab = Tab(desk, person)
-    ui.add_css(safety_bar.STYLE + STYLE + alarm_bar.STYLE + watchdog.STYLE)
+    ui.add_css(STYLE + safety_bar.STYLE + alarm_bar.STYLE + watchdog.STYLE)
     script = f"{SCRIPT}{chart_script.SCRIPT}{safety_bar.script(off_port)}{watchdog.script()}{KEEPING}"
     ui.add_head_html(f"<script>{script}</script>")
     ui.add_body_html(RED_LIGHT + watchdog.BAR + safety_bar.BAR)
