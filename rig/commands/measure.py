@@ -15,6 +15,15 @@ Rrd = Annotated[
     Path | None,
     typer.Option("--rrd", help="Write a Rerun file.", show_default=False, callback=new_file(".rrd")),
 ]
+RunsFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        help="Folder for the files written; must not hold a run yet.",
+        callback=folder_without("run-*.mcap", "results.json"),
+    ),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -24,15 +33,7 @@ def register(app: typer.Typer) -> None:
 
 
 def demo(
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Folder for the files written; must not hold a run yet.",
-            callback=folder_without("run-*.mcap", "results.json"),
-        ),
-    ] = None,
+    output: RunsFolder = None,
     set_: Set = None,
     view: View = None,
 ) -> None:
@@ -54,15 +55,7 @@ def run(
     config: Annotated[
         Path | None, typer.Argument(help="Configuration (TOML file).", show_default=False, callback=there)
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Folder for the files written; must not hold a run yet.",
-            callback=folder_without("run-*.mcap", "results.json"),
-        ),
-    ] = None,
+    output: RunsFolder = None,
     runs: Annotated[int | None, typer.Option(help="Number of runs; default: session.runs.", min=1)] = None,
     set_: Set = None,
     view: View = None,
