@@ -234,11 +234,25 @@ def _temporal_variance(stack: NDArray[np.float64]) -> tuple[float, float]:
 def _rounding(variance: float) -> float:
     """Standard uncertainty of a variance after rounding, because rounding does not add exactly 1/12 DN^2.
 
-    The largest deviation, from the first term of the series in the characteristic function (B. Widrow,
-    Quantization Noise, 2008), for normally distributed values, divided by sqrt(2).
+    The largest deviation divided by sqrt(2), taken at the smallest variance that, with this deviation, could
+    have been found: where rounding has made noise look large, its deviation looks small.
     """
-    inner = max(variance - _QUANTISATION_DN2, 0.0)
-    return float((4.0 * inner + 1.0 / np.pi**2) * np.exp(-2.0 * np.pi**2 * inner) / np.sqrt(2.0))
+    from scipy.optimize import brentq
+
+    found = variance - _QUANTISATION_DN2
+    # the sum rises with the variance, of which it is an upper limit
+    least = 0.0
+    if found > _largest_deviation(0.0):
+        least = brentq(lambda inner: inner + _largest_deviation(inner) - found, 0.0, found)
+    return _largest_deviation(least) / float(np.sqrt(2.0))
+
+
+def _largest_deviation(variance: float) -> float:
+    """Of a variance after rounding from variance + 1/12 DN^2, over all levels of normal values.
+
+    By the first term of the series in the characteristic function (B. Widrow, Quantization Noise, 2008).
+    """
+    return float((4.0 * variance + 1.0 / np.pi**2) * np.exp(-2.0 * np.pi**2 * variance))
 
 
 def _knee(points: Sequence[TransferPoint]) -> float | None:

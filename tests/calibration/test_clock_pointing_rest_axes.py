@@ -109,6 +109,22 @@ def test_lines_of_the_spectrum_are_named() -> None:
     assert found.claimed_ratio == pytest.approx(0.02 / there, rel=4 / np.sqrt(8000))
 
 
+@pytest.mark.parametrize(
+    ("frequency_hz", "name"),
+    [
+        (60.0, "mains, 1 x 60 Hz"), (100.0, "mains, 2 x 50 Hz"), (119.9, "mains, 2 x 60 Hz"),
+        (28.0, "building"), (40.0, ""), (61.0, ""),
+    ],
+)  # fmt: skip
+def test_a_line_has_the_name_of_what_makes_it(frequency_hz: float, name: str) -> None:
+    times_s = np.arange(10_000) / 500.0
+    values = 0.01 * np.random.default_rng(4).standard_normal(10_000)
+    found = stability(
+        times_s, values + 0.05 * np.sin(2 * np.pi * frequency_hz * times_s), np.full(10_000, 0.01)
+    )
+    assert [line.name for line in found.lines] == [name]
+
+
 def test_white_noise_has_no_lines_and_falls_as_one_over_root_tau() -> None:
     rng = np.random.default_rng(5)
     found = stability(np.arange(20_000) * 0.01, rng.standard_normal(20_000), np.ones(20_000))

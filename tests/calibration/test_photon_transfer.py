@@ -31,8 +31,8 @@ def test_gain_and_read_noise_come_back_without_bias() -> None:
 
 
 @pytest.mark.parametrize("noise_dn", [0.36, 0.5])
-def test_rounding_does_not_move_the_dark_level(noise_dn: float) -> None:
-    z = []
+def test_rounding_moves_neither_dark_level_nor_noise_by_more_than_is_said(noise_dn: float) -> None:
+    z, z_noise = [], []
     for seed in range(20):
         rng = np.random.default_rng(seed)
         level = rng.uniform(2.0, 3.0)
@@ -50,6 +50,9 @@ def test_rounding_does_not_move_the_dark_level(noise_dn: float) -> None:
         found = photon_transfer(pairs, images[:8], 255)
         assert found.read_noise_resolved
         z.append((found.dark_level_dn - level) / found.u_dark_level_dn)
+        gain = found.gain_e_per_dn
+        z_noise.append((found.read_noise_e / gain - noise_dn) * gain / found.u_read_noise_e)
+    assert np.sqrt(np.mean(np.square(z_noise))) < 1 + 3 / np.sqrt(40)
     # an rms of 20 deviations lies within 3/sqrt(40) of 1; the integers' mean was off by up to 20
     assert np.sqrt(np.mean(np.square(z))) < 1 + 3 / np.sqrt(40)
 

@@ -57,6 +57,8 @@ def test_without_scatter_it_is_the_weighted_mean() -> None:
     value, u = found.estimate(C)
     assert value == pytest.approx(mean, abs=0.1 * weight.sum() ** -0.5)
     assert u == pytest.approx(weight.sum() ** -0.5, rel=0.08)
+    # all is normal: every draw counts as one
+    assert 0.99 * len(found.weight) < found.effective <= len(found.weight)
 
 
 def test_what_runs_share_does_not_shrink_with_their_number() -> None:
