@@ -6,16 +6,10 @@ import numpy as np
 from scipy.fft import dst
 
 from processing.arrays import Floats
-from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit import GROUND_SEEN, density_of_step
+from processing.swing_at_rest import quadratures_of, swing_at_rest, without_decay
 
-_FEWEST_PERIODS = 8
-_FEWEST_SAMPLES = 8
-"""In a period."""
-_BIN_S = 0.1
-_PERIODS_S = (1.5, 15.0)
-"""Range in which the period is looked for."""
 _ONE_SIGMA, _ONE_SIDED = 1.0, 2.706
 """Rises of -2 ln L: a standard uncertainty, and a bound of 95 %."""
 _SWINGING = 5.0
@@ -55,17 +49,10 @@ def ground_at_rest(time_s: Floats, deflection: Floats) -> GroundAtRest:
     For fits over whole periods T of a random walk with variance S a period, neighbouring differences have the
     covariance ``2 S/3 + 2 r, S/6 - r, 0, ...``, r the variance of the reading. Sines diagonalise it.
     """
-    seen = np.isfinite(deflection)
-    time_s, deflection = _binned(time_s[seen], deflection[seen])
-    span_s = float(np.ptp(time_s)) if len(time_s) else 0.0
-    if span_s < _FEWEST_PERIODS * _PERIODS_S[0]:
-        raise DataError(f"{span_s:.3g} s of the pendulum at rest are too short to see the ground")
-    period_s = _period(time_s, deflection, span_s)
-    periods = int(span_s / period_s)
-    if periods < _FEWEST_PERIODS:
-        raise DataError(f"{span_s:.3g} s at rest are {periods} periods: the ground needs {_FEWEST_PERIODS}")
-    quadratures, expected = _quadratures(time_s - time_s[0], deflection, period_s, periods)
-    steps = _without_decay(quadratures)
+    rest = swing_at_rest(time_s, deflection)
+    period_s, periods = rest.period_s, rest.periods
+    turning, expected = quadratures_of(rest, rest.deflection[:, None])
+    steps = without_decay(turning[:, 0])
     power = np.sum(dst(steps, type=1, axis=0, norm="ortho") ** 2, axis=1)
     turn = np.cos(np.pi * np.arange(1, periods) / periods)
     unit = float(np.mean(power)) / 2
@@ -82,57 +69,11 @@ def ground_at_rest(time_s: Floats, deflection: Floats) -> GroundAtRest:
     def density(variance_a_period: float) -> float:
         return to_density * float(np.sqrt(0.5 * unit * variance_a_period))
 
-    swings = float(np.mean(np.sum(quadratures**2, axis=1))) > _SWINGING * 2 * expected
+    swings = float(np.mean(np.abs(turning) ** 2)) > _SWINGING * 2 * expected
     value = density(_GRID[best]) if swings and rise[0] > GROUND_SEEN else 0.0
     u = 0.5 * (density(high) - density(low)) if value else density(high)
     upper = _crossing(rise, best, 1, _ONE_SIDED)
     return GroundAtRest(Estimate(value, u), density(upper), period_s)
-
-
-def _binned(time_s: Floats, deflection: Floats) -> tuple[Floats, Floats]:
-    """Means over tenths of a second: nothing here is faster."""
-    if not len(time_s):
-        return time_s, deflection
-    _, start, count = np.unique(np.floor(time_s / _BIN_S), return_index=True, return_counts=True)
-    return np.add.reduceat(time_s, start) / count, np.add.reduceat(deflection, start) / count
-
-
-def _period(time_s: Floats, deflection: Floats, span_s: float) -> float:
-    """Where the deflections hold most power, to a twentieth of the resolution."""
-    frequency_hz = np.arange(1 / _PERIODS_S[1], 1 / _PERIODS_S[0], 0.05 / span_s)
-    left = deflection - np.mean(deflection)
-    found = [abs(np.exp(2j * np.pi * one * time_s) @ left) for one in frequency_hz]
-    return float(1 / frequency_hz[np.argmax(found)])
-
-
-def _quadratures(time_s: Floats, deflection: Floats, period_s: float, periods: int) -> tuple[Floats, float]:
-    """(periods, 2) amplitudes of cosine and sine in each period, beside an offset and a slope.
-
-    And their variance, by what these leave of neighbouring samples.
-    """
-    out, variance = np.empty((periods, 2)), np.empty(periods)
-    phase = 2 * np.pi * time_s / period_s
-    columns = np.column_stack([np.cos(phase), np.sin(phase), np.ones_like(phase), phase])
-    for k in range(periods):
-        inside = (time_s >= k * period_s) & (time_s < (k + 1) * period_s)
-        if np.count_nonzero(inside) < _FEWEST_SAMPLES:
-            raise DataError(
-                f"{np.count_nonzero(inside)} samples in a period of {period_s:.3g} s at rest are too few"
-            )
-        fitted = np.linalg.lstsq(columns[inside], deflection[inside], rcond=None)[0]
-        out[k] = fitted[:2]
-        left = np.diff(deflection[inside] - columns[inside] @ fitted)
-        variance[k] = np.mean(left**2) / (np.count_nonzero(inside) - 4)
-    return out, float(np.median(variance))
-
-
-def _without_decay(quadratures: Floats) -> Floats:
-    """(periods - 1, 2) steps less what goes with the oscillation: its decay, a period a little off."""
-    turning = quadratures[:, 0] + 1j * quadratures[:, 1]
-    step, middle = np.diff(turning), 0.5 * (turning[1:] + turning[:-1])
-    left = step - middle * np.vdot(middle, step) / np.vdot(middle, middle)
-    left *= np.sqrt(len(step) / (len(step) - 1))
-    return np.column_stack([left.real, left.imag])
 
 
 def _crossing(rise: Floats, best: int, side: int, target: float) -> float:

@@ -60,5 +60,7 @@ from processing.fit.witness import (
     WitnessUse,
     WitnessVerdict,
     fit_with_witness,
+    plain_signals,
 )
+from processing.fit.witnessed_columns import LEAST_LEFT
 from processing.fit_method import FitMethod

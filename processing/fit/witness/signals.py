@@ -93,6 +93,11 @@ def signals_of(witness: Witness, period_s: float) -> Signals:
     return Signals(time[usable], np.ascontiguousarray(found[usable]), _GAP * step_s)
 
 
+def plain_signals(witness: Witness, period_s: float) -> Signals:
+    """Every component as it is, but for its drift."""
+    return signals_of(witness, period_s).only([one * len(Term) for one in range(len(witness.names))])
+
+
 def _even(witness: Witness, period_s: float) -> tuple[Floats, Floats, float]:
     """Times, values (NaN where missing) and step of samples at one rate."""
     time, value = witness.time_s, witness.value
