@@ -15,8 +15,7 @@ from scipy.stats import beta
 
 from processing.arrays import Flags, Floats
 from processing.errors import DataError
-from processing.fit import LEAST_LEFT, Witness, plain_signals
-from processing.fit.known_drive import Signals
+from processing.fit import LEAST_LEFT, Signals, Witness, plain_signals
 from processing.swing_at_rest import SwingAtRest, quadratures_of, swing_at_rest
 
 _STEPS_A_PERIOD = 80

@@ -20,6 +20,7 @@ from processing.fit.evidence import NO_EVIDENCE, WAVEFORM, Evidence, Waveform, s
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
 from processing.fit.key_comparison import KeyComparison, compare_laboratories
+from processing.fit.known_drive import Signals
 from processing.fit.law_comparison import LawComparison, compare_laws
 from processing.fit.law_errors import Change, ChangeKind, Misfit
 from processing.fit.misfit import misfit_of, with_misfit, with_misfit_of
