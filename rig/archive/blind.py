@@ -20,13 +20,13 @@ from rig.archive.proved import has_line, read_file, sha256_hex, with_line, witho
 from rig.archive.remarks import user_name
 from rig.presentation import say
 from rig.sealing import (
+    check_folder,
     check_installed,
     key_path,
     new_key,
     open_folder,
     public_key,
     seal_folder,
-    seal_over,
     stored_key,
 )
 
@@ -73,9 +73,8 @@ def sealed(archive: Path) -> Seal | None:
     folder = archive / _FOLDER
     for path in sorted(folder.glob("[!.]*.sealed.json")):
         if not _opened(path).exists():
-            data = read_file(path)
+            tree = _tree(path)
             try:
-                tree = json.loads(without_line(path, data) if has_line(data) else data)
                 scales = {
                     str(name): None if scale is None else float(scale)
                     for name, scale in tree["scales"].items()
@@ -94,62 +93,101 @@ def opened_keys(archive: Path) -> list[bytes]:
     """Keys of seals that were opened. Raises RecordError for a file that cannot be read."""
     found = []
     for path in sorted((archive / _FOLDER).glob("[!.]*.opened.json")):
-        data = read_file(path)
+        tree = _tree(path)
         try:
-            tree = json.loads(without_line(path, data) if has_line(data) else data)
             found += [bytes.fromhex(tree["key"])] if "key" in tree else []
         except (ValueError, TypeError) as error:
             raise RecordError(f"{path}: cannot be read: {error!r}; take it from a backup") from None
     return found
 
 
-def seal(archive: Path, scales: Mapping[str, float | None]) -> str:
-    """Hide columns; returns a line with the hash that proves later that nothing was exchanged.
+def seal(archive: Path, scales: Mapping[str, float | None], folders: Sequence[Path] = ()) -> str:
+    """Hide columns, and seal folders before; returns a line with the hash that proves later what was sealed.
 
-    Raises ConfigurationError where something is hidden already.
+    Folders come first: killed in between, they are blind and the archive is not, and the next one goes on
+    with the same key, which the archive names before anything is sealed.
+
+    Raises ConfigurationError where something is hidden already, or a folder is blind for another key.
     """
     if sealed(archive) is not None:
         raise ConfigurationError(f"{archive}: is blind already; rig archive unblind comes first")
     check_installed()
-    key = new_key()
+    begun = _begun(archive)
+    if begun:
+        key = stored_key(begun[0]["key_sha256"])
+        if key is None:
+            raise ConfigurationError(
+                f"{archive}: was begun to be blinded with a key that is not here; put it to "
+                f"{key_path(begun[0]['key_sha256'])}, or let its owner do it"
+            )
+    else:
+        for folder in folders:
+            check_folder(folder.resolve(), "")
+        key = new_key()
+    earlier = [Path(said["folder"]) for said in begun if said["public_key"] == public_key(key)]
+    wanted = dict.fromkeys([*filter(Path.is_dir, earlier), *(folder.resolve() for folder in folders)])
+    lines = [
+        _seal_folder(archive, folder, key_sha256=sha256_hex(key), public=public_key(key)) for folder in wanted
+    ]
     data = _said(key_sha256=sha256_hex(key), public_key=public_key(key), scales=dict(scales))
     _write(archive / _FOLDER / f"{_now()}.sealed.json", data)
-    return (
+    told = (
         f"{', '.join(scales)} hidden; SHA-256 of the seal: {hashlib.sha256(data).hexdigest()}; the key is "
         f"{key_path(sha256_hex(key))}"
     )
+    return "\n".join([told, *lines])
 
 
-def seal_folders(archive: Path, folders: Sequence[Path]) -> list[str]:
+def seal_folders(archive: Path, folders: Sequence[Path]) -> str:
     """Seal what is found of records in and below folders, for the key of the archive; a line for each.
 
     Raises ConfigurationError where a folder is blind for another key, or the archive's seal is too old.
     """
     found = sealed(archive)
-    lines = []
-    for folder in (folder.resolve() for folder in folders):
-        if found is None or not found.public_key:
-            raise ConfigurationError(f"{archive}: has no seal with a key for folders; unblind it, then blind")
-        # what a command left that was killed when its seal had its name
-        whole_file.take_away_leftovers(folder)
-        known = seal_over(folder)
-        if known is None or known.public_key != found.public_key:
-            seal_folder(folder, found.public_key)
-        if folder not in _folders(archive, found):
-            said = _said(folder=str(folder), public_key=found.public_key)
-            _write(archive / _FOLDER / f"{_now()}.folder.json", said)
-        lines.append(f"{folder}: blind: fits of the records in it are sealed")
-    return lines
+    if found is None or not found.public_key:
+        raise ConfigurationError(f"{archive}: has no seal with a key for folders; unblind it, then blind")
+    key_sha256 = _tree(found.path)["key_sha256"]
+    return "\n".join(
+        _seal_folder(archive, folder.resolve(), key_sha256=key_sha256, public=found.public_key)
+        for folder in folders
+    )
 
 
-def _folders(archive: Path, of: Seal) -> list[Path]:
-    """Folders that are sealed for the key of a seal."""
-    found = []
-    for path in sorted((archive / _FOLDER).glob("[!.]*.folder.json")):
-        tree = json.loads(without_line(path, read_file(path)))
-        if tree["public_key"] == of.public_key:
-            found.append(Path(tree["folder"]))
-    return found
+def _seal_folder(archive: Path, folder: Path, *, key_sha256: str, public: str) -> str:
+    check_folder(folder, public)
+    # first, so that no folder is blind of which the archive does not know that it must be opened
+    if folder not in _folders(archive, public):
+        said = _said(folder=str(folder), public_key=public, key_sha256=key_sha256)
+        _write(archive / _FOLDER / f"{_now()}.folder.json", said)
+    # what a command left that was killed when its seal had its name
+    whole_file.take_away_leftovers(folder)
+    seal_folder(folder, public)
+    return f"{folder}: blind: fits of the records in it are sealed"
+
+
+def _folders(archive: Path, public: str) -> list[Path]:
+    """Folders that are sealed for a key, or were to be when the command was killed."""
+    return [Path(said["folder"]) for said in _said_of_folders(archive) if said["public_key"] == public]
+
+
+def _begun(archive: Path) -> list[dict[str, str]]:
+    """What was said of folders by a command that was killed before it sealed the archive."""
+    known = {_tree(path).get("public_key") for path in (archive / _FOLDER).glob("[!.]*.sealed.json")}
+    return [said for said in _said_of_folders(archive) if said["public_key"] not in known]
+
+
+def _said_of_folders(archive: Path) -> list[dict[str, str]]:
+    return [_tree(path) for path in sorted((archive / _FOLDER).glob("[!.]*.folder.json"))]
+
+
+def _tree(path: Path) -> dict[str, Any]:
+    """What a file says. Raises RecordError where it is not as it was written."""
+    data = read_file(path)
+    try:
+        tree = json.loads(without_line(path, data) if has_line(data) else data)
+        return dict(tree)
+    except (ValueError, TypeError) as error:
+        raise RecordError(f"{path}: cannot be read: {error!r}; take it from a backup") from None
 
 
 def unseal(archive: Path, frozen: str) -> str:
@@ -160,6 +198,10 @@ def unseal(archive: Path, frozen: str) -> str:
     Raises ConfigurationError where nothing is hidden, nothing was said, or the key is not here.
     """
     found = sealed(archive)
+    if found is None and _begun(archive):
+        raise ConfigurationError(
+            f"{archive}: blinding was begun and not finished; rig archive blind completes it"
+        )
     if found is None:
         raise ConfigurationError(f"{archive}: is not blind")
     if not frozen.strip():
@@ -170,7 +212,7 @@ def unseal(archive: Path, frozen: str) -> str:
             raise ConfigurationError(
                 f"{archive}: the key is not here; put it to {_stated_key_path(found)}, or let its owner do it"
             )
-        for folder in _folders(archive, found):
+        for folder in _folders(archive, found.public_key):
             if folder.is_dir():
                 open_folder(folder, found.key, frozen.strip(), user_name())
             else:
@@ -182,7 +224,7 @@ def unseal(archive: Path, frozen: str) -> str:
 
 
 def _stated_key_path(found: Seal) -> Path:
-    return key_path(json.loads(without_line(found.path, read_file(found.path)))["key_sha256"])
+    return key_path(_tree(found.path)["key_sha256"])
 
 
 def _now() -> str:

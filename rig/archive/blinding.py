@@ -29,20 +29,21 @@ def blind_runs(archive: Path, columns: Sequence[str], folders: Sequence[Path] = 
             raise ConfigurationError(f"{name}: is no column with an uncertainty; docs/archive.md names all")
     store = Archive(archive)
     store.begin()
-    lines = [] if folders and sealed(archive) is not None else [_sealed_now(archive, store, columns)]
-    return "\n".join([*lines, *seal_folders(archive, folders)])
+    if folders and sealed(archive) is not None:
+        return seal_folders(archive, folders)
+    return seal(archive, _scales(store, columns), folders)
 
 
-def _sealed_now(archive: Path, store: Archive, columns: Sequence[str]) -> str:
+def _scales(store: Archive, columns: Sequence[str]) -> dict[str, float | None]:
     scales: dict[str, float | None] = {}
     try:
         connection = store.connection(within=True)
     except ConfigurationError:
         # nothing was added yet: the best time to do it
-        return seal(archive, dict.fromkeys(columns or (*PARAMETERS, *_FOLLOWING)))
+        return dict.fromkeys(columns or (*PARAMETERS, *_FOLLOWING))
     for name in columns or (*PARAMETERS, *_FOLLOWING):
         spread, u = connection.execute(
             f"select stddev_samp({name}), median(u_{name}) from runs where isfinite({name})"
         ).fetchone()
         scales[name] = max(spread or 0.0, u or 0.0) or None
-    return seal(archive, scales)
+    return scales

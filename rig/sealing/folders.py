@@ -69,22 +69,31 @@ def _opened_key(folder: Path, public: str) -> bytes | None:
     return key
 
 
-def seal_folder(folder: Path, public_key: str) -> None:
-    """Make a folder blind. Raises ConfigurationError where it is sealed, or below one that is."""
+def check_folder(folder: Path, public_key: str) -> None:
+    """Raise ConfigurationError where a folder cannot be sealed for a key: it is for another, or was opened."""
     found = seal_over(folder)
-    if found is not None and found.is_blind:
+    if found is not None and found.is_blind and found.public_key != public_key:
         raise ConfigurationError(f"{folder}: is blind already, by {found.folder / SEAL_NAME}")
-    if (folder / SEAL_NAME).exists():
+    if (folder / SEAL_NAME).exists() and found is not None and not found.is_blind:
         raise ConfigurationError(
             f"{folder / SEAL_NAME}: was opened; a folder is sealed once, take another one for new sessions"
         )
-    digest = hashlib.sha256(public_key.encode()).hexdigest()
-    _write(folder / SEAL_NAME, {"public_key": public_key, "public_key_sha256": digest})
+
+
+def seal_folder(folder: Path, public_key: str) -> None:
+    """Make a folder blind; one that is for this key stays as it is. Raises as `check_folder`."""
+    check_folder(folder, public_key)
+    if not is_blind(folder):
+        digest = hashlib.sha256(public_key.encode()).hexdigest()
+        _write(folder / SEAL_NAME, {"public_key": public_key, "public_key_sha256": digest})
 
 
 def open_folder(folder: Path, key: bytes, frozen: str, user: str) -> None:
-    """Open a folder for good: the key lies beside its seal, with who asked and what was frozen."""
-    if not (folder / OPENED_NAME).exists():
+    """Open a folder for good: the key lies beside its seal, with who asked and what was frozen.
+
+    One that has no seal of its own, because its sealing was killed or it lies in a sealed one, stays as it is.
+    """
+    if (folder / SEAL_NAME).exists() and not (folder / OPENED_NAME).exists():
         _write(folder / OPENED_NAME, {"key": key.hex(), "frozen": frozen, "user": user})
 
 

@@ -59,12 +59,12 @@ def killed_at(write: int) -> Iterator[None]:
     """From this write on no file is written any more."""
     count, write_new = 0, whole_file.write_new
 
-    def writing(path: Path, data: bytes) -> None:
+    def writing(path: Path, data: bytes, **mode: int) -> None:
         nonlocal count
         count += 1
         if count >= write:
             raise Killed
-        write_new(path, data)
+        write_new(path, data, **mode)
 
     with patch.object(whole_file, "write_new", writing), contextlib.suppress(Killed):
         yield

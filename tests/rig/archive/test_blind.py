@@ -14,6 +14,8 @@ from rig.archive import add_sessions, blind_runs, list_runs, unseal
 from rig.archive.blind import sealed
 from rig.archive.columns import COLUMNS, PARAMETERS
 from rig.archive.store import Archive
+from rig.sealing import is_blind, seal_over
+from tests.rig.archive.histories import killed_at
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 
 OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
@@ -146,3 +148,53 @@ def test_a_run_in_a_blind_folder_says_once_and_as_no_error_why_it_has_no_report(
     assert said == ["the folder is blind: results are sealed, and a report waits for rig archive unblind"]
     assert "rig: " not in done.stderr
     assert not list((tmp_path / "runs" / "first").glob("report*"))
+
+
+def test_blinding_that_is_killed_leaves_no_folder_open_and_none_shut_for_good(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    monkeypatch.delenv("RIG_ARCHIVE", raising=False)
+    for begun in (False, True):
+        for write in range(1, 9):
+            base = tmp_path / f"{begun}-{write}"
+            archive, runs = base / "archive", base / "runs"
+            runs.mkdir(parents=True)
+            if begun:
+                # a further folder of an archive that is blind already
+                (base / "first").mkdir()
+                blind_runs(archive, ["c"], [base / "first"])
+            with killed_at(write):
+                blind_runs(archive, ["b"], [runs])
+            seal, folder = sealed(archive), seal_over(runs)
+            if not begun and seal is not None:
+                assert folder is not None, (
+                    "the archive is blind and says so; the folder is fitted in the open"
+                )
+            if folder is not None and seal is None:
+                with pytest.raises(ConfigurationError, match="begun and not finished"):
+                    unseal(archive, "too early")
+            again = [] if folder is not None and not begun and seal is None else [runs]
+            if seal is None or again:
+                # it goes on with the key that it had, wherever it was
+                said = blind_runs(archive, ["b"], again)
+                assert "blind" in said or "hidden" in said
+            completed, folder = sealed(archive), seal_over(runs)
+            assert completed is not None
+            assert completed.key is not None
+            assert folder is not None
+            assert folder.public_key == completed.public_key
+            unseal(archive, "commit 1234")
+            assert not is_blind(runs)
+
+
+def test_a_folder_that_another_archive_has_sealed_is_refused_before_this_one_is_sealed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    (tmp_path / "runs").mkdir()
+    blind_runs(tmp_path / "one", ["b"], [tmp_path / "runs"])
+    with pytest.raises(ConfigurationError, match="is blind already"):
+        blind_runs(tmp_path / "two", ["b"], [tmp_path / "runs"])
+    assert sealed(tmp_path / "two") is None
+    blind_runs(tmp_path / "two", ["b"])
