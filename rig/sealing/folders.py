@@ -70,7 +70,7 @@ def _opened_key(folder: Path, public: str) -> bytes | None:
 
 
 def check_folder(folder: Path, public_key: str) -> None:
-    """Raise ConfigurationError where a folder cannot be sealed for a key: it is for another, or was opened."""
+    """Raise ConfigurationError where a folder cannot be sealed for a key: it has another, or was opened."""
     found = seal_over(folder)
     if found is not None and found.is_blind and found.public_key != public_key:
         raise ConfigurationError(f"{folder}: is blind already, by {found.folder / SEAL_NAME}")
@@ -91,7 +91,7 @@ def seal_folder(folder: Path, public_key: str) -> None:
 def open_folder(folder: Path, key: bytes, frozen: str, user: str) -> None:
     """Open a folder for good: the key lies beside its seal, with who asked and what was frozen.
 
-    One that has no seal of its own, because its sealing was killed or it lies in a sealed one, stays as it is.
+    One that has no seal of its own, because its sealing was killed or it lies in another, stays as it is.
     """
     if (folder / SEAL_NAME).exists() and not (folder / OPENED_NAME).exists():
         _write(folder / OPENED_NAME, {"key": key.hex(), "frozen": frozen, "user": user})

@@ -81,6 +81,7 @@ def _added_and_listed(runs: Path, archive: Path) -> dict[str, Any]:
     _taken("list", "limit 1", "--archive", archive)  # compiles bytecode
     peak_mib, results["list: CPU s"] = _taken("list", _LISTED, "--archive", archive)
     results["list: MiB resident"] = peak_mib
+    results["list: whole runs"] = _listed(archive, "state = 'whole'")
     results["catalogue MB"] = _size(archive / "sessions") / 1e6
     results["merged MB"] = _size(archive / "merged") / 1e6
     return results
@@ -294,10 +295,10 @@ def _children_s() -> float:
     return spent.ru_utime + spent.ru_stime
 
 
-def _listed(archive: Path) -> int:
+def _listed(archive: Path, condition: str = "") -> int:
     """How many runs are listed; 0 of an archive that holds none yet, -1 where it cannot be read."""
     done = subprocess.run(
-        _command("list", "--columns", "count(*)", "--format", "csv", "--archive", archive),
+        _command("list", condition, "--columns", "count(*)", "--format", "csv", "--archive", archive),
         capture_output=True,
         text=True,
         check=False,

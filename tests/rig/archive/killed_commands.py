@@ -301,7 +301,9 @@ def _seals(base: Path) -> object:
     from rig.archive.blind import sealed
 
     found, folder = sealed(base / "archive"), seal_over(base / "runs")
-    # archive and folder are sealed one after the other: killed between them, the next command seals the other
-    if found is None or folder is None or folder.public_key != found.public_key:
+    # the folder comes first: killed before the archive is sealed, it is blind already
+    if found is None:
         return False
+    assert folder is not None, "the archive is blind, and its folder is not"
+    assert folder.public_key == found.public_key
     return sorted(found.scales)

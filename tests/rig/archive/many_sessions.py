@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from acquisition.record.events import EventKind
 from acquisition.record.writer import RecordWriter
 from acquisition.simulation.true_path import true_path
 from processing.deflections import Deflections, DeflectionUnit
@@ -93,6 +94,9 @@ def make_template(path: Path, seed: int) -> Template:
         writer.write_spots(range(count), listed, listed, spots, deflections)
         for swing in [*detector.update(times_ns, y, u), *detector.finish()]:
             writer.write_swing(swing)
+        # without an end a record counts as cut short
+        writer.write_event(listed[0], EventKind.START, "first frame")
+        writer.write_event(listed[-1], EventKind.STOP, "44 s are over")
     tree = encoded(session_results([analyse_record(path)], path.parent))
     data = path.read_bytes()
     path.unlink()

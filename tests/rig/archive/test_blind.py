@@ -168,9 +168,7 @@ def test_blinding_that_is_killed_leaves_no_folder_open_and_none_shut_for_good(
                 blind_runs(archive, ["b"], [runs])
             seal, folder = sealed(archive), seal_over(runs)
             if not begun and seal is not None:
-                assert folder is not None, (
-                    "the archive is blind and says so; the folder is fitted in the open"
-                )
+                assert folder is not None, "the archive is blind; the folder is fitted in the open"
             if folder is not None and seal is None:
                 with pytest.raises(ConfigurationError, match="begun and not finished"):
                     unseal(archive, "too early")
