@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections
 from processing.swing import Swing
 from processing.ticks import NS_PER_S, seconds
-from rig.instrument import Snapshot
+from rig.instrument import FittedDecay, Snapshot
 
 Array = NDArray[np.float64]
 _MOST = 800
@@ -79,6 +80,8 @@ class RunHistory:
     def __init__(self) -> None:
         self._motion = Extremes(2)
         self._swings: deque[tuple[float, float, float, float]] = deque(maxlen=_SWINGS)
+        self._start_ns = 0
+        self._decay: FittedDecay | None = None
         self._estimates: dict[str, deque[tuple[float, float, float]]] = {}
         self._estimated_from = 0
 
@@ -90,6 +93,7 @@ class RunHistory:
 
     def swing(self, start_ns: int, swing: Swing, shown_size: float) -> None:
         """A half-cycle without doubts."""
+        self._start_ns = start_ns
         at_s = seconds(swing.turn_time_ns - start_ns)
         amplitude, u = swing.amplitude / shown_size, swing.u_amplitude / shown_size
         self._swings.append((at_s, amplitude, u, 2.0 * swing.half_period_s))
@@ -99,6 +103,7 @@ class RunHistory:
         if snapshot.estimated_from <= self._estimated_from:
             return
         self._estimated_from = snapshot.estimated_from
+        self._decay = snapshot.decay
         for key, one in snapshot.estimates.items():
             if math.isfinite(one.value) and math.isfinite(one.standard_uncertainty):
                 kept = self._estimates.setdefault(key, deque(maxlen=_ESTIMATES))
@@ -112,7 +117,27 @@ class RunHistory:
             "y": self._motion.curve(1),
             "swings": [(round(t, 3), *map(_rounded, rest)) for t, *rest in swings],
             "estimates": {key: list(kept) for key, kept in self._estimates.items()},
+            "fit": _drawn(self._decay, self._start_ns),
         }
+
+
+def _drawn(decay: FittedDecay | None, start_ns: int) -> dict[str, list[tuple[float, float]]]:
+    """The fit's curves and what it leaves over as they are shown; empty before the first fit."""
+    if decay is None:
+        return {}
+    at_s = [round(seconds(one - start_ns), 3) for one in decay.turn_times_ns]
+    period_at_s = [round(seconds(one - start_ns), 3) for one in decay.period_times_ns]
+    shown = [round(one / ARCSEC_RAD, _DIGITS) for one in decay.fitted_rad]
+    return {
+        "amplitude": list(zip(at_s, shown, strict=True)),
+        "amplitude_residual": list(zip(at_s, _few_digits(decay.amplitude_residual), strict=True)),
+        "period": list(zip(period_at_s, decay.fitted_period_s, strict=True)),
+        "period_residual": list(zip(period_at_s, _few_digits(decay.period_residual), strict=True)),
+    }
+
+
+def _few_digits(residuals: Sequence[float]) -> list[float]:
+    return [round(one, 2) for one in residuals]
 
 
 def spectrum(path: Sequence[Deflections]) -> dict[str, list[Any]]:

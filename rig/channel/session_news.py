@@ -17,6 +17,7 @@ from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.ticks import NS_PER_S, seconds
+from rig.channel.ground_now import GroundNow
 from rig.channel.run_history import RunHistory, spectrum
 from rig.instrument import Block, Snapshot, advice_for
 from rig.presentation import Verdict, balance_numbers, table_tree
@@ -49,6 +50,7 @@ class SessionNews:
         self._config = config
         self._unit: DeflectionUnit = config.deflection_unit
         self._lock = threading.Lock()
+        self._one_spectrum = threading.Lock()
         self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
         self._event_number = 0
         self._asked_s = -math.inf
@@ -63,6 +65,7 @@ class SessionNews:
     def _begin(self) -> None:
         self._path: deque[Deflections] = deque()
         self._history = RunHistory()
+        self._ground = GroundNow(self._config.pendulum)
         self._balance: Balance | None = None
         self._state: Mapping[str, Any] = {}
         self._rows: Sequence[tuple[str, str]] = ()
@@ -104,6 +107,7 @@ class SessionNews:
                 if not swing.flags:
                     self._history.swing(start_ns, swing, size)
             self._history.motion(start_ns, block.deflections)
+            self._ground.take(block.deflections, block.swings)
             if block.balances:
                 self._balance = block.balances[-1]
         self.before_record(frames, block.spots, block.deflections)
@@ -196,10 +200,13 @@ class SessionNews:
         }
 
     def history(self) -> dict[str, Any]:
-        """What charts show of the run since it began, decimated, and the spectrum of its last seconds."""
+        """What charts show of the run since it began, decimated, and the spectra of its last minutes."""
         with self._lock:
             told, path = self._history.told(), list(self._path)
-        return {"run": self.run, **told, "spectrum": spectrum(path)}
+            ground, parts = self._ground, self._ground.parts()
+        with self._one_spectrum:
+            shaken = ground.spectrum(*parts)
+        return {"run": self.run, **told, "spectrum": spectrum(path), "ground": shaken}
 
     def _of_balance(self, balance: Balance) -> dict[str, Any]:
         return {

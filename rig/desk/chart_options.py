@@ -9,7 +9,9 @@ from rig.presentation import Shown, quantity
 
 Points = Sequence[Sequence[float | None]]
 Mark = tuple[float, str]
-Ends = tuple[tuple[float, float], tuple[float, float]]
+End = tuple[float, float, float]
+Ends = tuple[End, End]
+"""Of x and of y: the lowest, the highest, and the step between labels, of which both are multiples."""
 _TEXT = {"color": "var(--dim)", "fontSize": 12}
 _LINES = {"lineStyle": {"color": "var(--edge)", "opacity": 0.35}}
 
@@ -42,13 +44,18 @@ def chart_options(
     """Options of a chart over `x`; `Chart.show` says what the rest is."""
     rows = max((curve.row for curve in curves), default=0) + 1
     nothing = not any(len(one) for one in points)
-    labels = {**_TEXT, "hideOverlap": True, "showMinLabel": ends is not None, "showMaxLabel": False}
+    labels = {
+        **_TEXT,
+        ":formatter": _number(""),
+        "hideOverlap": True,
+        "showMinLabel": ends is not None,
+        "showMaxLabel": False,
+    }
     across = {
         "type": "log" if logarithmic else "value",
         "nameLocation": "middle",
         "nameGap": 24,
-        "min": "dataMin" if ends is None else ends[0][0],
-        "max": "dataMax" if ends is None else ends[0][1],
+        **({"min": "dataMin", "max": "dataMax"} if ends is None else _from_to(ends[0])),
         "axisLine": {"lineStyle": {"color": "var(--edge)"}, "onZero": False},
         "splitLine": _LINES,
         "nameTextStyle": _TEXT,
@@ -86,10 +93,15 @@ def chart_options(
                 "name": shown.label,
                 "nameTextStyle": {**_TEXT, "align": "left", "padding": [0, 0, 0, -50]},
                 "nameGap": 8,
-                "min": None if ends is None else ends[1][0],
-                "max": None if ends is None else ends[1][1],
+                **({} if ends is None else _from_to(ends[1])),
                 # where rows lie close the ends of one meet those of the next
-                "axisLabel": {**_TEXT, "hideOverlap": True, "showMinLabel": alone, "showMaxLabel": alone},
+                "axisLabel": {
+                    **_TEXT,
+                    ":formatter": _number(""),
+                    "hideOverlap": True,
+                    "showMinLabel": alone,
+                    "showMaxLabel": alone,
+                },
                 "axisLine": {"lineStyle": {"color": "var(--edge)"}},
                 "splitLine": _LINES,
                 "splitNumber": 5 if alone else 2,
@@ -140,6 +152,10 @@ def chart_options(
             }
         ],
     }
+
+
+def _from_to(end: End) -> dict[str, float]:
+    return dict(zip(("min", "max", "interval"), end, strict=True))
 
 
 _BOX = {"backgroundColor": "var(--raised)", "color": "var(--ink)"}

@@ -6,10 +6,11 @@ wheel, fingers or buttons; what is pointed at is shown with its unit; what is se
 
 import math
 from collections.abc import Sequence
+from contextlib import nullcontext
 
 from nicegui import ui
 
-from rig.desk.chart_options import Curve, Ends, Mark, Points, chart_options
+from rig.desk.chart_options import Curve, End, Ends, Mark, Points, chart_options
 from rig.desk.chart_script import chart_buttons
 from rig.presentation import quantity
 
@@ -43,13 +44,14 @@ class Chart:
                     self.beside = ui.element("span")
                     ui.space()
                     self._buttons = ui.html(sanitize=False)
-            self.element = ui.echart({}, renderer="svg")
+            with ui.element("div").classes("whole") if square else nullcontext():
+                self.element = ui.echart({}, renderer="svg")
             self.element.props(f'role="img" aria-label="{title}"')
             if height:
                 self.element.style(f"height: {height}; min-height: 0; flex: 0 0 auto")
                 self.frame.style("flex: 0 0 auto; min-height: 0")
             if square:
-                self.element.style("aspect-ratio: 1; min-height: 0; flex: 0 0 auto; margin: 0 auto")
+                self.frame.classes("square")
             if tools:
                 self._buttons.set_content(chart_buttons(int(self.element.id), title))
 
@@ -80,6 +82,8 @@ class Chart:
         if self._small:
             for axis in options["yAxis"]:
                 axis["splitNumber"] = 2
+                # its name stands there
+                axis["axisLabel"]["showMaxLabel"] = False
         self.element.options.clear()
         self.element.options.update(options)
         self.element.update()
@@ -99,8 +103,9 @@ def trajectory(
         if stretched:
             ends = _span([a for a, _ in known]), _span([b for _, b in known])
         else:
-            largest = _end(max(max(abs(a), abs(b)) for a, b in known))
-            ends = (-largest, largest), (-largest, largest)
+            largest = _STEPS * _step(1.02 / _STEPS * max(max(abs(a), abs(b)) for a, b in known))
+            end = -largest, largest, largest / _STEPS
+            ends = end, end
     chart.show([way, known[-1:]], unit, ends=ends, empty="no trajectory yet")
 
 
@@ -111,14 +116,18 @@ WAY = (
 """Curves of a trajectory, over ``deflection_x``."""
 
 
-def _span(values: Sequence[float]) -> tuple[float, float]:
-    """Ends of an axis that holds them, at steps of a twentieth of their range."""
+_STEPS = 3
+"""Labels from the middle of an axis that is to scale to its end."""
+
+
+def _span(values: Sequence[float]) -> End:
+    """Ends of an axis that holds them."""
     low, high = min(values), max(values)
-    step = 10.0 ** math.floor(math.log10(high - low or 1e-3)) / 2
-    return step * math.floor(low / step), step * math.ceil(high / step)
+    step = _step((high - low or 1e-3) / 4)
+    return step * math.floor(low / step), step * math.ceil(high / step), step
 
 
-def _end(largest: float) -> float:
-    """End of an axis that holds it: steps of a tenth, so that it does not change with every sample."""
-    step = 10.0 ** math.floor(math.log10(largest or 1.0)) / 2
-    return step * math.ceil(1.02 * (largest or 1.0) / step)
+def _step(least: float) -> float:
+    """The least round step that is not smaller: it does not change with every sample."""
+    tens = 10.0 ** math.floor(math.log10(least or 1.0))
+    return tens * next(one for one in (1, 2, 3, 4, 5, 6, 8, 10) if one * tens >= least * (1 - 1e-9))

@@ -45,7 +45,8 @@ def build_page(desk: Desk, off_port: int, person: Person) -> None:
         simulated.set_visibility(desk.config.simulated)
         state = ui.label().classes("ellipsis").props('role="status" aria-live="polite"')
         ui.space()
-        who = Who(desk, tab, drafts.named)
+        with ui.element("div").classes("who row items-center no-wrap q-gutter-x-xs"):
+            who = Who(desk, tab, drafts.named)
         for name, key in (("Day", "d"), ("Night", "n")):
             ui.button(name, on_click=partial(_theme, name.lower())).props(
                 f'dense flat aria-label="{name} theme, key {key}"'
@@ -86,6 +87,7 @@ def build_page(desk: Desk, off_port: int, person: Person) -> None:
         again = ui.button("Light again", on_click=tab.act(light)).props(f'size="lg" {DELIBERATE}')
         again.classes("full-width")
         instruction = ui.label().classes("instruction").props('role="alert"')
+        tab.errors = ui.element("div").classes("errors full-width")
     with ui.tabs().props("dense align=left").classes("full-width") as tabs:
         for number, panel in enumerate(PANELS, start=1):
             ui.tab(panel.name).props(f'aria-label="{panel.name}, key {number}"')

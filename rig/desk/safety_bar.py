@@ -71,7 +71,8 @@ _SCRIPT = """
     at('lamp-age').textContent = dead ? 'the desk says nothing' + (heard === null ? '' :
       ' for ' + since.toFixed(0) + ' s') : told.laser && told.laser.age_s !== null ?
       oldest.toFixed(1) + ' s old' : 'nothing is heard of the laser';
-    at('lamp-age').className = 'lamp ' + (oldest > STALE_S ? 'unknown' : 'go');
+    const heardOf = told.laser && told.laser.age_s !== null;
+    at('lamp-age').className = 'lamp ' + (dead || (heardOf && oldest > STALE_S) ? 'unknown' : heardOf ? 'go' : 'dim');
     at('silence').hidden = !loud() || silenced === loud();
     at('off-said').textContent = answer;
   }

@@ -9,8 +9,10 @@ html.night { filter: url(#night); }
 body { background: var(--ground); color: var(--ink); font-size: 16px; }
 h1, h2, h3 { font: inherit; margin: 0; }
 h1 { white-space: nowrap; }
+/* the height of the head, and what is left between alarms, panels' names and the safety bar */
+:root { --head: 40px; --room: calc(100vh - 190px); }
 .unseen { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
-.q-header { background: var(--card) !important; color: var(--ink); min-height: 40px;
+.q-header { background: var(--card) !important; color: var(--ink); min-height: var(--head);
   padding: 2px 12px !important; align-items: center !important; gap: 8px; }
 .q-page, .q-tab-panels, .q-tab-panel { background: var(--ground) !important; color: var(--ink); }
 .q-tab-panel { padding: 6px 10px; gap: 8px; }
@@ -24,13 +26,14 @@ h1 { white-space: nowrap; }
 .verdict { font-size: clamp(44px, 7vw, 80px); line-height: 1; font-weight: 700; }
 .advice { font-size: clamp(26px, 3.2vw, 40px); line-height: 1.15; font-weight: 600; }
 .middle { font-size: 28px; line-height: 1.2; font-variant-numeric: tabular-nums; }
+.drawn { flex: 0 1 300px; min-width: 0; }
 .stack { display: flex; flex-flow: column; gap: 8px; min-width: 0; }
 .stack > .box { width: 100%; } .stack > .grows { flex: 1 1 0; min-height: 140px; }
 .grid { display: grid; gap: 8px; width: 100%; grid-template-columns: minmax(0, 1fr); }
 .lamps { display: flex; flex-wrap: wrap; gap: 6px; }
 .lamps > span { border: 2px solid currentColor; border-radius: 6px; padding: 3px 10px; font-weight: 600; }
 .lamps > .no { background: var(--no-ground); color: var(--on-ground); border-color: var(--no-ground); }
-.step { min-width: 44px; font-size: 18px; }
+.step { min-width: 44px; min-height: 40px; }
 .steps { display: flex; flex-wrap: wrap; gap: 4px 18px; list-style: none; margin: 0; padding: 0; }
 .steps li { color: var(--dim); border-bottom: 3px solid transparent; padding: 2px 0; }
 .steps li[aria-current] { color: var(--ink); font-weight: 700; border-color: var(--line); }
@@ -45,11 +48,16 @@ h1 { white-space: nowrap; }
 .nicegui-echart { width: 100%; min-height: 130px; }
 .chart { width: 100%; display: flex; flex-direction: column; min-height: 150px; flex: 1 1 auto; }
 .chart .nicegui-echart { flex: 1 1 auto; height: auto; }
+.chart.square { flex: 0 0 auto; min-height: 0; } .chart .whole { width: 100%; }
+.chart.square .nicegui-echart { aspect-ratio: 1; min-height: 0; flex: 0 0 auto; margin: 0 auto; }
 .chart .tools { display: flex; align-items: center; gap: 6px; flex-wrap: wrap; }
 .chart .tools button { font: inherit; font-size: 13px; color: var(--line); background: none; cursor: pointer;
   border: 1px solid var(--edge); border-radius: 4px; padding: 2px 8px; min-height: 24px; }
 html.dead .q-tab-panels, html.dead .cries, html.dead .q-header { opacity: .35; }
-.cries { position: sticky; top: 40px; z-index: 1000; width: 100%; }
+.cries { position: sticky; top: var(--head); z-index: 1000; width: 100%; }
+.errors > div { display: flex; align-items: center; gap: 12px; padding: 4px 12px; background: var(--raised);
+  color: var(--ink); border-left: 6px solid var(--no); border-bottom: 1px solid var(--edge); }
+.errors > div > :first-child { flex: 1 1 auto; overflow-wrap: anywhere; }
 .why-none { font-size: 20px; text-align: center; width: 80%; color: #fff; }
 .rows { border-collapse: collapse; width: 100%; font-size: 14px; line-height: 1.3;
   font-variant-numeric: tabular-nums; }
@@ -129,17 +137,32 @@ html.night #safety .go::before, html.night #safety .dim::before, html.night #saf
 
 /* a room's own arrangement, from a laptop's screen on; narrower ones have all below each other */
 @media (min-width: 1000px) {
-  .fills { min-height: calc(100vh - 152px); }
+  .fills { min-height: var(--room); }
   .align { grid-template-columns: minmax(0, 7fr) minmax(300px, 3fr); }
   .thirds { grid-template-columns: repeat(3, minmax(0, 1fr)); }
   .halves { grid-template-columns: repeat(2, minmax(0, 1fr)); }
   .wide-left { grid-template-columns: minmax(0, 3fr) minmax(320px, 2fr); }
   .measure { grid-template-columns: minmax(0, 4.6fr) minmax(0, 4fr) minmax(0, 3.4fr); }
-  .measure > * { max-height: max(640px, calc(100vh - 152px)); }
+  .measure > * { max-height: max(600px, var(--room)); }
+  .shrinks, .scrolls { overflow-y: auto; min-height: 0; }
+  .stack > .shrinks { flex: 0 1 auto; }
+  .align > .scrolls { max-height: max(500px, var(--room)); }
+  /* below it are the buttons */
+  .align .camera { width: min(100%, calc((max(500px, var(--room)) - 76px) * var(--aspect))); margin: 0 auto; }
+  .at-once { display: flex; flex-flow: column; gap: 8px; width: 100%; height: max(560px, var(--room)); }
+  .at-once > .grid { flex: 1 1 0; min-height: 0; grid-template-rows: minmax(0, 1fr); }
+  .at-once .chart.square { flex: 1 1 0; }
+  .at-once .whole { flex: 1 1 0; min-height: 0; container-type: size; display: grid;
+    place-items: center; }
+  .at-once .whole > .nicegui-echart { width: min(100cqw, 100cqh); }
 }
-@media (max-width: 999px) { .q-tab { padding: 0 10px; } }
+@media (max-width: 999px) { .q-tab { padding: 0 10px; } .told { flex-wrap: wrap !important; } .drawn { flex: 1 1 100%; } }
 @media (max-width: 600px) {
+  :root { --head: 76px; }
   .q-header .spare { display: none; }
+  /* the second line says who acts */
+  .q-header { flex-wrap: wrap !important; align-content: center; gap: 2px 8px; white-space: nowrap; }
+  .q-header .who { width: 100%; order: 1; overflow: hidden; text-overflow: ellipsis; flex-wrap: nowrap; }
   .q-tab { min-width: 0; padding: 0 8px; text-transform: none; }
   .q-tab-panel { padding: 4px; } .box { padding: 8px; }
 }

@@ -19,7 +19,7 @@ class Tab:
     """A tab; `name` tells it from others, also after a reload, and is empty until it is connected.
 
     `shown` is the panel that is seen, `keys` what a key does in it, `person` who was let in,
-    `operator_name` who says to sit there.
+    `operator_name` who says to sit there, `errors` where on the page errors stand.
     """
 
     def __init__(self, desk: Desk, person: Person) -> None:
@@ -31,6 +31,7 @@ class Tab:
         self.shown = ""
         self.building = ""
         self.keys: dict[str, dict[str, Handler]] = {}
+        self.errors: ui.element | None = None
 
     @property
     def operator(self) -> str:
@@ -77,14 +78,25 @@ class Tab:
                 why = "Take over first" if self.may_act else "its address is for watching only"
                 ui.notify(f"this tab watches; {why}", type="warning")
                 return
+            if self.errors is not None:
+                # whoever does the next thing has read what was wrong with the last one
+                self.errors.clear()
             try:
                 done = do()
                 if inspect.isawaitable(done):
                     await done
             except RigError as error:
-                tell(str(error))
+                self.tell(str(error))
 
         return acted
+
+    def tell(self, problem: str) -> None:
+        """An error as one line at the head of the page, where it covers nothing, until it is closed."""
+        if self.errors is None:
+            return
+        with self.errors, ui.element("div").props('role="alert"') as line:
+            ui.label(problem)
+            ui.button("close", on_click=line.delete).props('dense flat aria-label="close the error"')
 
     def key(self, key: str, do: Handler) -> None:
         """A key of the panel that is being built; it works while the panel is seen."""
@@ -110,8 +122,3 @@ class Tab:
 
 _running: set["asyncio.Future[None]"] = set()
 """The event loop itself keeps only weak references to tasks."""
-
-
-def tell(problem: str) -> None:
-    """An error as one line, until it is closed."""
-    ui.notify(problem, type="negative", timeout=0, close_button="close", multi_line=True)

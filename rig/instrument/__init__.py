@@ -23,6 +23,7 @@ from rig.instrument.configured_camera import (
     shutter_of,
     with_read_back,
 )
+from rig.instrument.fitted_decay import FittedDecay
 from rig.instrument.kernels import prepare_kernels
 from rig.instrument.pendulum import balls, check_materials, material, pendulum_on_ball
 from rig.instrument.pipeline import Block, Deflector, Optics, Pipeline, optics_of, sensor_model

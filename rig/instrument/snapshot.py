@@ -9,6 +9,7 @@ from acquisition.frame_losses import FrameLosses
 from processing.estimate import Estimate
 from rig.control import DevicesNow
 from rig.instrument.camera_clock import CameraClock
+from rig.instrument.fitted_decay import FittedDecay
 
 
 class Phase(StrEnum):
@@ -37,7 +38,7 @@ class Snapshot:
     computer's, `alarm` what is wrong with light or disk, empty if nothing is, `disk_silent_s` how long a
     write has hung that takes longer than usual.
     `estimates` are the contact's parameters by key, from the first `estimated_from` half-cycles; empty before
-    there are enough.
+    there are enough. `decay` are these half-cycles beside their fit.
     """
 
     phase: Phase = Phase.WAITING
@@ -66,6 +67,7 @@ class Snapshot:
     clock: CameraClock = field(default_factory=CameraClock)
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     estimated_from: int = 0
+    decay: FittedDecay | None = None
 
     @property
     def doing(self) -> str:

@@ -356,6 +356,7 @@ class Recording:
                 reason=self._stop.reason,
                 estimates=known.estimates,
                 estimated_from=known.half_cycles,
+                decay=known.decay,
             ),
             swings,
         )

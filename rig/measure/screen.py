@@ -6,7 +6,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any, Self
 
 import numpy as np
@@ -181,7 +181,10 @@ class RunDisplay:
             "at_most_s": self._at_most_s(snapshot),
             **self._numbers(),
         }
-        return {**asdict(snapshot), **own}
+        # half-cycles beside their fit are for charts
+        told = asdict(replace(snapshot, decay=None))
+        del told["decay"]
+        return {**told, **own}
 
     def rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:
         """Names and texts of the state, for people."""

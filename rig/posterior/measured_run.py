@@ -37,12 +37,12 @@ class MeasuredRun:
         if len(deflections):
             self._blocks.append(deflections)
 
-    def fitted(self, fit: FitOfSwings) -> FitResult:
-        """The fit to all of them; raises DataError where there is none."""
+    def fitted(self, fit: FitOfSwings) -> tuple[Sequence[Swing], FitResult]:
+        """All of them as they stand, and the fit to them; raises DataError where there is none."""
         found, self._near = fitted_twice(self._open, self._blocks, fit, self._near, self._stand)
         if found.exact is not None and self.samples > self._most:
             self._let_go(found.swings)
-        return with_misfit(fit.points(found.swings), fit.pendulum, self._near)
+        return found.swings, with_misfit(fit.points(found.swings), fit.pendulum, self._near)
 
     def _let_go(self, swings: Sequence[Swing]) -> None:
         half = len(self._open) // 2

@@ -9,6 +9,7 @@ from processing.estimate import Estimate
 from processing.fit import NO_EVIDENCE, Evidence
 from processing.least_squares import Loss
 from processing.swing import Swing
+from rig.instrument import FittedDecay
 
 
 class FittedModel(NamedTuple):
@@ -41,8 +42,12 @@ class Asked(NamedTuple):
 
 
 class FittedParameters(NamedTuple):
-    """Parameters by key, or why there are none; `cpu_s` is the processor time of the fit."""
+    """Parameters by key, or why there are none; `cpu_s` is the processor time of the fit.
+
+    `decay` are the half-cycles beside the fit, None without one.
+    """
 
     estimates: Mapping[str, Estimate]
     problem: str
     cpu_s: float
+    decay: FittedDecay | None = None

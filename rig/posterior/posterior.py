@@ -12,6 +12,7 @@ from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.estimate import Estimate
 from processing.fit import Evidence
 from processing.swing import HarmonicsWatch, Swing, SwingHarmonics
+from rig.instrument import FittedDecay
 from rig.posterior.messages import Asked, FittedModel, FittedParameters
 from rig.rerun import start_python
 
@@ -79,10 +80,14 @@ _EARLY_NS = 120_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Parameters by key, from the first `half_cycles` unflagged ones of a run; none before the first fit."""
+    """Parameters by key, from the first `half_cycles` unflagged ones of a run; none before the first fit.
+
+    `decay` are these beside the fit.
+    """
 
     half_cycles: int = 0
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    decay: FittedDecay | None = None
 
 
 NOTHING = Posterior()
@@ -229,7 +234,7 @@ class LivePosterior:
                 if message.run == self._run:
                     self._due_half_cycles = following(count)
                     if found.estimates:
-                        self._latest = Posterior(count, found.estimates)
+                        self._latest = Posterior(count, found.estimates, found.decay)
                 self._changed.notify_all()
 
     def _next(self) -> tuple[int, Asked] | None:

@@ -11,6 +11,7 @@ from contextlib import suppress
 
 from processing.errors import DataError
 from processing.fit import FitOfSwings
+from rig.posterior.decay import fitted_decay
 from rig.posterior.measured_run import MeasuredRun
 from rig.posterior.messages import Asked, FittedModel, FittedParameters
 
@@ -44,8 +45,9 @@ def _fitted(run: MeasuredRun, asked: Asked, model: FittedModel) -> FittedParamet
     began_s = time.process_time()
     how = FitOfSwings(model.pendulum, model.clock_rate, model.drag, asked.evidence, model.loss)
     try:
-        fit = run.fitted(how)
+        swings, fit = run.fitted(how)
+        decay = fitted_decay(swings, how.points(swings), fit, model.pendulum)
     except DataError as error:
         return FittedParameters({}, str(error), time.process_time() - began_s)
     found = {name: fit.estimate(name) for name in fit.contact_names}
-    return FittedParameters(found, "", time.process_time() - began_s)
+    return FittedParameters(found, "", time.process_time() - began_s, decay)

@@ -32,6 +32,7 @@ _SHORT = 24
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
     corner: list[tuple[float, float]] = []
+    fields: dict[str, tuple[ui.input, str]] = {}
 
     def mouse(event: MouseEventArguments) -> None:
         """A rectangle drawn over the whole frame becomes the camera's region."""
@@ -119,9 +120,14 @@ def build(desk: Desk, tab: Tab) -> None:
                 ui.button("Whole sensor", on_click=tab.act(whole)).props(f"outline {DELIBERATE}")
                 ui.button("Keep for runs", on_click=tab.act(keep)).props("outline")
             kept = ui.label().classes("dim")
-        with ui.column().classes("box"):
+        # on a low screen it scrolls by itself: picture and buttons stay
+        with (
+            ui.column()
+            .classes("box scrolls")
+            .props('role="region" aria-label="lamps and settings" tabindex="0"')
+        ):
             lamps = ui.html(sanitize=False).classes("full-width").props('role="status" aria-label="lamps"')
-            note = ui.label().classes("caution").props('role="status"')
+            note = ui.label().props('role="status"')
             for name, label, down, up, auto in (
                 ("exposure_us", "exposure / us", lambda: turned(1 / _STEP), lambda: turned(_STEP), True),
                 (
@@ -135,13 +141,14 @@ def build(desk: Desk, tab: Tab) -> None:
                 with ui.row().classes("items-center no-wrap full-width"):
                     field = number_field(desk, f"camera.{name}", label, None)
                     field.props("hide-bottom-space").classes("col")
+                    fields[name] = field, label
                     ui.button("Set", on_click=tab.act(partial(typed, name, field))).props(
                         f'outline dense aria-label="Set {label}"'
-                    )
+                    ).classes("step")
                     if auto:
                         ui.button("Auto", on_click=tab.act(lambda: wish(EXPOSE))).props(
                             'outline dense aria-label="Auto exposure"'
-                        )
+                        ).classes("step")
                     _stepper(label.partition(" ")[0], down, up, tab)
             histogram = Chart(
                 "histogram", "level_dn", (Curve("pixels", style="bars"),), tools=False, height="100px"
@@ -151,12 +158,22 @@ def build(desk: Desk, tab: Tab) -> None:
                 figures = ui.html(sanitize=False).classes("full-width").props('aria-live="off"')
     tab.key("z", zoom)
 
+    def show_applied(applied: CameraSettings) -> None:
+        for name, (field, label) in fields.items():
+            value = getattr(applied, name)
+            said = label if value is None else f"{label}, now {value:.6g}"
+            if field.props.get("label") != said:
+                field.props(f'label="{said}"')
+
     def refresh() -> None:
         now = desk.aligner
         begin.set_visibility(now is None)
         end.set_visibility(now is not None)
         kept.set_text(_kept(desk))
-        note.set_text("" if now is None else now.problem or now.darkness or now.note)
+        wrong = "" if now is None else now.problem or now.darkness
+        note.set_text(wrong or ("" if now is None else now.note))
+        note.classes(remove="caution dim", add="caution" if wrong else "dim")
+        show_applied(CameraSettings() if now is None else now.applied)
         sharpness = [] if now is None else list(now.focus)
         focus.show([sharpness[:: 1 + len(sharpness) // 200]], empty="no sharpness yet")
         look = look_now(desk)

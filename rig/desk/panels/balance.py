@@ -20,7 +20,7 @@ from rig.balance import (
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
 from rig.desk.jobs import Job
-from rig.desk.tab import DELIBERATE, Tab, tell
+from rig.desk.tab import DELIBERATE, Tab
 from rig.instrument import WEIGHTS, complete
 from rig.presentation import with_uncertainty
 
@@ -72,7 +72,7 @@ def build(desk: Desk, tab: Tab) -> None:
         try:
             found = await run.io_bound(_learned, desk)
         except RigError as error:
-            tell(str(error))
+            tab.tell(str(error))
             return
         if found is not None:
             rows = [list(HEAD), *found.rows] if found.rows else [["nothing was learned yet"]]
@@ -85,37 +85,39 @@ def build(desk: Desk, tab: Tab) -> None:
         stretching.set_text("to scale" if wide else "stretch X")
         refresh()
 
-    with ui.column().classes("box full-width"):
-        ui.html("what to do", tag="h3", sanitize=False).classes("title")
-        advice = ui.label().classes("advice").props('role="status" aria-live="polite"')
-        detail = ui.label().classes("dim")
-        with ui.row().classes("items-center"):
-            begin = ui.button("Measure", on_click=tab.act(measure)).props(
-                f'color="positive" size="lg" aria-label="Measure the balance" {DELIBERATE}'
-            )
-            weight = ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight").props("dense outlined")
-            weight.style("min-width: 100px")
-            turns = ui.input("turns, + clockwise").props('dense outlined data-key="turns"')
-            # the next measurement follows, which lights
-            stating = ui.button("Turned", on_click=tab.act(turned)).props(f'color="positive" {DELIBERATE}')
-            ending = ui.button("End", on_click=tab.act(end)).props("outline")
-        wrong = ui.label().classes("no").props('role="alert"')
-    with ui.element("div").classes("grid halves"):
-        with ui.column().classes("box"):
-            way = charts.Chart("trajectory", "deflection_x", charts.WAY, square=True)
-            way.element.style("width: min(100%, max(300px, calc(100vh - 400px)))")
-            with way.beside:
-                stretching = ui.button("stretch X", on_click=stretched).props("dense outline no-caps")
-        with ui.column().classes("box"):
-            pendulum = ui.html(sanitize=False).classes("full-width")
-            ui.html("faults against their limits", tag="h3", sanitize=False).classes("title")
-            faults = ui.html(sanitize=False).classes("full-width")
-    with ui.column().classes("full-width box"):
-        with ui.row().classes("items-center"):
-            ui.label("history").classes("title")
-            ui.button("Show", on_click=history).props("dense outline")
-            ui.button("Forget the last turn", on_click=tab.act(forget)).props("dense outline")
-        past = ui.html(sanitize=False).classes("full-width")
+    with ui.element("div").classes("at-once"):
+        with ui.row().classes("box full-width items-start no-wrap told"):
+            with ui.column().classes("col"):
+                ui.html("what to do", tag="h3", sanitize=False).classes("title")
+                advice = ui.label().classes("advice").props('role="status" aria-live="polite"')
+                detail = ui.label().classes("dim")
+                with ui.row().classes("items-center"):
+                    begin = ui.button("Measure", on_click=tab.act(measure)).props(
+                        f'color="positive" size="lg" aria-label="Measure the balance" {DELIBERATE}'
+                    )
+                    weight = ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight")
+                    weight.props("dense outlined").style("min-width: 100px")
+                    turns = ui.input("turns, + clockwise").props('dense outlined data-key="turns"')
+                    # the next measurement follows, which lights
+                    stating = ui.button("Turned", on_click=tab.act(turned))
+                    stating.props(f'color="positive" {DELIBERATE}')
+                    ending = ui.button("End", on_click=tab.act(end)).props("outline")
+                wrong = ui.label().classes("no").props('role="alert"')
+            pendulum = ui.html(sanitize=False).classes("drawn")
+        with ui.element("div").classes("grid halves"):
+            with ui.column().classes("box"):
+                way = charts.Chart("trajectory", "deflection_x", charts.WAY, square=True)
+                with way.beside:
+                    stretching = ui.button("stretch X", on_click=stretched).props("dense outline no-caps")
+            judged = ui.column().classes("box scrolls")
+            with judged.props('role="region" aria-label="faults and history" tabindex="0"'):
+                ui.html("faults against their limits", tag="h3", sanitize=False).classes("title")
+                faults = ui.html(sanitize=False).classes("full-width")
+                with ui.row().classes("items-center"):
+                    ui.label("history").classes("title")
+                    ui.button("Show", on_click=history).props("dense outline")
+                    ui.button("Forget the last turn", on_click=tab.act(forget)).props("dense outline")
+                past = ui.html(sanitize=False).classes("full-width")
 
     def refresh() -> None:
         job_now = desk.jobs.get("balance")
@@ -173,7 +175,7 @@ def drawing(turn: Mapping[str, Any] | None) -> str:
         said = f"turn weight {turn['weight']}: {clock}"
         parts.append("<text x='4' y='184'>the arrow: as one looks at the weight's screw</text>")
     return (
-        "<svg viewBox='0 0 330 190' width='100%' style='max-height:210px' role='img' "
+        "<svg viewBox='0 0 330 190' width='100%' style='max-height:170px' role='img' "
         f"aria-label='{said or 'the pendulum and its weights'}'>{''.join(parts)}</svg>"
     )
 

@@ -39,7 +39,11 @@ class LivePicture:
         self._why_none = why_none
         self.zoom = 1
         width, height = size
-        with ui.element("div").classes("full-width relative-position"):
+        with (
+            ui.element("div")
+            .classes("full-width relative-position camera")
+            .style(f"--aspect: {width / height:.4f}")
+        ):
             self.element = ui.interactive_image(
                 size=(width, height), on_mouse=on_mouse, events=["pointerdown", "pointerup", "pointermove"]
             )

@@ -85,12 +85,13 @@ def build(desk: Desk, tab: Tab) -> None:
                 LivePicture(tab, _SIZE, lambda: desk.following.running, lambda: no_frame_yet(desk.following))
         with ui.column().classes("box"):
             way = charts.Chart("trajectory", "deflection_x", charts.WAY, square=True)
-            way.element.style("width: min(100%, max(280px, 44vh))")
+            way.element.style("width: min(100%, max(260px, 34vh))")
             with way.beside:
                 stretching = ui.button("stretch X", on_click=stretch).props("dense outline no-caps")
             RunCharts(desk, tab)
         with ui.column().classes("stack"):
-            with ui.column().classes("box"):
+            told = ui.column().classes("box shrinks")
+            with told.props('role="region" aria-label="what the run has told" tabindex="0"'):
                 ui.html("what the run has told", tag="h3", sanitize=False).classes("title")
                 learned = ui.html(sanitize=False).classes("full-width")
                 state = ui.html(sanitize=False).classes("full-width")

@@ -11,7 +11,7 @@ from processing.errors import RigError
 from rig.desk import tables
 from rig.desk.desk import Desk
 from rig.desk.following import doing
-from rig.desk.tab import DELIBERATE, Tab, tell
+from rig.desk.tab import DELIBERATE, Tab
 from rig.instrument import complete
 from rig.plan import expected_of, plan_expected, plan_table
 from rig.presentation import percent, quantity
@@ -39,7 +39,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 text = f"<p class='dim'>{html.escape(words_of)}</p>"
                 expected.set_content(tables.bars(rows, "uncertainty of each parameter over its value") + text)
         except RigError as error:
-            tell(str(error))
+            tab.tell(str(error))
         finally:
             working.set_visibility(False)
 

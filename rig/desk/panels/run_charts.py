@@ -15,7 +15,19 @@ _EVERY_S = 1.0
 _CHARTS: Mapping[str, tuple[str, Sequence[Curve]]] = {
     "decay": (
         "elapsed_s",
-        (Curve("amplitude", style="points"), Curve("period_s", style="points", colour="second", row=1)),
+        (
+            Curve("amplitude", name="measured", style="points"),
+            Curve("amplitude", name="fit", colour="second"),
+            Curve("amplitude_residual_in_u", style="points", row=1),
+        ),
+    ),
+    "period": (
+        "elapsed_s",
+        (
+            Curve("period_s", name="measured", style="points"),
+            Curve("period_s", name="fit", colour="second"),
+            Curve("period_residual_in_u", style="points", row=1),
+        ),
     ),
     "X and Y": ("elapsed_s", (Curve("deflection_x", colour="second"), Curve("deflection_y", row=1))),
     "parameters": ("elapsed_s", ()),
@@ -26,8 +38,17 @@ _CHARTS: Mapping[str, tuple[str, Sequence[Curve]]] = {
             Curve("density_rad_per_rthz", name="Y", style="line"),
         ),
     ),
+    "ground": ("frequency_hz", ()),
 }
 _MOST_PARAMETERS = 3
+_SPECTRA = ("spectrum", "ground")
+_FIRST_FIT = "the first fit comes after some swings"
+_LEFT = (Curve("left_density_rad_per_rthz"),)
+_GROUND = (
+    Curve("ground_m_per_s2_rthz", name="at most the ground"),
+    Curve("ground_m_per_s2_rthz", name="quietest sites (NLNM)", style="dashed", colour="dim"),
+    Curve("ground_m_per_s2_rthz", name="noisiest (NHNM)", style="dashed", colour="dim"),
+)
 
 
 class RunCharts:
@@ -39,7 +60,7 @@ class RunCharts:
         self._choice = ui.toggle(list(_CHARTS), value="decay", on_change=self._choose)
         self._choice.props('dense no-caps aria-label="which chart"')
         for name, (x, curves) in _CHARTS.items():
-            self._charts[name] = Chart(name, x, curves, logarithmic=name == "spectrum")
+            self._charts[name] = Chart(name, x, curves, logarithmic=name in _SPECTRA)
         self._choose()
         tab.every(_EVERY_S, self._refresh)
 
@@ -56,15 +77,24 @@ class RunCharts:
             return
         unit, name = str(following.news.get("unit") or "arcsec"), str(self._choice.value)
         chart, marks = self._charts[name], _marks(following.events, str(following.news.get("run") or ""))
-        if name == "decay":
-            swings = history["swings"]
-            chart.show([[(t, a) for t, a, *_ in swings], [(t, p) for t, *_, p in swings]], unit, marks=marks)
+        if name in ("decay", "period"):
+            kind = "amplitude" if name == "decay" else "period"
+            at = 1 if name == "decay" else 3
+            measured = [(one[0], one[at]) for one in history["swings"]]
+            fit = history["fit"]
+            chart.show([measured, fit.get(kind, []), fit.get(f"{kind}_residual", [])], unit, marks=marks)
         elif name == "X and Y":
             chart.show([history["x"], history["y"]], unit, marks=marks)
         elif name == "parameters":
             curves, points = _parameters(history["estimates"])
             chart.declare(curves)
-            chart.show(points, unit, marks=marks, empty="the first fit comes after some swings")
+            chart.show(points, unit, marks=marks, empty=_FIRST_FIT)
+        elif name == "ground":
+            found = history["ground"]
+            kinds = ("acceleration", "low", "high") if found["acceleration"] else ("left",)
+            chart.declare(_LEFT if kinds == ("left",) else _GROUND)
+            points = [list(zip(found["f"], found[one], strict=True)) for one in kinds]
+            chart.show(points, unit, empty="it takes twenty periods of the swing")
         else:
             found = history["spectrum"]
             chart.show([list(zip(found["f"], found[one], strict=True)) for one in "xy"], unit)

@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.estimate import Estimate
+from processing.swing import Swing
 from rig.channel.run_history import Extremes, RunHistory, spectrum
-from rig.instrument import Snapshot
+from rig.instrument import FittedDecay, Snapshot
 
 SECOND_NS = 1_000_000_000
 
@@ -59,3 +61,21 @@ def test_the_spectrum_has_its_peak_where_the_swing_is() -> None:
     found = spectrum([deflections(time_s, np.sin(2 * np.pi * 3.0 * time_s), np.zeros_like(time_s))])
     assert found["f"][int(np.argmax(found["x"]))] == pytest.approx(3.0, abs=0.15)
     assert spectrum([]) == {"f": [], "x": [], "y": []}
+
+
+def test_a_fit_is_told_at_the_times_of_the_record_in_arcsec() -> None:
+    history = RunHistory()
+    assert history.told()["fit"] == {}
+    start_ns = 5 * SECOND_NS
+    swing = Swing(0, start_ns + SECOND_NS, 1e-4, 3e-4, 1e-9, 2.0, 1e-4, 0.0, 1, 0)
+    history.swing(start_ns, swing, ARCSEC_RAD)
+    decay = FittedDecay(
+        [start_ns + SECOND_NS, start_ns + 3 * SECOND_NS], [3e-4, 2.9e-4], [1.234, -0.5],
+        [start_ns + 2 * SECOND_NS], [4.01], [0.25],
+    )  # fmt: skip
+    history.estimates(Snapshot(elapsed_s=10.0, estimated_from=20, decay=decay))
+    told = history.told()["fit"]
+    assert told["amplitude"][1] == (3.0, pytest.approx(2.9e-4 / ARCSEC_RAD, abs=1e-5))
+    assert told["amplitude_residual"] == [(1.0, 1.23), (3.0, -0.5)]
+    assert told["period"] == [(2.0, 4.01)]
+    assert told["period_residual"] == [(2.0, 0.25)]

@@ -41,7 +41,7 @@ def fed(run: MeasuredRun) -> FitResult:
         new = samples.since(since)
         run.take(swings[before:count], new[: int(np.searchsorted(new.times_ns, end_ns))])
         before, since = count, end_ns
-        fit = run.fitted(how(swings[:count], samples))
+        _, fit = run.fitted(how(swings[:count], samples))
     return fit
 
 
