@@ -59,6 +59,8 @@ class EventKind(StrEnum):
     """The same of the background: a lamp was switched."""
     PUSH = "push"
     """The swing was pushed within a half-cycle: a draught, a knock."""
+    PLAN = "plan"
+    """Why a plan makes this run, and what the run has waited for."""
     POSTERIOR = "posterior"
     """Parameters are no longer fitted while the run is measured."""
     CAMERA_CLOCK = "camera clock"

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.repaired import repaired
-from processing.errors import ConfigurationError, RecordError
+from processing.errors import RecordError
 from rig.analysis import read_results, results_path
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
@@ -17,6 +17,7 @@ from rig.measure.live_fit import check_stop_when
 from rig.measure.notices import announced
 from rig.measure.session import Manner, make_runs, make_session, report, session_folder
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
+from rig.measure.waiting import Sleep, Waiting, check_conditions
 from rig.presentation import failures, say
 from rig.settings import (
     Configuration,
@@ -28,7 +29,6 @@ from rig.settings import (
     validate_configuration,
 )
 
-Sleep = Callable[[float], None]
 _ENDS: dict[str, RunState] = {
     EventKind.REJECTED: RunState.REJECTED,
     EventKind.STOPPED: RunState.STOPPED,
@@ -59,10 +59,10 @@ def measure_plan(
     worst = 0
     for series, config in zip(plan.series, configs, strict=True):
         place = folder / series.name
-        waiting = _Waiting(series, now_s, sleep)
+        waiting = Waiting(series, f"series {series.name}", now_s, sleep)
         say(f"series {series.name}")
         with announced(config.session, place) as outcome:
-            manner = Manner(outcome.notices, force, json_lines, waiting)
+            manner = Manner(outcome.notices, force, json_lines, waiting, waiting.said)
             outcome.status = _Series(series, config, place, manner).made_and_repeated()
         worst = max(worst, outcome.status)
         with closing(SessionFile.opened(place)) as file:
@@ -82,45 +82,11 @@ class SourcedConfiguration(NamedTuple):
     config: Configuration
 
 
-class _Waiting:
-    """Waits until a series may be tried again; `over` once it must not any more."""
-
-    def __init__(self, series: PlannedSeries, now_s: Callable[[], float], sleep: Sleep) -> None:
-        self._series, self._now_s, self._sleep = series, now_s, sleep
-        self._waited_s = 0.0
-        self.over = False
-
-    def __call__(self, why: str) -> bool:
-        series = self._series
-        left_s = series.wait_max_s - self._waited_s
-        if left_s <= 0:
-            self.over = True
-            say(
-                f"series {series.name} is left out: not ready within {series.wait_max_s:g} s: {why}",
-                error=True,
-            )
-            return False
-        say(f"series {series.name} waits: {why}")
-        begun_s = self._now_s()
-        self._sleep(min(series.try_every_s, left_s))
-        self._waited_s += self._now_s() - begun_s
-        return True
-
-
 def _configuration(series: PlannedSeries) -> Configuration:
     config = complete(load_configuration(series.config, series.overrides()))
     check_materials(config)
     check_stop_when(config)
-    if series.temperature_c is not None and config.environment_sensor.kind == "none":
-        raise ConfigurationError(
-            f"series {series.name}: temperature_c needs a thermometer:"
-            f" see [environment_sensor] in {series.config}"
-        )
-    if series.quiet_arcsec is not None and (config.start.way == "at once" or config.lever is None):
-        raise ConfigurationError(
-            f"series {series.name}: quiet_arcsec needs a pendulum at rest and [lever]:"
-            f" set start.way to 'by hand', 'magnet' or 'starter' in {series.config}"
-        )
+    check_conditions(series, config, f"series {series.name}", series.config)
     return config
 
 

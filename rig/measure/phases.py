@@ -32,7 +32,11 @@ _RESTING_NOISES = 6.0
 
 
 class NoGo(DataError):
-    """Preflight says no-go: later it may say otherwise."""
+    """Preflight says no-go, for the reasons `against`: later it may say otherwise."""
+
+    def __init__(self, against: str) -> None:
+        super().__init__(f"preflight says no-go ({against}); --force passes over it")
+        self.against = against
 
 
 class PhasesBeforeRecord:
@@ -237,7 +241,7 @@ class PhasesBeforeRecord:
         against = failures(self.verdicts)
         self._wait.note(EventKind.PREFLIGHT, f"no-go: {against}" if against else "go")
         if against and not self._force:
-            raise NoGo(f"preflight says no-go ({against}); --force passes over it")
+            raise NoGo(against)
         if against:
             self._devices.audit(Audited.FORCE, f"preflight said no-go: {against}")
 

@@ -192,7 +192,11 @@ class Recording:
         status.begin_record()
         if parts.posterior is not None:
             self._wall.past(_LIVE_FIT, None, parts.posterior.begin)
-        events = [*events, Event(first.time_ns, EventKind.START, "first frame")]
+        events = [
+            *events,
+            *(Event(first.time_ns, EventKind.PLAN, text) for text in parts.planned),
+            Event(first.time_ns, EventKind.START, "first frame"),
+        ]
         self._recorder.put(Entry(events=events))
         status.tell_events(counts.start_ns, events)
         rejected, published_ns = "", 0

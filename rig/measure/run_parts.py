@@ -71,6 +71,8 @@ class RunParts:
         What somebody at the terminal types meanwhile.
     notes
         What operators note, for the record; None: nobody can.
+    planned
+        What a plan says of this run: why it is made, what it has waited for.
     """
 
     stream: FrameStream
@@ -91,6 +93,7 @@ class RunParts:
     somebody_watches: Callable[[], bool] = lambda: False
     typed_leave: TypedLeave | None = None
     notes: Notes | None = None
+    planned: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)

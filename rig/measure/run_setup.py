@@ -37,7 +37,8 @@ class RunPlan:
 
     `start_rejected` is called with the new path of the record of each rejected start, and the reason;
     `watchers` see the run beside its display and view, `session_news` tells those
-    who watch from outside, `notes` are what operators note meanwhile. `fitted`: parameters are fitted while
+    who watch from outside, `notes` are what operators note meanwhile, `planned` what a plan says of the run.
+    `fitted`: parameters are fitted while
     it is measured. `is_last`: no other run follows, for which the laser would stay lit.
     """
 
@@ -53,6 +54,7 @@ class RunPlan:
     watchers: Sequence[Watcher] = ()
     session_news: SessionNews | None = None
     notes: Notes | None = None
+    planned: Sequence[str] = ()
 
 
 def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
@@ -175,6 +177,7 @@ def _execute(
         somebody_watches=lambda: typed_leave.there or (session_news is not None and session_news.watched),
         typed_leave=typed_leave,
         notes=plan.notes,
+        planned=plan.planned,
     )
     prepare_kernels(optics.sensor, say)
     # only now: compiling takes time, and a laser may be lit only while frames are processed

@@ -2,7 +2,7 @@
 
 import datetime
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
@@ -63,13 +63,14 @@ class Manner(NamedTuple):
     """How runs are made: who gets notices, whether a failed preflight is passed over, what stdout gets.
 
     `patience` is asked, with the reason, after a preflight that said no-go: if it returns True the run is
-    tried again. The laser is dark meanwhile.
+    tried again. The laser is dark meanwhile. `planned` is what a plan says of the run that begins.
     """
 
     notices: Notices
     force: bool
     json_lines: bool
     patience: Callable[[str], bool] = lambda _why: False
+    planned: Callable[[], Sequence[str]] = tuple
 
 
 def make_session(config: Configuration, source: Path, folder: Path, manner: Manner) -> int:
@@ -136,6 +137,7 @@ def _make_runs(
             watchers=[manner.notices],
             session_news=session_news,
             notes=notes,
+            planned=manner.planned(),
         )
         try:
             await_leave(devices, session_news)
@@ -157,7 +159,8 @@ def _make_runs(
         if isinstance(outcome.failure, NoGo) and outcome.interrupt is None:
             devices.darken("preflight said no-go")
             file.forget(record.name)
-            if manner.patience(str(outcome.failure)):
+            session_news.note("preflight", f"no-go: {outcome.failure.against}", "warning")
+            if manner.patience(outcome.failure.against):
                 continue
         reason = outcome.snapshot.reason
         interrupt = outcome.interrupt

@@ -20,6 +20,7 @@ from rig.settings.instrument import InstrumentSettings
 from rig.settings.migrations import SCHEMA, SCHEMA_KEY, Step, migrated
 from rig.settings.night_plan import PlannedSeries, load_plan
 from rig.settings.phases import PreflightSettings
+from rig.settings.run_conditions import RunConditions
 from rig.settings.shipped_configurations import shipped, shipped_names
 from rig.settings.stop_conditions import StopCondition, stop_condition
 from rig.settings.toml_file import read_toml

@@ -6,25 +6,18 @@ from typing import Self
 from pydantic import BaseModel, Field, model_validator
 
 from processing.errors import ConfigurationError
+from rig.settings.run_conditions import RunConditions
 from rig.settings.toml_file import read_toml
 from rig.settings.wording import validated
 
 
-class PlannedSeries(BaseModel, frozen=True, extra="forbid"):
+class PlannedSeries(RunConditions, frozen=True, extra="forbid"):
     """One series: a configuration, changes to it, and when its runs may begin."""
 
     name: str = Field(pattern=r"^\w[\w.-]*$", description="of its folder")
     config: Path
     runs: int | None = Field(default=None, ge=1, le=1000)
     set: tuple[str, ...] = Field(default=(), description="KEY=VALUE, as with --set")
-    temperature_c: tuple[float, float] | None = Field(
-        default=None, description="a run begins only while the air is between"
-    )
-    quiet_arcsec: float | None = Field(
-        default=None, gt=0, description="a run begins only while the resting spot vibrates less"
-    )
-    wait_max_s: float = Field(default=7200.0, ge=0, description="in all; then the series is left out")
-    try_every_s: float = Field(default=300.0, gt=0)
     repeat_bad: int = Field(default=0, ge=0, description="most runs repeated because of their conditions")
     pause_s: float = Field(default=0.0, ge=0, description="after the series")
 
@@ -33,14 +26,7 @@ class PlannedSeries(BaseModel, frozen=True, extra="forbid"):
         changes = list(self.set)
         if self.runs is not None:
             changes.append(f"session.runs={self.runs}")
-        if self.temperature_c is not None:
-            low, high = self.temperature_c
-            changes += [f"preflight.min_temperature_c={low}", f"preflight.max_temperature_c={high}"]
-        if self.quiet_arcsec is not None:
-            changes.append(f"preflight.max_vibration_arcsec={self.quiet_arcsec}")
-        if self.temperature_c is not None or self.quiet_arcsec is not None:
-            changes.append('preflight.when="always"')
-        return changes
+        return [*changes, *self.limits()]
 
 
 class NightPlan(BaseModel, frozen=True, extra="forbid"):

@@ -33,8 +33,13 @@ class PreflightSettings(BaseModel, frozen=True, extra="forbid"):
         default=0.02, gt=0, description="relative deviation from the requested rate"
     )
     max_dropped_fraction: float = Field(default=0.001, ge=0, le=1)
+    max_ground_rad_per_s2_rthz: float | None = Field(
+        default=None, gt=0, description="drive of the resting pendulum, seen in duration_s; default: any"
+    )
     min_temperature_c: float = 5.0
     max_temperature_c: float = 40.0
+    min_humidity_percent: float = Field(default=0.0, ge=0, le=100)
+    max_humidity_percent: float = Field(default=100.0, ge=0, le=100)
 
 
 class PhaseSettings(BaseModel, frozen=True, extra="forbid"):

@@ -10,6 +10,7 @@ from rig.devices import STAYS_LIT, WIRE_IT
 from rig.presentation import Verdict, with_uncertainty
 from rig.settings import PreflightSettings
 
+_ANY_HUMIDITY = (0.0, 100.0)
 _ALONG_ROWS = 0.1
 """Part of the slow swing that may go across the rows of a sensor whose slow axis lies along them."""
 
@@ -21,12 +22,16 @@ def air(
     *,
     optional: bool = False,
 ) -> Verdict:
-    """Check the temperature, if a sensor is configured; the controller's own is `optional`."""
+    """Check temperature and humidity, if a sensor is configured; the controller's own is `optional`."""
     temperature_c, humidity_percent, pressure_pa = environment
     limit = f"{limits.min_temperature_c:g} to {limits.max_temperature_c:g} °C"
+    damp = limits.min_humidity_percent, limits.max_humidity_percent
+    asks_humidity = damp != _ANY_HUMIDITY
+    if asks_humidity:
+        limit += f", {damp[0]:g} to {damp[1]:g} %"
     if not expected:
         return Verdict("environment", True, measured="no sensor is configured", limit=limit, made=False)
-    if math.isnan(temperature_c) and optional:
+    if math.isnan(temperature_c) and optional and not asks_humidity:
         reason, remedy = (
             "the controller has none, or it is silent",
             "plug a BME280 in, or state [environment]",
@@ -36,8 +41,12 @@ def air(
         return Verdict(
             "environment", False, "the sensor is silent", "see rig doctor", measured="no reading", limit=limit
         )
-    ok = limits.min_temperature_c <= temperature_c <= limits.max_temperature_c
     words = f"{temperature_c:.1f} °C, {humidity_percent:.0f} %, {pressure_pa / 100:.0f} hPa"
+    if asks_humidity and math.isnan(humidity_percent):
+        reason, remedy = "it tells no humidity", "a sensor that does, or no limits of it"
+        return Verdict("environment", False, reason, remedy, measured=words, limit=limit)
+    ok = limits.min_temperature_c <= temperature_c <= limits.max_temperature_c
+    ok = ok and (not asks_humidity or damp[0] <= humidity_percent <= damp[1])
     return Verdict(
         "environment",
         ok,

@@ -129,23 +129,42 @@ def noise_and_vibration(
     return [_against_arcsec(verdict, unit) for verdict in verdicts]
 
 
-def ground(look: TrialFrames, pendulum: PendulumSettings | None) -> Verdict:
-    """What the ground does at the pendulum's frequency: it limits results and forbids no measurement.
+def ground(
+    look: TrialFrames, pendulum: PendulumSettings | None, limits: PreflightSettings | None = None
+) -> Verdict:
+    """What the ground does at the pendulum's frequency: it limits results, and forbids a measurement only
+    where a limit is stated.
 
     Needs eight periods at rest, in `preflight.duration_s`.
     """
     at = look.deflections
+    most = None if limits is None else limits.max_ground_rad_per_s2_rthz
+    limit = "" if most is None else f"{most:g} rad/s²/√Hz"
     if not look.resting:
-        return _not_at_rest("ground", "")
+        return _not_at_rest("ground", limit)
     try:
         found = ground_at_rest(at.times_s, at.y)
     except DataError as error:
-        reason = f"{error}; preflight.duration_s = 60 would measure it"
-        return Verdict("ground", True, reason, measured="not measured", made=False)
+        remedy = "preflight.duration_s = 60 would measure it"
+        if most is None:
+            return Verdict("ground", True, f"{error}; {remedy}", measured="not measured", made=False)
+        return Verdict("ground", False, str(error), remedy, measured="not measured", limit=limit)
     of_angle = pendulum if at.unit is DeflectionUnit.RAD else None
     base = base_motion(found.density, found.upper_95, found.period_s, of_angle)
     words = drive_text(found.density, found.upper_95, base, seen=found.density.value > 0, unit=at.unit)
-    return Verdict("ground", True, measured=f"{words}, in {at.times_s[-1]:.0f} s")
+    words = f"{words}, in {at.times_s[-1]:.0f} s"
+    if most is None:
+        return Verdict("ground", True, measured=words)
+    quiet = found.density.value <= most
+    verdict = Verdict(
+        "ground",
+        quiet,
+        "" if quiet else "it moves too much",
+        "" if quiet else "wait for a quieter hour, or allow more",
+        measured=words,
+        limit=limit,
+    )
+    return verdict if at.unit is DeflectionUnit.RAD else replace(verdict, ok=True, reason=NO_LEVER, remedy="")
 
 
 def rest_position(look: TrialFrames, limits: PreflightSettings) -> Verdict:
@@ -292,7 +311,7 @@ def check_look(
         ),
         *stillness(look, limits),
         rest_position(look, limits),
-        ground(look, config.pendulum),
+        ground(look, config.pendulum, limits),
         frame_rate(look.frames, config.camera.frame_rate_hz, limits),
         clock(look.frames, limits, on_demand=config.on_demand),
         disk(

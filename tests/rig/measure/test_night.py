@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from rig.measure.night import measure_plan
 from rig.settings import load_plan
@@ -102,6 +103,10 @@ def test_the_plan_that_is_shown_waits_repeats_and_leaves_out(
     assert first["reason"].startswith("lost spots")
     assert (second["record"], second["state"]) == ("run-2.mcap", "complete")
     assert "1 of its runs are repeated" in said
+    assert re.search(r"steel-at-20: waiting since \d\d:\d\d: environment: 23.0 °C", said)
+    with RecordReader(tmp_path / "out" / "steel-at-20" / "run-1.mcap") as reader:
+        (told,) = [event.text for event in reader.events() if event.kind == "plan"]
+    assert re.match(r"waited from \d\d:\d\d for 30 min: environment: 23.0 °C", told)
     (third,) = entries(tmp_path / "out" / "silicon-quiet")
     assert third["state"] == "failed"
     assert "vibration" in third["reason"]
@@ -124,6 +129,13 @@ def test_a_failure_ends_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[s
     [
         ("temperature_c = [19, 20]", "temperature_c needs a thermometer"),
         ("quiet_arcsec = 0.1", "quiet_arcsec needs a pendulum at rest"),
+        ("humidity_percent = [30, 40]", "humidity_percent needs a sensor of the air"),
+        ("ground_rad_per_s2_rthz = 1e-8", "ground_rad_per_s2_rthz needs a pendulum at rest"),
+        (
+            "ground_rad_per_s2_rthz = 1e-8\nset = [\"start.way='magnet'\", 'controller.kind=\"simulated\"']",
+            "set preflight.duration_s to 60 or more, it is 4 in",
+        ),
+        ("humidity_percent = [40, 30]", "its first value should be the smaller one"),
         ("pause = 5", "series.0.pause"),
         ('name = "../away"', "series.0.name"),
         ("set = ['session.rnus=3']", "did you mean runs?"),

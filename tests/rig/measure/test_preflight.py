@@ -156,6 +156,37 @@ def test_the_ground_is_said_once_the_look_is_long_enough() -> None:
     assert "mass centre 0.200 mm high" in said.measured
     assert said.measured.endswith("in 60 s")
     assert not frame_checks.ground(SWINGING, pendulum).made
+    # nothing drives it: it is quiet enough for any limit
+    assert_go(frame_checks.ground(replace(short, deflections=at), None, asking(1e-9)))
+    assert_no(frame_checks.ground(short, None, asking(1e-9)))
+
+
+def asking(ground: float) -> PreflightSettings:
+    return PreflightSettings(max_ground_rad_per_s2_rthz=ground)
+
+
+def test_a_ground_above_its_limit_is_a_no_go() -> None:
+    """A pendulum that the ground pushes in every period by chance: its quadratures wander."""
+    rng = np.random.default_rng(5)
+    times_s = np.arange(1500) * 0.04
+    wander = 1e-7 * np.cumsum(rng.normal(size=(2, 1500)), axis=1)
+    phase = 2 * math.pi * times_s / 4.0
+    swing = wander[0] * np.sin(phase) + wander[1] * np.cos(phase) + rng.normal(0.0, 1e-8, 1500)
+    times_ns, u = np.round(times_s * 1e9).astype(np.int64), np.full(1500, 1e-8)
+    at = Deflections(times_ns, 0 * swing, swing, u, u, DeflectionUnit.RAD)
+    shaken = replace(look(1e-8, 0.0, DeflectionUnit.RAD), deflections=at)
+    said = frame_checks.ground(shaken, None, asking(1e-9))
+    assert not said.ok
+    assert said.limit == "1e-09 rad/s²/√Hz"
+    assert "quieter hour" in said.remedy
+    assert_go(frame_checks.ground(shaken, None, asking(1.0)))
+    in_px = frame_checks.ground(replace(shaken, deflections=replace_unit(at)), None, asking(1e-9))
+    assert in_px.ok
+    assert in_px.reason == frame_checks.NO_LEVER
+
+
+def replace_unit(at: Deflections) -> Deflections:
+    return Deflections(at.times_ns, at.x, at.y, at.u_x, at.u_y, DeflectionUnit.PX)
 
 
 def test_rest_position_far_from_the_reference() -> None:
@@ -259,6 +290,13 @@ def test_air_and_controller() -> None:
     assert of_controller.ok
     assert "BME280" in of_controller.remedy
     assert_no(device_checks.air((60.0, 40.0, 1e5), True, LIMITS))
+    dry = PreflightSettings(min_humidity_percent=20, max_humidity_percent=35)
+    assert_go(device_checks.air((20.0, 30.0, 1e5), True, dry))
+    assert_no(device_checks.air((20.0, 40.0, 1e5), True, dry))
+    # a band that nobody can see is not met
+    assert_no(device_checks.air((20.0, math.nan, 1e5), True, dry))
+    assert_no(device_checks.air(nothing, True, dry, optional=True))
+    assert_go(device_checks.air((20.0, math.nan, 1e5), True, LIMITS))
     assert_go(device_checks.controller(opened(), True))
     assert_no(device_checks.controller(DevicesNow(controller=ControlState.LOST), True))
     assert_go(device_checks.controller(DevicesNow(), False))
