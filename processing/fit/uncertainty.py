@@ -1,6 +1,6 @@
 """Uncertainty of the reported quantities: GUM budget, and Monte Carlo propagation (JCGM 101)."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import floor, inf, isfinite, log10, nan, sqrt
 from typing import Annotated, Literal
@@ -10,7 +10,7 @@ from scipy.special import stdtrit
 
 from processing.arrays import Floats
 from processing.contact.laws import DRAG
-from processing.fit.apparatus import RigQuantities
+from processing.fit.apparatus import InputQuantity, RigQuantities
 from processing.fit.reported import OUTPUTS, FittedContact, draw_fitted, reported_quantities
 from processing.quantity import OF, OWN, PART, PER, Quantity
 
@@ -77,6 +77,76 @@ class Propagated:
     gum_holds: bool
 
 
+Model = Callable[[Mapping[str, Floats]], Mapping[str, Floats]]
+"""Quantities (n,) of input quantities (n,), by name."""
+
+
+def sensitivities(model: Model, inputs: Mapping[str, InputQuantity]) -> dict[str, dict[str, float]]:
+    """Derivative of each quantity of a model by each input that is uncertain, at the inputs' values.
+
+    Central differences over a thousandth of each input's standard uncertainty.
+    """
+    found: dict[str, dict[str, float]] = {}
+    for source, quantity in inputs.items():
+        if quantity.u == 0:
+            continue
+        step = 1e-3 * quantity.u
+        both = {name: np.full(2, other.value) for name, other in inputs.items()}
+        both[source] = quantity.value + np.array([-step, step])
+        for name, out in model(both).items():
+            found.setdefault(name, {})[source] = float(out[1] - out[0]) / (2 * step)
+    return found
+
+
+def budget_of(
+    unit: str,
+    value: float,
+    parts: Sequence[tuple[str, Literal["A", "B"], float, float, float]],
+    estimated: Sequence[tuple[float, float]] = (),
+) -> Budget:
+    """The budget of one quantity by its parts: root of the sum of squares, Welch-Satterthwaite.
+
+    Parameters
+    ----------
+    parts
+        The fields of `BudgetSource` but the share.
+    estimated
+        Contributions whose uncertainty is an estimate, with its degrees of freedom; parts that were
+        estimated together count as one.
+    """
+    combined = sqrt(sum(part[4] ** 2 for part in parts))
+    per_dof = sum(part**4 / dof for part, dof in estimated)
+    dof = combined**4 / per_dof if per_dof > 0 and isfinite(combined) else inf
+    sources = tuple(
+        BudgetSource(
+            source, kind, u, slope, part, (part / combined) ** 2 if isfinite(combined) else float(part == inf)
+        )
+        for source, kind, u, slope, part in sorted(parts, key=lambda part: -part[4])
+    )
+    factor = float(stdtrit(min(dof, 1e9), 0.975))
+    return Budget(
+        unit=unit,
+        value=value,
+        standard_uncertainty=combined,
+        degrees_of_freedom=dof,
+        coverage_factor_95=factor,
+        expanded_uncertainty_95=factor * combined,
+        sources=sources,
+    )
+
+
+def propagated(sample: Floats, budget: Budget) -> Propagated:
+    """What a Monte Carlo sample (n,) of a quantity says, and whether its budget agrees with it."""
+    lower, upper = np.quantile(sample, [0.025, 0.975])
+    u = float(np.std(sample, ddof=1))
+    tolerance = 0.5 * 10 ** floor(log10(u)) if u > 0 and isfinite(u) else 0.0
+    half = budget.expanded_uncertainty_95
+    worst = max(abs(budget.value - half - lower), abs(budget.value + half - upper))
+    return Propagated(
+        float(np.mean(sample)), u, float(lower), float(upper), bool(worst <= tolerance or u == 0)
+    )
+
+
 def _nominal(rig: RigQuantities, count: int) -> dict[str, Floats]:
     return {name: np.full(count, quantity.value) for name, quantity in rig.inputs().items()}
 
@@ -107,17 +177,10 @@ def budgets(found: FittedContact, rig: RigQuantities) -> dict[str, Budget]:
         both[i] += (-step, step)
         for name, slope in slopes(both, _nominal(rig, 2), step).items():
             by_value[name][i] = slope
-    by_input: dict[str, dict[str, float]] = {name: {} for name in value}
-    for source, quantity in rig.inputs().items():
-        if quantity.u == 0:
-            continue
-        step = 1e-3 * quantity.u
-        inputs = _nominal(rig, 2)
-        inputs[source] = quantity.value + np.array([-step, step])
-        for name, slope in slopes(np.repeat(found.values[:, None], 2, axis=1), inputs, step).items():
-            by_input[name][source] = slope
+    fixed = np.repeat(found.values[:, None], 2, axis=1)
+    by_input = sensitivities(lambda inputs: reported_quantities(found, fixed, inputs, rig), rig.inputs())
     return {
-        name: _budget(name, unit, value[name], found, rig, by_value[name], by_input[name])
+        name: _budget(name, unit, value[name], found, rig, by_value[name], by_input.get(name, {}))
         for name, unit in _quantities(found).items()
     }
 
@@ -158,26 +221,9 @@ def _budget(
         u = inputs[source].u
         if slope != 0:
             parts.append((source, "B", u, slope, abs(slope) * u))
-    combined = sqrt(sum(part[4] ** 2 for part in parts))
-    per_dof = type_a**4 / found.dof if 0 < type_a < inf else 0.0
-    per_dof += sum(part**4 / inputs[source].dof for source, _, _, _, part in parts if source in inputs)
-    dof = combined**4 / per_dof if per_dof > 0 and isfinite(combined) else inf
-    sources = tuple(
-        BudgetSource(
-            source, kind, u, slope, part, (part / combined) ** 2 if isfinite(combined) else float(part == inf)
-        )
-        for source, kind, u, slope, part in sorted(parts, key=lambda part: -part[4])
-    )
-    factor = float(stdtrit(min(dof, 1e9), 0.975))
-    return Budget(
-        unit=unit,
-        value=value,
-        standard_uncertainty=combined,
-        degrees_of_freedom=dof,
-        coverage_factor_95=factor,
-        expanded_uncertainty_95=factor * combined,
-        sources=sources,
-    )
+    estimated = [(type_a, found.dof)] if 0 < type_a < inf else []
+    estimated += [(part, inputs[source].dof) for source, _, _, _, part in parts if source in inputs]
+    return budget_of(unit, value, parts, estimated)
 
 
 def _of(covariance: Floats | None, by_value: Floats) -> float:
@@ -226,20 +272,4 @@ def monte_carlo(
         reported = reported_quantities(found, values, inputs, rig)
         if against is None:
             against = budgets(found, rig)
-        out = {}
-        for name in _quantities(found):
-            sample = reported[name]
-            lower, upper = np.quantile(sample, [0.025, 0.975])
-            u = float(np.std(sample, ddof=1))
-            budget = against[name]
-            tolerance = 0.5 * 10 ** floor(log10(u)) if u > 0 and isfinite(u) else 0.0
-            half = budget.expanded_uncertainty_95
-            worst = max(abs(budget.value - half - lower), abs(budget.value + half - upper))
-            out[name] = Propagated(
-                float(np.mean(sample)),
-                u,
-                float(lower),
-                float(upper),
-                bool(worst <= tolerance or u == 0),
-            )
-    return out
+        return {name: propagated(reported[name], against[name]) for name in _quantities(found)}
