@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from processing.errors import MissingPackage
+from processing.errors import ConfigurationError, MissingPackage
 from rig.commands.arguments import MODES, Config, JsonLines, Set, View
 from rig.commands.inputs import there
 from rig.commands.outputs import appended_file, new_file
@@ -162,17 +162,38 @@ def preflight(
 
 
 def doctor(
-    config: Config,
+    config: Annotated[
+        Path | None,
+        typer.Argument(help="Configuration (TOML file).", show_default=False, callback=there),
+    ] = None,
+    install_udev: Annotated[
+        bool,
+        typer.Option("--install-udev", help="Linux: write the rules by which users may open the devices."),
+    ] = False,
+    udev_folder: Annotated[
+        Path | None,
+        typer.Option(help="Folder for those rules, instead of /etc/udev/rules.d.", show_default=False),
+    ] = None,
     json_lines: JsonLines = False,
     set_: Set = None,
 ) -> None:
     """Check devices, disk, clock and processor; suggest remedies.
 
     \b
-    Example:
+    Examples:
       rig doctor mine.toml
+      sudo .venv/bin/rig doctor --install-udev
     """
-    from rig.devices import examine
+    from rig.devices import RULES_FOLDER, examine, install_rules
+    from rig.presentation import say
     from rig.settings import load_configuration
 
+    if install_udev or udev_folder is not None:
+        path, then = install_rules(udev_folder or RULES_FOLDER)
+        print(path)
+        say(f"next: {then}")
+        if config is None:
+            return
+    if config is None:
+        raise ConfigurationError("rig doctor: name the configuration to check, or --install-udev")
     raise typer.Exit(examine(load_configuration(config, set_ or []), json_lines=json_lines))

@@ -2,6 +2,7 @@
 
 from rig.control.beside import darken_beside
 from rig.control.controller import Controller, Trip
+from rig.control.device_nodes import udev_board, udev_matches
 from rig.control.environment import EnvironmentService
 from rig.control.laser_service import LONGEST_JOB_S, LaserService
 from rig.control.lasers import LASERS, LaserSettings, LaserState, laser_unit, make_laser

@@ -78,8 +78,7 @@ class UsbTmcLine:
         except PermissionError as error:
             self.close()
             raise PortLost(
-                f'{path}: no permission; add a udev rule: SUBSYSTEM=="usbmisc", KERNEL=="usbtmc*",'
-                ' ATTRS{idVendor}=="1313", MODE="0660", GROUP="plugdev"'
+                f"{path}: no permission; run rig doctor --install-udev, and plug the instrument in again"
             ) from error
         except OSError as error:
             self.close()

@@ -11,13 +11,14 @@ from typing import Literal, cast
 from rich.console import Console
 
 from acquisition.camera import CameraStatus, FrameTimeout
-from acquisition.cameras.usb3vision.discovery import FoundCamera, UsbSpeed, find_cameras, udev_rule
+from acquisition.cameras.usb3vision.discovery import FoundCamera, UsbSpeed, find_cameras
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame_losses import FrameLosses
 from processing.errors import DeviceError, RigError
 from processing.ticks import seconds
 from rig.control import SafetyState, check_controller, check_environment, check_laser
 from rig.devices.session_devices import Devices
+from rig.devices.udev import as_root
 from rig.instrument import check_materials, complete
 from rig.presentation import Verdict, print_json_line, print_verdicts
 from rig.settings import Configuration
@@ -230,15 +231,14 @@ _SLOW = (UsbSpeed.LOW, UsbSpeed.FULL, UsbSpeed.HIGH)
 
 def check_usb_camera(camera: FoundCamera) -> tuple[Verdict, ...]:
     """Check the permission to open the camera, and the negotiated USB speed."""
-    rule = udev_rule()
     allowed = Verdict(
         "camera permission",
         camera.accessible,
         camera.name if camera.accessible else f"no permission to open {camera.name}",
         ""
         if camera.accessible
-        else f"only root may open USB devices unless a udev rule allows it: sudo cp {rule} "
-        "/etc/udev/rules.d, sudo udevadm control --reload, then plug the camera in again",
+        else f"only root may open USB devices unless a udev rule allows it: {as_root()}, "
+        "then plug the camera in again",
     )
     slow = camera.usb_speed in _SLOW
     speed = Verdict(

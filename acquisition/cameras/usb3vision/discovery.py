@@ -4,7 +4,6 @@ import errno
 import sys
 from dataclasses import dataclass
 from enum import IntEnum
-from pathlib import Path
 from typing import Any, Final
 
 import usb.backend
@@ -14,7 +13,6 @@ import usb.util
 
 from acquisition.camera import PluggedCamera
 from acquisition.cameras.usb3vision.link import (
-    UDEV_RULE,
     VISION_CLASS,
     VISION_SUBCLASS,
     WINUSB,
@@ -75,11 +73,6 @@ class FoundCamera:
         return f"USB3 Vision camera {who} ({serial})"
 
 
-def udev_rule() -> Path:
-    """The udev rule that gives logged-in users access to such cameras; `rig doctor` reports it."""
-    return Path(__file__).with_name(UDEV_RULE)
-
-
 def find_cameras(backend: usb.backend.IBackend | None = None) -> tuple[FoundCamera, ...]:
     """All connected USB3 Vision cameras.
 
@@ -91,7 +84,7 @@ def find_cameras(backend: usb.backend.IBackend | None = None) -> tuple[FoundCame
 
 def list_cameras() -> list[PluggedCamera]:
     """All connected USB3 Vision cameras for ``rig devices``, with the USB speed as `place`."""
-    remedy = f"no permission: copy {udev_rule()} to /etc/udev/rules.d and plug the camera in again"
+    remedy = "no permission: run rig doctor --install-udev, and plug the camera in again"
     if sys.platform == "win32":
         remedy = WINUSB
     return [

@@ -27,7 +27,11 @@ WINUSB: Final = (
     "Windows has no driver for it that programs can use: give it WinUSB, for example with Zadig "
     "(zadig.akeo.ie); the maker's program then no longer finds it until its own driver is put back"
 )
-UDEV_RULE: Final = "70-usb3vision.rules"
+UDEV_RULE: Final = (
+    'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", '
+    f'ENV{{ID_USB_INTERFACES}}=="*:{VISION_CLASS:02x}{VISION_SUBCLASS:02x}*"'
+)
+"""What matches such cameras in a rule of udev, whoever made them; `rig doctor --install-udev` writes it."""
 
 # Error codes of the operating systems for a device that has been unplugged
 _GONE: Final = {errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN}
@@ -44,8 +48,7 @@ def no_permission(name: str) -> DeviceError:
     if sys.platform == "win32":
         return DeviceError(f"{name}: {WINUSB}")
     return DeviceError(
-        f"{name}: no permission to use it; copy {UDEV_RULE} (rig doctor prints its path) to "
-        f"/etc/udev/rules.d, run 'sudo udevadm control --reload', and plug the camera in again"
+        f"{name}: no permission to use it; run rig doctor --install-udev, and plug the camera in again"
     )
 
 

@@ -17,7 +17,7 @@ from rig.control.lasers.settings import LaserSettings
 from rig.control.serial_port import SerialLine
 from rig.control.usbtmc import UsbTmcLine, find_usbtmc, is_usbtmc
 
-_USB_VENDOR = 0x1313
+USB_VENDOR = 0x1313
 
 _TRIPS = {
     "INTLock": "interlock",
@@ -38,7 +38,7 @@ class Thorlabs4000(SerialLaser):
         if open_line is None and is_usbtmc(settings.port):
 
             def open_line() -> SerialLine:
-                return UsbTmcLine(find_usbtmc(settings.port, _USB_VENDOR), settings.timeout_s)
+                return UsbTmcLine(find_usbtmc(settings.port, USB_VENDOR), settings.timeout_s)
 
         super().__init__(settings, open_line)
 

@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from acquisition.camera import CameraLost
-from acquisition.cameras.usb3vision.discovery import find_camera, find_cameras, udev_rule
+from acquisition.cameras.usb3vision.discovery import find_camera, find_cameras
 from acquisition.cameras.usb3vision.gencp import GenCpChannel, NoAnswer, RegisterRefused
 from acquisition.cameras.usb3vision.link import UsbLink
 from acquisition.cameras.usb3vision.manifest import decode_description, read_description, read_manifest
@@ -225,12 +225,11 @@ def test_two_cameras_need_a_serial_and_are_listed() -> None:
 def test_without_permission_the_udev_rule_is_named() -> None:
     backend = InProcessBackend(VisionDevice("one"))
     backend.denied.add("one")
-    with pytest.raises(DeviceError, match=udev_rule().name):
+    with pytest.raises(DeviceError, match="rig doctor --install-udev"):
         find_camera(None, backend)
     with pytest.raises(DeviceError, match="no permission"):
         find_camera("one", backend)
     assert [camera.accessible for camera in find_cameras(backend)] == [False]
-    assert "ef05" in udev_rule().read_text()
 
 
 def test_a_camera_in_use_says_so() -> None:
