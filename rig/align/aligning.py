@@ -20,7 +20,7 @@ from processing.spot import SpotTracker
 from rig.align.annotated_picture import annotated_picture
 from rig.align.look import AlignmentFrame, take_look
 from rig.devices import watch_latest
-from rig.presentation import Keys
+from rig.presentation import Keys, answer
 from rig.view import Viewer
 
 HELP = "e E exposure   g G gain   z zoom   s save a picture   q end"
@@ -159,6 +159,7 @@ def align_camera(
                     else:
                         wish = _wish_of(key, applied) or wish
                 screen.show(look, _ZOOMS[zoom], note)
+                answer(picture=tuple(look.lines()), beam=look.beam_line)  # the last one stays
                 if wish is not None:
                     break
             if wish is not None:

@@ -12,8 +12,9 @@ from rig.analysis.decay_values import decay_lines
 from rig.analysis.fit_remarks import brief_remarks, remarks
 from rig.analysis.fit_tables import combined_table, parameter_table, quality_table, whole_table
 from rig.analysis.results import RunResults, SessionResults
+from rig.analysis.results_file import encoded
 from rig.analysis.waveform_results import waveform_table
-from rig.presentation import print_tables
+from rig.presentation import answer, print_tables
 
 logger = logging.getLogger(__name__)
 
@@ -25,6 +26,7 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
     exact fit with the whole budget, what limits it and what to do. Where this logger is enabled for INFO
     (``rig -v``) of every run both fits with the swings' own uncertainties, their quality, all remarks.
     """
+    answer(results=encoded(results), written=[path for _, path in paths])
     console = Console()
     combined = combined_table(results)
     short = combined is not None and not logger.isEnabledFor(logging.INFO)

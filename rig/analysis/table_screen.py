@@ -15,13 +15,13 @@ from rig.analysis.amplitude_damping import damping_lines
 from rig.analysis.compared_laws import chosen_laws
 from rig.analysis.position_table import TableColumns
 from rig.analysis.results import EnvelopeResults, TableResults
-from rig.analysis.results_file import RESULTS_NAME, relative_record, write_results
+from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
 from rig.analysis.screen import print_run
 from rig.analysis.table_fit import AnalysedTable, FoundDecay, analyse_envelope, analyse_trajectory
 from rig.analysis.trajectory import Trajectory
 from rig.analysis.witness_file import StatedWitness
 from rig.instrument import fill_from_files
-from rig.presentation import with_uncertainty
+from rig.presentation import answer, with_uncertainty
 from rig.sealing import refuse_blind
 from rig.settings import Watched, load_configuration
 
@@ -83,6 +83,7 @@ def fit_several(
             fit_read(path, read(), folder, config_path, overrides, report, laws, witness)
         except (DataError, DeviceError) as error:
             failed += 1
+            answer(not_analysed=[{"run": name, "reason": str(error)}])
             print(f"not analysed: {error}")
     return int(failed > 0)
 
@@ -121,6 +122,7 @@ def fit_read(
     _write(path, output, table.results)
     if output is not None and report is not None:
         for name, made in report(table, output):
+            answer(written=[made])
             print(f"{name:<12} {made}")
     return 0
 
@@ -163,7 +165,9 @@ def _write(path: Path, output: Path | None, results: TableResults | EnvelopeResu
             decays = tuple(replace(decay, record=record) for decay in results.decays)
             results = replace(results, record=record, decays=decays)
         write_results(output / RESULTS_NAME, results)
+        answer(written=[output / RESULTS_NAME])
         print(f"results      {output / RESULTS_NAME}")
+    answer(results=[encoded(results)])
 
 
 def _print(path: Path, table: AnalysedTable) -> None:

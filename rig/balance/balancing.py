@@ -27,14 +27,13 @@ def history_path(config: Configuration, stated: Path | None) -> Path:
     return stated or config.session.output / name
 
 
-def show_history(config: Configuration, stated: Path | None, *, forget: bool) -> int:
+def show_history(config: Configuration, stated: Path | None, *, forget: bool) -> None:
     """Print what was learned from earlier turns; with `forget` take the last one back first."""
     config = complete(config)
     path = history_path(config, stated)
     if forget:
         say(history.forget_last(path))
     history.show(config, path)
-    return 0
 
 
 def balance_rig(

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from processing.balance import WeightResponses, implausible
 from rig.instrument import WEIGHTS, nominal_effects
-from rig.presentation import say
+from rig.presentation import answer, say
 from rig.settings import Configuration
 
 Floats = NDArray[np.float64]
@@ -107,6 +107,7 @@ class Learned(NamedTuple):
 def show(config: Configuration, path: Path) -> None:
     """Print what was learned, and from which entries nothing is."""
     found = learned(config, path)
+    answer(turns=[dict(zip(HEAD, row, strict=True)) for row in found.rows], learned=found.lines)
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in HEAD:
         table.add_column(name)

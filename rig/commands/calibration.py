@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from rig.commands.inputs import one_record, recorded, there
+from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def register(app: typer.Typer) -> None:
     """Add `rig calibrate`."""
     group = typer.Typer(help="Make a calibration file.", no_args_is_help=True)
     for made in (lever, axes, sensor, clock, shutter, air, pointing, check):
-        group.command()(_command(made))
+        group.command()(in_json(_command(made)))
     app.add_typer(group, name="calibrate")
 
 
@@ -298,11 +299,12 @@ def _asked(kind: str, config: Path | None, filing: "Filing") -> Path:
 
 def _say(path: Path) -> None:
     """Print the content of the new file."""
-    from rig.presentation import print_tables
+    from rig.presentation import answer, print_tables
     from rig.wizards import filed
 
     made = filed(path)
     found = made.calibration
+    answer(calibration=found.model_dump(mode="json"), written=[path])
     print(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")
     said = {**found.values, **found.details}
     open_ends = {name for name, value in said.items() if isinstance(value, float) and not isfinite(value)}

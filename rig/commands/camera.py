@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.commands.arguments import MODES, Config, NewRecord, Set, View
+from rig.commands.json_answers import in_json
 from rig.commands.outputs import new_file, new_folder, old_folder
 
 if TYPE_CHECKING:
@@ -21,12 +22,12 @@ Average = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    app.command("devices")(devices)
+    app.command("devices")(in_json(devices))
     camera = typer.Typer(help="Show, set and test the camera.", no_args_is_help=True)
-    camera.command("show")(show)
-    camera.command("set")(set_features)
+    camera.command("show")(in_json(show))
+    camera.command("set")(in_json(set_features))
     for command in (snap, record, frames, focus, align, expose, dump):
-        camera.command()(command)
+        camera.command()(in_json(command))
     app.add_typer(camera, name="camera")
 
 
@@ -34,8 +35,11 @@ def devices() -> None:
     """List the connected cameras and serial ports."""
     from acquisition.cameras.drivers import find_cameras
     from rig.control import list_serial_ports
+    from rig.presentation import answer
 
     cameras, notes = find_cameras()
+    ports = list_serial_ports()
+    answer(cameras=list(cameras), serial_ports=list(ports), notes=list(notes))
     for camera in cameras:
         words = [camera.driver, camera.name, camera.serial and f"serial {camera.serial}", camera.place]
         typer.echo("camera  " + "  ".join(word for word in words if word))
@@ -45,7 +49,7 @@ def devices() -> None:
             typer.echo(f"          {camera.problem}")
     if not cameras:
         typer.echo("no camera is plugged in; camera.driver = 'simulated' and 'files' need none")
-    for port in list_serial_ports():
+    for port in ports:
         usb = f"USB {port.vendor:04x}:{port.product:04x}" if port.vendor >= 0 else ""
         words = [port.device, port.description, usb, port.serial and f"serial {port.serial}"]
         typer.echo("serial  " + "  ".join(word for word in words if word))
@@ -61,6 +65,7 @@ def show(config: Config, set_: Set = None) -> None:
       rig camera show mine.toml
     """
     from rig.devices import feature_lines
+    from rig.presentation import answer
 
     with _opened(config, set_) as (camera, info, applied):
         typer.echo(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
@@ -70,7 +75,9 @@ def show(config: Config, set_: Set = None) -> None:
                 f"camera.{name}: not reported by this camera" if value is None else f"camera.{name} = {value}"
             )
         features = getattr(camera, "features", None)
-        for line in feature_lines(features.readings()) if features is not None else ():
+        lines = list(feature_lines(features.readings())) if features is not None else []
+        answer(camera=info, settings=applied.model_dump(mode="json"), features=lines)
+        for line in lines:
             typer.echo(line)
 
 
@@ -90,6 +97,7 @@ def set_features(
     """
     from acquisition.camera import CameraSettings
     from processing.errors import ConfigurationError
+    from rig.presentation import answer
     from rig.settings import apply_overrides, load_configuration, validate_configuration
 
     loaded = load_configuration(config, set_ or [])
@@ -103,9 +111,12 @@ def set_features(
                 apply_overrides(tree, [f"camera.{assignment}"])
                 asked = validate_configuration(tree, str(config)).camera
                 applied = camera.configure(CameraSettings(**{name: getattr(asked, name)}))
+                answer(**{f"camera.{name}": getattr(applied, name)})
                 typer.echo(f"camera.{name} = {getattr(applied, name)}")
             elif hasattr(camera, "features"):
-                typer.echo(f"{name} = {camera.features.set(name, value)}")
+                now = camera.features.set(name, value)
+                answer(**{name: now})
+                typer.echo(f"{name} = {now}")
             else:
                 known = ", ".join(CameraSettings.model_fields)
                 raise ConfigurationError(f"{name}: this camera has no such setting; there are {known}")
@@ -133,6 +144,7 @@ def snap(
     from processing.errors import ConfigurationError, RecordError
     from rig.devices import picture as camera_picture
     from rig.instrument import beam_quality, complete, optics_of
+    from rig.presentation import answer
     from rig.settings import load_configuration
 
     loaded = complete(load_configuration(config, set_ or []))
@@ -155,11 +167,14 @@ def snap(
         typer.echo("pixels in each range of grey values (bars: logarithmic)")
         for line in camera_picture.histogram_bars(image, info.full_scale_dn):
             typer.echo(line)
-        typer.echo(_figures_line(camera_picture.figures(image, info.full_scale_dn)))
+        figures = camera_picture.figures(image, info.full_scale_dn)
+        typer.echo(_figures_line(figures))
         tracker = optics_of(loaded, info.full_scale_dn).tracker()
         spot = tracker.track(image)
         limits = loaded.preflight
-        typer.echo(beam_quality([image], [spot], tracker.model, info.full_scale_dn, limits).line)
+        beam = beam_quality([image], [spot], tracker.model, info.full_scale_dn, limits)
+        typer.echo(beam.line)
+        answer(picture=figures, beam=beam, written=[output])
         typer.echo(str(output))
 
 
@@ -178,9 +193,12 @@ def record(
       rig camera record mine.toml -o clamped.mcap --seconds 120
     """
     from rig.measure import record_plainly
+    from rig.presentation import answer
     from rig.settings import load_configuration
 
-    typer.echo(record_plainly(load_configuration(config, set_ or []), config, output, seconds))
+    made = record_plainly(load_configuration(config, set_ or []), config, output, seconds)
+    answer(written=[made])
+    typer.echo(made)
 
 
 def frames(
@@ -201,9 +219,12 @@ def frames(
       rig camera frames mine.toml -o level-1 --set camera.exposure_us=50
     """
     from rig.measure import take_frames
+    from rig.presentation import answer
     from rig.settings import load_configuration
 
-    typer.echo(take_frames(load_configuration(config, set_ or []), output, number))
+    folder = take_frames(load_configuration(config, set_ or []), output, number)
+    answer(written=[folder])
+    typer.echo(folder)
 
 
 def focus(
@@ -222,6 +243,7 @@ def focus(
     from acquisition.frame_queue import FrameQueue
     from rig.devices import picture as camera_picture
     from rig.devices import watch_latest
+    from rig.presentation import answer
 
     with _opened(config, set_) as (camera, info, _):
         best = 0.0
@@ -231,6 +253,7 @@ def focus(
             seen = camera_picture.figures(camera_picture.average(frames), info.full_scale_dn)
             best = max(best, seen.sharpness_per_px)
             age_ms = (time.monotonic_ns() - frames[-1].host_time_ns) * 1e-6
+            answer(seen=[seen], best_per_px=best)
             line = f"{_figures_line(seen)}  best {best:.4f}  age {age_ms:.0f} ms"
             typer.echo(f"\r{line:<100}" if sys.stdout.isatty() else line, nl=not sys.stdout.isatty())
 
@@ -266,6 +289,7 @@ def align(
 
     from rig.align import align_camera
     from rig.instrument import complete, optics_of
+    from rig.presentation import answer
     from rig.settings import load_configuration
     from rig.view import start_view
 
@@ -292,6 +316,7 @@ def align(
             seconds=seconds,
             viewer=viewer,
         ):
+            answer(written=[path])
             typer.echo(str(path))
     if viewer is not None:
         viewer.check_file()
@@ -311,9 +336,11 @@ def expose(
       rig camera expose mine.toml --target 0.6
     """
     from rig.devices import find_exposure
+    from rig.presentation import answer
 
     with _opened(config, set_) as (camera, info, applied):
         found = find_exposure(camera, info, applied, target)
+        answer(found=found)
         typer.echo(
             f"peak {found.peak:.1%} of full scale; for the configuration, above its first section, or below "
             "[camera] without 'camera.':"
@@ -335,6 +362,7 @@ def dump(
     import zipfile
 
     from processing.errors import ConfigurationError
+    from rig.presentation import answer
 
     with _opened(config, set_) as (camera, info, _):
         if not hasattr(camera, "dump"):
@@ -346,6 +374,7 @@ def dump(
         for name, data in files.items():
             archive.writestr(name, data)
             typer.echo(f"{name}: {len(data)} bytes")
+    answer(written=[output])
     typer.echo(str(output))
 
 

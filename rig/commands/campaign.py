@@ -7,12 +7,13 @@ import typer
 
 from processing.errors import ConfigurationError
 from rig.commands.inputs import there, with_results
+from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without
 
 
 def register(app: typer.Typer) -> None:
     """Add the command of this module."""
-    app.command()(campaign)
+    app.command()(in_json(campaign))
 
 
 def campaign(
@@ -64,6 +65,7 @@ def campaign(
     if where and archive is None:
         raise ConfigurationError(f"--where {where!r}: has no effect without --archive")
 
+    from rig.analysis import encoded
     from rig.campaigns import (
         StatedCampaign,
         answer_of,
@@ -73,7 +75,7 @@ def campaign(
         runs_of_folders,
         save_campaign,
     )
-    from rig.presentation import print_tables, say
+    from rig.presentation import answer, print_tables, say
 
     stated = StatedCampaign() if config is None else read_campaign(config)
     if archive is None:
@@ -84,9 +86,11 @@ def campaign(
         with opened(archive) as place:
             runs = runs_of_archive(place, where)
         found = answer_of(runs, stated, sample=sample)
+    answer(campaign=encoded(found.results))
     print_tables(campaign_tables(found))
     for line in (*found.results.left_out, *found.results.warnings):
         say(line)
     if output is not None:
         for path in save_campaign(found, output):
+            answer(written=[path])
             print(f"{'campaign':<12} {path}")

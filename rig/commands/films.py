@@ -10,6 +10,7 @@ import typer
 from processing.errors import ConfigurationError
 from rig.commands.arguments import Set
 from rig.commands.inputs import there
+from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 def register(app: typer.Typer) -> None:
     """Add `rig video`."""
-    app.command()(video)
+    app.command()(in_json(video))
 
 
 def video(

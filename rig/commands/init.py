@@ -8,12 +8,13 @@ import typer
 
 from processing.errors import ConfigurationError
 from rig.commands.inputs import there
+from rig.commands.json_answers import in_json
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    app.command("init")(init)
-    app.command("service")(service)
+    app.command("init")(in_json(init))
+    app.command("service")(in_json(service))
 
 
 def init(
@@ -50,7 +51,7 @@ def init(
     file = file or Path("my-rig.toml")
     from acquisition.cameras.drivers import find_cameras
     from rig.control import list_serial_ports
-    from rig.presentation import say
+    from rig.presentation import answer, say
     from rig.wizards import (
         FirstConfiguration,
         ask_in_terminal,
@@ -71,6 +72,7 @@ def init(
     config = write_configuration(file, stated_keys(progress(wizard, answers).values))
     sys.stderr.flush()
     print(file)
+    answer(written=[file])
     steps = steps_of_file(file, config, answers)
     steps = steps or next_steps(file, lever=config.lever is not None, simulated=config.simulated)
     for line in ("next:", *(f"  {step}" for step in steps)):
@@ -78,13 +80,14 @@ def init(
 
 
 def _write_example(name: str, file: Path | None) -> None:
-    from rig.presentation import say
+    from rig.presentation import answer, say
     from rig.wizards import copy_shipped, refuse_existing
 
     file = file or Path(f"{name}.toml")
     refuse_existing(file)
     for path in copy_shipped(name, file):
         print(path)
+        answer(written=[path])
     say("next:")
     say(f"  rig run {file} -o runs/{file.stem}: measure")
 

@@ -7,13 +7,14 @@ import typer
 
 from rig.commands.arguments import Config, Set
 from rig.commands.inputs import there
+from rig.commands.json_answers import in_json
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     light = typer.Typer(help="Show, and acknowledge, why the laser was darkened.", no_args_is_help=True)
     for command in (show, acknowledge, audit):
-        light.command()(command)
+        light.command()(in_json(command))
     app.add_typer(light, name="light")
 
 

@@ -9,6 +9,7 @@ import typer
 from processing.errors import ConfigurationError
 from rig.commands.arguments import MODES, Config, JsonLines, NewRecord, Record, ResultsFolder, Set, View
 from rig.commands.inputs import one_record, recorded, records_in, there
+from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without, new_file
 
 Rrd = Annotated[
@@ -28,14 +29,17 @@ RunsFolder = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    for command in (demo, run, replay, view, simulate):
-        app.command()(command)
+    for in_lines in (demo, run):  # as it goes
+        app.command()(in_lines)
+    for command in (replay, view, simulate):
+        app.command()(in_json(command))
 
 
 def demo(
     output: RunsFolder = None,
     set_: Set = None,
     view: View = None,
+    json_lines: JsonLines = False,
 ) -> None:
     """Measure on a simulated rig: no instrument is needed.
 
@@ -48,7 +52,7 @@ def demo(
     """
     from rig.settings import shipped
 
-    run(shipped("demo"), output, set_=set_, view=view)
+    run(shipped("demo"), output, set_=set_, view=view, json_lines=json_lines)
 
 
 def run(
@@ -196,6 +200,7 @@ def view(
       rig view runs/first/run-1.mcap --view web
       rig view runs/first/run-1.mcap --layout analysing --rrd fits.rrd
     """
+    from rig.presentation import answer
     from rig.view import show_records
 
     if rrd is not None and view:
@@ -208,6 +213,7 @@ def view(
     found = [record for path in records for record in records_in(path)]
     show_records(found, mode="web" if view == "web" else "spawn", rrd=rrd, layout=layout)
     if rrd is not None:
+        answer(written=[rrd])
         print(f"Rerun file   {rrd}")
 
 

@@ -19,6 +19,7 @@ from rig.commands.inputs import (
     there,
     with_results,
 )
+from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     for command in (fit, plan, instruments):
-        app.command()(command)
+        app.command()(in_json(command))
 
 
 def fit(
@@ -382,6 +383,8 @@ def plan(
 def instruments() -> None:
     """List the kinds of pendulum, for instrument.kind."""
     from processing.instruments import INSTRUMENTS
+    from rig.presentation import answer
 
+    answer(instruments={each.kind: each.sentence for each in INSTRUMENTS.values()})
     for description in INSTRUMENTS.values():
         typer.echo(f"{description.kind:<15} {description.sentence}")

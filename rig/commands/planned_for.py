@@ -19,7 +19,7 @@ from rig.campaigns import (
     runs_of_folders,
 )
 from rig.plan import planned_expectation
-from rig.presentation import print_tables
+from rig.presentation import answer, print_tables
 from rig.settings import load_configuration
 
 
@@ -77,4 +77,5 @@ def plan_for(asked: Asked, output: Path | None) -> None:
     output.mkdir(parents=True, exist_ok=True)
     for name, text in campaign_plan_files(planned, asked.source, output, asked.overrides).items():
         whole_file.write_new(output / name, text.encode())
+        answer(written=[output / name])
         print(f"{'plan':<12} {output / name}")

@@ -10,6 +10,7 @@ from acquisition.record.recover import Recovery, recover
 from acquisition.record.repaired import repaired
 from acquisition.record.utc import utc_text
 from processing.ticks import seconds
+from rig.presentation import answer
 
 _HIDDEN = {"record"}
 
@@ -41,6 +42,22 @@ def print_info(path: Path) -> None:
         print(f"attachment {name} ({_size(size)})")
     for problem in contents.damage:
         print(f"problem: {problem}")
+    answer(
+        records=[
+            {
+                "path": path,
+                "size_bytes": contents.size,
+                "whole": contents.whole,
+                "start_ns": contents.start_ns,
+                "end_ns": contents.end_ns,
+                "messages": dict(counts),
+                "frames_lost": losses,
+                "metadata": contents.metadata,
+                "attachments": contents.attachments,
+                "damage": list(contents.damage),
+            }
+        ]
+    )
 
 
 def print_check(path: Path, results: Path | None) -> int:
@@ -54,6 +71,7 @@ def print_check(path: Path, results: Path | None) -> int:
         findings += check_report(results)
     for finding in findings:
         print(f"{finding.severity}: {finding.text}")
+    answer(records=[{"path": path, "findings": list(findings)}])
     errors = sum(finding.severity == "error" for finding in findings)
     found = "is sound" if not errors else "1 error" if errors == 1 else f"{errors} errors"
     print(f"{path}: {found}")
@@ -68,11 +86,13 @@ def recover_record(path: Path, output: Path | None) -> None:
     with RecordReader(path) as reader:
         if is_sound(reader.file, reader.contents):
             print(f"{path}: is sound, every byte is as it was written; there is nothing to recover")
+            answer(path=path, sound=True)
             return
     found: tuple[Path, Recovery | None] = (
         repaired(path) if output is None else (output, recover(path, output))
     )
     target, recovery = found
+    answer(path=target, sound=False, recovery=recovery)
     if recovery is None:
         print(f"{target}: is a sound copy of what can be read of {path.name} as it is; nothing was written")
         return

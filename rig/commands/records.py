@@ -7,13 +7,14 @@ import typer
 
 from rig.commands.arguments import Record
 from rig.commands.inputs import one_record, records_in, there
+from rig.commands.json_answers import in_json
 from rig.commands.outputs import new_file
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     for command in (info, check, recover):
-        app.command()(command)
+        app.command()(in_json(command))
 
 
 def info(record: Record) -> None:

@@ -7,13 +7,14 @@ import typer
 
 from processing.errors import ConfigurationError
 from rig.commands.inputs import with_results
+from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without, new_file, new_page
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     for command in (report, paper, export, compare):
-        app.command()(command)
+        app.command()(in_json(command))
 
 
 def report(
@@ -41,9 +42,12 @@ def report(
     Example:
       rig report runs/first
     """
+    from rig.presentation import answer
     from rig.report import make_report
 
-    print(make_report(folder, output))
+    page = make_report(folder, output)
+    answer(written=[page])
+    print(page)
 
 
 def paper(
@@ -88,10 +92,12 @@ def export(
       rig export runs/first --format csv -o runs/csv
     """
     from rig.export import export_session
+    from rig.presentation import answer
 
     (new_file(makes_folders=True) if format_ == "hdf5" else folder_without())(output)
     for path in export_session(source, format_, output):
         print(path)
+        answer(written=[path])
 
 
 def compare(
@@ -116,9 +122,10 @@ def compare(
     if len(folders) < 2 and not against:
         raise ConfigurationError(f"{folders[0]}: a comparison needs two sessions or more; name another")
 
-    from rig.presentation import print_tables
+    from rig.presentation import answer, print_tables
     from rig.report import compare as compare_sessions
 
     print_tables(compare_sessions(folders, output, against))
     if output is not None:
+        answer(written=[output])
         print(f"page         {output}, figure and tables in {output.with_suffix('')}")

@@ -1,6 +1,7 @@
 """`rig desk` and its passwords, `rig balance`, `rig preflight`, `rig doctor`: preparing a measurement."""
 
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -61,12 +62,15 @@ def balance(
       rig balance configs/demo.toml --follow 6
     """
     from rig.balance import InJsonLines, balance_rig, show_history
+    from rig.presentation import one_json_object
     from rig.settings import load_configuration
 
     overrides = [*(set_ or []), *([f'view.mode="{MODES[view]}"'] if view else [])]
     loaded = load_configuration(config, overrides)
     if history or forget_last:
-        raise typer.Exit(show_history(loaded, history_file, forget=forget_last))
+        with one_json_object() if json_lines else nullcontext():
+            show_history(loaded, history_file, forget=forget_last)
+        return
     raise typer.Exit(
         balance_rig(loaded, history_file, follow, seed, rrd, reporter=InJsonLines() if json_lines else None)
     )

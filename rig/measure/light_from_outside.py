@@ -9,13 +9,15 @@ from processing.errors import DeviceError, RigError
 from rig.channel import Line, NoSession, running_sessions
 from rig.control import SafetyNow, SafetyState, rig_state_path
 from rig.devices import AUDIT_NAME, Devices, check_log
-from rig.presentation import say
+from rig.presentation import answer, say
 from rig.settings import Configuration
 
 
 def show_light(config: Configuration) -> int:
     """Print the safety state; returns 1 where light is refused, else 0."""
     now = _of_a_session(config) or _of_the_devices(config)
+    answer(laser=str(now.light), interlock=str(now.interlock), trip=now.trip, refusal=now.refusal)
+    answer(laser_age_s=now.light_age_s, interlock_age_s=now.interlock_age_s)
     for name, text, age_s in (
         ("laser", str(now.light), now.light_age_s),
         ("interlock", str(now.interlock), now.interlock_age_s),
@@ -33,11 +35,15 @@ def acknowledge_trip(config: Configuration, number: int) -> int:
     """Acknowledge a trip, in the session that has the rig or with the devices opened here; lights nothing."""
     for folder in _sessions(config):
         with suppress(NoSession), Line(folder) as line:
-            say(line.order(f"acknowledge {number} rig light acknowledge"))
+            said = line.order(f"acknowledge {number} rig light acknowledge")
+            answer(acknowledged=number, said=said)
+            say(said)
             return 0
     with Devices(config, config.session.output, "rig light acknowledge") as devices:
         devices.wait_until_heard()
-        say(devices.acknowledge(number, "rig light acknowledge"))
+        said = devices.acknowledge(number, "rig light acknowledge")
+        answer(acknowledged=number, said=said)
+        say(said)
     return 0
 
 
@@ -46,6 +52,7 @@ def check_audit(folder: Path, config: Configuration | None) -> int:
     state = SafetyState(None if config is None else rig_state_path(config.laser, config.controller))
     state.read()
     faults = check_log(folder, state)
+    answer(log=folder / AUDIT_NAME, faults=[str(fault) for fault in faults])
     for fault in faults:
         print(f"{folder / AUDIT_NAME}: {fault}")
     if not faults:

@@ -26,7 +26,7 @@ from rig.measure.phases import NoGo
 from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import RunState, SessionFile, withdraw_unrecorded
 from rig.measure.session_orders import await_leave, orders
-from rig.presentation import failures, print_json_line, say
+from rig.presentation import answer, failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
 from rig.terminal import Terminated
 
@@ -245,6 +245,7 @@ def simulate_record(config: Configuration, source: Path, record: Path) -> int:
         return 1
     if outcome.interrupt is not None:
         raise outcome.interrupt
+    answer(written=[record])
     print(record)
     return 0
 

@@ -11,7 +11,7 @@ from rig.paper.comparison import table1, table2, table3, table4
 from rig.paper.printed import CONTRADICTIONS, LOOP_AMPLITUDE_ARCSEC, PAIRS, SOURCE
 from rig.paper.shaken import shaken_pair, table5
 from rig.paper.simulation import NOISE_ARCSEC, PairSeries, simulate_pair
-from rig.presentation import Table, print_tables
+from rig.presentation import Table, answer, print_tables
 from rig.report import (
     ReportFigure,
     figures_contact,
@@ -46,7 +46,9 @@ def reproduce_paper(output: Path | None, b_exponent: int) -> None:
     for line in CONTRADICTIONS:
         print(f"- {line}")
     if output is not None:
-        print(write_paper(output, found, tables))
+        page = write_paper(output, found, tables)
+        answer(written=[page])
+        print(page)
 
 
 def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Table]) -> Path:

@@ -15,7 +15,7 @@ from processing.errors import DataError
 from processing.fit import Conditions, FitMethod, PlannedRun, planned_run
 from rig.analysis import AnalysedRun
 from rig.plan.expected import Expected
-from rig.presentation import Cell, Table, percent, print_tables, quantity
+from rig.presentation import Cell, Table, answer, percent, print_tables, quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,4 +163,5 @@ def save_plan(plan: Plan, folder: Path, ageing: Table | None = None) -> None:
     for suffix, content in made.items():
         path = folder / f"plan{suffix}"
         whole_file.write_new(path, content)
+        answer(written=[path])
         Console().print(f"{'plan':<12} {path}", highlight=False, markup=False, soft_wrap=True)

@@ -2,6 +2,7 @@
 
 from rig.presentation import palette
 from rig.presentation.balance import balance_drawn, balance_numbers, balance_panels, balance_table
+from rig.presentation.json_object import answer, one_json_object
 from rig.presentation.keys import Keys
 from rig.presentation.numbers import NOT_KNOWN, percent, plain, power, rounded, with_uncertainty
 from rig.presentation.printing import plain_values, print_json_line, say

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table as RichTable
 
+from rig.presentation.json_object import answer
 from rig.presentation.table import Table
 
 _NUMBERS_BEGIN_WITH = tuple("0123456789−-+(<>–")
@@ -12,6 +13,7 @@ _NUMBERS_BEGIN_WITH = tuple("0123456789−-+(<>–")
 
 def print_tables(tables: Sequence[Table]) -> None:
     """Print tables; columns that consist mostly of numbers are right-aligned."""
+    answer(tables=list(tables))
     console = Console(width=None if Console().is_terminal else 170)
     for content in tables:
         drawn = RichTable(title=content.title, title_justify="left", box=None, pad_edge=False)

@@ -23,7 +23,7 @@ from rig.analysis import (
     write_results,
 )
 from rig.instrument import earlier_schema, recorded_configuration
-from rig.presentation import Keys, say
+from rig.presentation import Keys, answer, say
 from rig.replay.comparison import parameter_changes
 from rig.replay.player import HELP, MOST_FRAMES, Player
 from rig.replay.replay import Replay, Replayed
@@ -118,10 +118,12 @@ def replay_record(
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
         write_results(output / RESULTS_NAME, results)
+        answer(written=[output / RESULTS_NAME])
         print(f"results      {output / RESULTS_NAME}")
     if view is not None:
         view.check_file()
     if rrd is not None:
+        answer(written=[rrd])
         print(f"Rerun file   {rrd}")
     return 1 if run.results.problem and config.lever is not None and not partial else 0
 
@@ -191,6 +193,7 @@ def _say_differences(
             "the results are not compared with the recorded ones"
         )
         return
+    answer(comparison=result.comparison)
     print_comparison(result.comparison, partial=partial)
     if partial:
         return
@@ -198,4 +201,6 @@ def _say_differences(
     if known is None and not result.comparison.identical:
         source, known = "fitted", analyse_record(record).results
     if known is not None:
-        print_changes(parameter_changes(known, run.results), source)
+        changes = parameter_changes(known, run.results)
+        answer(changes=changes)
+        print_changes(changes, source)
