@@ -116,11 +116,12 @@ def service(
     """
     if sys.platform != "linux":
         raise ConfigurationError("rig service: systemd is a part of Linux; take what this system has")
-    from rig.presentation import say
+    from rig.presentation import answer, say
     from rig.wizards import units_folder, write_unit
 
     path = write_unit(what, file, output or units_folder(), port)
     print(path)
+    answer(unit=path)
     say("next:")
     say("  loginctl enable-linger: services go on when nobody is logged in")
     # groups, because nobody sits there to whom systemd would grant the devices

@@ -25,6 +25,7 @@ IN_LINES = {"run", "demo", "balance", "preflight", "doctor"}
 DEMO = CONFIGS / "demo.toml"
 RUNS: dict[str, str] = {
     "init": "init mine.toml --example demo",
+    "service": f"service desk {DEMO} -o units",
     "replay": "replay SERIES/run-1.mcap -o again",
     "view": "view SERIES/run-1.mcap --rrd seen.rrd",
     "simulate": f"simulate {DEMO} -o one.mcap --set session.max_duration_s=3",
