@@ -121,7 +121,7 @@ def service(
 
     path = write_unit(what, file, output or units_folder(), port)
     print(path)
-    answer(unit=path)
+    answer(written=[path])
     say("next:")
     say("  loginctl enable-linger: services go on when nobody is logged in")
     # groups, because nobody sits there to whom systemd would grant the devices
