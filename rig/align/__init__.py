@@ -2,4 +2,4 @@
 
 from rig.align.aligning import align_camera
 from rig.align.annotated_picture import annotated_picture
-from rig.align.look import AlignmentFrame, middle_of, take_look
+from rig.align.look import AlignmentFrame, SeenReference, middle_of, take_look

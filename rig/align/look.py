@@ -29,6 +29,12 @@ class SeenReference(NamedTuple):
     from_row_px: int
     saturated_px: int
 
+    @classmethod
+    def in_image(cls, spot: Spot, from_row_px: int, image: Image, full_scale_dn: int) -> "SeenReference":
+        """A spot that was found in an image."""
+        below = image[from_row_px:]
+        return cls(spot, from_row_px, int(np.count_nonzero(below >= full_scale_dn)))
+
     @property
     def found(self) -> bool:
         """Is there a spot at all?"""
@@ -235,10 +241,8 @@ def take_look(
     part, other = image, None
     if reference is not None and reference[1] < len(image):
         follower, row = reference
-        part, below = image[:row], image[row:]
-        found = follower.track(below)
-        saturated_px = int(np.count_nonzero(below >= full_scale_dn))
-        other = SeenReference(found._replace(y_px=found.y_px + row), row, saturated_px)
+        part, found = image[:row], follower.track(image[row:])
+        other = SeenReference.in_image(found._replace(y_px=found.y_px + row), row, image, full_scale_dn)
     spot = tracker.track(part)
     beam = beam_quality([part], [spot], tracker.model, full_scale_dn, PreflightSettings())
     seen = picture.figures(part, full_scale_dn)

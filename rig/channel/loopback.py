@@ -8,7 +8,7 @@ import os
 import secrets
 import threading
 import urllib.parse
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
@@ -132,6 +132,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
                 "shape": image.shape,
                 "dtype": str(image.dtype),
                 "spot": list(frame.spot),
+                "reference": None if frame.reference is None else list(frame.reference),
             }
             self._answer(image.tobytes(), "application/octet-stream", about=json.dumps(plain_values(about)))
         else:
@@ -203,11 +204,12 @@ class SessionBusy(NoSession):
 
 
 class SessionPicture(NamedTuple):
-    """A frame (ny, nx) in DN, and the spot in it."""
+    """A frame (ny, nx) in DN, the spot in it, and the reference's where it has one."""
 
     image: Image
     spot: Spot
     number: int
+    reference: Spot | None = None
 
 
 class Stranger(NoSession):
@@ -275,8 +277,8 @@ class Line:
             return None
         stated = json.loads(about)
         image = np.frombuffer(data, _KINDS[stated["dtype"]]).reshape(stated["shape"])
-        spot = Spot._make(np.nan if one is None else one for one in stated["spot"])
-        return SessionPicture(image, spot, int(stated["number"]))
+        reference = None if stated.get("reference") is None else _spot(stated["reference"])
+        return SessionPicture(image, _spot(stated["spot"]), int(stated["number"]), reference)
 
     def order(self, name: str) -> str:
         """Carry out an order; returns what was done. Raises RigError with the reason if it was not."""
@@ -331,6 +333,10 @@ class Line:
         if connection.sock is None:
             raise NoSession(f"{self.folder}: its session does not keep the connection")
         self._was_seen = self._was_seen or _lives(self.pid)
+
+
+def _spot(stated: Sequence[float | None]) -> Spot:
+    return Spot._make(np.nan if one is None else one for one in stated)
 
 
 def _lives(pid: int) -> bool:

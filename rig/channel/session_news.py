@@ -32,11 +32,12 @@ _WATCHED_S = 60.0
 
 
 class LastFrame(NamedTuple):
-    """A frame, the spot in it, and its number among those that were kept."""
+    """A frame, the spot in it, its number among those that were kept, and the reference's spot."""
 
     image: Image
     spot: Spot
     number: int
+    reference: Spot | None = None
 
 
 class SessionNews:
@@ -85,6 +86,9 @@ class SessionNews:
                 "reference_px": None
                 if lever is None or lever.reference_x_px is None or lever.reference_y_px is None
                 else (lever.reference_x_px, lever.reference_y_px),
+                "reference_from_row_px": None
+                if self._config.reference is None
+                else self._config.reference.from_row_px,
             }
 
     def state(self, values: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> None:
@@ -110,9 +114,15 @@ class SessionNews:
             self._ground.take(block.deflections, block.swings)
             if block.balances:
                 self._balance = block.balances[-1]
-        self.before_record(frames, block.spots, block.deflections)
+        self.before_record(frames, block.spots, block.deflections, block.references)
 
-    def before_record(self, frames: Sequence[Frame], spots: Sequence[Spot], deflections: Deflections) -> None:
+    def before_record(
+        self,
+        frames: Sequence[Frame],
+        spots: Sequence[Spot],
+        deflections: Deflections,
+        references: Sequence[Spot] = (),
+    ) -> None:
         """Keep the trajectory, and the newest frame if it is wanted; also of frames that are not recorded."""
         if len(deflections):
             with self._lock:
@@ -135,7 +145,8 @@ class SessionNews:
             image = frames[-1].image
             # a camera's frames are read-only and never written to again; anything else is copied
             held = image.copy() if image.flags.writeable else image
-            self._frame = LastFrame(held, spots[-1], self._picture_number)
+            reference = references[-1] if references else None
+            self._frame = LastFrame(held, spots[-1], self._picture_number, reference)
 
     def event(self, start_ns: int, event: Event) -> None:
         """Keep an event."""

@@ -80,6 +80,35 @@ class Block(NamedTuple):
     references: Sequence[Spot] = ()
 
 
+class BothSpots:
+    """Follows the pendulum's spot, and the reference's in the part of the frames that is its own.
+
+    Parameters
+    ----------
+    tracker
+        Follows the pendulum's spot.
+    reference
+        Follows the reference spot, and the row from which on the frames are its own.
+    """
+
+    def __init__(self, tracker: SpotTracker, reference: tuple[SpotTracker, int] | None) -> None:
+        self.tracker = tracker
+        self._reference = reference
+
+    def in_frames(self, frames: Sequence[Frame]) -> tuple[list[Spot], list[Spot]]:
+        """The spots of consecutive frames, and the reference's; none without one."""
+        if self._reference is None:
+            return [self.tracker.track(frame.image) for frame in frames], []
+        tracker, row = self._reference
+        spots = [self.tracker.track(frame.image[:row]) for frame in frames]
+        seen = [tracker.track(frame.image[row:]) for frame in frames]
+        return spots, [spot._replace(y_px=spot.y_px + row) for spot in seen]
+
+    def tracked(self, shape: tuple[int, int]) -> tuple[int, int]:
+        """Of frames of a shape (ny, nx), that of the part in which the pendulum's spot is."""
+        return shape if self._reference is None else (min(shape[0], self._reference[1]), shape[1])
+
+
 class Pipeline:
     """Tracks the spot, computes deflections and detects swings, frame by frame.
 
@@ -118,7 +147,7 @@ class Pipeline:
         reference: tuple[SpotTracker, int] | None = None,
     ) -> None:
         self.tracker = tracker
-        self._reference = reference
+        self._spots = BothSpots(tracker, reference)
         self._deflector = Deflector(lever, axes, sensor_shape, shutter)
         self._detector = SwingDetector()
         estimator = BalanceEstimator()
@@ -131,17 +160,12 @@ class Pipeline:
     def process(self, frames: Sequence[Frame]) -> Block:
         """Track the spot in some consecutive frames, and continue with `measure`."""
         times_ns = np.array([frame.time_ns for frame in frames], dtype=np.int64)
-        if self._reference is None:
-            return self.measure(times_ns, [self.tracker.track(frame.image) for frame in frames])
-        tracker, row = self._reference
-        spots = [self.tracker.track(frame.image[:row]) for frame in frames]
-        seen = [tracker.track(frame.image[row:]) for frame in frames]
-        references = [spot._replace(y_px=spot.y_px + row) for spot in seen]
+        spots, references = self._spots.in_frames(frames)
         return self.measure(times_ns, spots)._replace(references=references)
 
     def tracked(self, shape: tuple[int, int]) -> tuple[int, int]:
         """Of frames of a shape (ny, nx), that of the part in which the pendulum's spot is."""
-        return shape if self._reference is None else (min(shape[0], self._reference[1]), shape[1])
+        return self._spots.tracked(shape)
 
     def measure(self, times_ns: NDArray[np.int64], spots: list[Spot]) -> Block:
         """Deflections, swings and balances from spots that were tracked before, in frames at these times."""
@@ -222,6 +246,10 @@ class Optics:
     def reference(self) -> tuple[SpotTracker, int] | None:
         """A new tracker of the reference's spot, and the row from which on frames are its own."""
         return None if self.reference_row is None else (self.tracker(), self.reference_row)
+
+    def both_spots(self) -> BothSpots:
+        """New trackers of the pendulum's spot and the reference's."""
+        return BothSpots(self.tracker(), self.reference())
 
     def deflector(self, sensor_shape: tuple[int, int]) -> Deflector:
         """Converts spots to deflections, on a sensor of (ny, nx) pixels."""

@@ -9,7 +9,7 @@ from nicegui import ui
 from nicegui.events import MouseEventArguments
 
 from acquisition.camera import CameraSettings
-from rig.align import AlignmentFrame, annotated_picture, middle_of
+from rig.align import AlignmentFrame, SeenReference, annotated_picture, middle_of
 from rig.desk.desk import Desk
 from rig.desk.following import Following, doing
 from rig.desk.tab import Tab
@@ -91,11 +91,16 @@ def look_now(desk: Desk) -> AlignmentFrame | None:
     if seen is None or "full_scale_dn" not in camera:
         return None
     full_scale_dn, stated = int(camera["full_scale_dn"]), camera["reference_px"]
-    figures = picture.figures(seen.image, full_scale_dn)
+    row, reference = camera.get("reference_from_row_px"), None
+    if row is not None and seen.reference is not None:
+        reference = SeenReference.in_image(seen.reference, int(row), seen.image, full_scale_dn)
+    figures = picture.figures(seen.image if reference is None else seen.image[: int(row)], full_scale_dn)
     reference_px = None if stated is None else (float(stated[0]), float(stated[1]))
     middle_px = middle_of(seen.image, reference_px)
     applied = CameraSettings.model_validate(camera["applied"])
-    return AlignmentFrame(seen.image, full_scale_dn, figures, seen.spot, middle_px, applied)
+    return AlignmentFrame(
+        seen.image, full_scale_dn, figures, seen.spot, middle_px, applied, reference=reference
+    )
 
 
 def picture_now(desk: Desk, width_px: int, height_px: int, zoom: float) -> bytes:

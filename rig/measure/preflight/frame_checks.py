@@ -32,7 +32,7 @@ class TrialFrames:
     """Some seconds of frames, with the spots and deflections measured in them.
 
     `resting` is False if the pendulum may be swinging. `model` is what the tracker has chosen for the beam;
-    None while it has not.
+    None while it has not. `references` are the reference's spots, where the frames have one.
     """
 
     frames: Sequence[Frame]
@@ -40,6 +40,7 @@ class TrialFrames:
     deflections: Deflections
     resting: bool
     model: SpotModel | None = None
+    references: Sequence[Spot] = ()
 
 
 def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:

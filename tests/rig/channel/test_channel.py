@@ -82,7 +82,20 @@ def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionNews, line: L
     assert told.pictures == 1
     np.testing.assert_array_equal(picture.image, np.full((6, 8), 2, np.uint8))
     assert picture.spot == SPOT
+    assert picture.reference is None
     assert line.picture(picture.number) is None
+
+
+def test_a_frame_is_told_with_the_spot_of_its_reference(told: SessionNews, line: Line) -> None:
+    line.picture()
+    frames, found = block(1)
+    below = SPOT._replace(y_px=5.0, x_px=float("nan"))
+    told.block(0, frames, found._replace(references=[SPOT, below]))
+    picture = line.picture()
+    assert picture is not None
+    assert picture.reference is not None
+    assert picture.reference.y_px == 5.0
+    assert np.isnan(picture.reference.x_px)
 
 
 def test_what_is_seen_before_the_record_is_told_and_not_drawn_twice(told: SessionNews, line: Line) -> None:

@@ -7,14 +7,19 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from acquisition.frame import Frame
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RigError
+from processing.spot import Spot
 from rig.channel import Channel, SessionNews
 from rig.channel import loopback as line
 from rig.channel.loopback import CHANNEL_NAME
 from rig.desk.desk import Desk
 from rig.desk.following import Following
+from rig.desk.panels.live_picture import look_now
 from rig.settings import Configuration
 
 pytestmark = pytest.mark.realtime
@@ -136,3 +141,36 @@ def test_a_press_of_light_off_that_comes_by_two_ways_darkens_once(tmp_path: Path
         until(lambda: len(dark) == 3)
         assert dark == ["the desk"] * 3
     desk.close()
+
+
+def test_the_look_at_a_running_session_has_the_lamp_of_its_reference(tmp_path: Path) -> None:
+    source = tmp_path / "rig.toml"
+    source.write_text(
+        f'[camera]\ndriver = "simulated"\n[session]\noutput = "{(tmp_path / "runs").as_posix()}"\n'
+    )
+    folder = tmp_path / "runs" / "session"
+    folder.mkdir(parents=True)
+    config = Configuration(camera={"driver": "simulated"}, reference={"from_row_px": 40})  # type: ignore[arg-type]
+    told = SessionNews(config)
+    told.begin_run("run 1", 255, None)
+    desk = Desk(source)
+    image = np.full((64, 32), 40, np.uint8)
+    image[50, 3] = image[20, 4] = 255
+    nothing = np.zeros(0)
+    none = Deflections(np.zeros(0, np.int64), *[nothing] * 4, DeflectionUnit.PX)
+    spot = Spot(16.0, 20.0, 0.01, 0.01, 2.0, 2.0, 0.0, 100.0, 4.0, 1.0, 0)
+    with Channel(folder, told, {}):
+        desk.following.start()
+        until(lambda: "camera" in desk.following.news)
+        desk.following.picture()
+        # as before a record: the run's phases show their frames the same way
+        told.before_record([Frame(image, 1, 1, 1)], [spot], none, [spot._replace(y_px=50.0)])
+        until(lambda: desk.following.picture() is not None)
+        look = look_now(desk)
+    desk.close()
+    assert look is not None
+    assert look.reference is not None
+    assert look.reference.lamp.reason == "1 px are saturated"
+    # what is the reference's is not counted as the pendulum's
+    assert look.figures.saturated_px == 1
+    assert "reference" in [lamp.name for lamp in look.lamps()]

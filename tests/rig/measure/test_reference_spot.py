@@ -11,10 +11,20 @@ from acquisition.record.topics import REFERENCE, SPOT
 from acquisition.simulation.true_path import true_turning_points
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
+from processing.spot import Spot
 from processing.swing import Swing
 from rig.analysis import analyse_record, detected_again, less_beam_motion, read_results
-from rig.instrument import recorded_configuration
+from rig.devices import FrameStream
+from rig.instrument import (
+    camera_settings,
+    complete,
+    frame_policy,
+    make_camera,
+    optics_of,
+    recorded_configuration,
+)
 from rig.measure import measure_session
+from rig.measure.recent_frames import RecentFrames
 from rig.replay import analyse_replayed
 from rig.settings import load_configuration
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
@@ -100,3 +110,28 @@ def test_fits_and_replays_take_it_off_and_say_so(recorded: Path) -> None:
 def test_rows_of_the_reference_are_those_of_the_measurement(recorded: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"--set reference\.from_row_px: has no effect here"):
         analyse_record(recorded, ["reference.from_row_px=600"])
+
+
+def test_before_the_record_each_spot_is_followed_in_its_own_part() -> None:
+    """The brightest spot of the whole frame may be the reference's."""
+    small = SMALL | {"simulation.sensor.height_px": "720"}
+    wanted = (*(f"{key}={value}" for key, value in small.items()), *APPARATUS, *AIRY)
+    config = complete(load_configuration(CONFIGS / "demo.toml", wanted))
+    camera = make_camera(config)
+    info = camera.open()
+    camera.configure(camera_settings(config))
+    optics = optics_of(config, info.full_scale_dn)
+    shown: list[Sequence[Spot]] = []
+    stream = FrameStream(camera, camera_settings(config), policy=frame_policy(config), timeout_s=5.0)
+    stream.start_camera()
+    assert stream.begin() is not None
+    frames = RecentFrames(stream, optics, 1.0, 1.0, lambda *seen: shown.append(seen[3]))
+    while frames.seen < 60:
+        assert frames.advance()
+    look = frames.look(resting=True, duration_s=1.0)
+    stream.close()
+    camera.close()
+    assert all(spot.y_px < ROW for spot in look.spots)
+    assert len(look.references) == len(look.spots) == len(look.deflections)
+    assert all(abs(spot.y_px - 684.0) < 3.0 for spot in look.references)
+    assert sum(map(len, shown)) >= 60
