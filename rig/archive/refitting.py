@@ -2,14 +2,10 @@
 
 import json
 import os
-import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from acquisition.record import whole_file
 from acquisition.record.reader import RecordReader
@@ -22,6 +18,7 @@ from rig.archive.refits import Level, Recipe, Task, code_identity, refit
 from rig.archive.session_rows import now_utc
 from rig.archive.shelf import MANY
 from rig.archive.store import Archive, reads_archive
+from rig.archive.workers import T, Work, in_processes
 from rig.instrument import recorded_configuration
 from rig.presentation import say
 
@@ -72,10 +69,10 @@ def refit_runs(
         if hindered is None:
             dead += 1
             _give_up(quarantine, task)
-            say(f"{task.record}: ended its process twice when it was alone; it is in quarantine now")
+            say(f"{task.record}: ended its process each time that it was alone; it is in quarantine now")
         elif hindered:
             left += 1
-            say(hindered)
+            say(hindered if str(task.record) in hindered else f"{task.record}: {hindered}")
         else:
             made += 1
             if made % MANY == 0:
@@ -125,84 +122,6 @@ def _give_up(quarantine: Path, task: Task) -> None:
         whole_file.replace(path, with_line(json.dumps(said, indent=1).encode()))
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror or error}") from None
-
-
-T = TypeVar("T")
-Work = Callable[[T], str]
-"""Does a task; returns what hindered it, or nothing."""
-_TRIES = 2
-"""Alone: once could be somebody else's doing, as a machine without memory ends whom it will."""
-
-
-def in_processes(work: Work[T], tasks: Sequence[T], processes: int) -> Iterator[tuple[T, str | None]]:
-    """Do tasks in processes of this machine; yields each with what `work` returned, None where given up.
-
-    A process that dies takes its task with it, and sometimes a neighbour's: all that were under way then are
-    tried again, each alone. A task that ends its process twice when it is alone is given up.
-    """
-    waiting, suspects = deque(tasks), list[T]()
-    while waiting:
-        with _pool(processes) as pool:
-            running: dict[Future[str], T] = {}
-            try:
-                while (waiting or running) and not suspects:
-                    # one more than there are processes, so that none has to wait for this one
-                    while waiting and len(running) <= processes:
-                        # taken off afterwards: it is still waiting where the pool refuses it
-                        future = pool.submit(work, waiting[0])
-                        running[future] = waiting.popleft()
-                    for done in wait(running, return_when=FIRST_COMPLETED).done:
-                        task, outcome = running.pop(done), _outcome(done)
-                        if outcome is None:
-                            suspects.append(task)
-                        else:
-                            yield task, outcome
-            except BrokenProcessPool:
-                # told when a task was handed over, which then is still waiting
-                pass
-            for future, task in running.items():
-                outcome = _outcome(future)
-                if outcome is None:
-                    suspects.append(task)
-                else:
-                    yield task, outcome
-        yield from _alone(work, suspects)
-        suspects.clear()
-
-
-def _alone(work: Work[T], suspects: Sequence[T]) -> Iterator[tuple[T, str | None]]:
-    left = deque((task, _TRIES) for task in suspects)
-    while left:
-        with _pool(1) as pool:
-            outcome: str | None = ""
-            while left and outcome is not None:
-                task, tries = left.popleft()
-                outcome = _outcome(pool.submit(work, task))
-                if outcome is None and tries > 1:
-                    left.append((task, tries - 1))
-                else:
-                    yield task, outcome
-
-
-def _outcome(done: Future[str]) -> str | None:
-    """What a task returned, or the fault that it raised as text; None where its process ended."""
-    try:
-        return done.result()
-    except BrokenProcessPool:
-        return None
-    except Exception as error:
-        # a fault that one record brings to light must not cost the others
-        return f"failed: {error!r}"
-
-
-def _pool(processes: int) -> ProcessPoolExecutor:
-    # a fork would take the locks of this process's threads with it
-    return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin)
-
-
-def _begin() -> None:
-    """Ctrl-C ends a worker at once and in silence; what it had not finished is done another time."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def on_cluster(work: Work[T], tasks: Sequence[T], address: str) -> Iterator[tuple[T, str | None]]:

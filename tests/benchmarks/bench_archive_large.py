@@ -13,7 +13,6 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -24,10 +23,10 @@ from rig.archive.session_rows import session_rows
 from rig.archive.store import Archive
 from tests.benchmarks.bench_archive import _LISTED, _command, _taken
 from tests.rig.archive.many_sessions import RUNS, make_sessions
+from tests.rig.archive.test_refit import started_by
 
 _RUNS_A_SESSION = 10
-_KILLED_EVERY_S = 20.0
-"""A process takes seconds to start, and a record that ends two of them when it is alone is given up."""
+_KILLED_EVERY_S = float(os.environ.get("RIG_BENCH_KILLED_EVERY_S", "20"))
 _BLOCK = 1 << 20
 
 
@@ -105,7 +104,7 @@ def _refitted(folder: Path, runs: int) -> dict[str, Any]:
             moments, next_s = random.Random(6), time.monotonic() + _KILLED_EVERY_S
             while process.poll() is None:
                 time.sleep(0.1)
-                workers = list(_workers_of(process.pid))
+                workers = list(started_by(process.pid))
                 if name == "killed" and time.monotonic() > next_s and workers:
                     with contextlib.suppress(ProcessLookupError):
                         os.kill(moments.choice(workers), signal.SIGKILL)
@@ -128,16 +127,6 @@ def _refitted(folder: Path, runs: int) -> dict[str, Any]:
         "refitted: rows that differ or are missing": len(set(undisturbed) ^ set(disturbed)),
         "refitted: given up": len(given_up),
     }
-
-
-def _workers_of(parent: int) -> Iterator[int]:
-    """Processes that the pool of a command has started to work; not its tracker of resources."""
-    listed = Path(f"/proc/{parent}/task/{parent}/children")
-    with contextlib.suppress(OSError):
-        for child in map(int, listed.read_text().split()):
-            with contextlib.suppress(OSError):
-                if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
-                    yield child
 
 
 def _checked(folder: Path, sessions: int) -> dict[str, Any]:

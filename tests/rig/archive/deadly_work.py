@@ -11,6 +11,9 @@ def deadly(task: str) -> str:
     first = kind == "once" and not Path(path).exists()
     if first:
         Path(path).touch()
-    if first or kind == "poison":
+    if kind == "poison":
+        # as a fault in a library
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if first or kind == "greedy":
         os.kill(os.getpid(), signal.SIGKILL)
     return f"did {task}"

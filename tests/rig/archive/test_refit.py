@@ -1,8 +1,11 @@
 """`rig archive refit`: records fitted again, once each, whatever a record does to its reader."""
 
+import contextlib
 import json
 import os
 import shutil
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -11,8 +14,9 @@ import pytest
 from processing.errors import ConfigurationError
 from rig.archive import add_sessions
 from rig.archive.refits import Recipe, Task, read_refit, refit
-from rig.archive.refitting import in_processes, on_cluster
+from rig.archive.refitting import on_cluster
 from rig.archive.store import Archive
+from rig.archive.workers import alone, in_processes
 from rig.replay import analyse_replayed
 from tests.rig.archive.deadly_work import deadly
 from tests.rig.command_line import rig
@@ -101,14 +105,14 @@ def test_what_cannot_be_done_is_said_and_not_stored(
         list(on_cluster(refit, [task], "tcp://127.0.0.1:9"))
 
 
-def test_what_ends_its_process_twice_is_in_quarantine(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_given_up_is_in_quarantine(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def killed(work: object, tasks: Sequence[Task], processes: int) -> Iterator[tuple[Task, None]]:
         return ((task, None) for task in tasks)
 
     monkeypatch.setattr("rig.archive.refitting.in_processes", killed)
     first = rig("archive", "refit", "--where", "state = 'whole'", "--archive", archive)
     assert first.returncode == 1
-    assert "run-1.mcap: ended its process twice" in first.stderr
+    assert "run-1.mcap: ended its process each time" in first.stderr
     monkeypatch.setattr("rig.archive.refitting.in_processes", in_this_process)
     second = rig("archive", "refit", "--where", "state = 'whole'", "--archive", archive)
     assert "run-1.mcap: left out: in quarantine" in second.stderr
@@ -121,3 +125,43 @@ def test_a_task_that_ends_its_process_costs_no_other(tmp_path: Path) -> None:
     tasks = ["a", "poison", "b", f"once:{tmp_path / 'once'}", "c", "d"]
     outcomes = sorted(in_processes(deadly, tasks, 2))
     assert outcomes == sorted((task, None if task == "poison" else f"did {task}") for task in tasks)
+
+
+def started_by(parent: int) -> Iterator[int]:
+    """Processes that a process has started to work; not its tracker of resources."""
+    for listed in Path(f"/proc/{parent}/task").glob("*/children"):
+        with contextlib.suppress(OSError):
+            for child in map(int, listed.read_text().split()):
+                if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                    yield child
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for processes in /proc")
+def test_what_others_end_is_held_against_no_task() -> None:
+    """Somebody ends every process that is started: no task is given up, and each is done another time."""
+    tasks, ended = ["a", "b", "c"], threading.Event()
+
+    def end_all() -> None:
+        while not ended.wait(0.01):
+            for child in started_by(os.getpid()):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(child, signal.SIGKILL)
+
+    murderer = threading.Thread(target=end_all)
+    murderer.start()
+    try:
+        outcomes = dict(alone(deadly, tasks))
+    finally:
+        ended.set()
+        murderer.join()
+    assert outcomes.keys() == set(tasks)
+    for text in outcomes.values():
+        assert text is not None
+        assert "nothing is held against it" in text
+    assert dict(in_processes(deadly, tasks, 2)) == {task: f"did {task}" for task in tasks}
+
+
+@pytest.mark.slow
+def test_what_others_end_each_time_while_a_process_that_does_nothing_lives_is_given_up() -> None:
+    """As a machine without memory ends whoever asks for it."""
+    assert dict(alone(deadly, ["a", "greedy"])) == {"a": "did a", "greedy": None}
