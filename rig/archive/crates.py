@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from acquisition.record.digest import sha256_of
 from processing.errors import RecordError
+from rig.instrument import versions
 
 METADATA = "ro-crate-metadata.json"
 ELN_CRATE = "1.1"
@@ -67,6 +68,13 @@ def describe(crate: Any, folder: Path, statement: Statement, simulated: int, run
     if address := re.search(r"https?://\S+", statement.citation):
         article = {"@type": "ScholarlyArticle", "name": statement.citation}
         crate.root_dataset["citation"] = crate.add(ContextEntity(crate, address[0], article))
+    # which program wrote the description: notebooks refuse a file .eln that does not say it
+    program = {
+        "@type": "Organization",
+        "name": "optical-pendulum-rig",
+        "description": f"The program that wrote this crate, version {versions()['optical-pendulum-rig']}",
+    }
+    crate.metadata["sdPublisher"] = crate.add(ContextEntity(crate, "#optical-pendulum-rig", program))
     sessions = []
     for session in sorted(path for path in folder.iterdir() if path.is_dir()):
         files = [

@@ -191,6 +191,9 @@ def test_a_file_for_notebooks_is_as_its_format_asks_and_imported_again(tmp_path:
     assert described["@type"] == "CreativeWork"
     assert described["about"] == {"@id": "./"}
     assert described["conformsTo"] == {"@id": "https://w3id.org/ro/crate/1.1"}
+    # notebooks (SciLog) refuse a file that does not say which program wrote it
+    program = tree[described["sdPublisher"]["@id"]]
+    assert (program["@type"], program["name"]) == ("Organization", "optical-pendulum-rig")
     assert tree["./"]["@type"] == "Dataset"
     sessions = [tree[part["@id"]] for part in tree["./"]["hasPart"]]
     assert [item["name"] for item in sessions] == ["session-1-a series", "session-2-uncalibrated"]
