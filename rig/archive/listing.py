@@ -3,7 +3,9 @@
 import datetime
 import json
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import nan
 from pathlib import Path
 from typing import Any, Literal
@@ -15,10 +17,27 @@ from rig.archive.blind import sealed
 from rig.archive.columns import IS_SIMULATED, SHOWN
 from rig.archive.shelf import as_parquet
 from rig.archive.store import Archive, duckdb_module, reads_archive
-from rig.presentation import NOT_KNOWN, Cell, Table, plain, plain_values, print_tables, say, with_uncertainty
+from rig.presentation import (
+    NOT_KNOWN,
+    Cell,
+    Table,
+    plain,
+    plain_values,
+    print_json_line,
+    print_tables,
+    say,
+    screen_width,
+    with_uncertainty,
+)
 
-Format = Literal["table", "csv", "json", "parquet"]
+Format = Literal["table", "csv", "json", "lines", "parquet"]
+"""`lines`: a JSON object a line."""
 _DOUBT = " ?"
+_SIMULATED = "SIMULATED: "
+_BETWEEN = 2
+"""Characters between two columns of a table."""
+_IMPORTANT = ("id", "run", "level", "b", "c", "state", "newest", "sample", "began_utc", "p", "n")
+"""Columns that a narrow terminal shows first."""
 _SHORTENED = 8
 """Characters of a hash that name a run on the screen."""
 
@@ -46,7 +65,7 @@ def list_runs(
     wanted = ", ".join(columns) if columns else f"left(sha256, {_SHORTENED}) as id, {', '.join(shown)}"
     if not columns and kind == "table":
         invented = (
-            f"case when {IS_SIMULATED} then 'SIMULATED: ' else '' end || coalesce(sample, '') as sample"
+            f"case when {IS_SIMULATED} then '{_SIMULATED}' else '' end || coalesce(sample, '') as sample"
         )
         wanted = wanted.replace(" sample,", f" {invented},")
     elif not columns:
@@ -68,6 +87,10 @@ def list_runs(
         write_output(output, as_parquet(found.to_arrow_table()))
         return
     rows = found.fetchall()
+    if kind == "lines":
+        for row in rows:
+            print_json_line("run", dict(zip(names, map(_json_value, row), strict=True)))
+        return
     if kind == "json":
         text = json.dumps(
             [plain_values(dict(zip(names, map(_json_value, row), strict=True))) for row in rows], indent=1
@@ -75,7 +98,7 @@ def list_runs(
     else:
         table = _table(names, rows)
         if kind == "table" and output is None:
-            print_tables([table])
+            print_tables([table if columns else narrowed(table, screen_width())])
             return
         text = table.csv().rstrip("\n")
     if output is None:
@@ -121,6 +144,40 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
             f"; {_DOUBT.strip()}: the run's data do not determine it, its report says between which bounds"
         )
     return Table("runs", "", names, cells, head, shown, summary)
+
+
+def narrowed(table: Table, width: int) -> Table:
+    """A table of the most important columns that so many characters hold; says which it lacks."""
+    texts = {name: [row[place] for row in table.shown] for place, name in enumerate(table.head)}
+    needed = {name: max(map(len, (name, *found))) for name, found in texts.items()}
+    if "sample" in needed:
+        # it breaks at spaces, and no word of it is broken
+        longest = max((len(word) for text in texts["sample"] for word in text.split()), default=0)
+        needed["sample"] = max(len("sample"), longest)
+    kept, left = set[str](), width
+    for name in sorted(table.head, key=_importance):
+        if needed[name] <= left:
+            kept.add(name)
+            left -= needed[name] + _BETWEEN
+    shown = [dict(zip(table.head, row, strict=True)) for row in table.shown]
+    if "sample" in kept:
+        # broken here, so that nothing else has to give way to it
+        room = needed["sample"] + max(left + _BETWEEN, 0)
+        shown = [{**row, "sample": "\n".join(textwrap.wrap(row["sample"], room))} for row in shown]
+    head = [name for name in table.head if name in kept]
+    table = replace(table, head=head, shown=[[row[name] for name in head] for row in shown])
+    if len(head) == len(texts):
+        return table
+    lacks = ", ".join(name for name in texts if name not in kept)
+    note = f"{table.note}\nno room for {lacks}: rig archive show ID, --columns, --json or a wider window"
+    simulated = sum(text.startswith(_SIMULATED) for text in texts.get("sample", ()))
+    if "sample" not in kept and simulated:
+        note = f"SIMULATED: {simulated} of the runs\n{note}"
+    return replace(table, note=note)
+
+
+def _importance(name: str) -> int:
+    return _IMPORTANT.index(name) if name in _IMPORTANT else len(_IMPORTANT)
 
 
 def _is_doubtful(name: str, row: Sequence[Any], at: Mapping[str, int]) -> bool:

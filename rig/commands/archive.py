@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import Set
+from rig.commands.arguments import JsonLines, Set
 from rig.commands.inputs import there
 from rig.commands.outputs import new_file, new_folder
 
@@ -69,13 +69,17 @@ def list_(
         Path | None, typer.Option("-o", "--output", help="File to write.", callback=new_file())
     ] = None,
     refits: Refits = False,
+    json: JsonLines = False,
     archive: Archive = _PLACE,
 ) -> None:
     """List the runs that meet a condition."""
     from rig.archive import list_runs, opened
 
+    if json and (format_ != "table" or output is not None):
+        raise ConfigurationError("--json writes to stdout; into a file: --format json -o FILE")
+    kind = "lines" if json else format_
     with opened(archive) as folder:
-        list_runs(folder, condition, [columns] if columns.strip() else [], format_, output, refits=refits)
+        list_runs(folder, condition, [columns] if columns.strip() else [], kind, output, refits=refits)
 
 
 def check(

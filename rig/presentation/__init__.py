@@ -8,6 +8,6 @@ from rig.presentation.numbers import NOT_KNOWN, percent, plain, power, rounded, 
 from rig.presentation.printing import plain_values, print_json_line, say
 from rig.presentation.quantities import SOURCES, Shown, law_parameters, quantity, unit_of
 from rig.presentation.table import Cell, Table, harmless_text
-from rig.presentation.terminal import print_tables
+from rig.presentation.terminal import print_tables, screen_width
 from rig.presentation.verdict import Verdict, failures, table_tree
 from rig.presentation.verdict_table import print_verdicts

@@ -15,8 +15,10 @@ from pyarrow import parquet
 from processing.errors import ConfigurationError, RecordError
 from rig.archive import add_sessions, list_runs, plot_runs, remark
 from rig.archive.columns import COLUMNS, DERIVED, OF_REFITS, SAID_OF_RUNS
+from rig.archive.listing import narrowed
 from rig.archive.remarks import read_remarks
 from rig.archive.store import Archive
+from rig.presentation import Table
 from tests.rig.command_line import rig
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -288,3 +290,30 @@ def test_without_duckdb_one_line_says_what_to_install(
     assert done.stderr == (
         f"rig: rig archive needs duckdb and pyarrow: {sys.executable} -m pip install duckdb pyarrow\n"
     )
+
+
+def test_a_narrow_terminal_shows_whole_values_and_says_what_it_lacks() -> None:
+    head = ["id", "run", "sample", "began_utc", "b", "p", "c", "state"]
+    values = ["0.03005 ± 0.00038", "0.9438 ± 0.0017", "(1.01 ± 0.14) × 10⁻⁷ ?"]
+    row = ["09dd9188", "run-1", "SIMULATED: steel ball on K8 glass", "2026-11-22 00:58", *values, "whole"]
+    table = Table("runs", "", head, [], head, [row], "1 run")
+    assert narrowed(table, 170) == table
+    for width, lacking in {80: ("began_utc", "p"), 60: ("sample", "began_utc", "p", "state")}.items():
+        found = narrowed(table, width)
+        assert [*found.head] == [name for name in head if name not in lacking]
+        (shown,) = found.shown
+        assert sum(max(map(len, cell.split("\n"))) + 2 for cell in shown) - 2 <= width
+        assert {values[0], values[2], "09dd9188"} <= {*shown}
+        assert f"no room for {', '.join(lacking)}: " in found.note
+        assert "SIMULATED" in f"{shown} {found.note}"
+
+
+def test_a_list_for_programs_has_an_object_a_line(sessions: Path, tmp_path: Path) -> None:
+    add_sessions(tmp_path / "archive", [sessions])
+    words = ("archive", "list", "order by run", "--json", "--archive", tmp_path / "archive")
+    lines = [json.loads(line) for line in rig(*words).stdout.splitlines()]
+    assert [line["kind"] for line in lines] == ["run"] * len(rows(tmp_path / "archive"))
+    assert {"id", "b", "u_b", "verdict_b", "camera"} <= lines[0].keys()
+    refused = rig(*words, "-o", tmp_path / "runs.json")
+    assert refused.returncode == 2
+    assert "--format json -o FILE" in refused.stderr
