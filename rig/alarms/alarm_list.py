@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from time import time
 
+from pydantic import TypeAdapter, ValidationError
+
 from processing.errors import RigError
 from rig.alarms.catalogue import CATALOGUE, Alarm, AlarmKey, Grade
 
@@ -63,6 +65,15 @@ class AlarmRow:
         return self.state is AlarmState.ACTIVE and self.alarm.grade is not Grade.CAUTION
 
 
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    rows: tuple[AlarmRow, ...] = ()
+    past: tuple[AlarmRow, ...] = ()
+
+
+_KEPT = TypeAdapter(_Kept)
+
+
 class AlarmList:
     """The list of a rig; may be used from any thread.
 
@@ -103,6 +114,25 @@ class AlarmList:
         """All that is in the list: what is to be seen first comes first."""
         with self._lock:
             return sorted(self._rows.values(), key=_order)
+
+    def kept(self) -> bytes:
+        """The list and what has left it, for a file from which `restore` makes them again."""
+        with self._lock:
+            return _KEPT.dump_json(_Kept(tuple(self._rows.values()), tuple(self.past)))
+
+    def restore(self, kept: bytes) -> None:
+        """Go on with the list of an earlier desk; what is no such list is passed over.
+
+        What nobody has seen stays to be seen. A cause that is not found again is gone, as of now.
+        """
+        try:
+            found = _KEPT.validate_json(kept)
+        except ValidationError:
+            return
+        with self._lock:
+            for row in found.rows:
+                self._rows.setdefault(row.key, row)
+            self.past.extend(found.past)
 
     def acknowledge(self, key: AlarmKey, by: str) -> None:
         """Somebody has seen it; one whose cause is gone leaves the list.

@@ -11,6 +11,7 @@ from rig.desk.tab import DELIBERATE, Tab
 from rig.presentation import palette
 
 SHELF_S = 600.0
+_PAST_SHOWN = 8
 _COUNTED = (AlarmState.ACTIVE, AlarmState.CLEARED, AlarmState.ACKNOWLEDGED, AlarmState.SHELVED)
 
 
@@ -33,7 +34,7 @@ class AlarmBar:
 
     def refresh(self) -> list[AlarmRow]:
         """Show the list as it is now; returns the alarms that cry."""
-        rows, past = self._alarms.rows(), list(self._alarms.past)[:5]
+        rows, past = self._alarms.rows(), list(self._alarms.past)[:_PAST_SHOWN]
         crying = [row for row in rows if row.cries]
         worst = crying[0] if crying else None
         self._banner.set_text("" if worst is None else f"{worst.alarm.title}: {worst.cause}".upper())
@@ -53,7 +54,7 @@ class AlarmBar:
                 for row in past:
                     ui.label(f"gone: {row.alarm.title}: {row.cause}; {_times(row)}").classes("dim")
                 if not rows and not past:
-                    ui.label("nothing has been wrong since this desk was opened").classes("dim")
+                    ui.label("nothing has been wrong").classes("dim")
         return crying
 
     def _row(self, row: AlarmRow) -> None:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _LOOK_S = 0.1
 _SURROUNDINGS_S = 1.0
+_KEEP_S = 0.5
 _CLOCK_STEP_S = 0.5
 _SECOND_LOOK_S = 0.4
 _TOLD_KEPT = 64
@@ -72,6 +73,7 @@ class Alarming:
         self.alarms = AlarmList()
         self._surroundings = Surroundings(desk)
         self._ended = threading.Event()
+        self._listed = b""
         self._heard: tuple[object, int] = (None, 0)
         self._told: deque[object] = deque(maxlen=_TOLD_KEPT)
         self._begun: object = None
@@ -80,8 +82,10 @@ class Alarming:
         self._clocks_s = time.time() - time.monotonic()
 
     def start(self) -> None:
-        """Begin to look."""
+        """Begin to look, and go on with the list of the desk before."""
+        self.alarms.restore(self._desk.place.alarms)
         for name, look, each_s in (
+            ("alarms kept", self._keep, _KEEP_S),
             ("alarms", self._look, _LOOK_S),
             ("surroundings", self._surroundings.look, _SURROUNDINGS_S),
         ):
@@ -90,6 +94,13 @@ class Alarming:
     def stop(self) -> None:
         """Look no more."""
         self._ended.set()
+        self._keep()
+
+    def _keep(self) -> None:
+        """In a thread of its own, because a disk that hangs holds up no alarm."""
+        if (listed := self.alarms.kept()) != self._listed:
+            self._listed = listed
+            self._desk.place.keep_alarms(listed)
 
     def _again(self, look: Any, each_s: float) -> None:
         while not self._ended.is_set():

@@ -49,7 +49,7 @@ def chart_options(
         ":formatter": _number(""),
         "hideOverlap": True,
         "showMinLabel": ends is not None,
-        "showMaxLabel": False,
+        "showMaxLabel": ends is not None,
     }
     across = {
         "type": "log" if logarithmic else "value",

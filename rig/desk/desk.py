@@ -278,8 +278,11 @@ class Desk:
         return text.splitlines()[-12:]
 
     def hold(self) -> None:
-        """Be the only desk of this configuration; raises ConfigurationError where another one is."""
-        self.place.hold()
+        """Be the only desk of this configuration and its sessions' folder.
+
+        Raises ConfigurationError where another one is.
+        """
+        self.place.hold(self.config.session.output)
         self.acting = Acting(self.place.acting, self.place.note_acting)
 
     def close(self) -> None:

@@ -23,6 +23,7 @@ except ImportError:  # pragma: no cover
 _MOST_TYPED = 20_000
 _LAST_USED = 12
 _WRITE_S = 0.5
+_ALARMS = "alarms.json"
 
 
 class _Stored(BaseModel, extra="ignore"):
@@ -41,6 +42,7 @@ class Kept:
         self._folder = state_folder() / "desks" / f"{source.stem}-{digest}"
         self._source = source
         self._lock: IO[str] | None = None
+        self._of_output: IO[str] | None = None
         self._writing = threading.Lock()
         self._in_memory: dict[str, bytes] = {}
         self._typed: dict[str, dict[str, str]] = {}
@@ -48,26 +50,33 @@ class Kept:
         self._ended = threading.Event()
         self._stored = _Stored()
 
-    def hold(self) -> None:
-        """Be the only desk of this configuration; raises ConfigurationError where another one is."""
+    def hold(self, output: Path) -> None:
+        """Be the only desk of this configuration, and of the folder where its sessions are.
+
+        Raises ConfigurationError where another one is: two would both act on one session.
+        """
+        where = output.resolve()
+        digest = hashlib.sha256(str(where).encode()).hexdigest()[:12]
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             # nobody else reads what is in it
             self._folder.chmod(0o700)
             held = (self._folder / "lock").open("a+", encoding="utf-8")
+            of_output = (self._folder.parent / f"sessions-{digest}.lock").open("a+", encoding="utf-8")
         except OSError:
             return
-        if fcntl is not None:
-            try:
-                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                held.seek(0)
-                where = held.read().strip()
-                held.close()
-                raise ConfigurationError(
-                    f"{self._source}: a desk of it is open already: use {where or 'that'}, or end it first"
-                ) from None
-        self._lock = held
+        if (other := _locked(held)) is not None:
+            of_output.close()
+            raise ConfigurationError(
+                f"{self._source}: a desk of it is open already: use {other or 'that'}, or end it first"
+            )
+        if (other := _locked(of_output)) is not None:
+            held.close()
+            raise ConfigurationError(
+                f"session.output = {where}: the desk of another configuration has its sessions there: use "
+                f"{other or 'that'}, or end it, or state another folder"
+            )
+        self._lock, self._of_output = held, of_output
         with contextlib.suppress(ValidationError):
             self._stored = _Stored.model_validate_json(self._read("desk.json") or b"{}")
         self._put()
@@ -77,19 +86,21 @@ class Kept:
         """Tell the next desk where this one is, and take its port again the next time."""
         self._stored.port = port
         self._put()
-        if self._lock is not None:
-            self._lock.truncate(0)
-            self._lock.write(address)
-            self._lock.flush()
+        for held in (self._lock, self._of_output):
+            if held is not None:
+                held.truncate(0)
+                held.write(address)
+                held.flush()
 
     def close(self) -> None:
         """Let another desk in."""
         self._ended.set()
         self.write_typed()
-        if self._lock is not None:
-            self._lock.truncate(0)
-            self._lock.close()
-            self._lock = None
+        for held in (self._lock, self._of_output):
+            if held is not None:
+                held.truncate(0)
+                held.close()
+        self._lock = self._of_output = None
 
     @property
     def key(self) -> str:
@@ -116,6 +127,16 @@ class Kept:
         if tab != self._stored.acting:
             self._stored.acting = tab
             self._put()
+
+    @property
+    def alarms(self) -> bytes:
+        """The list of alarms of the last desk, as `keep_alarms` was given it; empty if there was none."""
+        return self._read(_ALARMS)
+
+    def keep_alarms(self, listed: bytes) -> None:
+        """Keep the list of alarms."""
+        with self._writing:
+            self._write(_ALARMS, listed)
 
     # -- what operators type -----------------------------------------------------
 
@@ -192,6 +213,20 @@ class Kept:
         path = self._folder / name
         with contextlib.suppress(OSError):
             whole_file.replace(path, data)
+
+
+def _locked(held: IO[str]) -> str | None:
+    """Lock the file; what stands in it, and closes it, where another program has."""
+    if fcntl is None:
+        return None
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        held.seek(0)
+        said = held.read().strip()
+        held.close()
+        return said
+    return None
 
 
 def _name(operator: str) -> str:

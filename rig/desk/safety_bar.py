@@ -72,7 +72,8 @@ _SCRIPT = """
       ' for ' + since.toFixed(0) + ' s') : told.laser && told.laser.age_s !== null ?
       oldest.toFixed(1) + ' s old' : 'nothing is heard of the laser';
     const heardOf = told.laser && told.laser.age_s !== null;
-    at('lamp-age').className = 'lamp ' + (dead || (heardOf && oldest > STALE_S) ? 'unknown' : heardOf ? 'go' : 'dim');
+    const late = dead || (heardOf && oldest > STALE_S);
+    at('lamp-age').className = 'lamp ' + (late ? 'unknown' : heardOf ? 'go' : 'dim');
     at('silence').hidden = !loud() || silenced === loud();
     at('off-said').textContent = answer;
   }

@@ -148,7 +148,8 @@ html.night #safety .go::before, html.night #safety .dim::before, html.night #saf
   .stack > .shrinks { flex: 0 1 auto; }
   .align > .scrolls { max-height: max(500px, var(--room)); }
   /* below it are the buttons */
-  .align .camera { width: min(100%, calc((max(500px, var(--room)) - 76px) * var(--aspect))); margin: 0 auto; }
+  .align .camera { width: min(100%, calc((max(500px, var(--room)) - 76px) * var(--aspect))) !important;
+    margin: 0 auto; }
   .at-once { display: flex; flex-flow: column; gap: 8px; width: 100%; height: max(560px, var(--room)); }
   .at-once > .grid { flex: 1 1 0; min-height: 0; grid-template-rows: minmax(0, 1fr); }
   .at-once .chart.square { flex: 1 1 0; }
@@ -156,7 +157,9 @@ html.night #safety .go::before, html.night #safety .dim::before, html.night #saf
     place-items: center; }
   .at-once .whole > .nicegui-echart { width: min(100cqw, 100cqh); }
 }
-@media (max-width: 999px) { .q-tab { padding: 0 10px; } .told { flex-wrap: wrap !important; } .drawn { flex: 1 1 100%; } }
+@media (max-width: 999px) {
+  .q-tab { padding: 0 10px; } .told { flex-wrap: wrap !important; } .drawn { flex: 1 1 100%; }
+}
 @media (max-width: 600px) {
   :root { --head: 76px; }
   .q-header .spare { display: none; }

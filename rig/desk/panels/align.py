@@ -32,7 +32,7 @@ _SHORT = 24
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
     corner: list[tuple[float, float]] = []
-    fields: dict[str, tuple[ui.input, str]] = {}
+    fields: dict[str, ui.input] = {}
 
     def mouse(event: MouseEventArguments) -> None:
         """A rectangle drawn over the whole frame becomes the camera's region."""
@@ -140,8 +140,8 @@ def build(desk: Desk, tab: Tab) -> None:
             ):
                 with ui.row().classes("items-center no-wrap full-width"):
                     field = number_field(desk, f"camera.{name}", label, None)
-                    field.props("hide-bottom-space").classes("col")
-                    fields[name] = field, label
+                    field.props("hide-bottom-space stack-label").classes("col")
+                    fields[name] = field
                     ui.button("Set", on_click=tab.act(partial(typed, name, field))).props(
                         f'outline dense aria-label="Set {label}"'
                     ).classes("step")
@@ -159,11 +159,11 @@ def build(desk: Desk, tab: Tab) -> None:
     tab.key("z", zoom)
 
     def show_applied(applied: CameraSettings) -> None:
-        for name, (field, label) in fields.items():
+        for name, field in fields.items():
             value = getattr(applied, name)
-            said = label if value is None else f"{label}, now {value:.6g}"
-            if field.props.get("label") != said:
-                field.props(f'label="{said}"')
+            said = "" if value is None else f"now {value:.6g}"
+            if field.props.get("placeholder") != said:
+                field.props(f'placeholder="{said}"')
 
     def refresh() -> None:
         now = desk.aligner

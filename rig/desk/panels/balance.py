@@ -87,7 +87,7 @@ def build(desk: Desk, tab: Tab) -> None:
 
     with ui.element("div").classes("at-once"):
         with ui.row().classes("box full-width items-start no-wrap told"):
-            with ui.column().classes("col"):
+            with ui.column().classes("col").style("gap: 4px"):
                 ui.html("what to do", tag="h3", sanitize=False).classes("title")
                 advice = ui.label().classes("advice").props('role="status" aria-live="polite"')
                 detail = ui.label().classes("dim")

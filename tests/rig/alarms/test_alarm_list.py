@@ -130,3 +130,29 @@ def test_every_alarm_has_a_cause_and_a_remedy(key: AlarmKey) -> None:
     alarm = CATALOGUE[key]
     assert all((alarm.title, alarm.cause, alarm.remedy))
     assert not alarm.title.endswith(".")
+
+
+def test_a_list_goes_on_where_the_last_desk_ended(alarms: AlarmList, clock: Clock) -> None:
+    alarms.see({CAMERA: "no frame", SPOT: "gone"}, [(DIED, "run-1: its process is gone")])
+    alarms.acknowledge(CAMERA, "Ada")
+    alarms.shelve(SPOT, 600.0, "Ada")
+    alarms.see({SPOT: "gone"})
+    clock.now_s = 1100.0
+    later = AlarmList(clock)
+    later.restore(alarms.kept())
+    assert later.rows() == alarms.rows()
+    assert list(later.past) == list(alarms.past)
+    (camera,) = later.past
+    assert (camera.key, camera.acknowledged_by) == (CAMERA, "Ada")
+    # what is still there is the same alarm; what is not has gone, and waits to be seen
+    later.see({SPOT: "gone"})
+    states = {row.key: (row.state, row.raised_s) for row in later.rows()}
+    assert states == {SPOT: (AlarmState.SHELVED, 1000.0), DIED: (AlarmState.ACTIVE, 1000.0)}
+    later.see({})
+    assert {row.key: row.cleared_s for row in later.rows()} == {SPOT: 1100.0, DIED: None}
+
+
+@pytest.mark.parametrize("kept", [b"", b"{", b'{"rows": [{"key": "of another version"}]}'])
+def test_what_is_no_list_starts_an_empty_one(alarms: AlarmList, kept: bytes) -> None:
+    alarms.restore(kept)
+    assert alarms.rows() == []

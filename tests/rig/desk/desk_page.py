@@ -101,13 +101,13 @@ class Page:
 
         def ask() -> None:
             # what was said of the try before
-            self.ask("document.querySelectorAll('.q-notification button').forEach(b => b.click())")
-            self.wait("!document.querySelector('.q-notification')")
+            self.ask("document.querySelectorAll('.errors button').forEach(b => b.click())")
+            self.wait("!document.querySelector('.errors > *, .q-notification')")
             self.ask(f"{button}?.click()")
             # the try before may have done it meanwhile, and there is nothing more to ask
             if self.wait(f"{IN_DIALOG} != null ? 'ask' : {button} == null ? 'done' : null") == "ask":
                 self.point_at(IN_DIALOG)
-                self.wait(f"document.querySelector('.q-notification') || {button} == null")
+                self.wait(f"document.querySelector('.errors > *, .q-notification') || {button} == null")
 
         self.wait_while(f"{button} == null", ask)
 

@@ -42,6 +42,19 @@ def desk(config: Path) -> Iterator[Desk]:
     found.close()
 
 
+def test_alarms_survive_the_desk(config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    for number in range(2):
+        desk = Desk(config)
+        desk.hold()
+        desk.alarming.start()
+        if not number:
+            desk.alarming.alarms.see({}, [(AlarmKey.SESSION_DIED, "run-1: killed")])
+        (row,) = [row for row in desk.alarming.alarms.rows() if row.key is AlarmKey.SESSION_DIED]
+        assert row.cause == "run-1: killed"
+        desk.close()
+
+
 @pytest.fixture
 def session(config: Path, desk: Desk) -> Iterator["subprocess.Popen[str]"]:
     """A session in a process of its own, which the desk follows."""

@@ -96,7 +96,7 @@ def test_a_lever_is_typed_in_and_a_resting_spot_is_recorded(page: Page, place: P
         assert "lever-001.toml" not in page.text()
         page.click("close")
         # one that is just going away would be closed in place of the next
-        page.wait("document.querySelector('.q-notification') === null")
+        page.wait("document.querySelector('.errors > *') === null")
     page.fill("days", "30")
     page.click("File it")
     page.wait_text("lever-001.toml")

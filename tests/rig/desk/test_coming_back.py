@@ -84,5 +84,14 @@ def test_a_second_desk_of_a_configuration_is_refused_and_says_where_the_first_is
         with pytest.raises(AssertionError, match="a desk of it is open already") as refused:
             DeskProcess(config)
         assert desk.address in str(refused.value)
+        # its sessions would be ordered about by two
+        other = config.with_name("other.toml")
+        other.write_text(config.read_text("utf-8"), "utf-8")
+        with pytest.raises(AssertionError, match="another configuration has its sessions there") as refused:
+            DeskProcess(other)
+        assert desk.address in str(refused.value)
     finally:
         desk.end()
+    # the refused one has left nothing behind
+    for free in (other, config):
+        DeskProcess(free).end()

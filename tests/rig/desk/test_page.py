@@ -111,11 +111,11 @@ def test_bad_input_is_named_at_its_field_and_starts_nothing(shown: Shown, key: s
         page.ask(f"{field}.closest('.q-field').parentElement.querySelector('button').click()")
     else:
         page.click("Start")
-    page.wait("document.querySelector('.q-notification') !== null")
-    assert key in page.ask("document.querySelector('.q-notification').innerText")
+    page.wait("document.querySelector('.errors > *') !== null")
+    assert key in page.ask("document.querySelector('.errors > *').innerText")
     page.click("close")
     page.fill(key, before)
-    page.wait("document.querySelectorAll('.q-field--error, .q-notification').length === 0")
+    page.wait("document.querySelectorAll('.q-field--error, .errors > *').length === 0")
     assert "session begins" not in page.text()
 
 
