@@ -98,6 +98,10 @@ def desk(
         Path | None,
         typer.Option(help="File that rig desk-password has made.", dir_okay=False, callback=there),
     ] = None,
+    behind: Annotated[
+        str,
+        typer.Option(metavar="URL", help="Of a reverse proxy with TLS on this machine, https://rig.lab."),
+    ] = "",
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     set_: Set = None,
 ) -> None:
@@ -113,7 +117,7 @@ def desk(
         if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "starlette", "uvicorn"):
             raise
         raise MissingPackage("rig desk", "nicegui") from None
-    entrance = Entrance(port, listen, certificate, certificate_key, passwords)
+    entrance = Entrance(port, listen, certificate, certificate_key, passwords, behind)
     raise typer.Exit(open_desk(config, tuple(set_ or ()), entrance, browser=browser))
 
 

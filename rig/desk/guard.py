@@ -26,12 +26,21 @@ POLICY = (
 
 @dataclass(frozen=True, slots=True)
 class Door:
-    """Where the desk listens; `remote` is True on an interface that others reach, then always with TLS."""
+    """Where the desk listens; `remote` is True on an interface that others reach, then always with TLS.
+
+    `behind` is the name, with a port that is not 443, under which a reverse proxy of this machine with TLS
+    has it; empty without one.
+    """
 
     port: int
     off_port: int | None = None
     tls: bool = False
     remote: bool = False
+    behind: str = ""
+
+    def is_proxied(self, host: str) -> bool:
+        """Whether a request that calls the desk so has come through the proxy."""
+        return bool(self.behind) and host == self.behind
 
     @property
     def scheme(self) -> str:
@@ -43,6 +52,8 @@ class Door:
 
         From another machine it is called by any name: only the one in its certificate gets there.
         """
+        if port is None and self.is_proxied(host):
+            return True
         name, _, number = host.rpartition(":")
         if number != str(self.port if port is None else port):
             return False
@@ -50,6 +61,8 @@ class Door:
 
     def is_own(self, origin: str, host: str) -> bool:
         """Whether a request comes from a page of this desk."""
+        if self.is_proxied(host):
+            return origin == f"https://{host}"
         if self.remote:
             return origin == f"{self.scheme}://{host}"
         return origin in {f"{self.scheme}://{name}:{self.port}" for name in (LOOPBACK, "localhost")}
@@ -79,7 +92,7 @@ class Guard:
             return
         refused = self._refusal(scope)
         if refused is None:
-            host = Headers(scope=scope).get("host", "").rpartition(":")[0]
+            host = Headers(scope=scope).get("host", "")
             # a report is shown within the desk's own page
             framed = str(scope.get("path", "")).startswith(f"{SERVED}/")
             await self._app(scope, receive, self._with_policy(send, host, framed=framed))
@@ -100,13 +113,14 @@ class Guard:
             return PlainTextResponse("no origin", http.HTTPStatus.FORBIDDEN)
         if origin is not None and not door.is_own(origin, host):
             return PlainTextResponse("wrong origin", http.HTTPStatus.FORBIDDEN)
-        here = _is_here(scope)
+        # what a proxy passes on has come from anywhere
+        here = _is_here(scope) and not door.is_proxied(host)
         if scope["type"] == "http" and scope["method"] == "GET" and here:
             query = urllib.parse.parse_qs(scope["query_string"].decode(errors="replace"))
             key = query.get("key", [""])[0]
             if key and self._people.by_key(key) is not None:
                 # the key leaves the address, and with it the browser's history
-                return let_in(RedirectResponse("/", http.HTTPStatus.SEE_OTHER), door, key)
+                return let_in(RedirectResponse("/", http.HTTPStatus.SEE_OTHER), door, host, key)
         if scope["path"] == LOGIN and self._people.by_password:
             return None
         person = self._person(headers.get("cookie", ""), here=here)
@@ -128,9 +142,10 @@ class Guard:
         cookie = cookie_of(cookies, self._door.cookie)
         return (self._people.by_key(cookie) if here else None) or self._people.by_login(cookie)
 
-    def _with_policy(self, send: Send, name: str, *, framed: bool) -> Send:
-        door = self._door
-        other = "" if door.off_port is None else f" {door.scheme}://{name}:{door.off_port}"
+    def _with_policy(self, send: Send, host: str, *, framed: bool) -> Send:
+        door, name = self._door, host.rpartition(":")[0]
+        beside = door.off_port is not None and not door.is_proxied(host)
+        other = f" {door.scheme}://{name}:{door.off_port}" if beside else ""
         policy = POLICY.replace("OFF_SWITCH", other)
         if framed:
             policy = policy.replace("ancestors 'none'", "ancestors 'self'")
@@ -148,9 +163,10 @@ class Guard:
         return passed  # type: ignore[return-value]
 
 
-def let_in(answer: Response, door: Door, cookie: str) -> Response:
-    """The answer with the cookie of who may enter."""
-    answer.set_cookie(door.cookie, cookie, httponly=True, samesite="strict", secure=door.tls)
+def let_in(answer: Response, door: Door, host: str, cookie: str) -> Response:
+    """The answer with the cookie of who may enter; `host` is how the request calls the desk."""
+    secure = door.tls or door.is_proxied(host)
+    answer.set_cookie(door.cookie, cookie, httponly=True, samesite="strict", secure=secure)
     return answer
 
 

@@ -2,7 +2,7 @@
 
 import html
 
-LOGIN = "/login"
+LOGIN, LOGOUT = "/login", "/logout"
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>rig desk</title><style>

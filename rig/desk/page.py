@@ -15,8 +15,9 @@ from rig.desk.alarm_bar import AlarmBar
 from rig.desk.desk import Desk, Started
 from rig.desk.drafts import KEEPING, Drafts
 from rig.desk.following import doing
+from rig.desk.login import LOGIN
 from rig.desk.panels import PANELS
-from rig.desk.people import Person
+from rig.desk.people import People, Person
 from rig.desk.safety import lamps
 from rig.desk.sessions import last_state
 from rig.desk.style import STYLE
@@ -28,9 +29,9 @@ from rig.instrument import Phase
 _LOOK_S = 0.25
 
 
-def build_page(desk: Desk, off_port: int, person: Person) -> None:
+def build_page(desk: Desk, people: People, off_port: int, person: Person) -> None:
     """Build the page for one tab of a browser; `off_port` is where LIGHT OFF is heard beside this server."""
-    tab = Tab(desk, person)
+    tab = Tab(desk, person, lambda: people.is_in(person))
     ui.add_css(STYLE + safety_bar.STYLE + alarm_bar.STYLE + watchdog.STYLE)
     script = f"{SCRIPT}{chart_script.SCRIPT}{safety_bar.script(off_port)}{watchdog.script()}{KEEPING}"
     ui.add_head_html(f"<script>{script}</script>")
@@ -126,6 +127,10 @@ def build_page(desk: Desk, off_port: int, person: Person) -> None:
     ui.keyboard(on_key=pressed, repeating=False, ignore=["input", "select", "textarea"])
 
     def refresh() -> None:
+        if not tab.is_in:
+            # in another tab of this browser somebody has logged out
+            ui.run_javascript(f"location.assign({json.dumps(LOGIN)})")
+            return
         who.refresh()
         news = desk.following.news
         run_state = news.get("state") or {}

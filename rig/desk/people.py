@@ -8,7 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -80,7 +80,17 @@ class People:
     def by_login(self, cookie: str) -> Person | None:
         """Who has entered with a password, and got this cookie."""
         with self._lock:
-            return self._logins.get(hashlib.sha256(cookie.encode()).hexdigest()) if cookie else None
+            return self._logins.get(_of_cookie(cookie)) if cookie else None
+
+    def leave(self, cookie: str) -> None:
+        """End a login: its cookie is worth nothing any more, and no page that it has opened."""
+        with self._lock:
+            self._logins.pop(_of_cookie(cookie), None)
+
+    def is_in(self, person: Person) -> bool:
+        """Whether who was let in has not left since; by a key one is in as long as the desk is there."""
+        with self._lock:
+            return not person.name or any(one is person for one in self._logins.values())
 
     def enter(self, name: str, password: str) -> str | None:
         """The cookie of who states a name and its password; None for a wrong one. Takes a while.
@@ -99,7 +109,8 @@ class People:
                 self._failures.append(now_s)
                 return None
             cookie = secrets.token_urlsafe(24)
-            self._logins[hashlib.sha256(cookie.encode()).hexdigest()] = entry.person
+            # one of its own: it is this login that ends
+            self._logins[_of_cookie(cookie)] = replace(entry.person)
             while len(self._logins) > _LOGINS_KEPT:
                 del self._logins[next(iter(self._logins))]
             return cookie
@@ -114,6 +125,10 @@ def password_line(name: str, role: Role, password: str) -> str:
     salt = secrets.token_bytes(16)
     shown = (base64.b64encode(one).decode() for one in (salt, _digest(password, salt)))
     return ":".join((name, role, *shown))
+
+
+def _of_cookie(cookie: str) -> str:
+    return hashlib.sha256(cookie.encode()).hexdigest()
 
 
 def _digest(password: str, salt: bytes) -> bytes:

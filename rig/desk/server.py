@@ -21,7 +21,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
 from rig.desk.guard import LOOPBACK, PERSON, Door, Guard, let_in
-from rig.desk.login import LOGIN, login_page
+from rig.desk.login import LOGIN, LOGOUT, login_page
 from rig.desk.off_switch import OffSwitch
 from rig.desk.page import build_page
 from rig.desk.panels.live_picture import picture_now
@@ -41,7 +41,8 @@ _MOST_LOGIN_BYTES = 4096
 class Entrance:
     """How the desk is reached: port (0: the last one, the usual one, or any) and address to listen on.
 
-    `certificate` and `certificate_key` are PEM files for TLS, `passwords` a file of `rig desk-password`.
+    `certificate` and `certificate_key` are PEM files for TLS, `passwords` a file of `rig desk-password`,
+    `behind` the address at which a reverse proxy of this machine has it.
     """
 
     port: int = 0
@@ -49,6 +50,28 @@ class Entrance:
     certificate: Path | None = None
     certificate_key: Path | None = None
     passwords: Path | None = None
+    behind: str = ""
+
+    @property
+    def proxied(self) -> str:
+        """Host of `behind`, as a browser states it; raises ConfigurationError for one that cannot be."""
+        if not self.behind:
+            return ""
+        told = urllib.parse.urlsplit(self.behind)
+        if told.scheme != "https" or not told.hostname or told.path.strip("/") or told.query:
+            raise ConfigurationError(
+                f"--behind {self.behind}: should be the address that the proxy serves with TLS, without a "
+                "path, for example https://rig.lab"
+            )
+        if self.passwords is None:
+            raise ConfigurationError(
+                f"--behind {self.behind}: others would reach the laser: --passwords must be stated, too"
+            )
+        if self.remote:
+            raise ConfigurationError(
+                f"--behind {self.behind}: the proxy would be passed by: leave --listen {self.listen} out"
+            )
+        return told.netloc.lower().removesuffix(":443")
 
     @property
     def remote(self) -> bool:
@@ -97,21 +120,29 @@ def open_desk(
     where a desk of this configuration is open already.
     """
     entrance = entrance or Entrance()
-    remote, tls = entrance.remote, entrance.tls()
+    remote, tls, behind = entrance.remote, entrance.tls(), entrance.proxied
     desk = Desk(source, overrides)
     desk.hold()
     try:
-        return _serve(desk, entrance, tls, remote=remote, browser=browser)
+        return _serve(desk, entrance, tls, remote=remote, behind=behind, browser=browser)
     finally:
         desk.close()
 
 
-def _serve(desk: Desk, entrance: Entrance, tls: ssl.SSLContext | None, *, remote: bool, browser: bool) -> int:
+def _serve(
+    desk: Desk,
+    entrance: Entrance,
+    tls: ssl.SSLContext | None,
+    *,
+    remote: bool,
+    behind: str,
+    browser: bool,
+) -> int:
     people = People(desk.place.key, desk.place.watch_key, entrance.passwords)
     listening = _listening(entrance, desk.place.port)
     number = int(listening.getsockname()[1])
     switch = OffSwitch(desk.light_off, lambda *told: guard.admits(*told), entrance.listen, tls)
-    door = Door(number, switch.port, tls is not None, remote)
+    door = Door(number, switch.port, tls is not None, remote, behind)
     app = _application(desk, people, door)
     title = f"rig desk {desk.source.name}"
     ui.run_with(app, title=title, dark=True, language="en-US", show_welcome_message=False, tailwind=False)
@@ -128,6 +159,8 @@ def _serve(desk: Desk, entrance: Entrance, tls: ssl.SSLContext | None, *, remote
     say(f"to watch only: {own}{desk.place.watch_key}")
     if remote:
         say(f"from other machines: {door.scheme}://NAME-OF-THIS-MACHINE:{number}/ with name and password")
+    if behind:
+        say(f"from other machines: https://{behind}/ with name and password")
     if browser:
         with contextlib.suppress(webbrowser.Error):
             webbrowser.open(address)
@@ -196,11 +229,19 @@ def _application(desk: Desk, people: People, door: Door) -> FastAPI:
             return HTMLResponse(login_page(str(error)), http.HTTPStatus.TOO_MANY_REQUESTS)
         if cookie is None:
             return HTMLResponse(login_page("name or password are wrong"), http.HTTPStatus.FORBIDDEN)
-        return let_in(RedirectResponse("/", http.HTTPStatus.SEE_OTHER), door, cookie)
+        host = request.headers.get("host", "")
+        return let_in(RedirectResponse("/", http.HTTPStatus.SEE_OTHER), door, host, cookie)
+
+    @app.post(LOGOUT)
+    async def leave(request: Request) -> Response:
+        people.leave(request.cookies.get(door.cookie, ""))
+        answer = RedirectResponse(LOGIN, http.HTTPStatus.SEE_OTHER)
+        answer.delete_cookie(door.cookie)
+        return answer
 
     @ui.page("/")
     def page(request: Request) -> None:
-        build_page(desk, door.off_port or 0, request.scope[PERSON])
+        build_page(desk, people, door.off_port or 0, request.scope[PERSON])
 
     return app
 

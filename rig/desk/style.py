@@ -76,6 +76,7 @@ a { color: var(--line); }
 @media (prefers-reduced-motion: reduce) { .alarm { animation: none; } }
 .events { font-size: 14px; overflow-y: auto; width: 100%; flex: 1 1 120px; min-height: 90px; }
 svg text { fill: var(--dim); font-size: 12px; }
+.camera { width: 100%; }
 .picture { background: #000; } .picture img { image-rendering: pixelated; touch-action: none; }
 :focus-visible { outline: 3px solid var(--line); outline-offset: 2px; }
 
@@ -148,7 +149,7 @@ html.night #safety .go::before, html.night #safety .dim::before, html.night #saf
   .stack > .shrinks { flex: 0 1 auto; }
   .align > .scrolls { max-height: max(500px, var(--room)); }
   /* below it are the buttons */
-  .align .camera { width: min(100%, calc((max(500px, var(--room)) - 76px) * var(--aspect))) !important;
+  .align .camera { width: min(100%, calc((max(500px, var(--room)) - 76px) * var(--aspect)));
     margin: 0 auto; }
   .at-once { display: flex; flex-flow: column; gap: 8px; width: 100%; height: max(560px, var(--room)); }
   .at-once > .grid { flex: 1 1 0; min-height: 0; grid-template-rows: minmax(0, 1fr); }

@@ -22,8 +22,9 @@ class Tab:
     `operator_name` who says to sit there, `errors` where on the page errors stand.
     """
 
-    def __init__(self, desk: Desk, person: Person) -> None:
+    def __init__(self, desk: Desk, person: Person, is_in: Callable[[], bool]) -> None:
         self._desk = desk
+        self._is_in = is_in
         self._client = context.client
         self.person = person
         self.operator_name = person.name
@@ -39,9 +40,14 @@ class Tab:
         return self.operator_name or "the desk"
 
     @property
+    def is_in(self) -> bool:
+        """Whether who was let in has not logged out since."""
+        return self._is_in()
+
+    @property
     def may_act(self) -> bool:
         """Whether who sits there was let in to act."""
-        return self.person.role is Role.ACT
+        return self.person.role is Role.ACT and self.is_in
 
     @property
     def acts(self) -> bool:

@@ -7,7 +7,10 @@ from nicegui import ui
 
 from rig.desk.acting import ANSWER_S, Actor
 from rig.desk.desk import Desk
+from rig.desk.login import LOGIN, LOGOUT
 from rig.desk.tab import Tab
+
+_LEAVE = f"fetch('{LOGOUT}', {{method: 'POST', redirect: 'manual'}}).then(() => location.assign('{LOGIN}'))"
 
 
 class Who:
@@ -19,6 +22,8 @@ class Who:
         self._take = ui.button("Take over", on_click=self._asked).props("dense outline")
         self._name = ui.button("", on_click=self._ask_name)
         self._name.props('dense flat no-caps aria-label="who sits at this tab"')
+        if tab.person.name:
+            ui.button("Log out", on_click=lambda: ui.run_javascript(_LEAVE)).props("dense flat")
         with ui.dialog() as self._dialog, ui.card():
             ui.label("Who sits here? Alarms, notes and what is typed are kept under this name.")
             self._field = ui.input("name").props('dense outlined autofocus aria-label="name"')

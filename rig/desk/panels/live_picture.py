@@ -39,11 +39,7 @@ class LivePicture:
         self._why_none = why_none
         self.zoom = 1
         width, height = size
-        with (
-            ui.element("div")
-            .classes("full-width relative-position camera")
-            .style(f"--aspect: {width / height:.4f}")
-        ):
+        with ui.element("div").classes("relative-position camera").style(f"--aspect: {width / height:.4f}"):
             self.element = ui.interactive_image(
                 size=(width, height), on_mouse=on_mouse, events=["pointerdown", "pointerup", "pointermove"]
             )

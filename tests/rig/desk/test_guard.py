@@ -190,3 +190,62 @@ def test_other_interfaces_are_refused_without_tls_and_passwords(more: dict[str, 
     with pytest.raises(ConfigurationError, match="others would reach the laser: --"):
         _ = Entrance(listen="0.0.0.0", **more).remote  # type: ignore[arg-type]
     assert not Entrance().remote
+
+
+BEHIND = Door(PORT, 8643, behind="rig.lab")
+
+
+def test_through_a_proxy_one_comes_from_elsewhere_whatever_address_the_proxy_has(people: People) -> None:
+    told = ask(host="rig.lab", cookie=COOKIE, door=BEHIND, people=people)
+    assert (told["status"], dict(told["headers"])[b"location"]) == (303, b"/login"), "a key opens nothing"
+    cookie = people.enter("ada", "the long password")
+    headers = {"host": "rig.lab", "cookie": f"rig_desk_{PORT}={cookie}"}
+    entered = ask(door=BEHIND, people=people, **headers)
+    assert entered["status"] == 200
+    policy = dict(entered["headers"])[b"content-security-policy"]
+    assert b"connect-src 'self';" in policy, "the second port is not to be had through it"
+    own = ask("websocket", door=BEHIND, people=people, origin="https://rig.lab", **headers)
+    assert own["type"] == "websocket.accept"
+    for origin in ("http://rig.lab", "https://evil.example", f"http://{HOST}", "https://rig.lab:444"):
+        told = ask("websocket", door=BEHIND, people=people, origin=origin, **headers)
+        assert told["type"] == "websocket.close"
+    for host in ("rig.lab:80", "evil.example", "rig.lab.evil.example"):
+        assert ask(door=BEHIND, people=people, **{**headers, "host": host})["status"] == 421
+    assert ask(door=HERE, people=people, **headers)["status"] == 421, "without a proxy nobody calls it so"
+    assert ask(host=HOST, cookie=COOKIE, door=BEHIND)["status"] == 200, "on the machine itself the key is"
+
+
+def test_who_has_left_is_out_and_the_other_logins_of_the_name_stay(people: People) -> None:
+    first, second = (people.enter("ada", "the long password") for _ in range(2))
+    assert first is not None
+    assert second is not None
+    here, there = people.by_login(first), people.by_login(second)
+    assert here is not None
+    assert there is not None
+    people.leave(first)
+    assert people.by_login(first) is None
+    assert not people.is_in(here), "a page that is still open does nothing any more"
+    assert people.is_in(there)
+    people.leave("no such cookie")
+    key = people.by_key(KEY)
+    assert key is not None
+    assert people.is_in(key)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"behind": "http://rig.lab"}, "that the proxy serves with TLS"),
+        ({"behind": "https://rig.lab/desk"}, "without a path"),
+        ({"behind": "https://rig.lab"}, "--passwords must be stated"),
+        (
+            {"behind": "https://rig.lab", "listen": "0.0.0.0", "certificate": Path("c.pem")},
+            "the proxy would be passed by",
+        ),
+    ],
+)
+def test_a_proxy_is_refused_where_it_would_open_too_much(more: dict[str, object], said: str) -> None:
+    passwords = {} if "must be stated" in said else {"passwords": Path("p.txt")}
+    with pytest.raises(ConfigurationError, match=said):
+        _ = Entrance(**more, **passwords).proxied  # type: ignore[arg-type]
+    assert Entrance(behind="https://rig.lab:443", passwords=Path("p.txt")).proxied == "rig.lab"
