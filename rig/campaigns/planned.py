@@ -9,6 +9,8 @@ import numpy as np
 
 from processing.angle import ARCSEC_RAD
 from processing.campaign import (
+    CampaignModel,
+    CampaignPosterior,
     CandidateRun,
     Choice,
     CompressedRun,
@@ -19,7 +21,7 @@ from processing.campaign import (
 )
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit import FitMethod, PlannedLikelihood, planned_likelihood
+from processing.fit import PlannedLikelihood, planned_likelihood
 from rig.campaigns.answer import model_of, names_of
 from rig.campaigns.likelihoods import FoundRun, compressed
 from rig.campaigns.stated import StatedCampaign
@@ -59,7 +61,8 @@ class PlannedKind:
 
 @dataclass(frozen=True)
 class PlannedCampaign:
-    """The chosen runs; `kinds` are those of all candidates, in the choice's order of labels and contacts."""
+    """The chosen runs; `kinds` are those of all candidates, by label and contact, `made` the number of runs
+    that have entered, `left_out` those that could not, and why."""
 
     choice: Choice
     targets: tuple[Target, ...]
@@ -67,6 +70,7 @@ class PlannedCampaign:
     within: Within
     seed: int
     made: int
+    left_out: tuple[str, ...] = ()
 
     def kind(self, candidate: CandidateRun) -> PlannedKind:
         """How a candidate is measured."""
@@ -89,47 +93,47 @@ def plan_campaign(
 ) -> PlannedCampaign:
     """The runs that reach the targets in the least rig time, after those that were found.
 
-    Found runs are of the one sample that is planned for, and say what contact is expected; without any the
-    priors alone do.
+    Found runs are of the one sample that is planned for; without any the priors alone say what is known.
 
     Raises
     ------
     DataError
-        No run may be made between these amplitudes, or none that was found can enter.
+        No run may be made between these amplitudes.
     """
     reference_rad = stated.reference_arcsec * ARCSEC_RAD
     runs: list[CompressedRun] = []
+    left_out: list[str] = []
     for one in found:
         run, problem = compressed(replace(one, contact=within.samples[0]), reference_rad, stated.u)
         if run is None:
-            raise DataError(f"{problem}; leave it out of --after")
-        runs.append(run)
-    values = dict(expected.values)
-    if found:
-        values |= _middle(found, values)
-    candidates, kinds = _candidates(expected._replace(values=values), within, reference_rad, runs)
+            left_out.append(problem)
+        else:
+            runs.append(run)
+    candidates, kinds = _candidates(expected, within, reference_rad, runs)
+    values = expected.values
     likelihoods = [one.likelihood for one in candidates]
     names = names_of(stated, runs or likelihoods)
     model = model_of(stated, names, reference_rad, runs or likelihoods)
     beside = [effect for target in targets for effect in target.effects if effect not in model.effects]
-    posterior = fit_campaign(runs, model, draws=stated.draws, seed=stated.seed) if runs else None
+    posterior = _posterior(runs, model, stated)
     model = model.with_effects(*model.effects, *dict.fromkeys(beside))
     goals = goals_of(targets, model, values, reference_rad)
     horizon_s = within.longest_s if np.isfinite(within.longest_s) else 86400.0
     ahead = Outlook(runs, model, candidates, goals, posterior=posterior, horizon_s=horizon_s)
     choice = choose_runs(ahead, longest_s=within.longest_s, most=within.most_runs, seed=stated.seed)
-    return PlannedCampaign(choice, tuple(targets), kinds, within, stated.seed, len(runs))
+    return PlannedCampaign(choice, tuple(targets), kinds, within, stated.seed, len(runs), tuple(left_out))
 
 
-def _middle(found: Sequence[FoundRun], known: Mapping[str, float]) -> dict[str, float]:
-    """The parameters of the runs so far."""
-    middle = {}
-    for name in known:
-        seen = [one.run.fits[FitMethod.EXACT].estimate(name).value for one in found]
-        good = [value for value in seen if np.isfinite(value)]
-        if good:
-            middle[name] = float(np.median(good))
-    return middle
+def _posterior(
+    runs: Sequence[CompressedRun], model: CampaignModel, stated: StatedCampaign
+) -> CampaignPosterior | None:
+    if not runs:
+        return None
+    try:
+        return fit_campaign(runs, model, draws=stated.draws, seed=stated.seed)
+    except DataError:
+        # the first runs cannot have seen what something depends on; how they scatter is asked for here
+        return fit_campaign(runs, model.with_effects(), draws=stated.draws, seed=stated.seed)
 
 
 def _candidates(
@@ -238,25 +242,29 @@ def campaign_plan_table(planned: PlannedCampaign) -> Table:
     )
 
 
+def kinds_text(choice: Choice) -> str:
+    """How many of which kind: `3 of 124 to 8 arcsec, 1 of 60 to 4 arcsec`."""
+    labels = [one.candidate.label for one in choice.runs]
+    return ", ".join(f"{labels.count(kind)} of {kind}" for kind in dict.fromkeys(labels))
+
+
 def reasons(planned: PlannedCampaign) -> list[str]:
     """Why these runs, in sentences: for the terminal, and for the plan's file."""
     choice, within = planned.choice, planned.within
     before = f"{planned.made} runs" if planned.made else "priors alone"
     asked = " and ".join(target.text for target in planned.targets)
+    said = [f"{line}." for line in planned.left_out]
     if choice.now < 1:
-        return [f"Nothing is to be measured: after {before} u is {choice.now:.2f} of its limit."]
+        return [*said, f"Nothing is to be measured: after {before} u is {choice.now:.2f} of its limit."]
     if choice.floor >= 1:
         shared = "by what they share (air, lever, masses). Know these better, or ask for less."
-        return [
-            f"{asked} cannot be reached: however many runs, u stays {choice.floor:.2f} of its limit, {shared}"
-        ]
-    kinds = dict.fromkeys(one.candidate.label for one in choice.runs)
-    counts = ", ".join(
-        f"{sum(one.candidate.label == kind for one in choice.runs)} of {kind}" for kind in kinds
-    )
+        said.append(f"{asked} cannot be reached: however many runs, u stays {choice.floor:.2f} of its limit,")
+        return [*said[:-1], f"{said[-1]} {shared}"]
     hours = choice.rig_time_s / 3600
-    bring = f"{len(choice.runs)} runs ({counts}) in {hours:.1f} h bring it to {choice.expected:.2f}."
-    said = [f"After {before} u is {choice.now:.3g} of its limit; {bring}"]
+    bring = (
+        f"{len(choice.runs)} runs ({kinds_text(choice)}) in {hours:.1f} h bring it to {choice.expected:.2f}."
+    )
+    said.append(f"After {before} u is {choice.now:.3g} of its limit; {bring}")
     if not choice.reached:
         said.append(
             f"That is not enough, and more is not allowed within {within.longest_s / 3600:g} h and "

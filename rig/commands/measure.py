@@ -121,9 +121,11 @@ def run(
             raise typer.BadParameter(
                 "--plan names its configurations: leave out CONFIG, --set, --runs and --view"
             )
-        from rig.measure import measure_plan
+        from rig.measure import decide_night, measure_plan
+        from rig.settings import decides
 
-        raise typer.Exit(measure_plan(plan, output, force=force, json_lines=json_lines))
+        measure = decide_night if decides(plan) else measure_plan
+        raise typer.Exit(measure(plan, output, force=force, json_lines=json_lines))
     assert config is not None
 
     overrides = list(set_ or [])

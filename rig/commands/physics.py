@@ -328,13 +328,15 @@ def plan(
             )
         if runs is not None:
             raise ConfigurationError("--runs: --for chooses how many; leave it out, or limit --hours")
-        from rig.commands.planned_for import Asked, plan_for
+        from rig.campaigns import AskedPlan
+        from rig.commands.planned_for import plan_for
 
-        asked = Asked(
-            source, target, firsts, lasts, set_ or [], noise, contact, ground, witness, wait, campaign,
-            after or [], sample or [], hours,
+        asked = AskedPlan(
+            source=source, targets=target, first_arcsec=firsts, last_arcsec=lasts, overrides=set_ or [],
+            noise_arcsec=noise, contact=contact, ground_rad_per_s2_rthz=ground, witness=witness,
+            waits_min=wait, campaign=campaign, samples=sample or [],
         )  # fmt: skip
-        plan_for(asked, output)
+        plan_for(asked, after or [], hours, output)
         return
 
     from rig.plan import (

@@ -1,5 +1,6 @@
 """A measurement session: preflight checks, runs, recording, end of a run, display on the terminal."""
 
+from rig.measure.deciding import decide_night
 from rig.measure.end_of_session import HandOver, hand_over, state_of
 from rig.measure.light_from_outside import acknowledge_trip, check_audit, show_light
 from rig.measure.night import SourcedConfiguration, measure_plan, resume_session

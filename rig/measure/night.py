@@ -1,7 +1,7 @@
 """An unattended night: the series of a plan one after the other, each when its conditions allow."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -54,25 +54,51 @@ def measure_plan(
     before anything is lit if a configuration of the plan cannot be used.
     """
     plan = load_plan(source)
-    configs = [_configuration(series) for series in plan.series]
+    configs = [series_configuration(series) for series in plan.series]
     folder = output or configs[0].session.output / source.stem
     worst = 0
     for series, config in zip(plan.series, configs, strict=True):
         place = folder / series.name
         waiting = Waiting(series, f"series {series.name}", now_s, sleep)
         say(f"series {series.name}")
-        with announced(config.session, place) as outcome:
-            manner = Manner(outcome.notices, force, json_lines, waiting, waiting.said)
-            outcome.status = _Series(series, config, place, manner).made_and_repeated()
-        worst = max(worst, outcome.status)
-        with closing(SessionFile.opened(place)) as file:
-            last = file.state.entries[-1]
-        if last.state in {RunState.FAILED, RunState.STOPPED} and not waiting.over:
-            say(f"series {series.name}: {last.reason}; the plan ends here", error=True)
+        end = measure_series(series, config, place, waiting, waiting.said, force=force, json_lines=json_lines)
+        worst = max(worst, end.status)
+        if end.failure and not waiting.over:
+            say(f"series {series.name}: {end.failure}; the plan ends here", error=True)
             return 1
         if series is not plan.series[-1]:
             sleep(series.pause_s)
     return worst
+
+
+class SeriesEnd(NamedTuple):
+    """How a series ended: its exit status, and why its last run failed or was stopped, if it was."""
+
+    status: int
+    failure: str
+
+
+def measure_series(
+    series: PlannedSeries,
+    config: Configuration,
+    folder: Path,
+    patience: Callable[[str], bool],
+    planned: Callable[[], Sequence[str]],
+    *,
+    force: bool,
+    json_lines: bool,
+) -> SeriesEnd:
+    """Make the runs of a series that are missing in its folder, and repeat its bad ones.
+
+    `patience` and `planned` are those of `Manner`.
+    """
+    with announced(config.session, folder) as outcome:
+        manner = Manner(outcome.notices, force, json_lines, patience, planned)
+        outcome.status = _Series(series, config, folder, manner).made_and_repeated()
+    with closing(SessionFile.opened(folder)) as file:
+        last = file.state.entries[-1]
+    bad = last.state in {RunState.FAILED, RunState.STOPPED}
+    return SeriesEnd(outcome.status, last.reason if bad else "")
 
 
 class SourcedConfiguration(NamedTuple):
@@ -82,7 +108,8 @@ class SourcedConfiguration(NamedTuple):
     config: Configuration
 
 
-def _configuration(series: PlannedSeries) -> Configuration:
+def series_configuration(series: PlannedSeries) -> Configuration:
+    """Raises ConfigurationError where it cannot be used, or cannot see the conditions of its runs."""
     config = complete(load_configuration(series.config, series.overrides()))
     check_materials(config)
     check_stop_when(config)

@@ -15,6 +15,7 @@ from rig.settings.configuration import (
     stored_configuration,
     validate_configuration,
 )
+from rig.settings.deciding_plan import DecidingPlan, decides, load_deciding_plan
 from rig.settings.effect import Watched
 from rig.settings.instrument import InstrumentSettings
 from rig.settings.migrations import SCHEMA, SCHEMA_KEY, Step, migrated

@@ -6,7 +6,7 @@ import shlex
 import shutil
 from pathlib import Path
 
-from rig.settings import load_configuration, load_plan
+from rig.settings import decides, load_configuration, load_deciding_plan, load_plan
 from tests.rig.campaigns.made_sessions import humid_campaign
 from tests.rig.command_line import rig
 
@@ -43,7 +43,7 @@ def test_the_plans_of_the_page(tmp_path: Path) -> None:
     for config in ("basement.toml", "demo.toml"):
         shutil.copy(ROOT / "configs" / config, tmp_path)
     commands = [shlex.split(line) for line in re.findall(r"^ {4}rig (.*)$", TEXT, re.MULTILINE)]
-    chosen, measured, forms = commands[2:]
+    chosen, measured, forms, night = commands[2:]
     done = rig(*chosen, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     plan = load_plan(tmp_path / measured[measured.index("--plan") + 1])
@@ -57,9 +57,22 @@ def test_the_plans_of_the_page(tmp_path: Path) -> None:
         }  # fmt: skip
     runs = sum(series.runs or 0 for series in plan.series)
     assert f"{runs} runs (" in done.stdout
+    deciding = load_deciding_plan(tmp_path / night[night.index("--plan") + 1])
+    assert (deciding.targets, deciding.first_arcsec, deciding.last_arcsec) == (
+        ("u(c)/c<0.3",), (124.0, 60.0), (8.0, 4.0),
+    )  # fmt: skip
+    assert 0 < deciding.hours <= 20
     told = rig(*forms, cwd=tmp_path)
     assert told.returncode == 0, told.stderr
     assert "After 6 runs" in told.stdout
+
+
+def test_the_night_of_the_page_is_one(tmp_path: Path) -> None:
+    (block,) = re.findall(r"^```toml\n(\[auto\]\n.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
+    (tmp_path / "auto.toml").write_text(block, encoding="utf-8")
+    plan = load_deciding_plan(tmp_path / "auto.toml")
+    assert plan.max_runs == 12
+    assert decides(tmp_path / "auto.toml")
 
 
 def test_forms_and_covariates_that_are_named_exist() -> None:

@@ -1,6 +1,7 @@
 """`rig plan --for`: what it asks, refuses and writes."""
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,6 +12,7 @@ from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
 from processing.fit import Conditions
 from rig.campaigns import (
+    AskedPlan,
     PlannedCampaign,
     StatedCampaign,
     Within,
@@ -21,7 +23,7 @@ from rig.campaigns import (
     runs_of_folders,
 )
 from rig.plan import Expected
-from rig.settings import load_configuration, load_plan
+from rig.settings import load_configuration, load_deciding_plan, load_plan
 from tests.processing.fit.decays import paper_pair
 from tests.rig.campaigns.made_sessions import humid_campaign
 from tests.rig.command_line import CONFIGS, rig
@@ -45,11 +47,21 @@ def planned(
     return plan_campaign(expected, stated, [read_target(text, stated)], within)
 
 
+def asked(overrides: Sequence[str] = ()) -> AskedPlan:
+    return AskedPlan(
+        source=CONFIGS / "demo.toml", targets=["u(c)/c<0.06"], first_arcsec=[124.0], last_arcsec=[2.0],
+        overrides=overrides,
+    )  # fmt: skip
+
+
 def test_a_plan_is_one_of_a_night(tmp_path: Path) -> None:
     found = planned("u(c)/c<0.06")
     assert found.choice.reached
-    (text,) = campaign_plan_files(found, CONFIGS / "demo.toml", tmp_path, ["session.operator=me"]).values()
-    (tmp_path / "plan.toml").write_text(text, encoding="utf-8")
+    # also where what the plan sets was set before
+    overrides = ["session.operator=me", "session.sample=another"]
+    written = campaign_plan_files(found, asked(overrides), [tmp_path / "monday"], tmp_path)
+    for name, text in written.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
     plan = load_plan(tmp_path / "plan.toml")
     assert sum(series.runs or 0 for series in plan.series) == len(found.choice.runs)
     measured = []
@@ -59,6 +71,11 @@ def test_a_plan_is_one_of_a_night(tmp_path: Path) -> None:
         measured += [(session.initial_amplitude_arcsec, session.final_amplitude_arcsec)] * session.runs
     kinds = [found.kind(one.candidate) for one in found.choice.runs]
     assert measured == [(kind.first_arcsec, kind.last_arcsec) for kind in kinds]
+    night = load_deciding_plan(tmp_path / "auto.toml")
+    assert night.targets == ("u(c)/c<0.06",)
+    assert [path.resolve() for path in night.after] == [tmp_path / "monday"]
+    assert night.max_runs > len(found.choice.runs)
+    assert load_configuration(night.config, night.set).session.operator == "me"
     table = campaign_plan_table(found)
     assert len(table.rows) == len(measured)
     assert "bring it to" in table.note
@@ -66,7 +83,7 @@ def test_a_plan_is_one_of_a_night(tmp_path: Path) -> None:
 
 def test_of_several_samples_each_stretch_is_a_plan_of_its_own(tmp_path: Path) -> None:
     found = planned("u(b)/b<0.01", replace(WITHIN, samples=["K8", 'steel "2"']))
-    files = campaign_plan_files(found, CONFIGS / "demo.toml", tmp_path)
+    files = campaign_plan_files(found, asked(), (), tmp_path)
     samples = [found.kind(one.candidate).sample for one in found.choice.runs]
     assert set(samples) == {"K8", 'steel "2"'}
     assert len(files) == 1 + sum(a != b for a, b in pairwise(samples))
