@@ -63,12 +63,25 @@ _OTHERS: Final[Mapping[str, Size]] = {
     "e": _of(1.0, electron=1),
     "dB": _of(1.0, dB=1),
 }
+D_SI: Final[Mapping[str, str]] = {
+    "m": "metre", "g": "gram", "s": "second", "A": "ampere", "V": "volt", "Hz": "hertz", "N": "newton",
+    "Pa": "pascal", "J": "joule", "W": "watt", "rad": "radian", "1": "one", "%": "percent", "ppm": "ppm",
+    "min": "minute", "h": "hour", "d": "day", "deg": "degree", "arcmin": "arcminute", "arcsec": "arcsecond",
+    "°C": "degreecelsius", "K": "kelvin", "dB": "decibel",
+}  # fmt: skip
+"""What D-SI, the format of certificates, calls them (SI brochure); of counts it has no names."""
+COUNTS: Final = ("px", "DN", "e")
+"""Counts of something: of dimension one in the SI."""
 _SPELLINGS: Final[Mapping[str, str]] = {
     "°": "deg", "degrees": "deg", "degree": "deg", "degC": "°C", "″": "arcsec", '"': "arcsec", "′": "arcmin",
     "'": "arcmin", "percent": "%", "sec": "s", "seconds": "s", "second": "s", "msec": "ms", "usec": "us",
     "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns", "minutes": "min", "hours": "h",
     "days": "d", "radians": "rad", "pixel": "px", "pixels": "px", "count": "DN",
     "counts": "DN",
+}  # fmt: skip
+D_SI_PREFIXES: Final[Mapping[str, str]] = {
+    "G": "giga", "M": "mega", "k": "kilo", "h": "hecto", "c": "centi", "m": "milli", "u": "micro",
+    "n": "nano", "p": "pico", "f": "femto",
 }  # fmt: skip
 _PREFIXES: Final[Mapping[str, float]] = {
     "G": 1e9, "M": 1e6, "k": 1e3, "h": 1e2, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9,
@@ -94,12 +107,27 @@ _PRODUCTS_IN_NAMES: Final = (["n", "m"], ["pa", "s"])
 @cache
 def size(unit: str) -> Size:
     """The unit in SI units. Raises ConfigurationError for a text that is none."""
+    factor, powers = 1.0, dict[str, Fraction]()
+    for symbol, power in factors(unit):
+        one = _symbol(symbol, unit)
+        factor *= one.factor ** float(power)
+        for name, own in one.powers.items():
+            powers[name] = powers.get(name, Fraction(0)) + own * power
+    return Size(factor, {name: power for name, power in powers.items() if power})
+
+
+@cache
+def factors(unit: str) -> tuple[tuple[str, Fraction], ...]:
+    """The symbols of a unit in their order, as they are spelled, each with its power.
+
+    Raises ConfigurationError for a text that is no unit.
+    """
     tokens = [match for match in _TOKEN.finditer(unit.strip()) if match[0].strip()]
     if not any(match[4] for match in tokens) or "".join(match[0] for match in tokens).split() != unit.split():
         raise ConfigurationError(f"{unit!r} is no unit that is known here")
     if unit.count("(") != unit.count(")"):
         raise ConfigurationError(f"{unit!r} is no unit: a bracket is missing")
-    return _product(unit, [match.groups("") for match in tokens])[0]
+    return tuple(_product(unit, [match.groups("") for match in tokens])[0])
 
 
 def conversion(unit: str, into: str) -> float:
@@ -141,9 +169,11 @@ def in_ascii(unit: str) -> str:
     return re.sub(r"[⁻⁰¹²³⁴-⁹ᵖ]+", lambda raised: f"^{raised[0].translate(_SUPERSCRIPTS)}", unit)
 
 
-def _product(unit: str, tokens: list[tuple[str, ...]]) -> tuple[Size, list[tuple[str, ...]]]:
+def _product(
+    unit: str, tokens: list[tuple[str, ...]]
+) -> tuple[list[tuple[str, Fraction]], list[tuple[str, ...]]]:
     """The product that the tokens begin with, up to a closing bracket, and what follows it."""
-    factor, powers, sign = 1.0, dict[str, Fraction](), 1
+    found, sign = list[tuple[str, Fraction]](), 1
     while tokens:
         (bracket, _, operator, symbol, raised), *tokens = tokens
         if bracket == ")":
@@ -156,26 +186,44 @@ def _product(unit: str, tokens: list[tuple[str, ...]]) -> tuple[Size, list[tuple
             one, tokens = _product(unit, tokens)
             power *= Fraction(1, 2) if bracket != "(" else 1
         elif symbol:
-            one = _symbol(symbol, unit)
+            one = [(symbol, Fraction(1))]
         else:
             raise ConfigurationError(f"{unit!r} is no unit: its power stands alone")
         if tokens and tokens[0][1]:
             raised, tokens = tokens[0][1], tokens[1:]
         if raised:
-            power *= Fraction(raised.translate(_SUPERSCRIPTS))
-        factor *= one.factor ** float(power)
-        for name, own in one.powers.items():
-            powers[name] = powers.get(name, Fraction(0)) + own * power
+            power *= _power(raised.translate(_SUPERSCRIPTS), unit)
+        found += [(each, own * power) for each, own in one]
         sign = 1
-    return Size(factor, {name: power for name, power in powers.items() if power}), tokens
+    return found, tokens
+
+
+def _power(text: str, unit: str) -> Fraction:
+    try:
+        return Fraction(text)
+    except ValueError:
+        raise ConfigurationError(f"{unit!r} is no unit: {text!r} is no power") from None
+
+
+def split_prefix(symbol: str) -> tuple[str, str]:
+    """The prefix of a symbol, empty where it has none, and what it stands before, as the table has it.
+
+    Raises ConfigurationError for a symbol that is none.
+    """
+    spelled = _SPELLINGS.get(symbol, symbol)
+    if spelled in _OTHERS or spelled in _PREFIXABLE:
+        return "", spelled
+    if spelled[:1] in _PREFIXES and spelled[1:] in _PREFIXABLE:
+        return spelled[0], spelled[1:]
+    raise ConfigurationError(f"{symbol!r} is no unit that is known here")
 
 
 def _symbol(symbol: str, unit: str) -> Size:
-    symbol = _SPELLINGS.get(symbol, symbol)
-    found = _OTHERS.get(symbol) or _PREFIXABLE.get(symbol)
-    if found is not None:
-        return found
-    prefix, rest = _PREFIXES.get(symbol[:1]), _PREFIXABLE.get(symbol[1:])
-    if prefix is None or rest is None:
-        raise ConfigurationError(f"{unit!r} is no unit that is known here")
-    return Size(prefix * rest.factor, rest.powers)
+    try:
+        prefix, rest = split_prefix(symbol)
+    except ConfigurationError:
+        raise ConfigurationError(f"{unit!r} is no unit that is known here") from None
+    if not prefix:
+        return _OTHERS.get(rest) or _PREFIXABLE[rest]
+    found = _PREFIXABLE[rest]
+    return Size(_PREFIXES[prefix] * found.factor, found.powers)

@@ -1,7 +1,9 @@
 """Writes a calibration file with its author, date, validity and sources."""
 
+import base64
 import datetime
 import getpass
+import hashlib
 import socket
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -44,24 +46,32 @@ def file_calibration(
     sources: Sequence[Path],
     notes: Sequence[str] = (),
     measured_at: datetime.datetime | None = None,
+    valid_until: datetime.datetime | None = None,
+    certificate: Mapping[str, bytes] | None = None,
 ) -> Path:
-    """Write one calibration, valid from `measured_at` (None: now); returns the file.
+    """Write one calibration, valid from `measured_at` (None: now) or until `valid_until`; returns the file.
 
     `values` fill a section of the configuration, `details` are shown in a report, `sources` are the
-    files used, whose hashes are stored.
+    files used, whose hashes are stored. `certificate` is one by its name, which is stored whole.
     """
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     measured_at = measured_at or now
+    valid_until = valid_until or measured_at + datetime.timedelta(days=filing.valid_days)
+    used = [Source(name=path.name, sha256=sha256_of(path)) for path in sources if path.is_file()]
+    for name, data in (certificate or {}).items():
+        content = base64.b64encode(data).decode()
+        used.append(Source(name=name, sha256=hashlib.sha256(data).hexdigest(), content=content))
     calibration = CalibrationFile(
+        schema_version=2 if certificate else 1,
         kind=kind,
         made_by=filing.made_by or _user(),
         made_at=now,
-        valid_until=(measured_at + datetime.timedelta(days=filing.valid_days)).replace(microsecond=0),
+        valid_until=valid_until.replace(microsecond=0),
         measured_at=measured_at,
         host=socket.gethostname(),
         software=f"optical-pendulum-rig {versions()['optical-pendulum-rig']}",
         method=method,
-        sources=tuple(Source(name=path.name, sha256=sha256_of(path)) for path in sources if path.is_file()),
+        sources=tuple(used),
         notes=tuple(notes),
         values=dict(values),
         details=dict(details),

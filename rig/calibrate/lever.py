@@ -16,6 +16,7 @@ from calibration import (
     require_rest,
 )
 from processing.errors import ConfigurationError
+from rig.calibrate.certificate import certificate_in, lever_of_certificate
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.calibrate.inputs import LadderFile, read_ladder
 from rig.calibrate.spots import binning_of_record, mean_spot, spots_of_record
@@ -23,8 +24,20 @@ from rig.presentation import percent
 
 
 def calibrate_lever(ladder: Path, filing: Filing) -> Path:
-    """Calibrate the lever from its geometry, or from a ladder of tilts or shifts: see `read_ladder`."""
+    """Calibrate the lever from its geometry, from a ladder of tilts or shifts (see `read_ladder`), or from a
+    certificate.
+    """
+    if (certificate := certificate_in(ladder)) is not None:
+        return lever_of_certificate(ladder, certificate, filing)
     table = read_ladder(ladder)
+    if table.certificate is not None:
+        path = ladder.parent / table.certificate
+        if (certificate := certificate_in(path)) is None:
+            raise ConfigurationError(
+                f"{path}: is no digital calibration certificate (XML); {ladder} names it"
+            )
+        stated = {"pixel_pitch_m": table.needed("pixel_pitch_m"), "binning": table.binning}
+        return lever_of_certificate(path, certificate, filing, stated, [ladder])
     if table.geometry is not None:
         found = lever_from_geometry(table.geometry)
         details = {"u_scale_relative": found.lever.u_scale_relative, **details_of(found, "lever")}
@@ -46,7 +59,7 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
 def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
     """Compare a calibrated lever with known tilts."""
     table = read_ladder(ladder)
-    if table.kind != "tilt" or table.geometry is not None:
+    if table.kind != "tilt" or not table.step:
         raise ConfigurationError(f"{ladder}: known tilts are needed for a check (kind = 'tilt')")
     in_use = Lever.model_validate(read_calibration(lever, "lever").values)
     fit, sources, began = _climb(ladder, table)

@@ -5,6 +5,7 @@ from typing import Literal
 
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import TableDecay
+from rig.export.certificate import write_certificate_of_calibration, write_certificate_of_runs
 from rig.export.nexus import write_nexus
 from rig.export.run import read_run, runs_in
 from rig.export.table_run import read_table_decay
@@ -12,28 +13,33 @@ from rig.export.tables import TABLES, table_path, write_csv, write_parquet
 from rig.presentation import say
 from rig.sealing import refuse_blind
 
-Format = Literal["csv", "parquet", "hdf5"]
+Format = Literal["csv", "parquet", "hdf5", "dcc"]
+ONE_FILE = ("hdf5", "dcc")
+"""Formats that make one file, not a folder of them."""
 
 
 def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     """Export a session's folder, that of a table's results, or one record; returns the files made.
 
     What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, three
-    files a run. HDF5: `output` is the file, one
-    NXentry a run. Nothing that exists is written over.
+    files a run. HDF5: `output` is the file, one NXentry a run. DCC: `output` is a digital calibration
+    certificate of the results, or of those of a calibration file. Nothing that exists is written over.
 
     Raises RecordError for a source without records, ConfigurationError for a file that exists.
     """
     refuse_blind(source, "an export")
+    if kind == "dcc" and source.suffix.lower() == ".toml":
+        write_certificate_of_calibration(source, output)
+        return [output]
     found = runs_in(source)
     suffix = "csv" if kind == "csv" else "parquet"
     names = [name for name, _, _ in found]
     made = [table_path(output, name, what, suffix) for name in names for what in TABLES]
     if len(set(made)) < len(made):
         raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
-    for path in [output] if kind == "hdf5" else made:
+    for path in [output] if kind in ONE_FILE else made:
         if path.exists():
-            place = "name" if kind == "hdf5" else "folder"
+            place = "name" if kind in ONE_FILE else "folder"
             raise ConfigurationError(f"{path}: exists already and is not overwritten; choose another {place}")
     folder = source if source.is_dir() else source.parent
     runs = [
@@ -45,6 +51,12 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     for run in runs:
         for note in run.notes:
             say(f"{run.name}: {note}" if source.is_dir() else note)
+    if kind == "dcc":
+        fitted = [(run, results) for run, (_, _, results) in zip(runs, found, strict=True) if results]
+        if not fitted:
+            raise RecordError(f"{source}: has no results to certify; rig fit makes some")
+        write_certificate_of_runs(fitted, output)
+        return [output]
     try:
         if kind == "hdf5":
             output.parent.mkdir(parents=True, exist_ok=True)

@@ -9,7 +9,7 @@ from typing import Any
 from calibration import CalibrationFile, Kind, Lever, moved_between, parse_calibration
 from processing.errors import ConfigurationError
 from rig.presentation import percent
-from rig.settings import Configuration, FitSettings, validate_configuration
+from rig.settings import Configuration, FitSettings, PendulumSettings, validate_configuration
 
 PREFIX = "calibration/"
 _SECTIONS: Mapping[Kind, str] = {
@@ -19,6 +19,10 @@ _SECTIONS: Mapping[Kind, str] = {
     "clock": "timebase",
     "shutter": "shutter",
 }
+
+
+_SAME_BODY = 0.02
+"""A mass that is stated roughly may be off the certified one by this part."""
 
 
 def fill_from_files(config: Configuration) -> Configuration:
@@ -50,6 +54,8 @@ def fill_from_files(config: Configuration) -> Configuration:
         # open and vacuum are asked for by name, and hold
         if config.fit.drag == "air":
             update["fit"] = _with_measured_drag(config, found, air)
+    if config.calibration.mass is not None:
+        update["pendulum"] = _with_certified_mass(config, config.calibration.mass)
     if config.calibration.pointing is not None:
         parse_calibration(_read(config.calibration.pointing, "pointing"), str(config.calibration.pointing))
     for path in config.calibration.checks:
@@ -70,6 +76,26 @@ def _with_measured_drag(config: Configuration, found: CalibrationFile, path: Pat
     return filled
 
 
+def _with_certified_mass(config: Configuration, path: Path) -> PendulumSettings:
+    """The pendulum with the mass of a certificate, which may not be that of another body."""
+    found = parse_calibration(_read(path, "mass"), str(path), "mass")
+    stated = config.pendulum
+    if stated is None:
+        raise ConfigurationError(f"calibration.mass = {str(path)!r}: there is no [pendulum] whose mass it is")
+    certified_kg = float(found.values["mass_kg"])
+    off = stated.mass_kg / certified_kg - 1
+    if abs(off) > _SAME_BODY:
+        raise ConfigurationError(
+            f"pendulum.mass_kg = {stated.mass_kg:g} is {100 * off:+.2g} % off the {certified_kg:g} kg of "
+            f"calibration.mass = {str(path)!r}: state the mass of the body that was certified"
+        )
+    tree = {
+        "camera": {"driver": config.camera.driver},
+        "pendulum": stated.model_dump() | {"u_mass_kg": 0.0} | found.values,
+    }
+    return validate_configuration(tree, str(path)).pendulum or stated
+
+
 def _section_values(found: CalibrationFile) -> dict[str, Any]:
     """What fills the section: the values, and for a sensor the map of its hot pixels from the details."""
     hot = found.details.get("hot_pixels_xy") if found.kind == "sensor" else None
@@ -78,7 +104,7 @@ def _section_values(found: CalibrationFile) -> dict[str, Any]:
 
 def calibration_attachments(config: Configuration) -> dict[str, bytes]:
     """Contents of the calibration files in use, by their names in a record."""
-    paths = {kind: getattr(config.calibration, kind) for kind in (*_SECTIONS, "air", "pointing")}
+    paths = {kind: getattr(config.calibration, kind) for kind in (*_SECTIONS, "mass", "air", "pointing")}
     found = {f"{PREFIX}{kind}.toml": _read(path) for kind, path in paths.items() if path is not None}
     for number, path in enumerate(config.calibration.checks, 1):
         found[f"{PREFIX}check-{number}.toml"] = _read(path)
@@ -128,12 +154,15 @@ def judge_calibration(
             missing.append(kind)
     if missing:
         warnings.append(f"not calibrated: {', '.join(missing)} (rig calibrate)")
-    data = attachments.get(f"{PREFIX}air.toml")
-    if data is not None:
-        measured = parse_calibration(data, "air.toml", "air")
-        tree["air"] = _entry(measured, data, began)
-        if measured.expired(began):
-            warnings.append(f"the calibration of the air had expired on {measured.valid_until:%Y-%m-%d}")
+    others: tuple[Kind, ...] = ("mass", "air")
+    for kind in others:
+        data = attachments.get(f"{PREFIX}{kind}.toml")
+        if data is not None:
+            measured = parse_calibration(data, f"{kind}.toml", kind)
+            tree[kind] = _entry(measured, data, began)
+            if measured.expired(began):
+                until = f"{measured.valid_until:%Y-%m-%d}"
+                warnings.append(f"the calibration of the {kind} had expired on {until}")
     data = attachments.get(f"{PREFIX}pointing.toml")
     if data is not None:
         tree["pointing"] = _entry(parse_calibration(data, "pointing.toml", "pointing"), data, began)
@@ -148,7 +177,10 @@ def _entry(found: CalibrationFile, data: bytes, at: datetime.datetime) -> dict[s
         "validity": "expired" if found.expired(at) else "valid",
         "text": f"{found.method}; by {found.made_by or '?'}, valid until {found.valid_until:%Y-%m-%d}",
         "sha256": hashlib.sha256(data).hexdigest(),
-        **found.model_dump(mode="json", exclude={"details", "schema_version"}),
+        **found.model_dump(
+            mode="json",
+            exclude={"details": True, "schema_version": True, "sources": {"__all__": {"content"}}},
+        ),
     }
 
 

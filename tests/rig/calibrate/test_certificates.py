@@ -1,0 +1,186 @@
+"""Digital calibration certificates read as calibrations: of the mass, of the lever."""
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from calibration import parse_certificate
+from calibration.store import read_calibration
+from processing.errors import ConfigurationError
+from rig.calibrate import Filing, calibrate_lever, calibrate_mass
+from rig.instrument.calibration import calibration_attachments, fill_from_files, judge_calibration
+from rig.settings.configuration import Configuration, validate_configuration
+from tests.rig.certificates import EXAMPLE, certificate, quantity, real, schema
+from tests.rig.command_line import rig
+
+MASS = quantity("Mass", real("406.0", r"\gram", "0.090", "3", "0.9973"), "basic_measuredValue mass_mass")
+
+
+def in_use(mass_kg: float = 0.4, **files: Path) -> Configuration:
+    tree = {
+        "camera": {"driver": "usb3vision"},
+        "pendulum": {"mass_kg": mass_kg, "ball_radius_m": 0.015},
+        "calibration": files,
+    }
+    return validate_configuration(tree, "test")
+
+
+def test_what_is_written_here_by_hand_is_a_certificate(shared_data: Path, tmp_path: Path) -> None:
+    schema(shared_data).validate(str(certificate(tmp_path / "m.xml", MASS, recalibrate_by="2031-03-01")))
+
+
+def test_a_mass_fills_the_configuration_with_its_standard_uncertainty(tmp_path: Path) -> None:
+    xml = certificate(tmp_path / "m.xml", MASS, recalibrate_by="2031-03-01")
+    path = calibrate_mass(xml, Filing(tmp_path / "c", 30))
+    found = read_calibration(path, "mass")
+    assert found.values == {"mass_kg": pytest.approx(0.406), "u_mass_kg": pytest.approx(3.0e-5, rel=1e-12)}
+    assert found.method == "certificate M-2025-17 of A Laboratory"
+    assert (found.measured_at.isoformat()[:10], found.valid_until.isoformat()[:10]) == (
+        "2025-03-02",
+        "2031-03-01",
+    )
+    config = fill_from_files(in_use(mass=path))
+    assert config.pendulum is not None
+    assert (config.pendulum.mass_kg, config.pendulum.u_mass_kg) == pytest.approx((0.406, 3.0e-5))
+    assert fill_from_files(config) == config, "as a record's configuration is, which has it already"
+
+
+def test_the_certificate_itself_is_kept_with_the_calibration_and_the_record(tmp_path: Path) -> None:
+    xml = certificate(tmp_path / "m.xml", MASS)
+    data = xml.read_bytes().replace(b"\n", b"\r\n")
+    xml.write_bytes(data)
+    path = calibrate_mass(xml, Filing(tmp_path / "c"))
+    xml.unlink()
+    (source,) = read_calibration(path).sources
+    assert source.data() == data
+    assert source.sha256 == hashlib.sha256(data).hexdigest()
+    config = in_use(mass=path)
+    attached = calibration_attachments(config)
+    assert attached == {"calibration/mass.toml": path.read_bytes()}
+    now = read_calibration(path).made_at
+    tree, _ = judge_calibration(config, attached, now, now)
+    assert tree["mass"]["sources"] == [{"name": "m.xml", "sha256": source.sha256}]
+    text = path.read_text()
+    path.write_text(text.replace('content = "', 'content = "AAAA'))
+    with pytest.raises(ConfigurationError, match=r"the content of m\.xml is not that of its SHA-256"):
+        read_calibration(path)
+
+
+def test_the_mass_of_another_body_is_refused(tmp_path: Path) -> None:
+    path = calibrate_mass(certificate(tmp_path / "m.xml", MASS), Filing(tmp_path / "c"))
+    with pytest.raises(ConfigurationError, match=r"pendulum\.mass_kg = 0\.5 is \+23 % off the 0\.406 kg"):
+        fill_from_files(in_use(0.5, mass=path))
+
+
+def test_an_arm_and_a_pitch_make_a_lever(tmp_path: Path) -> None:
+    arm = quantity("Distance", real("1000.3", r"\milli\metre", "0.4", "2"))
+    pitch = quantity("Pixels", real("4.8", r"\micro\metre", "0.002", "2"))
+    path = calibrate_lever(certificate(tmp_path / "l.xml", arm, pitch), Filing(tmp_path / "c"))
+    config = fill_from_files(in_use(lever=path))
+    assert config.lever is not None
+    assert (config.lever.arm_m, config.lever.u_arm_m) == pytest.approx((1.0003, 2e-4))
+    assert (config.lever.pixel_pitch_m, config.lever.u_pixel_pitch_m) == pytest.approx((4.8e-6, 1e-9))
+    (tmp_path / "lever.toml").write_text('certificate = "arm.xml"\npixel_pitch_m = 3.45e-6\n')
+    certificate(tmp_path / "arm.xml", arm)
+    found = read_calibration(calibrate_lever(tmp_path / "lever.toml", Filing(tmp_path / "c")))
+    assert (found.values["arm_m"], found.values["pixel_pitch_m"]) == pytest.approx((1.0003, 3.45e-6))
+    assert [source.name for source in found.sources] == ["lever.toml", "arm.xml"]
+
+
+@pytest.mark.parametrize(
+    ("quantities", "said"),
+    [
+        (
+            [quantity("Length", real("1", r"\metre", "0.1"))],
+            "states no mass (in a unit like kg); it has: Length (m)",
+        ),
+        ([quantity("Mass", real("1", r"\carat", "0.1"))], r"it has: Mass ('\\carat': no unit that is known"),
+        (
+            [quantity("Mass", real("1", r"\kilogram"))],
+            "Mass: states no uncertainty, without which it is no mass",
+        ),
+        ([MASS, MASS], "states several numbers that could be the mass: Mass = 406 g; Mass = 406 g"),
+        ([quantity("Mass", real("1", r"\kilogram", "0.1", "0"))], "Mass: its coverage factor is 0"),
+        ([quantity("Mass", real("one", r"\kilogram", "0.1"))], "Mass: 'one' is no number"),
+        ([], "states no mass (in a unit like kg); it has: no numbers"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(tmp_path: Path, quantities: list[str], said: str) -> None:
+    xml = certificate(tmp_path / "m.xml", *quantities)
+    done = rig("calibrate", "mass", xml, "-o", tmp_path / "c")
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert str(xml) in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not (tmp_path / "c").exists()
+
+
+def test_a_file_that_is_no_certificate_is_refused(tmp_path: Path) -> None:
+    xml = certificate(tmp_path / "m.xml", MASS, schema="2.4.0")
+    with pytest.raises(ConfigurationError, match=r"is a certificate of schema 2\.4\.0; 3\.x is read here"):
+        calibrate_mass(xml, Filing(tmp_path))
+    for text, said in (("<a/>", "is XML of 'a'"), ("<a", "is not XML"), ("", "is not XML")):
+        xml.write_text(text)
+        with pytest.raises(ConfigurationError, match=said):
+            calibrate_mass(xml, Filing(tmp_path))
+    certificate(xml, MASS)
+    with pytest.raises(ConfigurationError, match="rig calibrate lever, or mass, makes a calibration"):
+        fill_from_files(in_use(mass=xml))
+
+
+def test_the_nominal_value_is_not_taken_for_the_measured_one(tmp_path: Path) -> None:
+    nominal = quantity("Nominal", real("400", r"\gram", "5"), "basic_nominalValue")
+    conventional = MASS.replace("mass_mass", "mass_conventionalMass")
+    path = calibrate_mass(certificate(tmp_path / "m.xml", nominal, conventional), Filing(tmp_path / "c"))
+    found = read_calibration(path)
+    assert found.values["mass_kg"] == pytest.approx(0.406)
+    assert any("a conventional mass" in note for note in found.notes)
+
+
+def test_uncertainties_of_newer_schemas_and_lists_are_read(tmp_path: Path) -> None:
+    newer = quantity(
+        "Mass",
+        r"<si:hybrid><si:real><si:value>1</si:value><si:unit>\pound</si:unit></si:real>"
+        r"<si:real><si:value>0.406</si:value><si:unit>\kilogram</si:unit>"
+        "<si:measurementUncertaintyUnivariate><si:expandedMU><si:valueExpandedMU>3e-5</si:valueExpandedMU>"
+        "<si:coverageFactor>2</si:coverageFactor><si:coverageProbability>0.95</si:coverageProbability>"
+        "</si:expandedMU></si:measurementUncertaintyUnivariate></si:real></si:hybrid>",
+    )
+    interval = quantity(
+        "Mass",
+        r"<si:real><si:value>0.406</si:value><si:unit>\kilogram</si:unit><si:coverageInterval>"
+        "<si:standardUnc>1.5e-5</si:standardUnc><si:intervalMin>0.4</si:intervalMin>"
+        "<si:intervalMax>0.5</si:intervalMax><si:coverageProbability>0.95</si:coverageProbability>"
+        "</si:coverageInterval></si:real>",
+    )
+    listed = quantity(
+        "Masses",
+        "<si:realListXMLList><si:valueXMLList>0.406 0.1</si:valueXMLList>"
+        r"<si:unitXMLList>\kilogram</si:unitXMLList><si:expandedUncXMLList>"
+        "<si:uncertaintyXMLList>3e-5 2e-5</si:uncertaintyXMLList>"
+        "<si:coverageFactorXMLList>2</si:coverageFactorXMLList>"
+        "<si:coverageProbabilityXMLList>0.95</si:coverageProbabilityXMLList></si:expandedUncXMLList>"
+        "</si:realListXMLList>",
+    )
+    path = certificate(tmp_path / "m.xml", newer, interval, f"<dcc:list>{listed}</dcc:list>")
+    found = parse_certificate(path.read_bytes(), "m.xml")
+    assert [(each.value, each.unit, each.u) for each in found.quantities] == [
+        (0.406, "kg", 1.5e-5),
+        (0.406, "kg", 1.5e-5),
+        (0.406, "kg", 1.5e-5),
+        (0.1, "kg", 1e-5),
+    ]
+
+
+def test_ptbs_example_is_read(shared_data: Path) -> None:
+    path = shared_data / "dcc" / EXAMPLE
+    if not path.is_file():
+        pytest.skip(f"no example of a certificate at {path}")
+    found = parse_certificate(path.read_bytes(), path.name)
+    assert (found.identifier, found.laboratory) == ("Id 123456789 HtW", "Kalibrierfirma GmbH")
+    errors = [each for each in found.quantities if each.name == "Measurement error"]
+    assert [each.value for each in errors] == [-0.004, -0.001, 0.003, 0.011, 0.012, 0.006, -0.003]
+    assert [each.u for each in errors] == [0.003, 0.004, 0.005, 0.0055, 0.005, 0.004, 0.003]
+    assert {each.unit for each in errors} == {"1"}
+    assert {(each.k, each.probability) for each in errors} == {(2.0, 0.95)}
