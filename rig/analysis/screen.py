@@ -4,8 +4,6 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-
 from processing.fit import FitMethod
 from rig.analysis.compared_laws import law_table
 from rig.analysis.decay_values import decay_lines
@@ -14,7 +12,7 @@ from rig.analysis.fit_tables import combined_table, parameter_table, quality_tab
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import encoded
 from rig.analysis.waveform_results import waveform_table
-from rig.presentation import answer, print_tables
+from rig.presentation import answer, print_line, print_tables
 
 logger = logging.getLogger(__name__)
 
@@ -27,7 +25,6 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
     (``rig -v``) of every run both fits with the swings' own uncertainties, their quality, all remarks.
     """
     answer(results=encoded(results), written=[path for _, path in paths])
-    console = Console()
     combined = combined_table(results)
     short = combined is not None and not logger.isEnabledFor(logging.INFO)
     for number, run in enumerate(results.runs, start=1):
@@ -47,17 +44,12 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
     if combined is not None:
         print_tables([combined])
     if not logger.isEnabledFor(logging.INFO) and any(run.fits for run in results.runs):
-        console.print(
-            "  -v, and the report, show both fits of every run, their quality, and more remarks",
-            highlight=False,
-            markup=False,
-            soft_wrap=True,
-        )
+        print_line("  -v, and the report, show both fits of every run, their quality, and more remarks")
     if results.series is not None and results.series.instrument is not None:
         for line in results.series.instrument.text:
-            console.print(line, highlight=False, markup=False)
+            print_line(line)
     for name, path in paths:
-        console.print(f"{name:<12} {path}", highlight=False, markup=False, soft_wrap=True)
+        print(f"{name:<12} {path}")
 
 
 def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: bool = False) -> None:
@@ -65,12 +57,12 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
 
     `short` leaves out tables of the fits and remarks.
     """
-    console, full = Console(), logger.isEnabledFor(logging.INFO)
-    console.print(head, highlight=False, markup=False, soft_wrap=True)
+    full = logger.isEnabledFor(logging.INFO)
+    print_line(head)
     for line in lines:
-        console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
+        print_line(f"  {line}")
     if run.problem:
-        console.print(f"  no fit: {run.problem}", highlight=False, markup=False, soft_wrap=True)
+        print_line(f"  no fit: {run.problem}")
     if run.fits and not short:
         whole = whole_table(run)
         tables = [whole] if whole.rows else []
@@ -79,17 +71,17 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
         print_tables([*tables, quality_table(run.fits)] if full else tables)
     if run.laws is not None:
         print_tables([law_table(run.laws), waveform_table(run.laws)])
-        console.print(f"  {run.laws.verdict}", highlight=False, markup=False, soft_wrap=True)
+        print_line(f"  {run.laws.verdict}")
     said = [] if short else remarks(run) if full else brief_remarks(run)
     for line in (*(run.instrument.text if run.instrument else ()), *said):
-        console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
+        print_line(f"  {line}")
     for condition in run.conditions:
         if not condition.ok or condition.remedy:
             line = f"  {condition.name.upper()}: {condition.measured} (limit {condition.limit}); "
             line += f"{condition.reason}; {condition.remedy}"
-            console.print(line, highlight=False, markup=False, soft_wrap=True)
+            print_line(line)
     # what only the asymptotic fit is warned of concerns no number that is shown
     of_other = run.fits[FitMethod.ASYMPTOTIC].warnings if FitMethod.ASYMPTOTIC in run.fits else ()
     hidden = () if full or short else [f"{FitMethod.ASYMPTOTIC} fit: {warning}" for warning in of_other]
     for warning in (one for one in run.warnings if one not in hidden):
-        console.print(f"  note: {warning}", highlight=False, markup=False, soft_wrap=True)
+        print_line(f"  note: {warning}")

@@ -21,7 +21,7 @@ from rig.analysis.table_fit import AnalysedTable, FoundDecay, analyse_envelope, 
 from rig.analysis.trajectory import Trajectory
 from rig.analysis.witness_file import StatedWitness
 from rig.instrument import fill_from_files
-from rig.presentation import answer, with_uncertainty
+from rig.presentation import answer, print_line, with_uncertainty
 from rig.sealing import refuse_blind
 from rig.settings import Watched, load_configuration
 
@@ -78,13 +78,13 @@ def fit_several(
             )
     failed = 0
     for (name, path, read), folder in zip(inputs, folders, strict=True):
-        print(f"--- run {name}")
+        print_line(f"--- run {name}")
         try:
             fit_read(path, read(), folder, config_path, overrides, report, laws, witness)
         except (DataError, DeviceError) as error:
             failed += 1
             answer(not_analysed=[{"run": name, "reason": str(error)}])
-            print(f"not analysed: {error}")
+            print_line(f"not analysed: {error}")
     return int(failed > 0)
 
 
@@ -136,23 +136,23 @@ def fit_envelope_table(
         raise ConfigurationError(f"--envelope {kind!r}: take one of {', '.join(ENVELOPES)} (in dB)")
     found, results = analyse_envelope(path, columns, decibel=kind == "power", frequency_hz=frequency_hz)
     unit = f" {results.unit}"
-    print(f"{path}: an envelope of {found.samples} values, noise of one {found.noise:.3g}{unit}")
+    print_line(f"{path}: an envelope of {found.samples} values, noise of one {found.noise:.3g}{unit}")
     for line in results.understood:
-        print(f"  {line}")
+        print_line(f"  {line}")
     floor = (
         f"noise floor {found.floor:.3g}{unit}" if math.isfinite(found.floor) else "no noise floor to be seen"
     )
-    print(f"  {found.initial:.4g}{unit} at the start, {floor}")
+    print_line(f"  {found.initial:.4g}{unit} at the start, {floor}")
     of_power = with_uncertainty(0.5 * found.tau_s, 0.5 * found.u_tau_s)
-    print(f"  time constant of the amplitude {with_uncertainty(found.tau_s, found.u_tau_s)} s")
-    print(f"  time constant of the power {of_power} s")
+    print_line(f"  time constant of the amplitude {with_uncertainty(found.tau_s, found.u_tau_s)} s")
+    print_line(f"  time constant of the power {of_power} s")
     if results.damping is not None:
         for line in damping_lines(results.damping, unit.strip() if kind != "power" else "sqrt(power)"):
-            print(f"  {line}")
+            print_line(f"  {line}")
     if results.quality_factor is not None:
-        print(f"  quality factor {with_uncertainty(*results.quality_factor)}")
+        print_line(f"  quality factor {with_uncertainty(*results.quality_factor)}")
     for warning in results.warnings:
-        print(f"  note: {warning}")
+        print_line(f"  note: {warning}")
     _write(path, output, results)
     return 0
 
@@ -172,16 +172,18 @@ def _write(path: Path, output: Path | None, results: TableResults | EnvelopeResu
 
 def _print(path: Path, table: AnalysedTable) -> None:
     trajectory = table.trajectory
-    print(
+    print_line(
         f"{path}: {len(trajectory.times_ns)} samples, {', '.join(trajectory.names)} in {trajectory.unit}, "
         f"{'' if trajectory.time_unit == 's' else f'time in {trajectory.time_unit}, '}"
         f"{len(table.decays)} {'decay' if len(table.decays) == 1 else 'decays'}"
     )
     for line in trajectory.understood:
-        print(f"  {line}")
-    print(f"  noise of a sample {table.noise:.3g} {trajectory.unit}, from the scatter about a smooth curve")
+        print_line(f"  {line}")
+    print_line(
+        f"  noise of a sample {table.noise:.3g} {trajectory.unit}, from the scatter about a smooth curve"
+    )
     for part in table.passed_over:
-        print(
+        print_line(
             f"  from {seconds(part[0].turn_time_ns):.4g} s on: {len(turning_points(part))} usable "
             f"half-cycles of {len(part)}, too few for a decay"
         )

@@ -7,12 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from processing.balance import WeightResponses, implausible
 from rig.instrument import WEIGHTS, nominal_effects
-from rig.presentation import answer, say
+from rig.presentation import Table, answer, print_line, print_tables, say
 from rig.settings import Configuration
 
 Floats = NDArray[np.float64]
@@ -108,15 +106,9 @@ def show(config: Configuration, path: Path) -> None:
     """Print what was learned, and from which entries nothing is."""
     found = learned(config, path)
     answer(turns=[dict(zip(HEAD, row, strict=True)) for row in found.rows], learned=found.lines)
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in HEAD:
-        table.add_column(name)
-    for row in found.rows:
-        table.add_row(*row)
-    console = Console()
-    console.print(table, highlight=False)
+    print_tables([Table("turns", "", HEAD, found.rows, HEAD, found.rows)])
     for line in found.lines:
-        console.print(line, highlight=False)
+        print_line(line)
 
 
 def learned(config: Configuration, path: Path) -> Learned:

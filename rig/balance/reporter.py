@@ -5,30 +5,30 @@ import sys
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from rich.console import Console
-from rich.table import Table
-
 from processing.balance import Fault, Turn, Unreachable
 from processing.deflections import Deflections
 from rig.instrument import turn_text
-from rig.presentation import NOT_KNOWN, print_json_line, say, with_uncertainty
+from rig.presentation import (
+    NOT_KNOWN,
+    Table,
+    print_json_line,
+    print_line,
+    print_tables,
+    say,
+    with_uncertainty,
+)
 
 
 def print_faults(faults: Sequence[Fault], before: Sequence[Fault]) -> None:
     """Print a table of the balance."""
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("", "number", "now"):
-        table.add_column(name)
-    if before:
-        table.add_column("before")
-    for name in ("limit", "what it means"):
-        table.add_column(name)
+    head = ("", "number", "now", *(["before"] if before else []), "limit", "what it means")
+    rows: list[list[str]] = []
     for k, fault in enumerate(faults):
         row = [("go" if fault.ok else "NO") if fault.is_known else "?", fault.name, _number(fault)]
         if before:
             row.append(_number(before[k]))
-        table.add_row(*row, f"{fault.limit:g} {fault.unit}".rstrip(), "" if fault.ok else fault.meaning)
-    Console().print(table, highlight=False)
+        rows.append([*row, f"{fault.limit:g} {fault.unit}".rstrip(), "" if fault.ok else fault.meaning])
+    print_tables([Table("balance", "", head, rows, head, rows)])
 
 
 def _number(fault: Fault) -> str:
@@ -82,7 +82,7 @@ class OnTerminal:
         self, faults: Sequence[Fault], before: Sequence[Fault], advice: Turn | Unreachable | None
     ) -> None:
         print_faults(faults, before)
-        Console().print(turn_text(advice, faults), highlight=False, markup=False, soft_wrap=True)
+        print_line(turn_text(advice, faults))
 
     def rejected(self, why: str, hint: str, back: Turn | None) -> None:
         say(f"this measurement is not used: {why}")

@@ -325,23 +325,23 @@ def _asked(kind: str, config: Path | None, filing: "Filing") -> Path:
 
 def _say(path: Path) -> None:
     """Print the content of the new file."""
-    from rig.presentation import answer, print_tables
+    from rig.presentation import answer, print_line, print_tables
     from rig.wizards import filed
 
     made = filed(path)
     found = made.calibration
     answer(calibration=found.model_dump(mode="json"), written=[path])
-    print(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")
+    print_line(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")
     said = {**found.values, **found.details}
     open_ends = {name for name, value in said.items() if isinstance(value, float) and not isfinite(value)}
     for name, value in said.items():
         if {name, f"u_{name}"} & open_ends and not name.endswith("_dof"):
-            print(f"  {name:24} not determined")
+            print_line(f"  {name:24} not determined")
         elif isinstance(value, bool | str):
-            print(f"  {name:24} {value}")
+            print_line(f"  {name:24} {value}")
         elif isinstance(value, int | float):
-            print(f"  {name:24} {value:.6g}")
+            print_line(f"  {name:24} {value:.6g}")
     print_tables([table for table in made.tables if table.name != "values"])
     for note in found.notes:
-        print(f"note: {note}")
+        print_line(f"note: {note}")
     print(path)

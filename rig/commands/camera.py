@@ -35,26 +35,26 @@ def devices() -> None:
     """List the connected cameras and serial ports."""
     from acquisition.cameras.drivers import find_cameras
     from rig.control import list_serial_ports
-    from rig.presentation import answer
+    from rig.presentation import answer, print_line
 
     cameras, notes = find_cameras()
     ports = list_serial_ports()
     answer(cameras=list(cameras), serial_ports=list(ports), notes=list(notes))
     for camera in cameras:
         words = [camera.driver, camera.name, camera.serial and f"serial {camera.serial}", camera.place]
-        typer.echo("camera  " + "  ".join(word for word in words if word))
+        print_line("camera  " + "  ".join(word for word in words if word))
         for mode in camera.modes:
-            typer.echo(f"          {mode}")
+            print_line(f"          {mode}")
         if camera.problem:
-            typer.echo(f"          {camera.problem}")
+            print_line(f"          {camera.problem}")
     if not cameras:
-        typer.echo("no camera is plugged in; camera.driver = 'simulated' and 'files' need none")
+        print_line("no camera is plugged in; camera.driver = 'simulated' and 'files' need none")
     for port in ports:
         usb = f"USB {port.vendor:04x}:{port.product:04x}" if port.vendor >= 0 else ""
         words = [port.device, port.description, usb, port.serial and f"serial {port.serial}"]
-        typer.echo("serial  " + "  ".join(word for word in words if word))
+        print_line("serial  " + "  ".join(word for word in words if word))
     for note in notes:
-        typer.echo(f"note    {note}")
+        print_line(f"note    {note}")
 
 
 def show(config: Config, set_: Set = None) -> None:
@@ -65,20 +65,20 @@ def show(config: Config, set_: Set = None) -> None:
       rig camera show mine.toml
     """
     from rig.devices import feature_lines
-    from rig.presentation import answer
+    from rig.presentation import answer, print_line
 
     with _opened(config, set_) as (camera, info, applied):
-        typer.echo(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
-        typer.echo(f"sensor {info.width_px} x {info.height_px} px, full scale {info.full_scale_dn} DN")
+        print_line(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
+        print_line(f"sensor {info.width_px} x {info.height_px} px, full scale {info.full_scale_dn} DN")
         for name, value in applied.model_dump(exclude={"features"}).items():
-            typer.echo(
+            print_line(
                 f"camera.{name}: not reported by this camera" if value is None else f"camera.{name} = {value}"
             )
         features = getattr(camera, "features", None)
         lines = list(feature_lines(features.readings())) if features is not None else []
         answer(camera=info, settings=applied.model_dump(mode="json"), features=lines)
         for line in lines:
-            typer.echo(line)
+            print_line(line)
 
 
 def set_features(
@@ -97,7 +97,7 @@ def set_features(
     """
     from acquisition.camera import CameraSettings
     from processing.errors import ConfigurationError
-    from rig.presentation import answer
+    from rig.presentation import answer, print_line
     from rig.settings import apply_overrides, load_configuration, validate_configuration
 
     loaded = load_configuration(config, set_ or [])
@@ -112,11 +112,11 @@ def set_features(
                 asked = validate_configuration(tree, str(config)).camera
                 applied = camera.configure(CameraSettings(**{name: getattr(asked, name)}))
                 answer(**{f"camera.{name}": getattr(applied, name)})
-                typer.echo(f"camera.{name} = {getattr(applied, name)}")
+                print_line(f"camera.{name} = {getattr(applied, name)}")
             elif hasattr(camera, "features"):
                 now = camera.features.set(name, value)
                 answer(**{name: now})
-                typer.echo(f"{name} = {now}")
+                print_line(f"{name} = {now}")
             else:
                 known = ", ".join(CameraSettings.model_fields)
                 raise ConfigurationError(f"{name}: this camera has no such setting; there are {known}")
@@ -144,7 +144,7 @@ def snap(
     from processing.errors import ConfigurationError, RecordError
     from rig.devices import picture as camera_picture
     from rig.instrument import beam_quality, complete, optics_of
-    from rig.presentation import answer
+    from rig.presentation import answer, print_line
     from rig.settings import load_configuration
 
     loaded = complete(load_configuration(config, set_ or []))
@@ -164,16 +164,16 @@ def snap(
             whole_file.write_new(output, png.tobytes())
         except OSError as error:
             raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
-        typer.echo("pixels in each range of grey values (bars: logarithmic)")
+        print_line("pixels in each range of grey values (bars: logarithmic)")
         for line in camera_picture.histogram_bars(image, info.full_scale_dn):
-            typer.echo(line)
+            print_line(line)
         figures = camera_picture.figures(image, info.full_scale_dn)
-        typer.echo(_figures_line(figures))
+        print_line(_figures_line(figures))
         tracker = optics_of(loaded, info.full_scale_dn).tracker()
         spot = tracker.track(image)
         limits = loaded.preflight
         beam = beam_quality([image], [spot], tracker.model, info.full_scale_dn, limits)
-        typer.echo(beam.line)
+        print_line(beam.line)
         answer(picture=figures, beam=beam, written=[output])
         typer.echo(str(output))
 
@@ -336,16 +336,16 @@ def expose(
       rig camera expose mine.toml --target 0.6
     """
     from rig.devices import find_exposure
-    from rig.presentation import answer
+    from rig.presentation import answer, print_line
 
     with _opened(config, set_) as (camera, info, applied):
         found = find_exposure(camera, info, applied, target)
         answer(found=found)
-        typer.echo(
+        print_line(
             f"peak {found.peak:.1%} of full scale; for the configuration, above its first section, or below "
             "[camera] without 'camera.':"
         )
-        typer.echo(f"camera.exposure_us = {found.exposure_us:.6g}")
+        print_line(f"camera.exposure_us = {found.exposure_us:.6g}")
 
 
 def dump(
@@ -362,7 +362,7 @@ def dump(
     import zipfile
 
     from processing.errors import ConfigurationError
-    from rig.presentation import answer
+    from rig.presentation import answer, print_line
 
     with _opened(config, set_) as (camera, info, _):
         if not hasattr(camera, "dump"):
@@ -373,7 +373,7 @@ def dump(
     with zipfile.ZipFile(output, "x", zipfile.ZIP_DEFLATED) as archive:
         for name, data in files.items():
             archive.writestr(name, data)
-            typer.echo(f"{name}: {len(data)} bytes")
+            print_line(f"{name}: {len(data)} bytes")
     answer(written=[output])
     typer.echo(str(output))
 

@@ -94,7 +94,9 @@ def video(
         (film,) = films
         read = film_trajectory(film, asked)
         raise typer.Exit(fit_read(film, read, output, config, set_ or [], table_report, law or []))
-    print(f"{film}: {len(films)} films: {', '.join(each.name for each in films)}")
+    from rig.presentation import print_line
+
+    print_line(f"{film}: {len(films)} films: {', '.join(each.name for each in films)}")
     inputs = [(each.stem, each, partial(film_trajectory, each, asked)) for each in films]
     raise typer.Exit(fit_several(inputs, output, config, set_ or [], table_report, law or []))
 

@@ -385,8 +385,8 @@ def plan(
 def instruments() -> None:
     """List the kinds of pendulum, for instrument.kind."""
     from processing.instruments import INSTRUMENTS
-    from rig.presentation import answer
+    from rig.presentation import answer, print_line
 
     answer(instruments={each.kind: each.sentence for each in INSTRUMENTS.values()})
     for description in INSTRUMENTS.values():
-        typer.echo(f"{description.kind:<15} {description.sentence}")
+        print_line(f"{description.kind:<15} {description.sentence}")

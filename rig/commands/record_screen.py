@@ -10,7 +10,7 @@ from acquisition.record.recover import Recovery, recover
 from acquisition.record.repaired import repaired
 from acquisition.record.utc import utc_text
 from processing.ticks import seconds
-from rig.presentation import answer
+from rig.presentation import answer, print_line
 
 _HIDDEN = {"record"}
 
@@ -22,26 +22,26 @@ def print_info(path: Path) -> None:
     state = (
         "whole" if contents.whole else f"cut short after {_size(contents.readable_bytes)} (see rig recover)"
     )
-    print(f"{path}: {_size(contents.size)}, {state}")
-    print(f"schema {int(contents.metadata['record']['schema_version'])}, written by {contents.library}")
+    print_line(f"{path}: {_size(contents.size)}, {state}")
+    print_line(f"schema {int(contents.metadata['record']['schema_version'])}, written by {contents.library}")
     if contents.start_ns:
         when = " of simulated time" if RecordedCamera.of(contents.metadata).simulated else ""
         lasted_s = seconds(contents.end_ns - contents.start_ns)
-        print(f"{utc_text(contents.start_ns)} to {utc_text(contents.end_ns)}, {lasted_s:.1f} s{when}")
+        print_line(f"{utc_text(contents.start_ns)} to {utc_text(contents.end_ns)}, {lasted_s:.1f} s{when}")
     for topic, count in counts.items():
-        print(f"  {topic:<20} {count}")
+        print_line(f"  {topic:<20} {count}")
     if losses is not None:
-        print(f"frames lost: {losses}")
+        print_line(f"frames lost: {losses}")
     for section, texts in contents.metadata.items():
         filled = {key: text for key, text in texts.items() if text}
         if section not in _HIDDEN and filled:
-            print(f"{section}")
+            print_line(f"{section}")
             for key, text in filled.items():
-                print(f"  {key:<20} {text}")
+                print_line(f"  {key:<20} {text}")
     for name, size in contents.attachments.items():
-        print(f"attachment {name} ({_size(size)})")
+        print_line(f"attachment {name} ({_size(size)})")
     for problem in contents.damage:
-        print(f"problem: {problem}")
+        print_line(f"problem: {problem}")
     answer(
         records=[
             {
@@ -70,11 +70,11 @@ def print_check(path: Path, results: Path | None) -> int:
 
         findings += check_report(results)
     for finding in findings:
-        print(f"{finding.severity}: {finding.text}")
+        print_line(f"{finding.severity}: {finding.text}")
     answer(records=[{"path": path, "findings": list(findings)}])
     errors = sum(finding.severity == "error" for finding in findings)
     found = "is sound" if not errors else "1 error" if errors == 1 else f"{errors} errors"
-    print(f"{path}: {found}")
+    print_line(f"{path}: {found}")
     return 1 if errors else 0
 
 
@@ -85,7 +85,7 @@ def recover_record(path: Path, output: Path | None) -> None:
     """
     with RecordReader(path) as reader:
         if is_sound(reader.file, reader.contents):
-            print(f"{path}: is sound, every byte is as it was written; there is nothing to recover")
+            print_line(f"{path}: is sound, every byte is as it was written; there is nothing to recover")
             answer(path=path, sound=True)
             return
     found: tuple[Path, Recovery | None] = (
@@ -94,23 +94,25 @@ def recover_record(path: Path, output: Path | None) -> None:
     target, recovery = found
     answer(path=target, sound=False, recovery=recovery)
     if recovery is None:
-        print(f"{target}: is a sound copy of what can be read of {path.name} as it is; nothing was written")
+        print_line(
+            f"{target}: is a sound copy of what can be read of {path.name} as it is; nothing was written"
+        )
         return
     counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in recovery.messages.items() if count)
-    print(f"{target}: {counts or 'no messages'}, up to {utc_text(recovery.end_ns)}")
-    print(f"lost: {recovery.lost_bytes} bytes after the last complete record")
+    print_line(f"{target}: {counts or 'no messages'}, up to {utc_text(recovery.end_ns)}")
+    print_line(f"lost: {recovery.lost_bytes} bytes after the last complete record")
     for damage in recovery.lost:
         topics = ", ".join(damage.topics)
         span = f"{topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: " if topics else ""
-        print(f"lost: {span}{damage.what}")
+        print_line(f"lost: {span}{damage.what}")
     for text in (*recovery.doubles, *recovery.foreign):
-        print(f"left out: {text}")
+        print_line(f"left out: {text}")
     if recovery.moved:
-        print(f"in order again: {recovery.moved} chunks stood elsewhere than their frames belong")
+        print_line(f"in order again: {recovery.moved} chunks stood elsewhere than their frames belong")
     for text in recovery.damage:
-        print(f"damaged: {text}")
+        print_line(f"damaged: {text}")
     for part in recovery.unproved:
-        print(f"not proved: {part} has no checksum; compare it with what you know of the run")
+        print_line(f"not proved: {part} has no checksum; compare it with what you know of the run")
 
 
 def _size(count: int) -> str:

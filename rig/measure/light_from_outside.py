@@ -9,7 +9,7 @@ from processing.errors import DeviceError, RigError
 from rig.channel import Line, NoSession, running_sessions
 from rig.control import SafetyNow, SafetyState, rig_state_path
 from rig.devices import AUDIT_NAME, Devices, check_log
-from rig.presentation import answer, say
+from rig.presentation import answer, print_line, say
 from rig.settings import Configuration
 
 
@@ -22,12 +22,12 @@ def show_light(config: Configuration) -> int:
         ("laser", str(now.light), now.light_age_s),
         ("interlock", str(now.interlock), now.interlock_age_s),
     ):
-        print(f"{name:<10} {text}" + (f", {age_s:.1f} s ago" if math.isfinite(age_s) else ""))
+        print_line(f"{name:<10} {text}" + (f", {age_s:.1f} s ago" if math.isfinite(age_s) else ""))
     trip = now.trip
-    print(f"{'trip':<10} {'none is latched' if trip is None else trip.text}")
+    print_line(f"{'trip':<10} {'none is latched' if trip is None else trip.text}")
     if trip is not None:
-        print(f"{'remedy':<10} look that nobody is in the beam's way, then")
-        print(f"{'':<10} rig light acknowledge CONFIG {trip.number}")
+        print_line(f"{'remedy':<10} look that nobody is in the beam's way, then")
+        print_line(f"{'':<10} rig light acknowledge CONFIG {trip.number}")
     return 1 if now.refusal or trip is not None else 0
 
 
@@ -54,9 +54,9 @@ def check_audit(folder: Path, config: Configuration | None) -> int:
     faults = check_log(folder, state)
     answer(log=folder / AUDIT_NAME, faults=[str(fault) for fault in faults])
     for fault in faults:
-        print(f"{folder / AUDIT_NAME}: {fault}")
+        print_line(f"{folder / AUDIT_NAME}: {fault}")
     if not faults:
-        print(f"{folder / AUDIT_NAME}: whole")
+        print_line(f"{folder / AUDIT_NAME}: whole")
     return 1 if faults else 0
 
 

@@ -11,7 +11,7 @@ from rig.paper.comparison import table1, table2, table3, table4
 from rig.paper.printed import CONTRADICTIONS, LOOP_AMPLITUDE_ARCSEC, PAIRS, SOURCE
 from rig.paper.shaken import shaken_pair, table5
 from rig.paper.simulation import NOISE_ARCSEC, PairSeries, simulate_pair
-from rig.presentation import Table, answer, print_tables
+from rig.presentation import Table, answer, print_line, print_tables
 from rig.report import (
     ReportFigure,
     figures_contact,
@@ -42,9 +42,9 @@ def reproduce_paper(output: Path | None, b_exponent: int) -> None:
     ]
     tables = [table1(), table2(found, b_exponent), table3(found), table4(found), table5(shaken)]
     print_tables(tables)
-    print("Known contradictions of the printed text:")
+    print_line("Known contradictions of the printed text:")
     for line in CONTRADICTIONS:
-        print(f"- {line}")
+        print_line(f"- {line}")
     if output is not None:
         page = write_paper(output, found, tables)
         answer(written=[page])

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-from rich.console import Console
-
 from acquisition.record import whole_file
 from processing.angle import ARCSEC_RAD
 from processing.contact import PendulumOnBall
@@ -164,4 +162,4 @@ def save_plan(plan: Plan, folder: Path, ageing: Table | None = None) -> None:
         path = folder / f"plan{suffix}"
         whole_file.write_new(path, content)
         answer(written=[path])
-        Console().print(f"{'plan':<12} {path}", highlight=False, markup=False, soft_wrap=True)
+        print(f"{'plan':<12} {path}")

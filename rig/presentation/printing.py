@@ -2,14 +2,61 @@
 
 import json
 import math
+import os
+import re
 import sys
+import textwrap
 from collections.abc import Mapping
-from typing import Any
+from typing import IO, Any, Final
+
+COLUMNS: Final = 80
+"""Of a terminal that does not tell."""
+_MOST_INDENTED = 0.4
+"""Of the width: a name longer than this has its text continued at its left."""
+
+
+def print_line(text: str) -> None:
+    """Print a line of results on stdout; at a terminal it is wrapped at words, under its own beginning."""
+    _print(text, sys.stdout)
 
 
 def say(text: str, *, error: bool = False) -> None:
-    """Print one line on stderr, because programs read stdout."""
-    print(f"rig: {text}" if error else text, file=sys.stderr, flush=True)
+    """Print one line on stderr, because programs read stdout; at a terminal it is wrapped, too."""
+    _print(f"rig: {text}" if error else text, sys.stderr)
+
+
+def _print(text: str, stream: IO[str]) -> None:
+    columns = columns_of(stream)
+    lines = text.split("\n") if columns else [text]
+    print("\n".join(_wrapped(line, columns) for line in lines), file=stream, flush=True)
+
+
+def columns_of(stream: IO[str]) -> int:
+    """The width of a terminal; 0 of what is none, where lines are for programs and stay whole."""
+    if not stream.isatty():
+        return 0
+    try:
+        return os.get_terminal_size(stream.fileno()).columns or COLUMNS
+    except (OSError, ValueError):
+        return COLUMNS
+
+
+def _wrapped(line: str, columns: int) -> str:
+    if not columns or len(line) <= columns:
+        return line
+    # what follows a name and two spaces is continued below itself
+    begin = re.match(r" *(?:\S+(?: \S+)* {2,})?", line)
+    indent = len(begin[0]) if begin is not None else 0
+    if indent > _MOST_INDENTED * columns:
+        indent = len(line) - len(line.lstrip())
+    return textwrap.fill(
+        line,
+        columns,
+        subsequent_indent=" " * (indent or 2),
+        break_long_words=False,
+        break_on_hyphens=False,
+        replace_whitespace=False,
+    )
 
 
 def print_json_line(kind: str, values: Mapping[str, Any]) -> None:

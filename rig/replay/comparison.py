@@ -25,6 +25,7 @@ class ReplayDifferences:
     """Differences between replay and record, in units of the recorded standard uncertainties.
 
     A spot or half-cycle counts as changed if any bit differs, or if it exists in one of them only.
+    `spots_once` and `swings_once` exist in one of them only.
     `swings_flagged` are the replayed ones that fits leave out. `largest_spot_frame` (a frame number) and
     `largest_swing_s` (time from the record's first frame) locate the largest changes.
     """
@@ -41,6 +42,8 @@ class ReplayDifferences:
     largest_swing_change_u: float
     largest_swing_s: float
     swings_flagged: int = 0
+    spots_once: int = 0
+    swings_once: int = 0
 
     @property
     def identical(self) -> bool:
@@ -70,7 +73,7 @@ class ReplayComparison:
         self._start_ns = start_ns
         self._spots = 0
         self._found = [0, 0]
-        self._changed = 0
+        self._changed = self._once = 0
         self._largest: tuple[float, int] = (0.0, -1)
 
     def spots(self, rows: NDArray[Any], spots: Sequence[Spot]) -> None:
@@ -82,6 +85,7 @@ class ReplayComparison:
         self._found[0] += int(np.isfinite(rows["x_px"]).sum())
         self._found[1] += int(np.isfinite(x_px).sum())
         self._changed += int(changed.sum())
+        self._once += int((np.isfinite(rows["x_px"]) != np.isfinite(x_px)).sum())
         if changed.any():
             with np.errstate(invalid="ignore", divide="ignore"):
                 in_u = np.maximum(
@@ -129,6 +133,8 @@ class ReplayComparison:
             largest_swing_change_u=largest,
             largest_swing_s=largest_s,
             swings_flagged=sum(swing.flags != 0 for swing in replayed),
+            spots_once=self._once,
+            swings_once=unpaired,
         )
 
 

@@ -23,7 +23,7 @@ from rig.analysis import (
     write_results,
 )
 from rig.instrument import earlier_schema, recorded_configuration
-from rig.presentation import Keys, answer, say
+from rig.presentation import Keys, answer, print_line, say
 from rig.replay.comparison import parameter_changes
 from rig.replay.player import HELP, MOST_FRAMES, Player
 from rig.replay.replay import Replay, Replayed
@@ -188,7 +188,7 @@ def _say_differences(
 ) -> None:
     """Print differences from the recorded spots, half-cycles and fitted parameters."""
     if replay.sought:
-        print(
+        print_line(
             f"restarted at {replay.begun_s:.2f} s by going back: "
             "the results are not compared with the recorded ones"
         )

@@ -6,11 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import IO, Self
 
-from rich.console import Console
-from rich.table import Table
-
 from rig.instrument import Phase, Snapshot
-from rig.presentation import Shown, quantity, say
+from rig.presentation import Shown, Table, columns_of, print_line, print_tables, quantity, say
 from rig.replay.comparison import Change, ReplayDifferences
 
 _PLAIN_INTERVAL_S = 5.0
@@ -60,7 +57,7 @@ class ReplayLine:
         moving = snapshot.phase is not Phase.PAUSED and prompt is None and snapshot.elapsed_s < length_s
         if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
             return
-        text = self._text(snapshot, length_s, remaining_s, prompt)
+        text = self._text(snapshot, length_s, remaining_s, prompt, columns_of(self._stream))
         if not self._terminal:
             self._shown_s = now_s
             self._stream.write(f"{text}\n")
@@ -70,45 +67,52 @@ class ReplayLine:
             self._stream.write(_ERASE + text)
             self._stream.flush()
 
-    def _text(self, snapshot: Snapshot, length_s: float, remaining_s: float, prompt: str | None) -> str:
+    def _text(
+        self, snapshot: Snapshot, length_s: float, remaining_s: float, prompt: str | None, columns: int
+    ) -> str:
         if prompt is not None:
             return f"go to (seconds from the start, Enter): {prompt}"
         part = 100 * snapshot.elapsed_s / length_s if length_s > 0 else 100.0
         amplitude = "" if math.isnan(snapshot.amplitude) else f"  {snapshot.amplitude:.2f} {self._unit}"
         clock = f"  clock {snapshot.clock.text}" if snapshot.clock.text else ""
         left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
-        return (
-            f"{snapshot.phase}  {snapshot.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %  "
-            f"{snapshot.frames} frames  {snapshot.half_cycles} half-cycles{amplitude}{clock}{left}"
-        )
+        begin = f"{snapshot.phase}  {snapshot.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
+        half_cycles = f"  {snapshot.half_cycles} half-cycles"
+        texts = [f"  {snapshot.frames} frames", clock, half_cycles, amplitude, left]
+        # a line that is wrapped could not be written over; the first of these is missed least
+        for place, _ in enumerate(texts):
+            if columns and len(begin) + sum(map(len, texts)) >= columns:
+                texts[place] = ""
+        return begin + "".join((texts[0], *texts[2:4], texts[1], texts[4]))
 
 
 def print_comparison(comparison: ReplayDifferences, *, partial: bool) -> None:
     """Print one line if nothing differs, else a short table of spots and half-cycles."""
-    console = Console()
     if comparison.identical:
         flagged = comparison.swings_flagged
         apart = f" ({flagged} flagged, which no fit takes)" if flagged else ""
-        console.print(
+        print_line(
             f"{comparison.spots} spots and {comparison.swings_replayed} half-cycles{apart}, "
-            "equal bit for bit to the recorded ones",
-            highlight=False,
-            soft_wrap=True,
+            "equal bit for bit to the recorded ones"
         )
         return
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("", "recorded", "replayed", "changed"):
-        table.add_column(name, justify="right" if name else "left")
-    table.add_column("largest change")
     found = comparison
     spots = (found.spots_found_recorded, found.spots_found_replayed, found.spots_changed)
     swings = (found.swings_recorded, found.swings_replayed, found.swings_changed)
-    for name, counts, change_u, where in (
-        ("spots", spots, found.largest_spot_change_u, f"frame {found.largest_spot_frame}"),
-        ("half-cycles", swings, found.largest_swing_change_u, f"{found.largest_swing_s:.1f} s"),
+    rows: list[list[str]] = []
+    for name, counts, once, change_u, where in (
+        ("spots", spots, found.spots_once, found.largest_spot_change_u, f"frame {found.largest_spot_frame}"),
+        (
+            "half-cycles",
+            swings,
+            found.swings_once,
+            found.largest_swing_change_u,
+            f"{found.largest_swing_s:.1f} s",
+        ),
     ):
-        table.add_row(name, *map(str, counts), _largest(change_u, where, counts[-1]))
-    console.print(table)
+        rows.append([name, *map(str, counts), _largest(change_u, where, once, counts[-1])])
+    head = ("", "recorded", "replayed", "changed", "largest change")
+    print_tables([Table("comparison", "", head, rows, head, rows)])
     if partial:
         say(
             "half-cycles of a part differ in any case: they are numbered from its beginning, "
@@ -121,42 +125,36 @@ def print_changes(changes: Sequence[Change], source: str) -> None:
 
     Of the two fits of the contact laws the exact one is shown with values, the other only with changes.
     """
-    console = Console()
     if not changes:
         return
     if all(change.in_u == 0.0 for change in changes):
         text = f"{len(changes)} fitted numbers, equal to those of {source}"
-        console.print(text, highlight=False, markup=False, soft_wrap=True)
+        print_line(text)
         return
     by_name = {change.name: change for change in changes}
     asymptotic = [change for name, change in by_name.items() if name.startswith(_ASYMPTOTIC)]
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("")
-    for name in (source, "change / u", *(["of the asymptotic fit"] if asymptotic else [])):
-        table.add_column(name, justify="right", no_wrap=True)
+    head = ("", source, "change / u", *(["of the asymptotic fit"] if asymptotic else []))
+    rows: list[list[str]] = []
     for name, change in by_name.items():
         if name.startswith(_ASYMPTOTIC):
             continue
         other = by_name.get(name.replace(_EXACT, _ASYMPTOTIC))
         parameter = name.removeprefix(_EXACT)
         shown = quantity(parameter) if parameter != name else Shown(name, "", name)
-        table.add_row(
-            shown.label,
-            shown.text(*change.recorded),
-            _in_u(change),
-            *([_in_u(other) if other else ""] if asymptotic else []),
-        )
-    console.print(table)
+        of_other = [_in_u(other) if other else ""] if asymptotic else []
+        rows.append([shown.label, shown.text(*change.recorded), _in_u(change), *of_other])
+    print_tables([Table("changes", "", head, rows, head, rows)])
 
 
 def _in_u(change: Change) -> str:
     return "?" if math.isnan(change.in_u) else f"{change.in_u:+.2g}"
 
 
-def _largest(change_u: float, where: str, changed: int) -> str:
-    if not changed:
-        return ""
-    return f"{change_u:.2g} u, {where}" if change_u > 0 else "only in the uncertainties"
+def _largest(change_u: float, where: str, once: int, changed: int) -> str:
+    """Which of those in both changed most, and how many are in one of the two only."""
+    said = [f"{change_u:.2g} u, {where}"] if change_u > 0 else []
+    said += [f"{once} in one of the two only"] if once else []
+    return "; ".join(said or ["only in uncertainties or flags"]) if changed else ""
 
 
 def _clock(seconds: float) -> str:

@@ -1,0 +1,98 @@
+"""At a terminal of 80 columns every line fits, no number is broken, and NO_COLOR leaves no colour."""
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+from rich.cells import cell_len
+
+from rig.presentation import Table, print_tables
+from tests.rig.command_line import CONFIGS, SMALL, set_words
+from tests.rig.pseudo_terminal import Terminal
+
+WIDTH = 80
+DEMO = CONFIGS / "demo.toml"
+SCREENS = {
+    "info": "info SERIES/run-1.mcap",
+    "check": "check SERIES",
+    "fit": "-v fit SERIES -o fitted",
+    "fit of laws": "fit SERIES/run-1.mcap -o fitted --law all",
+    "replay": "replay SERIES/run-1.mcap --retrack --set sensor.read_noise_e=40",
+    "plan": f"plan {DEMO} --first 124 --last 30",
+    "plan for": f"plan {DEMO} --first 124 --last 30 --for 'u(c)/c<0.5'",
+    "compare": "compare SERIES other",
+    "campaign": "campaign SERIES",
+    "instruments": "instruments",
+    "devices": "devices",
+    "doctor": f"doctor {DEMO}",
+    "preflight": f"preflight {DEMO}",
+    "balance": f"balance {DEMO} --history --history-file turns.jsonl",
+    "camera show": f"camera show {DEMO}",
+    "light show": f"light show {DEMO}",
+    "calibrate": "calibrate lever geometry.toml",
+    "run": f"run {DEMO} -o run --set session.max_duration_s=12 --force",
+}
+TURN = (
+    '{"utc": "2026-11-01T12:00:00", "weight": "x", "turns": [1.0, -0.25], '
+    '"before": [10.0, 5.0, 1e-4], "after": [-300.0, 4.0, 1.2e-4], "u": [0.1, 0.1, 1e-6]}\n'
+)
+
+
+@pytest.mark.parametrize("name", SCREENS)
+def test_every_line_fits(
+    name: str, tmp_path: Path, measured_series: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.delenv("COLUMNS", raising=False)
+    shutil.copytree(measured_series, tmp_path / "series")
+    if "other" in SCREENS[name]:
+        shutil.copytree(measured_series, tmp_path / "other")
+    (tmp_path / "turns.jsonl").write_text(TURN)
+    (tmp_path / "geometry.toml").write_text(
+        "[geometry]\narm_m = 1.0\nu_arm_m = 0.001\npixel_pitch_m = 4.8e-6\nu_pixel_pitch_m = 1e-9\n"
+    )
+    words = shlex.split(SCREENS[name].replace("SERIES", "series"))
+    if name in ("run", "preflight"):
+        words += set_words(SMALL)
+    screen = shown(words, tmp_path)
+    assert "\x1b[3" not in re.sub(r"\x1b\[3[9m]", "", screen), "a colour"
+    for line in lines_of(screen):
+        if cell_len(line) > WIDTH:
+            # a path is not broken, because it is copied
+            assert max(map(len, line.split())) > WIDTH / 2, line
+            assert re.search(r"[/\\]", line), line
+        assert not re.search(r"\S…", line), f"a broken number: {line}"
+
+
+def test_a_table_that_is_too_wide_goes_on_below(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("rig.presentation.terminal.columns_of", lambda _: 40)
+    head = ("", *(f"u(q{number})" for number in range(9)))
+    row = ["what is measured", *(f"0.123456{number}" for number in range(9))]
+    print_tables([Table("wide", "Too wide", head, [row], head, [row])])
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 40
+    assert all(cell in text for cell in row)
+    assert text.count("what is measured") > 2
+    assert text.count("Too wide") == 1
+
+
+def shown(words: list[str], folder: Path) -> str:
+    """What a command writes on a terminal of 80 columns."""
+    terminal = Terminal(*words, cwd=folder, on_screen=True, columns=WIDTH)
+    try:
+        terminal.wait_for_end()
+        assert terminal.process.returncode in (0, 1), terminal.screen
+        return terminal.screen
+    finally:
+        terminal.close()
+
+
+def lines_of(screen: str) -> list[str]:
+    """What stands in the lines, without what moves the cursor."""
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen)
+    return [part for line in plain.split("\n") for part in line.rstrip("\r").split("\r")]
