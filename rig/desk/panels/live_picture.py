@@ -87,10 +87,11 @@ def look_now(desk: Desk) -> AlignmentFrame | None:
     if seen is None or "full_scale_dn" not in camera:
         return None
     full_scale_dn, stated = int(camera["full_scale_dn"]), camera["reference_px"]
-    row, reference = camera.get("reference_from_row_px"), None
+    own, reference, row = seen.image, None, camera.get("reference_from_row_px")
     if row is not None and seen.reference is not None:
         reference = SeenReference.in_image(seen.reference, int(row), seen.image, full_scale_dn)
-    figures = picture.figures(seen.image if reference is None else seen.image[: int(row)], full_scale_dn)
+        own = seen.image[: int(row)]
+    figures = picture.figures(own, full_scale_dn)
     reference_px = None if stated is None else (float(stated[0]), float(stated[1]))
     middle_px = middle_of(seen.image, reference_px)
     applied = CameraSettings.model_validate(camera["applied"])
