@@ -30,8 +30,7 @@ from rig.presentation import (
     with_uncertainty,
 )
 
-Format = Literal["table", "csv", "json", "lines", "parquet"]
-"""`lines`: a JSON object a line."""
+Format = Literal["table", "csv", "json", "parquet"]
 _DOUBT = " ?"
 _SIMULATED = "SIMULATED: "
 _BETWEEN = 2
@@ -47,7 +46,7 @@ def list_runs(
     archive: Path,
     condition: str,
     columns: Sequence[str],
-    kind: Format,
+    kind: Format | Literal["lines"],
     output: Path | None,
     *,
     refits: bool = False,
@@ -55,7 +54,7 @@ def list_runs(
     """Print the runs that meet a condition of SQL (empty: all), or write them to a new file.
 
     `columns` are expressions of SQL; without any those of `SHOWN`, with the run's name before them, and with
-    uncertainties and verdicts of the parameters.
+    uncertainties and verdicts of the parameters. The kind `lines` is a JSON object a line.
 
     Raises ConfigurationError for a condition that is no plain one.
     """
