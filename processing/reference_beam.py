@@ -20,6 +20,8 @@ _BANDS_A_DECADE = 8
 """Bands over which the spectrum of the reference is averaged; in each the filter is constant."""
 _PADDED = 0.5
 """Part of the length by which a run is mirrored at its ends."""
+_ABOUT = 10
+"""Frames at an end of a run whose mean is its level."""
 _LONGEST_GAP_S = 0.5
 """Lost frames over which the common motion is interpolated."""
 _FEWEST = 200
@@ -74,7 +76,10 @@ def common_motion(times_ns: Ints, position_px: Floats, u_px: Floats) -> CommonMo
     even -= even.mean()
     noise = float(np.mean(u_px[found] ** 2))
     pad = max(1, min(int(_PADDED * len(even)), len(even) - 1))
-    padded = np.pad(even, pad, mode="reflect", reflect_type="odd")
+    # about the level at each end, not about the noise of one frame, which would be a step
+    about = min(_ABOUT, len(even))
+    low, high = float(even[:about].mean()), float(even[-about:].mean())
+    padded = np.concatenate([2 * low - even[pad:0:-1], even, 2 * high - even[-2 : -2 - pad : -1]])
     spectrum = np.fft.rfft(padded)
     # the part of each frequency in the variance of a sample; a line that was interpolated has no noise
     power = 2 * np.abs(spectrum) ** 2 / len(padded) ** 2

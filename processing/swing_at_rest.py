@@ -42,7 +42,10 @@ def swing_at_rest(time_s: Floats, deflection: Floats) -> SwingAtRest:
     period_s = _period(time_s, deflection, span_s)
     periods = int(span_s / period_s)
     if periods < _FEWEST_PERIODS:
-        raise DataError(f"{span_s:.3g} s at rest are {periods} periods: the ground needs {_FEWEST_PERIODS}")
+        raise DataError(
+            f"the spot at rest moves most with a period of {period_s:.3g} s, of which {span_s:.3g} s hold "
+            f"{periods}: the ground needs {_FEWEST_PERIODS}"
+        )
     return SwingAtRest(time_s, deflection, period_s, periods)
 
 
@@ -55,10 +58,15 @@ def _binned(time_s: Floats, deflection: Floats) -> tuple[Floats, Floats]:
 
 
 def _period(time_s: Floats, deflection: Floats, span_s: float) -> float:
-    """Where the deflections hold most power, to a twentieth of the resolution."""
+    """Where the changes of the deflections hold most power, to a twentieth of the resolution.
+
+    Of their changes, because pointing and air wander the more the slower, and would be taken for a long
+    period.
+    """
     frequency_hz = np.arange(1 / _PERIODS_S[1], 1 / _PERIODS_S[0], 0.05 / span_s)
-    left = deflection - np.mean(deflection)
-    found = [abs(np.exp(2j * np.pi * one * time_s) @ left) for one in frequency_hz]
+    change, middle_s = np.diff(deflection), 0.5 * (time_s[1:] + time_s[:-1])
+    change -= np.mean(change)
+    found = [abs(np.exp(2j * np.pi * one * middle_s) @ change) for one in frequency_hz]
     return float(1 / frequency_hz[np.argmax(found)])
 
 

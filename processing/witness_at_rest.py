@@ -30,8 +30,6 @@ _FEWEST = 5
 _REFINED = 3
 _CHANCE = 0.95
 _NORMAL_95 = 1.96
-_HIDES = 0.2
-"""Share of the reading of the spot in what is left, above which nobody knows how much of it is ground."""
 _MOST = 1 / LEAST_LEFT
 
 
@@ -48,12 +46,10 @@ class WitnessAtRest:
     by_chance
         A squared coherence that one in twenty unrelated records exceeds.
     factor
-        By which the amplitude of the changes falls.
+        By which the amplitude of the changes would fall. Reading, air and pointing are in them: the ground's
+        part falls by more.
     least, most
-        Bounds of 95 % for that of the ground's part. No fit counts on more than what two seismometers at one
-        place show.
-    hidden
-        What is left is largely the reading of the spot, which may hide a larger factor.
+        Bounds of 95 %. No fit counts on more than what two seismometers at one place show.
     """
 
     steps: int
@@ -62,7 +58,6 @@ class WitnessAtRest:
     factor: float
     least: float
     most: float
-    hidden: bool
 
     @property
     def related(self) -> bool:
@@ -104,34 +99,28 @@ def witness_at_rest(time_s: Floats, deflection: Floats, witness: Witness) -> Wit
         )
     taken = components + _OF_DELAY
     of_chance = min(1.0, (1 - coherence) * (free + taken) / free)
-    fisher, u = np.arctanh(np.sqrt(1 - of_chance)), np.sqrt(_ALIKE / (2 * free))
+    fisher, u = np.arctanh(np.sqrt(1 - of_chance)), np.sqrt(_ALIKE / (2 * (free - 1)))
     low, high = np.cosh(max(0.0, fisher - _NORMAL_95 * u)), np.cosh(fisher + _NORMAL_95 * u)
-    of_reading = compared.by_reading / ((1 - coherence) * compared.power)
-    hidden = of_reading > _HIDES
     return WitnessAtRest(
         steps=compared.steps,
         coherence=coherence,
         by_chance=float(beta.ppf(_CHANCE, taken, free / _ALIKE)),
         factor=float(min(np.cosh(fisher), _MOST)),
         least=float(min(low, _MOST)),
-        most=_MOST if hidden else float(min(high / np.sqrt(1 - of_reading), _MOST)),
-        hidden=hidden,
+        most=float(min(high, _MOST)),
     )
 
 
 class _Compared(NamedTuple):
-    """Squares of the steps less their decay, of those the reading's part; the period that the fit prefers."""
+    """How many steps, their squared coherence with those predicted, and the period that the fit prefers."""
 
     steps: int
     coherence: float
-    power: float
-    by_reading: float
     period_s: float
 
 
 def _compared(rest: SwingAtRest, signals: Signals) -> _Compared:
-    quadratures, reading = quadratures_of(rest, rest.deflection[:, None])
-    turning = quadratures[:, 0]
+    turning = quadratures_of(rest, rest.deflection[:, None])[0][:, 0]
     use = _covered(rest, signals)
     step, middle = np.diff(turning)[use], (0.5 * (turning[1:] + turning[:-1]))[use]
     alone = step - middle * (np.vdot(middle, step) / np.vdot(middle, middle))
@@ -144,10 +133,8 @@ def _compared(rest: SwingAtRest, signals: Signals) -> _Compared:
         after = step - every @ gains
         found.append((float(np.vdot(after, after).real), float(gains[0].imag)))
     least, turned = min(found)
-    # two quadratures, and a step is the difference of two readings
-    by_reading = 4 * reading * len(step)
     period_s = rest.period_s / (1 - turned / (2 * np.pi))
-    return _Compared(len(step), 1 - least / power, power, by_reading, period_s)
+    return _Compared(len(step), 1 - least / power, period_s)
 
 
 def _predicted_steps(rest: SwingAtRest, signals: Signals) -> NDArray[np.complex128]:

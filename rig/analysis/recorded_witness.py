@@ -27,7 +27,7 @@ def recorded_witness(reader: RecordReader, config: Configuration) -> WitnessReco
         return None
     names = config.witness.components
     stray = int(np.count_nonzero(np.diff(table["time_ns"]) <= 0))
-    times_ns = _times(table["time_ns"], table["own_time_s"])
+    times_ns = when_taken(table["time_ns"], table["own_time_s"])
     order = np.concatenate([[True], np.diff(times_ns) > 0])
     value = np.column_stack([table[name] for name in _VALUES[: len(names)]])
     return WitnessRecord(
@@ -45,7 +45,7 @@ def recorded_witness(reader: RecordReader, config: Configuration) -> WitnessReco
     )
 
 
-def _times(arrived_ns: Ints, own_s: Floats) -> Ints:
+def when_taken(arrived_ns: Ints, own_s: Floats) -> Ints:
     """When samples were taken, on the frames' clock: lines arrive in bursts, late by parts of a second.
 
     By a line through the arrivals over the instrument's own time; without one, over the count of samples, for

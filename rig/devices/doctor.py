@@ -17,6 +17,7 @@ from acquisition.frame_losses import FrameLosses
 from processing.errors import DeviceError, RigError
 from processing.ticks import seconds
 from rig.control import SafetyState, check_controller, check_environment, check_laser
+from rig.devices.ground_witness import check_witness
 from rig.devices.session_devices import Devices
 from rig.devices.udev import as_root
 from rig.instrument import check_materials, complete
@@ -55,6 +56,7 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
     except DeviceError as error:
         yield Verdict("controller and laser", False, str(error), "end that program, or ask it")
     yield from check_environment(config.environment_sensor)
+    yield check_witness(config)
     if config.camera.driver == "usb3vision":
         yield from check_usb_cameras(cast(Usb3VisionSettings, config.camera.driver_settings()).serial)
     yield from check_camera(config, devices)

@@ -1,6 +1,7 @@
 """The witness of the ground of a session, on the clock of its frames."""
 
 import math
+import time
 from importlib.util import find_spec
 from typing import Protocol, Self
 
@@ -10,10 +11,13 @@ from acquisition.frame import Frame
 from acquisition.record.topics import RecordedWitness
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.witness import SimulatedWitness
-from processing.errors import ConfigurationError, MissingPackage
+from processing.errors import ConfigurationError, MissingPackage, RigError
 from processing.ticks import nanoseconds, seconds
 from rig.control import SeedLinkStation, WitnessLines, WitnessSamples, WitnessSettings
+from rig.presentation import Verdict
 from rig.settings import Configuration
+
+_LOOK_S = 0.02
 
 
 class GroundWitness(Protocol):
@@ -29,6 +33,10 @@ class GroundWitness(Protocol):
 
     def take(self, frame: Frame) -> list[RecordedWitness]:
         """Samples since the last call, up to a frame. Never blocks."""
+        ...
+
+    def recent(self, frame: Frame, last_s: float) -> list[RecordedWitness]:
+        """Those of the last seconds before a frame, which `take` gives again; older ones are given up."""
         ...
 
     def take_events(self) -> tuple[str, ...]:
@@ -66,10 +74,50 @@ def ground_witness(config: Configuration) -> GroundWitness | None:
     return _Connected(settings)
 
 
-class _Connected:
+def check_witness(config: Configuration) -> Verdict:
+    """For `rig doctor`: wait for the first sample, as long as one may be silent."""
+    kind = config.witness.kind
+    if kind == "none":
+        return Verdict("witness", True, "none is configured", made=False)
+    try:
+        witness = ground_witness(config)
+        assert witness is not None
+        with witness:
+            until_s = time.monotonic() + config.witness.stale_after_s
+            while witness.problem and time.monotonic() < until_s:
+                time.sleep(_LOOK_S)
+            problem = "; ".join(dict.fromkeys([*filter(None, [witness.problem]), *witness.take_events()]))
+            alive = not witness.problem
+    except RigError as error:
+        return Verdict("witness", False, str(error), "see [witness]")
+    remedy = "" if alive else "see [witness]: its port, rate and columns"
+    return Verdict("witness", alive, f"{kind}, samples come" if alive else problem, remedy)
+
+
+class _Samples:
+    """Samples that were looked at, and wait to be taken."""
+
+    def __init__(self) -> None:
+        self._looked_at: list[RecordedWitness] = []
+
+    def take(self, frame: Frame) -> list[RecordedWitness]:
+        looked_at, self._looked_at = self._looked_at, []
+        return [*looked_at, *self._new(frame)]
+
+    def recent(self, frame: Frame, last_s: float) -> list[RecordedWitness]:
+        from_ns = frame.time_ns - nanoseconds(last_s)
+        self._looked_at = [one for one in self.take(frame) if one.time_ns >= from_ns]
+        return list(self._looked_at)
+
+    def _new(self, frame: Frame) -> list[RecordedWitness]:
+        raise NotImplementedError
+
+
+class _Connected(_Samples):
     """An instrument of this computer; the frame that is processed relates the two clocks."""
 
     def __init__(self, settings: WitnessSettings) -> None:
+        super().__init__()
         self._settings = settings
         by_seedlink = settings.kind == "seedlink"
         self._service: WitnessSamples = (SeedLinkStation if by_seedlink else WitnessLines)(settings)
@@ -84,7 +132,7 @@ class _Connected:
     def beside(self, camera: Camera) -> None:
         """Any camera's frames say when they arrived."""
 
-    def take(self, frame: Frame) -> list[RecordedWitness]:
+    def _new(self, frame: Frame) -> list[RecordedWitness]:
         shift_ns = frame.time_ns - frame.host_time_ns
         return [
             RecordedWitness(one.host_time_ns + shift_ns, one.host_time_ns, one.own_time_s, *one.value)
@@ -106,10 +154,11 @@ class _Connected:
         return "no line has come" if math.isinf(age_s) else f"no sample for {age_s:.0f} s"
 
 
-class _Simulated:
+class _Simulated(_Samples):
     """The instrument beside the simulated rig, whose clock is the simulated camera's."""
 
     def __init__(self, settings: SimulationSettings) -> None:
+        super().__init__()
         self._settings = settings
         self._witness = SimulatedWitness(settings)
         self._camera: SimulatedCamera | None = None
@@ -122,7 +171,7 @@ class _Simulated:
     def beside(self, camera: Camera) -> None:
         self._camera = camera if isinstance(camera, SimulatedCamera) else None
 
-    def take(self, frame: Frame) -> list[RecordedWitness]:
+    def _new(self, frame: Frame) -> list[RecordedWitness]:
         if self._camera is None:
             return []
         clock = self._settings.clock

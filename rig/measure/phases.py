@@ -18,7 +18,7 @@ from processing.ticks import NS_PER_S, nanoseconds
 from rig.devices import Audited, Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
 from rig.instrument import Optics, Phase, Snapshot
 from rig.measure.end_of_run import StopRequest
-from rig.measure.preflight import device_checks, frame_checks
+from rig.measure.preflight import TrialFrames, device_checks, frame_checks, vault_checks
 from rig.measure.recent_frames import PhaseWait, RecentFrames, Stopped, Watch
 from rig.presentation import Verdict, failures
 from rig.settings import Configuration
@@ -213,13 +213,14 @@ class PhasesBeforeRecord:
             return
         config, frames = self._config, self._wait.frames
         limits = config.preflight
+        look = frames.look(resting, _preflight_s(config))
         self.verdicts = [
             device_checks.camera(self._camera.info.driver, self._camera.notes),
             device_checks.shutter(
                 self._camera.info.shutter, config.shutter, config.axes, pulsed=config.laser.pulse_us > 0
             ),
             *frame_checks.check_look(
-                frames.look(resting, _preflight_s(config)),
+                look,
                 config,
                 self._camera.info.full_scale_dn,
                 frames.window_bytes(),
@@ -227,9 +228,8 @@ class PhasesBeforeRecord:
             ),
             device_checks.controller(self._devices.now(), config.controller.kind != "none"),
             device_checks.laser(self._devices.laser_now(), goes_dark_by_itself(config.laser)),
-            device_checks.witness(
-                None if self._devices.witness is None else self._devices.witness.problem, config.witness.kind
-            ),
+            self._witness(look),
+            vault_checks.reference(look, config.reference, limits),
             device_checks.air(
                 self._devices.environment(),
                 config.environment_sensor.kind != "none",
@@ -244,6 +244,15 @@ class PhasesBeforeRecord:
             raise NoGo(against)
         if against:
             self._devices.audit(Audited.FORCE, f"preflight said no-go: {against}")
+
+    def _witness(self, look: TrialFrames) -> Verdict:
+        """The witness beside these frames."""
+        witness, stated = self._devices.witness, self._config.witness
+        samples = []
+        if witness is not None and look.frames:
+            samples = witness.recent(look.frames[-1], _preflight_s(self._config))
+        problem = None if witness is None else witness.problem
+        return vault_checks.witness(look, problem, stated, samples, self._config.reference)
 
     def _release(self) -> None:
         """Release the pendulum or ask the operator to, and wait until it moves."""

@@ -8,6 +8,7 @@ from rig.settings.configuration import (
     FaultyConfiguration,
     FitSettings,
     PendulumSettings,
+    ReferenceSettings,
     SessionSettings,
     apply_overrides,
     keys_with_faults,

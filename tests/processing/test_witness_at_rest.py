@@ -61,11 +61,16 @@ def test_the_factor_lies_within_its_bounds(
     found = judged(*minutes, noise, late_s=late_s)
     true = np.sqrt(1 + 1 / noise**2)
     assert np.mean([one.related for one in found]) > (0.99 if noise < 1 else 0.8)
-    assert np.mean([one.least <= true <= one.most for one in found]) >= 0.85
     least, factor = (np.median([getattr(one, name) for one in found]) for name in ("least", "factor"))
+    # never more is promised than there is
+    assert np.mean([one.least <= true for one in found]) >= 0.9
     assert least > 0.35 * true
-    # 0.1 of the drive is less than the reading leaves, and that is said
-    assert factor == pytest.approx(true, rel=0.15) or np.mean([one.hidden for one in found]) > 0.5
+    if noise < 0.3:
+        # a tenth of the drive is less than what the reading leaves
+        assert 0.5 * true < factor < true
+    else:
+        assert np.mean([one.least <= true <= one.most for one in found]) >= 0.85
+        assert factor == pytest.approx(true, rel=0.15)
 
 
 def test_unrelated_records_agree_by_chance_as_often_as_is_stated(

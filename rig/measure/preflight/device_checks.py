@@ -57,15 +57,6 @@ def air(
     )
 
 
-def witness(problem: str | None, kind: str) -> Verdict:
-    """Check that samples of the witness of the ground come; `problem` is why not, None without one."""
-    limit = "samples come"
-    if problem is None:
-        return Verdict("witness", True, measured="none is configured", limit=limit, made=False)
-    remedy = "see [witness]: its port, rate and columns" if problem else ""
-    return Verdict("witness", not problem, problem, remedy, measured=kind, limit=limit)
-
-
 def controller(now: DevicesNow, wanted: bool) -> Verdict:
     """Check that the controller answers and its interlock is closed."""
     if not wanted:

@@ -24,6 +24,7 @@ from rig.presentation import Verdict
 from rig.settings import Configuration, PendulumSettings, PreflightSettings
 
 _SPOT_BYTES = 260
+_SHORT_S = 50.0
 NO_LEVER = "no lever: values in px have no limit in arcsec"
 
 
@@ -142,14 +143,16 @@ def ground(
     most = None if limits is None else limits.max_ground_rad_per_s2_rthz
     limit = "" if most is None else f"{most:g} rad/s²/√Hz"
     if not look.resting:
-        return _not_at_rest("ground", limit)
+        return not_at_rest("ground", limit)
     try:
         found = ground_at_rest(at.times_s, at.y)
     except DataError as error:
-        remedy = "preflight.duration_s = 60 would measure it"
+        reason = f"{error}{longer(at)}"
         if most is None:
-            return Verdict("ground", True, f"{error}; {remedy}", measured="not measured", made=False)
-        return Verdict("ground", False, str(error), remedy, measured="not measured", limit=limit)
+            return Verdict("ground", True, reason, measured="not measured", made=False)
+        return Verdict(
+            "ground", False, str(error), longer(at).removeprefix("; "), measured="not measured", limit=limit
+        )
     of_angle = pendulum if at.unit is DeflectionUnit.RAD else None
     base = base_motion(found.density, found.upper_95, found.period_s, of_angle)
     words = drive_text(found.density, found.upper_95, base, seen=found.density.value > 0, unit=at.unit)
@@ -168,12 +171,17 @@ def ground(
     return verdict if at.unit is DeflectionUnit.RAD else replace(verdict, ok=True, reason=NO_LEVER, remedy="")
 
 
+def longer(at: Deflections) -> str:
+    """What a longer preflight would give; empty where it was long."""
+    return "; preflight.duration_s = 60 would measure it" if at.times_s[-1] < _SHORT_S else ""
+
+
 def rest_position(look: TrialFrames, limits: PreflightSettings) -> Verdict:
     """Check the rest position against the reference of the lever (without one, the sensor's centre)."""
     limit = f"{limits.max_rest_offset_arcsec:g} arcsec"
     at = look.deflections
     if not look.resting:
-        return _not_at_rest("rest position", limit)
+        return not_at_rest("rest position", limit)
     if not at.found.any():
         return Verdict(
             "rest position",
@@ -330,7 +338,7 @@ def stillness(look: TrialFrames, limits: PreflightSettings) -> list[Verdict]:
     at = look.deflections
     if not look.resting:
         names = ("noise floor", limits.max_noise_arcsec), ("vibration", limits.max_vibration_arcsec)
-        return [_not_at_rest(name, f"{limit:g} arcsec") for name, limit in names]
+        return [not_at_rest(name, f"{limit:g} arcsec") for name, limit in names]
     return noise_and_vibration(
         _still(at.times_s, at.x, at.u_x), _still(at.times_s, at.y, at.u_y), at.unit, limits
     )
@@ -347,7 +355,8 @@ def _too_few_spots(name: str, limit: str) -> Verdict:
     )
 
 
-def _not_at_rest(name: str, limit: str) -> Verdict:
+def not_at_rest(name: str, limit: str) -> Verdict:
+    """Of a check that needs the pendulum at rest, where it may be swinging."""
     reason = "the pendulum may be swinging (start.way = 'at once')"
     return Verdict(name, True, reason, measured="not measured", limit=limit, made=False)
 

@@ -1,0 +1,194 @@
+"""What a witness of the ground and a reference spot would give, from the pendulum at rest before a run.
+
+Neither stands against a run: a witness that does not pay is refused by the fit, and where a reference is lost
+frames stand as they are. A short piece tells little, and its verdicts say how little.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from acquisition.record.topics import RecordedWitness
+from processing.arrays import Floats
+from processing.errors import DataError
+from processing.fit import Witness
+from processing.ground_at_rest import ground_at_rest
+from processing.reference_at_rest import ReferenceAtRest, reference_at_rest
+from processing.reference_beam import common_motion
+from processing.spot import Spot, SpotFlag
+from processing.swing_at_rest import swing_at_rest
+from processing.ticks import seconds
+from processing.witness_at_rest import WitnessAtRest, witness_at_rest
+from rig.analysis import when_taken
+from rig.control import WitnessSettings
+from rig.measure.preflight.frame_checks import TrialFrames, longer, not_at_rest
+from rig.presentation import Verdict, percent, plain, with_uncertainty
+from rig.settings import PreflightSettings, ReferenceSettings
+
+_COMES = "samples come"
+_FEWEST = 20
+_WRONG_GAIN = 4.0
+"""Standard uncertainties between the gain that is stated and that of the piece."""
+_VALUES = ("first", "second", "third")
+
+
+def witness(
+    look: TrialFrames,
+    problem: str | None,
+    settings: WitnessSettings,
+    samples: Sequence[RecordedWitness],
+    stated: ReferenceSettings | None,
+) -> Verdict:
+    """Check that samples of the witness come, that they change, and what they say of the pendulum at rest.
+
+    `problem` is why none come, None without a witness; `samples` those beside the frames. Where a reference
+    is `stated`, the beam's motion is taken off first.
+    """
+    kind, names = settings.kind, settings.components
+    if problem is None:
+        return Verdict("witness", True, measured="none is configured", limit=_COMES, made=False)
+    if problem:
+        remedy = "see [witness]: its port, rate and columns"
+        return Verdict("witness", False, problem, remedy, measured=kind, limit=_COMES)
+    if len(samples) < _FEWEST:
+        return _alive(
+            f"{len(samples)} samples are too few to say what it would give{longer(look.deflections)}", kind
+        )
+    value = np.array([[getattr(one, name) for name in _VALUES[: len(names)]] for one in samples])
+    if dead := [name for name, one in zip(names, value.T, strict=True) if not np.ptp(one) > 0]:
+        reason = f"{', '.join(dead)}: the same number in {len(samples)} samples: it is dead, or its scale is"
+        remedy = "see its power, cable and range"
+        return Verdict("witness", False, reason, remedy, measured=kind, limit=_COMES)
+    if not look.resting:
+        return not_at_rest("witness", _COMES)
+    at = look.deflections
+    arrived_ns = np.array([one.time_ns for one in samples])
+    if np.any(np.diff(arrived_ns) <= 0):
+        order = np.concatenate([[True], np.diff(np.maximum.accumulate(arrived_ns)) > 0])
+        arrived_ns, value = arrived_ns[order], value[order]
+        samples = [one for one, kept in zip(samples, order.tolist(), strict=True) if kept]
+    taken_ns = when_taken(arrived_ns, np.array([one.own_time_s for one in samples]))
+    record = Witness(seconds(taken_ns - at.times_ns[0]), value, tuple(names))
+    try:
+        found = witness_at_rest(at.times_s, _less_beam(look, stated), record)
+        ground_seen = ground_at_rest(at.times_s, at.y).density.value > 0
+    except DataError as error:
+        return _alive(f"{error}{longer(look.deflections)}", kind)
+    return _gives(found, ground_seen, kind)
+
+
+def _less_beam(look: TrialFrames, stated: ReferenceSettings | None) -> Floats:
+    """The slow deflections less what a reference takes off them."""
+    at = look.deflections
+    if stated is None or not look.references:
+        return at.y
+    ours, theirs = _places(look.spots), _places(look.references)
+    # how far a px moves them, from the frames themselves
+    use = at.found & np.all(np.isfinite(ours), axis=0)
+    columns = np.column_stack([*ours[:2, use], np.ones(np.count_nonzero(use))])
+    per_px = np.linalg.lstsq(columns, at.y[use], rcond=None)[0]
+    moved = [common_motion(at.times_ns, theirs[axis], theirs[2 + axis]).value for axis in (0, 1)]
+    return np.asarray(at.y - stated.gain * (per_px[0] * moved[0] + per_px[1] * moved[1]))
+
+
+def _alive(reason: str, kind: str) -> Verdict:
+    return Verdict("witness", True, reason, measured=f"{kind}, alive", limit=_COMES, made=False)
+
+
+def _gives(found: WitnessAtRest, ground_seen: bool, kind: str) -> Verdict:
+    in_all = f"squared coherence {plain(found.coherence, 3)} in {found.steps} periods"
+    if not found.related:
+        chance = f"{in_all}; unrelated records reach {plain(found.by_chance, 2)}"
+        if not ground_seen:
+            hidden = "the ground is not seen over the reading of the spot, so what it would give is unknown"
+            return _alive(f"{hidden} ({chance})", kind)
+        return Verdict(
+            "witness",
+            True,
+            f"it shows nothing of what moves the pendulum: {chance}",
+            "see its place, columns and clock; a fit refuses one that explains nothing",
+            measured=f"{kind}, unrelated so far",
+            limit=_COMES,
+        )
+    falls = f"{plain(found.factor, 2)} ({plain(found.least, 2)} to {plain(found.most, 2)})"
+    return Verdict(
+        "witness",
+        True,
+        measured=f"{in_all}: the swing at rest would fall by {falls}, the ground's part of it by "
+        f"{plain(found.least, 2)} at least",
+        limit=_COMES,
+    )
+
+
+class _Axis(NamedTuple):
+    name: str
+    found: ReferenceAtRest
+
+
+def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: PreflightSettings) -> Verdict:
+    """Check that the reference spot is seen, and how much of the spot's motion it would take off."""
+    limit = f"found in {percent(1 - limits.max_lost_fraction, 3)}"
+    if stated is None or not look.references:
+        return Verdict("reference", True, measured="none is configured", limit=limit, made=False)
+    lost = float(np.mean([bool(spot.flags & SpotFlag.LOST) for spot in look.references]))
+    seen = f"found in {percent(1 - lost, 3)} of {len(look.references)} frames"
+    if lost > limits.max_lost_fraction:
+        reason = "frames without it stand as they are, with the beam's motion in them"
+        remedy = f"let its beam fall below row {stated.from_row_px}"
+        return Verdict("reference", True, reason, remedy, measured=seen, limit=limit)
+    if not look.resting:
+        return not_at_rest("reference", limit)
+    at = look.deflections
+    try:
+        period_s = swing_at_rest(at.times_s, at.y).period_s
+        ours, theirs = _places(look.spots), _places(look.references)
+        axes = [
+            _Axis(
+                name,
+                reference_at_rest(
+                    at.times_ns,
+                    ours[axis],
+                    ours[2 + axis],
+                    theirs[axis],
+                    theirs[2 + axis],
+                    gain=stated.gain,
+                    period_s=period_s,
+                ),
+            )
+            for axis, name in enumerate("xy")
+        ]
+    except DataError as error:
+        return Verdict(
+            "reference", True, f"{error}{longer(look.deflections)}", measured=seen, limit=limit, made=False
+        )
+    return _takes_off(axes, stated, seen, limit)
+
+
+def _takes_off(axes: Sequence[_Axis], stated: ReferenceSettings, seen: str, limit: str) -> Verdict:
+    said, wrong, useless = [], [], True
+    for name, found in axes:
+        if not found.share > 0:
+            said.append(f"{name}: it shows no motion over its own noise")
+            continue
+        useless = useless and not found.factor.value - 3 * found.factor.standard_uncertainty > 1
+        said.append(f"{name}: {plain(found.before_px, 2)} px fall by {with_uncertainty(*found.factor)}")
+        off = abs(found.gain.value - stated.gain)
+        if off > _WRONG_GAIN * np.hypot(found.gain.standard_uncertainty, stated.u_gain):
+            wrong.append(f"{name} shows a gain of {with_uncertainty(*found.gain)}")
+    measured = f"{seen}; {', '.join(said)}"
+    if wrong:
+        reason = f"{', '.join(wrong)}, and reference.gain = {stated.gain:g} is stated"
+        remedy = "state the gain of the two arms, with its u_gain"
+        return Verdict("reference", True, reason, remedy, measured=measured, limit=limit)
+    if useless:
+        reason = "the spot at rest is not quieter for it, as far as so short a piece shows"
+        return Verdict("reference", True, reason, measured=measured, limit=limit)
+    return Verdict("reference", True, measured=measured, limit=limit)
+
+
+def _places(spots: Sequence[Spot]) -> Floats:
+    """(4, n) x, y and their uncertainties in px; NaN where lost."""
+    table = np.array([spot[:4] for spot in spots], dtype=np.float64).reshape(-1, 4).T
+    table[:, [bool(spot.flags & SpotFlag.LOST) for spot in spots]] = np.nan
+    return table
