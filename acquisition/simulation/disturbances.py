@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from acquisition.simulation import randomness
 from acquisition.simulation.faults import FaultSettings
-from acquisition.simulation.motion import ARCSEC_RAD, Motion
-from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.motion import Motion
+from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from acquisition.simulation.smooth_series import KNOTS_PER_PERIOD, BandNoise, SmoothSeries
 
 _JITTER, _WALK, _CLOCK, _POWER, _DROP = 4, 5, 6, 7, 8
@@ -69,7 +69,8 @@ class Pointing:
         self._air_px = air_px(settings, run) if self._truth.air_arcsec > 0 else ()
         self._common = settings.reference.air_common
         self._own_air_px = air_px(settings, run, _OWN_AIR) if self._air_px and self._common < 1 else ()
-        self._offset = self._air = np.zeros((0, 2))
+        self._gain = settings.reference.gain
+        self._offset = self._air = self._camera = np.zeros((0, 2))
         # a generator's first numbers, so that a further frequency leaves the others as they are
         phases = np.random.Generator(np.random.PCG64([settings.seed, run, _PHASE]))
         self._phases = phases.uniform(0, 2 * np.pi, (len(self._truth.microphonics), 2))
@@ -96,20 +97,34 @@ class Pointing:
         for one, phases in zip(truth.microphonics, self._phases, strict=True):
             cycle = 2 * np.pi * one.frequency_hz * times_s
             offset += one.amplitude_px * np.sin(cycle[:, None] + phases)
+        self._camera = self._camera_px(times_s)
+        offset += self._camera
         self._offset = offset
         return offset
+
+    def _camera_px(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How far every spot moves, because the camera does."""
+        truth = self._truth
+        creep = np.array([truth.camera_creep_x_px_per_min, truth.camera_creep_y_px_per_min])
+        moved = times_s[:, None] * (creep / 60.0)
+        if truth.camera_slips_at_s is not None:
+            slip = np.array([truth.camera_slip_x_px, truth.camera_slip_y_px])
+            moved = moved + np.where(times_s[:, None] >= truth.camera_slips_at_s, slip, 0.0)
+        return np.asarray(moved)
 
     def reference_px(self, first: int, count: int) -> NDArray[np.float64]:
         """The same of the beam to a reference spot, for the frames that were asked for last.
 
-        Its way through the air is another one, which has part of the air in common.
+        As the pendulum's arm shows it. Its way through the air is another one, which has part of the air in
+        common; the camera moves it as far as the pendulum's spot, whatever the arms.
         """
+        seen = self._offset + (self._gain - 1) * self._camera
         if not self._own_air_px:
-            return self._offset
+            return seen
         times_s = np.arange(first, first + count, dtype=np.float64) * self._period_s
         own = np.column_stack([series.at(times_s) for series in self._own_air_px])
         part = math.sqrt(1 - self._common**2)
-        return np.asarray(self._offset + (self._common - 1) * self._air + part * own)
+        return np.asarray(seen + (self._common - 1) * self._air + part * own)
 
 
 def air_px(

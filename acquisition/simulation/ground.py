@@ -14,6 +14,7 @@ of laser and sensor with the base is left out.
 """
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation.ground_settings import GroundTruth, PersonTruth
-from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from acquisition.simulation.smooth_series import (
     BLOCK_KNOTS,
     DEGREE,
@@ -40,6 +41,7 @@ _FEWEST = 64
 _LARGEST_M_PER_S2 = 10.0
 _SMALLEST_M_PER_S2 = 1e-11
 _KEY = "simulation.ground.file"
+_STEP_LASTS_S = 1.0
 
 
 class GroundRecord(NamedTuple):
@@ -143,7 +145,7 @@ def ground_of(settings: SimulationSettings, run: int) -> GroundMotion | None:
     Raises ConfigurationError for a file that cannot be used, or ends before the run may.
     """
     truth = settings.ground
-    if truth.model == "none" and truth.tilt_rad_per_sqrt_hz == 0 and not settings.person.passes:
+    if truth.model == "none" and not truth.base_tilts and not settings.person.passes:
         return None
     seed = (settings.seed + 0x9E3779B97F4A7C15 * truth.seed) % 2**63
     record = None
@@ -170,6 +172,8 @@ def ground_of(settings: SimulationSettings, run: int) -> GroundMotion | None:
         if truth.tilt_rad_per_sqrt_hz > 0:
             noise = BandNoise(np.ones_like, rate_hz, truth.bandwidth_hz, (seed, run, _TILT[mode]))
             tilting.append((truth.tilt_rad_per_sqrt_hz, noise))
+        if settling := _settling(truth, mode):
+            tilting.append((1.0, sampled(settling, rate_hz)))
         driving = [*tilting, *((-lever * factor, term) for factor, term in shaking)]
         series.append([SmoothSeries(rate_hz, terms, end_s) for terms in (shaking, tilting, driving)])
     acceleration, tilt, drive = zip(*series, strict=True)
@@ -231,6 +235,22 @@ def _check_length(settings: SimulationSettings, end_s: float) -> None:
             f"simulation.ground.file = {str(truth.file)!r}: from file_offset_s = {truth.file_offset_s:g} on "
             f"it lasts {end_s:.6g} s, too short for {wanted}; take a longer file, or less of it"
         )
+
+
+def _settling(truth: GroundTruth, mode: int) -> Callable[[NDArray[np.float64]], NDArray[np.float64]] | None:
+    """Slow tilt of the base and its step, in rad; None for neither."""
+    slow = mode == SLOW
+    rate = truth.tilt_slow_arcsec_per_min if slow else truth.tilt_fast_arcsec_per_min
+    step = truth.tilt_step_slow_arcsec if slow else truth.tilt_step_fast_arcsec
+    at_s = math.inf if truth.tilt_step_at_s is None else truth.tilt_step_at_s
+    if not rate and not (step and math.isfinite(at_s)):
+        return None
+
+    def tilt_rad(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        part = np.clip((times_s - at_s) / _STEP_LASTS_S, 0, 1)
+        return np.asarray(ARCSEC_RAD * (rate * times_s / 60 + step * np.sin(0.5 * np.pi * part) ** 2))
+
+    return tilt_rad
 
 
 class _Person:

@@ -36,6 +36,13 @@ class GroundTruth(BaseModel, frozen=True, extra="forbid"):
     tilt_rad_per_sqrt_hz: float = Field(
         default=0.0, ge=0, description="tilt of the base: white level, one-sided, with any model"
     )
+    tilt_slow_arcsec_per_min: float = Field(
+        default=0.0, description="steady tilt of the base along the slow swing, as of one that settles"
+    )
+    tilt_fast_arcsec_per_min: float = 0.0
+    tilt_step_at_s: float | None = Field(default=None, ge=0, description="someone steps beside the base")
+    tilt_step_slow_arcsec: float = Field(default=0.0, description="from then on; it takes a second")
+    tilt_step_fast_arcsec: float = 0.0
     mass_centre_height_m: float = Field(
         default=2e-4, ge=-1, le=1, description="of the pendulum over the point of contact; below it: negative"
     )
@@ -45,6 +52,12 @@ class GroundTruth(BaseModel, frozen=True, extra="forbid"):
     seed: int = Field(
         default=0, ge=0, lt=2**31, description="another one: other ground, all other noise as before"
     )
+
+    @property
+    def base_tilts(self) -> bool:
+        """Whether the base ever tilts."""
+        steady = self.tilt_slow_arcsec_per_min, self.tilt_fast_arcsec_per_min
+        return self.tilt_rad_per_sqrt_hz > 0 or any(steady) or self.tilt_step_at_s is not None
 
     @model_validator(mode="after")
     def _file_is_named(self) -> Self:

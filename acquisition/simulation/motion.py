@@ -9,11 +9,10 @@ from acquisition.simulation import collocation, equation_of_motion
 from acquisition.simulation.collocation import COLUMNS, LENGTH, POLYNOMIAL, START
 from acquisition.simulation.equation_of_motion import ANGLE, DIRECTION, RATE, TIME, ModeConstants
 from acquisition.simulation.ground import ground_of
-from acquisition.simulation.settings import ContactTruth, FastModeTruth, SimulationSettings
+from acquisition.simulation.settings import ARCSEC_RAD, ContactTruth, FastModeTruth, SimulationSettings
 from acquisition.simulation.smooth_series import Pieces, SmoothSeries, no_pieces
 from processing.errors import ConfigurationError
 
-ARCSEC_RAD = math.pi / (180 * 3600)
 _ROWS = 256
 _TURNS = 64
 

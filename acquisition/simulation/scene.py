@@ -1,6 +1,7 @@
 """One simulated run: position, time and brightness of the spot in each frame, and the image."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,11 +11,13 @@ from acquisition.frame import Image
 from acquisition.simulation import randomness, sensor
 from acquisition.simulation.disturbances import FrameNoise, Pointing, add_draught, laser_factor, vibration_rad
 from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.ground import ground_of
 from acquisition.simulation.inputs import RigInputs, RigState
-from acquisition.simulation.motion import ARCSEC_RAD, motions
+from acquisition.simulation.motion import motions
 from acquisition.simulation.optics import spot_position_px
 from acquisition.simulation.rolling_shutter import RollingReadout, Sheared
-from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
+from acquisition.simulation.smooth_series import SmoothSeries
 from acquisition.simulation.true_path import axes_motion
 from processing.ticks import NS_PER_S
 
@@ -84,6 +87,11 @@ class Scene:
         self._fast, self._slow = motions(settings, run)
         add_draught(faults, self._fast, self._slow)
         self._noise = FrameNoise(settings.seed, run)
+        self._base_rad: Sequence[SmoothSeries] = ()
+        if settings.reference.relative > 0 and settings.ground.base_tilts:
+            ground = ground_of(settings, run)
+            assert ground is not None
+            self._base_rad = ground.tilt_rad
         self._pointing = Pointing(settings, self._noise, run, 1 / readings.frame_rate_hz)
         self._next = 0
         self._inputs = inputs
@@ -147,8 +155,23 @@ class Scene:
             power=power,
             slope=slope,
             dropped=self._noise.dropped(first, count, settings.disturbances.dropped_fraction),
-            beam_px=self._pointing.reference_px(first, count),
+            beam_px=self._pointing.reference_px(first, count) + self._base_px(times_s),
         )
+
+    def _base_px(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How far the base tilts a mirror that is fixed to it, as the pendulum's arm shows it, (n, 2)."""
+        if not self._base_rad:
+            return np.zeros((len(times_s), 2))
+        settings = self._settings
+        slow, fast = (series.at(times_s) for series in self._base_rad)
+        nothing = np.zeros_like(times_s)
+        tilted, level = (
+            np.column_stack(
+                spot_position_px(*tilts, times_s, settings.axes, settings.optics, settings.sensor)
+            )
+            for tilts in ((fast, slow), (nothing, nothing))
+        )
+        return np.asarray(tilted - level)
 
     @property
     def _light_after_s(self) -> float:

@@ -4,11 +4,14 @@ The defaults are those of the demonstration: a steel ball on K8 glass with the p
 sensor of 320x640 pixels at 100 frames/s.
 """
 
+import math
 from typing import Literal, NamedTuple, Self
 
 from pydantic import BaseModel, Field, model_validator
 
 from acquisition.simulation.ground_settings import GroundTruth, PersonTruth, WitnessTruth
+
+ARCSEC_RAD = math.pi / (180 * 3600)
 
 
 class SimulationSection(BaseModel, frozen=True, extra="forbid"):
@@ -122,7 +125,7 @@ class OpticsTruth(SimulationSection, frozen=True):
 
 
 class ReferenceTruth(SimulationSection, frozen=True):
-    """A second spot, by a mirror that is fixed to the base: the beam moves it, the pendulum does not."""
+    """A second spot, by a mirror that is fixed to the base: beam, camera and base move it, no pendulum."""
 
     relative: float = Field(
         default=0.0, ge=0, le=1, description="its light over that of the pendulum's spot; 0: none"
@@ -217,6 +220,13 @@ class DisturbanceTruth(SimulationSection, frozen=True):
     pointing_drift_x_px_per_min: float = 0.0
     pointing_drift_y_px_per_min: float = 0.0
     pointing_walk_px_per_sqrt_s: float = Field(default=0.0, ge=0, description="random walk, per axis")
+    camera_creep_x_px_per_min: float = Field(
+        default=0.0, description="of the camera against the beams: every spot on its sensor moves alike"
+    )
+    camera_creep_y_px_per_min: float = 0.0
+    camera_slips_at_s: float | None = Field(default=None, ge=0, description="a sudden slip of the camera")
+    camera_slip_x_px: float = 0.0
+    camera_slip_y_px: float = 0.0
     air_arcsec: float = Field(
         default=0.0,
         ge=0,

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation import randomness
-from acquisition.simulation.motion import ARCSEC_RAD, Motion, motions
-from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.motion import Motion, motions
+from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from processing.ticks import nanoseconds
 
 _PATH_NOISE = 11

@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.simulation.motion import ARCSEC_RAD
-from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 
 
 class TrimWeight(NamedTuple):

@@ -11,9 +11,8 @@ from scipy.signal import welch
 
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs
-from acquisition.simulation.motion import ARCSEC_RAD
 from acquisition.simulation.scene import PlannedFrames, Readings, Scene
-from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
 
 SIXTY = {"frame_rate_hz": 60.0}
@@ -338,3 +337,45 @@ def test_starter_pulse_sets_it_swinging_and_the_brake_and_the_clamp_stop_it() ->
     inputs.starter(False)
     inputs.clamp(True)
     assert slow_arcsec(view, 1.0)[1:] == pytest.approx([0.0] * 99, abs=1e-9)
+
+
+def test_a_camera_that_creeps_and_slips_moves_every_spot_alike_whatever_the_arms() -> None:
+    creep = {
+        "camera_creep_y_px_per_min": 6.0,
+        "camera_slips_at_s": 0.5,
+        "camera_slip_x_px": -0.3,
+        "pointing_walk_px_per_sqrt_s": 0.1,
+    }
+    reference = {"relative": 0.5, "gain": 2.0}
+    still = plan(100, disturbances=creep | {"camera_creep_y_px_per_min": 0.0, "camera_slip_x_px": 0.0})
+    moved = plan(100, disturbances=creep, reference=reference)
+    times_s = np.arange(100) / 100.0
+    slip = np.where(times_s >= 0.5, -0.3, 0.0)
+    assert moved.x_px - still.x_px == pytest.approx(slip, abs=1e-12)
+    assert moved.y_px - still.y_px == pytest.approx(0.1 * times_s, abs=1e-9)
+    # the beam moves the reference half as far
+    of_reference = moved.beam_px / 2.0 - still.beam_px / 2.0
+    assert of_reference[:, 0] == pytest.approx(slip, abs=1e-12)
+    assert of_reference[:, 1] == pytest.approx(0.1 * times_s, abs=1e-9)
+
+
+def test_a_base_that_tilts_takes_the_resting_pendulum_and_the_reference_with_it() -> None:
+    ground = {"tilt_step_at_s": 2.0, "tilt_step_slow_arcsec": 3.0, "tilt_fast_arcsec_per_min": 60.0}
+    quiet = {"b": 0.0, "c": 0.0, "gamma_pa": 0.0, "drag_s": 0.5}
+    found = plan(
+        6000,
+        contact=quiet,
+        ground=ground,
+        release={"amplitude_arcsec": 0.001},
+        fast={"drag_s": 0.5},
+        reference={"relative": 0.5},
+    )
+    reference_px = found.beam_px - found.beam_px[0]
+    # up is positive, and so is down in rows
+    assert reference_px[190, 1] == pytest.approx(0.0, abs=1e-3)
+    assert reference_px[310:, 1] == pytest.approx(-3.0 * ONE_ARCSEC_PX, rel=1e-3)
+    assert reference_px[:, 0] == pytest.approx(np.arange(6000) / 100.0 * ONE_ARCSEC_PX, abs=2e-3)
+    # the pendulum swings to its new rest, and comes to rest there
+    assert abs(found.y_px[250] - found.y_px[0]) < 0.9 * 3.0 * ONE_ARCSEC_PX
+    assert found.y_px[-1] - found.y_px[0] == pytest.approx(-3.0 * ONE_ARCSEC_PX, rel=0.02)
+    assert found.x_px[-1] - found.x_px[0] == pytest.approx(60.0 * ONE_ARCSEC_PX, rel=0.02)

@@ -8,7 +8,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import REFERENCE, SPOT
-from acquisition.simulation.true_path import true_turning_points
+from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
 from processing.spot import Spot
@@ -135,3 +135,44 @@ def test_before_the_record_each_spot_is_followed_in_its_own_part() -> None:
     assert len(look.references) == len(look.spots) == len(look.deflections)
     assert all(abs(spot.y_px - 684.0) < 3.0 for spot in look.references)
     assert sum(map(len, shown)) >= 60
+
+
+def test_it_takes_off_the_creep_of_the_camera_which_an_analysis_without_it_shows(tmp_path: Path) -> None:
+    small = SMALL | {"simulation.sensor.height_px": "720"}
+    creep = (
+        "simulation.disturbances.camera_creep_y_px_per_min=3",
+        "simulation.disturbances.camera_slips_at_s=12",
+    )
+    wanted = (
+        *(f"{key}={value}" for key, value in small.items()),
+        *APPARATUS,
+        *(
+            key
+            for key in AIRY
+            if "disturbances" not in key and "max_duration" not in key and "gain" not in key
+        ),
+        *creep,
+        "simulation.disturbances.camera_slip_y_px=-0.8",
+        "session.max_duration_s=24",
+        "record.windows=false",
+    )
+    source, folder = CONFIGS / "demo.toml", tmp_path / "run"
+    config = load_configuration(source, wanted)
+    measure_session(config, source, folder)
+    truth = true_path(config.simulation, 25.0)
+    with RecordReader(folder / "run-1.mcap") as reader:
+        less = less_beam_motion(reader, recorded_configuration(reader))
+        assert less is not None
+        blocks = list(reader.deflection_blocks())
+    off = []
+    for read in (blocks, [less(one) for one in blocks]):
+        time_s = np.concatenate([one.times_ns for one in read]) * 1e-9 - 1.0
+        y = np.concatenate([one.y for one in read])
+        error = (y - np.interp(time_s, truth.times_ns * 1e-9, truth.y_rad)) / ARCSEC_RAD
+        off.append(error - error[time_s < 2.0].mean())
+    # in a plain analysis the camera's way is the pendulum's: 3 px a minute, and 0.8 px at once
+    px_arcsec = 4.8e-6 / 2 / ARCSEC_RAD
+    way = -3 / 60 * time_s + 0.8 * (time_s >= 12.0)
+    assert off[0] == pytest.approx((way - way[time_s < 2.0].mean()) * px_arcsec, abs=0.06)
+    assert np.std(off[1]) < 0.2 * np.std(off[0])
+    assert np.max(np.abs(off[1][np.abs(time_s - 12.0) > 1.0])) < 0.1 * np.ptp(off[0])
