@@ -37,7 +37,7 @@ from rig.analysis.record_fit import (
     session_results,
     with_dropped_frames,
 )
-from rig.analysis.recorded_witness import when_taken
+from rig.analysis.recorded_witness import taken
 from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults, TableDecay, TableResults
 from rig.analysis.results_file import (
     RESULTS_NAME,

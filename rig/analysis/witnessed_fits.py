@@ -8,6 +8,7 @@ from typing import NamedTuple
 from processing.contact import PendulumOnBall
 from processing.fit import FitResult, Response, Witness, WitnessUse, fit_with_witness, with_place_errors
 from processing.swing import TurningPoints
+from rig.analysis.recorded_witness import CLOCK_SET
 from rig.analysis.witness_file import WitnessRecord
 from rig.presentation import percent, plain, quantity, with_uncertainty
 
@@ -42,7 +43,7 @@ def of_source(use: WitnessUse | None, record: WitnessRecord | None) -> WitnessUs
 
 def witness_sentences(use: WitnessUse) -> list[str]:
     """What a witness told, or why it was refused; and what was left out where it was read."""
-    lost = [line for line in use.understood if line.startswith(("left out", "missing"))]
+    lost = [line for line in use.understood if line.startswith(("left out", "missing", CLOCK_SET))]
     return [*_told(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
 
 

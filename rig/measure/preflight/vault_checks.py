@@ -20,7 +20,7 @@ from processing.spot import Spot, SpotFlag
 from processing.swing_at_rest import swing_at_rest
 from processing.ticks import seconds
 from processing.witness_at_rest import WitnessAtRest, witness_at_rest
-from rig.analysis import when_taken
+from rig.analysis import taken
 from rig.control import WitnessSettings
 from rig.measure.preflight.frame_checks import TrialFrames, longer, not_at_rest
 from rig.presentation import Verdict, percent, plain, with_uncertainty
@@ -68,8 +68,8 @@ def witness(
         order = np.concatenate([[True], np.diff(np.maximum.accumulate(arrived_ns)) > 0])
         arrived_ns, value = arrived_ns[order], value[order]
         samples = [one for one, kept in zip(samples, order.tolist(), strict=True) if kept]
-    taken_ns = when_taken(arrived_ns, np.array([one.own_time_s for one in samples]))
-    record = Witness(seconds(taken_ns - at.times_ns[0]), value, tuple(names))
+    times_ns = taken(arrived_ns, np.array([one.own_time_s for one in samples])).times_ns
+    record = Witness(seconds(times_ns - at.times_ns[0]), value, tuple(names))
     try:
         found = witness_at_rest(at.times_s, _less_beam(look, stated), record)
         ground_seen = ground_at_rest(at.times_s, at.y).density.value > 0
