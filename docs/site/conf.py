@@ -66,6 +66,7 @@ CONTENTS = {
         "docs/reference/configuration",
         "docs/reference/results",
         "docs/record",
+        "docs/reference/archive",
         "docs/reference/topics",
         "docs/reference/python",
         "docs/benchmarks",

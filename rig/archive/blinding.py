@@ -26,7 +26,9 @@ def blind_runs(archive: Path, columns: Sequence[str], folders: Sequence[Path] = 
     """
     for name in columns:
         if f"u_{name}" not in COLUMNS:
-            raise ConfigurationError(f"{name}: is no column with an uncertainty; docs/archive.md names all")
+            raise ConfigurationError(
+                f"{name}: is no column with an uncertainty; docs/reference/archive.md names all"
+            )
     store = Archive(archive)
     store.begin()
     if folders and sealed(archive) is not None:

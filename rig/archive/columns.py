@@ -1,4 +1,4 @@
-"""The columns of the catalogue, one row a run. What stands here stands in docs/archive.md."""
+"""The columns of the catalogue, one row a run. What stands here stands in docs/reference/archive.md."""
 
 from collections.abc import Mapping
 from typing import Final, Literal, NamedTuple

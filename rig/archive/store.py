@@ -214,7 +214,7 @@ def reads_archive(function: Callable[Concatenate[Path, _P], _R]) -> Callable[Con
             # as '45 %' is no number: found when the rows are read
             said = str(error).splitlines()[0].partition(": ")[2]
             raise ConfigurationError(
-                f"condition or columns: {said}; docs/archive.md names the columns and their units"
+                f"condition or columns: {said}; docs/reference/archive.md names the columns and their units"
             ) from None
         except duckdb.Error as error:
             raise unreadable(archive, error) from None

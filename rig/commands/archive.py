@@ -62,7 +62,7 @@ def add(
 def list_(
     condition: Annotated[str, typer.Argument(help="Condition in SQL: \"sample = 'K8' order by c\".")] = "",
     columns: Annotated[
-        str, typer.Option(help="Columns to show, separated by commas; docs/archive.md names all.")
+        str, typer.Option(help="Columns to show, separated by commas; docs/reference/archive.md names all.")
     ] = "",
     format_: Annotated[Literal["table", "csv", "json", "parquet"], typer.Option("--format")] = "table",
     output: Annotated[

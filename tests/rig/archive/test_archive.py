@@ -210,12 +210,13 @@ def test_two_that_add_at_once_lose_nothing(sessions: Path, tmp_path: Path) -> No
 
 def test_the_documented_commands_run_and_the_documented_columns_exist(sessions: Path) -> None:
     text = (ROOT / "docs" / "archive.md").read_text(encoding="utf-8")
+    reference = (ROOT / "docs" / "reference" / "archive.md").read_text(encoding="utf-8")
     lines = re.findall(r"^ {4}(rig archive .*)$", text, re.MULTILINE)
     assert len(lines) >= 5
     for line in lines:
         done = rig(*shlex.split(line.split("  #")[0])[1:], cwd=sessions.parent)
         assert done.returncode == 0, f"{line}: {done.stderr}"
-    documented = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE))
+    documented = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", reference, re.MULTILINE))
     derived = {f"{u}{name}" for name in DERIVED for u in ("", "u_")}
     columns = {name: one.meaning for name, one in {**COLUMNS, **OF_REFITS}.items() if name not in derived}
     assert documented == columns | SAID_OF_RUNS
@@ -272,7 +273,7 @@ def test_a_condition_reads_runs_and_nothing_else(sessions: Path, tmp_path: Path)
     for condition, said in {
         "b > 0; drop view runs": "more than one",
         "temperature_c < '45 %'": "condition or columns: Could not convert string '45 %'",
-        "hardness > 3": "docs/archive.md names the columns",
+        "hardness > 3": "docs/reference/archive.md names the columns",
         f"exists(from read_text('{sessions}/series/session.json'))": "disabled",
     }.items():
         with pytest.raises(ConfigurationError, match=said):
