@@ -3,12 +3,14 @@
 import contextlib
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from acquisition.record import whole_file
 from processing.errors import RecordError
 from rig.archive.bucket import DERIVED, Bucket
+from rig.archive.facts import FOLDER as FACTS
+from rig.archive.facts import file_name, newest_numbers
 from rig.archive.manifest import MANIFEST, identity, identity_in
 from rig.archive.proved import prove, read_file
 from rig.presentation import say
@@ -57,10 +59,10 @@ class Copy:
             return None
         return data
 
-    def sound_there(self, name: str) -> bytes | None:
-        """The same of a file there."""
+    def sound_there(self, name: str, read: Mapping[str, bytes] | None = None) -> bytes | None:
+        """The same of a file there, which was read already or is read now."""
         try:
-            data = self.bucket.read([name])[name]
+            data = (self.bucket.read([name]) if read is None else read)[name]
             prove(Path(f"{self.bucket.url}/{name}"), name, data)
         except (RecordError, KeyError):
             return None
@@ -84,6 +86,7 @@ def fetch(copy: Copy) -> None:
     """
     there, here, seen = copy.bucket.names(), copy.names(), copy.seen()
     _check_identity(copy, there, seen)
+    _check_history(copy, there & here & seen)
     lost = []
     for name in sorted((here & seen) - there):
         if name.startswith(DERIVED):
@@ -115,6 +118,25 @@ def _check_identity(copy: Copy, there: set[str], seen: set[str]) -> None:
             f"{url}: the archive that was there is gone ({MANIFEST} is missing); check address, "
             f"bucket and AWS_ENDPOINT_URL; a copy of it lies in {copy.folder} and was not touched"
         )
+
+
+def _check_history(copy: Copy, names: set[str]) -> None:
+    """Raise RecordError where a computer's log went on there otherwise than here.
+
+    Each file of the log states the hash of the one before: the last that is on both sides is enough.
+    """
+    logs = {name.rpartition("/")[2] for name in names if name.startswith(f"{FACTS}/")}
+    last = [f"{FACTS}/{file_name(*newest)}" for newest in newest_numbers(logs).items()]
+    found = copy.bucket.read(last) if last else {}
+    for name in last:
+        here = copy.sound(name)
+        # what is damaged is named when it is read
+        if here is not None and copy.sound_there(name, found) not in (None, here):
+            raise RecordError(
+                f"{copy.bucket.url}/{name}: is another one there than here: the archive was put back from a "
+                f"backup, and a computer without its copy went on; move {copy.folder} away, and rig archive "
+                "add says again what this computer sees"
+            )
 
 
 def _cache() -> Path:

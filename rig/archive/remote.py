@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from acquisition.record import whole_file
+from processing.errors import ConfigurationError
 from rig.archive.bucket import Bucket
 from rig.archive.copied import Copy, fetch
 from rig.archive.sending import send
@@ -41,6 +42,9 @@ def opened(archive: str, *, believed: bool = True) -> Iterator[Path]:
     fetch(copy)
     try:
         yield copy.folder
+    except ConfigurationError as error:
+        # the copy is not what was asked for, and nothing is to be added to it
+        raise ConfigurationError(str(error).replace(str(copy.folder), archive)) from None
     finally:
         send(copy)
 
@@ -59,6 +63,9 @@ def restored(archive: str, *, repair: bool) -> dict[str, tuple[str, bool]]:
     for name in sorted(copy.bucket.names() | copy.names()):
         here, there = copy.sound(name), copy.sound_there(name)
         if here is not None and there is not None:
+            if here != there:
+                # both are as they were written: which of them holds nobody knows here
+                found[name] = f"{archive}/{name}: is another one there than here, {copy.folder}", False
             continue
         side = "here" if here is None else "there"
         mended = repair and (here is not None or there is not None)

@@ -132,7 +132,7 @@ def _killed(command: Command, each: int, base: Path) -> tuple[int, int, list[str
         shutil.copytree(start, place)
         done += not _in_child(lambda: command.run(place), at=at, told=told)
         what = _asked(lambda: command.look(place), told)
-        if what not in (before, after):
+        if what not in (before, after) and not _between(before, what, after):
             wrong.append(f"{command.name} at {at}: neither before nor after: {what}")
         if not _in_child(lambda: command.run(place), told=told):
             wrong.append(f"{command.name} at {at}: the next one fails")
@@ -142,6 +142,18 @@ def _killed(command: Command, each: int, base: Path) -> tuple[int, int, list[str
         if left:
             wrong.append(f"{command.name} at {at}: left {left}")
     return done, calls, wrong
+
+
+def _between(before: Any, what: Any, after: Any) -> bool:
+    """Of rows: each is as it was or as it will be, and what is to stay is there.
+
+    A command that takes long, as on a busy machine, says of some sessions before others what it saw.
+    """
+    if not all(isinstance(rows, list) for rows in (before, what, after)):
+        return False
+    return all(row in before or row in after for row in what) and all(
+        row in what for row in before if row in after
+    )
 
 
 def commands() -> list[Command]:

@@ -375,3 +375,42 @@ def test_without_fsspec_one_line_says_what_to_install(monkeypatch: pytest.Monkey
     assert done.returncode == 2
     assert "pip install 'optical-pendulum-rig[remote]'" in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_two_histories_of_one_computer_are_a_refusal(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bucket is put back from a backup, and a computer that has lost its copy goes on there."""
+    for name in ("series", "uncalibrated"):
+        shutil.copytree(OLDER / name, tmp_path / "runs" / name)
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert on(monkeypatch, one, url, "add", tmp_path / "runs").returncode == 0
+    backup = {path: bucket().cat_file(path) for path in bucket().find("laboratory/friction")}
+    (tmp_path / "runs" / "series" / "results.json").rename(tmp_path / "withdrawn.json")
+    assert on(monkeypatch, one, url, "add", tmp_path / "runs").returncode == 0
+    assert on(monkeypatch, two, url, "list").returncode == 0
+    bucket().rm("laboratory/friction", recursive=True)
+    for path, data in backup.items():
+        bucket().pipe_file(path, data)
+    shutil.rmtree(one)
+    (tmp_path / "runs" / "uncalibrated" / "results.json").unlink()
+    assert on(monkeypatch, one, url, "add", tmp_path / "runs" / "uncalibrated").returncode == 0
+    for words in (("list",), ("add", tmp_path / "runs")):
+        done = on(monkeypatch, two, url, *words)
+        assert done.returncode != 0
+        assert "is another one there than here" in done.stderr
+        assert str(two) in done.stderr
+    # as the error says
+    shutil.rmtree(two)
+    assert on(monkeypatch, two, url, "add", tmp_path / "runs").returncode == 0
+    lists = [on(monkeypatch, copy, url, "list", "order by sha256").stdout for copy in (one, two)]
+    assert lists[0] == lists[1]
+
+
+def test_an_empty_remote_archive_is_named_as_it_was_given(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = on(monkeypatch, tmp_path / "one", url, "list")
+    assert done.returncode == 2
+    assert f"rig archive add --archive {url} DIR" in done.stderr
+    assert str(tmp_path) not in done.stderr
