@@ -69,6 +69,8 @@ def list_runs(
         wanted = wanted.replace(" sample,", f" {invented},")
     elif not columns:
         wanted += ", camera"
+        # who reads a file does not see what is said on the screen
+        wanted += ", true as blind" if sealed(archive) is not None else ""
     if not columns:
         wanted += "".join(f", u_{name}, verdict_{name}" for name in ("b", "p", "c", "n"))
     if (seal := sealed(archive)) is not None:

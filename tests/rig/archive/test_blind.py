@@ -91,6 +91,8 @@ def test_the_key_lies_elsewhere_and_without_it_nothing_is_shown(archive: Path, t
     for path in archive.rglob("*"):
         assert path.is_dir() or secret.encode() not in path.read_bytes()
     assert row(archive)["c"] is not None
+    said = rig("archive", "list", "--json", "--archive", archive).stdout
+    assert all(json.loads(line)["blind"] for line in said.splitlines())
     key.rename(tmp_path / "safe")
     assert row(archive)["c"] is None
     listed = rig("archive", "list", "--archive", archive)
