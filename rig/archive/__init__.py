@@ -15,15 +15,18 @@ if TYPE_CHECKING:
     from rig.archive.checking import check_archive
     from rig.archive.crates import Statement
     from rig.archive.differences import print_differences
+    from rig.archive.finding import FoundRuns, find_runs
     from rig.archive.laboratories import compare_groups
     from rig.archive.publishing import publish_runs
     from rig.archive.refitting import refit_runs
     from rig.archive.thinning import thin_runs
 
 _LATER = {
+    "FoundRuns": "finding",
     "Statement": "crates",
     "check_archive": "checking",
     "compare_groups": "laboratories",
+    "find_runs": "finding",
     "print_differences": "differences",
     "publish_runs": "publishing",
     "refit_runs": "refitting",

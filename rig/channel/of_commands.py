@@ -22,18 +22,21 @@ def devices_now(devices: Devices) -> dict[str, Any]:
 
 
 @contextmanager
-def light_told(devices: Devices, config: Configuration, folder: Path) -> Iterator[None]:
+def light_told(
+    devices: Devices, config: Configuration, folder: Path, session_news: SessionNews | None = None
+) -> Iterator[None]:
     """While a command that is no session has the devices: the desk shows its light, and can darken it.
 
     `folder` is the one that the devices were opened with, which the rig's lock names. A rig without one
-    (simulated) is not found by it, and tells nothing.
+    (simulated) is not found by it, and tells nothing, unless it has `session_news` for who knows the folder:
+    pictures of what is recorded.
     """
-    if devices.state.path is None:
+    if devices.state.path is None and session_news is None:
         yield
         return
     with suppress(OSError):
         # without it nobody watches
         folder.mkdir(parents=True, exist_ok=True)
     orders = {"dark": lambda by: devices.light_off(by or "the desk")}
-    with Channel(folder, SessionNews(config), orders, lambda: devices_now(devices)):
+    with Channel(folder, session_news or SessionNews(config), orders, lambda: devices_now(devices)):
         yield

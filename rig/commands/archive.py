@@ -18,7 +18,7 @@ Archive = Annotated[
         "--archive", envvar="RIG_ARCHIVE", help="The archive: a folder, or s3://...; or RIG_ARCHIVE."
     ),
 ]
-_PLACE = "archive"
+PLACE = "archive"
 Names = Annotated[
     list[str] | None,
     typer.Argument(help="First characters of a run's or a session's hash.", show_default=False),
@@ -50,7 +50,7 @@ def add(
     read: Annotated[
         bool, typer.Option("--read", help="Read also what looks as it was, to find damage.")
     ] = False,
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Add sessions; those that are known already are left as they are."""
     from rig.archive import add_sessions, opened
@@ -70,7 +70,7 @@ def list_(
     ] = None,
     refits: Refits = False,
     json: JsonLines = False,
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """List the runs that meet a condition."""
     from rig.archive import list_runs, opened
@@ -90,7 +90,7 @@ def check(
     repair: Annotated[
         bool, typer.Option("--repair", help="Make again what follows from the rest, or from the other copy.")
     ] = False,
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Prove every file of the archive."""
     from rig.archive import check_archive, is_remote, opened
@@ -117,7 +117,7 @@ def plot(
     by: Annotated[str, typer.Option(help="Column whose values have a colour each.")] = "",
     where: Where = "",
     refits: Refits = False,
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Draw one column against another, with standard uncertainties."""
     from rig.archive import opened, plot_runs
@@ -130,7 +130,7 @@ def show(
     names: Annotated[
         list[str], typer.Argument(help="First characters of a run's or a session's hash.", show_default=False)
     ],
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Show all that is known of runs."""
     from rig.archive import opened, show_runs
@@ -144,7 +144,7 @@ def tag(
     names: Names = None,
     where: Where = "",
     remove: Annotated[bool, typer.Option("--remove", help="Take the tag away.")] = False,
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Tag runs."""
     from rig.archive import opened, remark
@@ -160,7 +160,7 @@ def note(
     text: Annotated[str, typer.Argument(help="The note.", show_default=False)],
     names: Names = None,
     where: Where = "",
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Write a note on runs."""
     from rig.archive import opened, remark
@@ -185,7 +185,7 @@ def refit(
     processes: Annotated[
         int | None, typer.Option(min=1, help="Processes on this machine; default: as it has processors.")
     ] = None,
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Fit many records again; what was fitted already is left as it is."""
     from rig.archive import is_remote, opened, refit_runs
@@ -212,7 +212,7 @@ def diff(
     least_u: Annotated[
         float, typer.Option("--least-u", min=0.0, help="Name what moved by more standard uncertainties.")
     ] = 1.0,
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Name what moved between the last two versions of results, and why."""
     from rig.archive import opened, print_differences
@@ -230,7 +230,7 @@ def compare(
         typer.Option("-o", "--output", help="SVG or PNG to write.", callback=new_file(".svg", ".png")),
     ] = None,
     refits: Refits = False,
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Compare what rigs or laboratories say of a parameter."""
     from rig.archive import compare_groups, opened
@@ -249,7 +249,7 @@ def blind(
             "--of", help="Folder: what is fitted of records in and below it is sealed; may be repeated."
         ),
     ] = None,
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Hide values behind offsets until the analysis is frozen."""
     from rig.archive import blind_runs, opened
@@ -262,7 +262,7 @@ def unblind(
     frozen: Annotated[
         str, typer.Argument(help="Which analysis is frozen: commit, cuts, law.", show_default=False)
     ],
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Show true values again, and record who asked for it."""
     from rig.archive import opened, unseal
@@ -281,7 +281,7 @@ def view(
         Path | None,
         typer.Option(help="Rerun file to write instead of opening a viewer.", callback=new_file(".rrd")),
     ] = None,
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Show runs laid over each other in the viewer."""
     from rig.archive import opened, view_runs
@@ -310,7 +310,7 @@ def publish(
         Literal["kept", "recompressed", "dropped"],
         typer.Option(help="Windows of pixels in the copies; the records stay as they are."),
     ] = "kept",
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Write runs with results and inputs as an RO-Crate: a folder, or a file .eln for notebooks."""
     from acquisition.record.proof import Thinning
@@ -333,7 +333,7 @@ def thin(
         typer.Option("--recompress-after", min=0, help="Store them in fewer bytes after so many months."),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
-    archive: Archive = _PLACE,
+    archive: Archive = PLACE,
 ) -> None:
     """Drop the pixels of old records that have results, or store them in fewer bytes; asks first."""
     from rig.archive import opened, thin_runs

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError, MissingPackage
+from rig.commands.archive import PLACE, Archive
 from rig.commands.arguments import MODES, Config, JsonLines, Set, View
 from rig.commands.inputs import there
 from rig.commands.outputs import appended_file, new_file
@@ -102,6 +103,7 @@ def desk(
         str,
         typer.Option(metavar="URL", help="Of a reverse proxy with TLS on this machine, https://rig.lab."),
     ] = "",
+    archive: Archive = PLACE,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     set_: Set = None,
 ) -> None:
@@ -118,7 +120,7 @@ def desk(
             raise
         raise MissingPackage("rig desk", "nicegui") from None
     entrance = Entrance(port, listen, certificate, certificate_key, passwords, behind)
-    raise typer.Exit(open_desk(config, tuple(set_ or ()), entrance, browser=browser))
+    raise typer.Exit(open_desk(config, tuple(set_ or ()), entrance, browser=browser, archive=archive))
 
 
 def desk_password(

@@ -119,6 +119,12 @@ class Calibrating:
         begun_s, wanted_s = self._begun.get(kind, (0.0, None))
         return None if not wanted_s else min((time.monotonic() - begun_s) / wanted_s, 1.0)
 
+    @property
+    def watched(self) -> Path | None:
+        """The record that is being made, whose folder's channel shows how it looks; None while none is."""
+        running = [path for path, job in tuple(self._recording.values()) if job.running and path.suffix]
+        return running[0] if running else None
+
     def start_over(self, kind: str) -> None:
         """Forget the answers; what was recorded stays."""
         self.stop(kind)

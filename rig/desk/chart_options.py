@@ -55,7 +55,7 @@ def chart_options(
         "type": "log" if logarithmic else "value",
         "nameLocation": "middle",
         "nameGap": 24,
-        **({"min": "dataMin", "max": "dataMax"} if ends is None else _from_to(ends[0])),
+        **(_whole(points) if ends is None else _from_to(ends[0])),
         "axisLine": {"lineStyle": {"color": "var(--edge)"}, "onZero": False},
         "splitLine": _LINES,
         "nameTextStyle": _TEXT,
@@ -152,6 +152,12 @@ def chart_options(
             }
         ],
     }
+
+
+def _whole(points: Sequence[Points]) -> dict[str, float]:
+    """From the first to the last x of all curves: rows below each other have one."""
+    every = [x for curve in points for x, *_ in curve if x is not None]
+    return {"min": min(every), "max": max(every)} if every else {}
 
 
 def _from_to(end: End) -> dict[str, float]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
+from rig.archive import is_remote
 from rig.channel import CHANNEL_NAME, Line
 from rig.control import SafetyState, darken_beside, rig_state_path
 from rig.desk.acting import Acting
@@ -45,17 +46,18 @@ class Desk:
     `place` is what is kept on disk, `acting` who may act.
     """
 
-    def __init__(self, source: Path, overrides: tuple[str, ...] = ()) -> None:
+    def __init__(self, source: Path, overrides: tuple[str, ...] = (), archive: str = "") -> None:
         self.source = source
+        self._archive = archive
         self._overrides = overrides
         self.kept: dict[str, object] = {}
         self.config = load_configuration(source, overrides)
-        self.following = Following(self.config.session.output)
+        self.calibrating = Calibrating(self)
+        self.following = Following(self.config.session.output, lambda: self.calibrating.watched)
         self._rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
         self.safety = Safety(self._rig, self.following, lambda: self.aligner)
         self.aligner: Aligner | None = None
         self.jobs: dict[str, Job] = {}
-        self.calibrating = Calibrating(self)
         self.looking_again = LookingAgain()
         self.sessions = SessionIndex(self.config.session.output)
         self._session: tuple[subprocess.Popen[bytes], Path] | None = None
@@ -66,6 +68,12 @@ class Desk:
         self._pressing = threading.Lock()
         self._pressed: deque[str] = deque(maxlen=_PRESSES_KEPT)
         self._lock = threading.Lock()
+
+    @property
+    def archive(self) -> Path | None:
+        """The folder of the archive; None where there is none, or it lies on a server."""
+        place = self._archive
+        return Path(place) if place and not is_remote(place) and Path(place).is_dir() else None
 
     # -- the configuration ------------------------------------------------------
 

@@ -44,7 +44,7 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
         ui.html("rig desk", tag="h1", sanitize=False).classes("text-weight-bold")
         simulated = ui.label("SIMULATED").classes("no")
         simulated.set_visibility(desk.config.simulated)
-        state = ui.label().classes("ellipsis").props('role="status" aria-live="polite"')
+        state = ui.label().classes("ellipsis state").props('role="status" aria-live="polite"')
         ui.space()
         with ui.element("div").classes("who row items-center no-wrap q-gutter-x-xs"):
             who = Who(desk, tab, drafts.named)

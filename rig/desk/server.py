@@ -112,16 +112,22 @@ class Entrance:
 
 
 def open_desk(
-    source: Path, overrides: tuple[str, ...] = (), entrance: Entrance | None = None, *, browser: bool = True
+    source: Path,
+    overrides: tuple[str, ...] = (),
+    entrance: Entrance | None = None,
+    *,
+    browser: bool = True,
+    archive: str = "",
 ) -> int:
     """Serve the desk of a configuration until Ctrl-C; a session that it has started goes on.
 
-    The address with its key is printed on stdout, then the one for watching only. Raises ConfigurationError
+    The runs of an `archive` that is a folder are listed, too. The address with its key is printed on stdout,
+    then the one for watching only. Raises ConfigurationError
     where a desk of this configuration is open already.
     """
     entrance = entrance or Entrance()
     remote, tls, behind = entrance.remote, entrance.tls(), entrance.proxied
-    desk = Desk(source, overrides)
+    desk = Desk(source, overrides, archive)
     desk.hold()
     try:
         return _serve(desk, entrance, tls, remote=remote, behind=behind, browser=browser)

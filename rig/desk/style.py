@@ -145,6 +145,8 @@ html.night #safety .go::before, html.night #safety .dim::before, html.night #saf
   .wide-left { grid-template-columns: minmax(0, 3fr) minmax(320px, 2fr); }
   .measure { grid-template-columns: minmax(0, 4.6fr) minmax(0, 4fr) minmax(0, 3.4fr); }
   .measure > * { max-height: max(600px, var(--room)); }
+  .measure .camera { width: min(100%, calc((max(600px, var(--room)) - 344px) * var(--aspect)));
+    margin: 0 auto; }
   .shrinks, .scrolls { overflow-y: auto; min-height: 0; }
   .stack > .shrinks { flex: 0 1 auto; }
   .align > .scrolls { max-height: max(500px, var(--room)); }
@@ -166,6 +168,8 @@ html.night #safety .go::before, html.night #safety .dim::before, html.night #saf
   .q-header .spare { display: none; }
   /* the second line says who acts */
   .q-header { flex-wrap: wrap !important; align-content: center; gap: 2px 8px; white-space: nowrap; }
+  .q-header .state { flex: 1 1 0; min-width: 0; } .q-header .q-space { display: none; }
+  .q-header .q-btn { padding: 0 4px; }
   .q-header .who { width: 100%; order: 1; overflow: hidden; text-overflow: ellipsis; flex-wrap: nowrap; }
   .q-tab { min-width: 0; padding: 0 8px; text-transform: none; }
   .q-tab-panel { padding: 4px; } .box { padding: 8px; }

@@ -151,7 +151,7 @@ def themed_report(page: str, theme: str) -> str:
     )
     if theme != "day":
         # the figures are drawn dark on white
-        style += " figure img { filter: invert(1) hue-rotate(180deg); }"
+        style += " html { color-scheme: dark; } figure img { filter: invert(1) hue-rotate(180deg); }"
     if theme == "night":
         style += " html { filter: url(#night); }"
         page = page.replace("<body>", f"<body>{RED_LIGHT}", 1)

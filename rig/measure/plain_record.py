@@ -6,7 +6,7 @@ import cv2
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, DataError, RecordError
-from rig.channel import light_told
+from rig.channel import SessionNews, light_told
 from rig.devices import Devices, ask_leave
 from rig.instrument import complete
 from rig.measure.run_setup import RunPlan, measure_run
@@ -19,6 +19,8 @@ _NO_END = 1e-9
 def record_plainly(config: Configuration, source: Path, record: Path, seconds: float) -> Path:
     """Record the spot for a time, whatever it does; returns the record.
 
+    Meanwhile its folder's channel tells how it looks. One that goes dark ends.
+
     Raises RigError where that fails, KeyboardInterrupt after Ctrl-C, which leaves a closed record.
     """
     updates = {
@@ -28,16 +30,19 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
         "view": config.view.model_copy(update={"mode": "none", "file": False}),
         "preflight": config.preflight.model_copy(update={"when": "never"}),
         "start": config.start.model_copy(update={"way": "at once"}),
+        # whoever looks at the picture gives no leave to go on
+        "laser": config.laser.model_copy(update={"when_dark": "end"}),
     }
     record.parent.mkdir(parents=True, exist_ok=True)
     config = complete(config.model_copy(update=updates))
-    folder = record.parent
+    folder, session_news = record.parent, SessionNews(config)
     with (
         Devices(config, folder, "a recording for a calibration") as devices,
-        light_told(devices, config, folder),
+        light_told(devices, config, folder, session_news),
     ):
         ask_leave(devices)
-        outcome = measure_run(RunPlan(config, source, record, record.stem, fitted=False), devices)
+        plan = RunPlan(config, source, record, record.stem, fitted=False, session_news=session_news)
+        outcome = measure_run(plan, devices)
     if outcome.failure is not None:
         raise outcome.failure
     if outcome.interrupt is not None:

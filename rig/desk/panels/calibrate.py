@@ -234,7 +234,7 @@ def _steps(found: Progress, busy: bool, made: bool) -> str:
 
 
 def _seen(desk: Desk) -> bool:
-    return desk.aligner is not None or desk.following.running
+    return desk.aligner is not None or desk.following.running or desk.calibrating.watched is not None
 
 
 def _why_none(desk: Desk) -> str:
@@ -242,4 +242,6 @@ def _why_none(desk: Desk) -> str:
         return "" if desk.aligner.look is not None else "the first frame is waited for"
     if desk.following.running:
         return no_frame_yet(desk.following)
+    if desk.calibrating.watched is not None:
+        return "" if desk.following.has_picture else "the first frame of the recording is waited for"
     return "dark: what is recorded lights by itself"

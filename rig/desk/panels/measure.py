@@ -24,7 +24,7 @@ from rig.instrument import Phase
 from rig.measure import estimate_texts
 from rig.presentation import quantity
 
-_SIZE = (420, 240)
+_SIZE = (420, 300)
 
 
 def build(desk: Desk, tab: Tab) -> None:

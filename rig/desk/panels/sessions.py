@@ -8,6 +8,7 @@ from nicegui import run, ui
 
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
+from rig.desk.panels.archived_runs import ArchivedRuns
 from rig.desk.sessions import SERVED, SessionRow, sparkline
 from rig.desk.tab import DELIBERATE, Tab
 from rig.wizards import next_free
@@ -122,7 +123,10 @@ def build(desk: Desk, tab: Tab) -> None:
                 words
             )
         ending = ui.button("End it", on_click=tab.act(end)).props("flat")
-    with ui.column().classes("full-width box"):
+        which = ui.toggle(["sessions", "archive"], value="sessions")
+        which.props('dense no-caps aria-label="which list"')
+    archived = ArchivedRuns(desk, tab, lambda: str(find.value or ""), lambda: which.value == "archive")
+    with ui.column().classes("full-width box") as listed_here:
         table = ui.table(
             columns=[{"name": name, "label": name, "field": name, "align": "left"} for name in _COLUMNS],
             rows=[],
@@ -130,8 +134,7 @@ def build(desk: Desk, tab: Tab) -> None:
             selection="multiple",
             pagination=0,
         ).classes("full-width")
-        table.props('dense flat hide-pagination aria-label="sessions"')
-        table.props(""":selected-rows-label="n => n + ' marked'" """)
+        table.props('dense flat hide-pagination hide-selected-banner aria-label="sessions"')
         table.add_slot(
             "header-selection", f"<span class='unseen'>marked</span>{_MARK}".replace("NAME", "'all'")
         )
@@ -170,11 +173,19 @@ def build(desk: Desk, tab: Tab) -> None:
         first = 0
         await refresh()
 
+    async def choose() -> None:
+        listed_here.set_visibility(which.value == "sessions")
+        archived.frame.set_visibility(which.value == "archive")
+        await archived.refresh()
+
     table.on_select(mark)
     find.on_value_change(found_anew)
+    which.on_value_change(choose)
+    archived.frame.set_visibility(False)
 
     async def refresh() -> None:
         nonlocal shown
+        which.set_visibility(desk.archive is not None)
         page = index.page(desk.following.folder, str(find.value or ""), first, _ON_A_PAGE)
         rows.clear()
         rows.update({str(row.folder): row for row in page.rows})

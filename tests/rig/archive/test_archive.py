@@ -13,12 +13,12 @@ import pytest
 from pyarrow import parquet
 
 from processing.errors import ConfigurationError, RecordError
-from rig.archive import add_sessions, list_runs, plot_runs, remark
+from rig.archive import add_sessions, find_runs, list_runs, plot_runs, remark
 from rig.archive.columns import COLUMNS, DERIVED, OF_REFITS, SAID_OF_RUNS
 from rig.archive.listing import narrowed
 from rig.archive.remarks import read_remarks
 from rig.archive.store import Archive
-from rig.presentation import Table
+from rig.presentation import Table, quantity
 from tests.rig.command_line import rig
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -318,3 +318,21 @@ def test_a_list_for_programs_has_an_object_a_line(sessions: Path, tmp_path: Path
     refused = rig(*words, "-o", tmp_path / "runs.json")
     assert refused.returncode == 2
     assert "--format json -o FILE" in refused.stderr
+
+
+def test_runs_are_found_by_words_page_by_page(sessions: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "archive"
+    add_sessions(archive, [sessions])
+    everything = find_runs(archive, "")
+    assert (everything.found, everything.all, len(everything.rows)) == (3, 3, 3)
+    begun = [row["begun (UTC)"] for row in everything.rows]
+    assert begun == sorted(begun, reverse=True)
+    k8 = find_runs(archive, "k8 SERIES whole")
+    assert [row["run"] for row in k8.rows] == ["run-1"]
+    assert (k8.found, k8.all) == (1, 3)
+    (row,) = k8.rows
+    assert " ± " in row[quantity("b").label]
+    assert find_runs(archive, "", first=1, most=1).rows == everything.rows[1:2]
+    assert find_runs(archive, "nobody' or '1'='1").found == 0
+    with pytest.raises(ConfigurationError, match="holds no sessions"):
+        find_runs(tmp_path / "none", "")

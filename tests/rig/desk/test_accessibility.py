@@ -8,12 +8,14 @@ from typing import Any
 
 import pytest
 
+from rig.archive import add_sessions
 from rig.channel import Channel, SessionNews
 from rig.desk.theme import THEMES
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
 PACKAGE = "axe-core@4.10.3"
 PANELS = {"1": "Align", "2": "Balance", "3": "Preflight", "4": "Measure", "5": "Calibrate", "6": "Sessions"}
 Shown = tuple[DeskProcess, Page]
@@ -100,3 +102,84 @@ def test_no_state_of_a_session_has_a_violation(shown: Shown, axe: str, theme: st
     page.wait("document.getElementById('amplitude').offsetParent === null")
     page.ask("window.rigTheme('dark')")
     assert wrong == {}, json.dumps(wrong, indent=1)
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
+    shown: Shown, axe: str, theme: str, desk_output: Path
+) -> None:
+    _, page = shown
+    page.ask(f"window.rigTheme({theme!r})")
+    wrong: dict[str, Any] = {}
+
+    def judge(what: str) -> None:
+        if found := violations(page, axe):
+            wrong[what] = found
+
+    page.key("5")
+    page.click("lever")
+    page.click("Start over")
+    page.wait_text("Calibration of the lever")
+    judge("a wizard's first question")
+    page.click("geometry")
+    page.wait_text("Mirror to sensor")
+    page.fill("answer", "1 yard")
+    page.click("Answer")
+    page.wait_text("has the unit yard; m is meant")
+    judge("a wizard whose answer was wrong")
+    page.key("1")
+    page.ask("document.querySelector('[aria-label=\"Set gain / dB\"]').click()")
+    page.wait("document.querySelector('.errors > *') !== null")
+    judge("an error")
+    page.click("Live picture")
+    page.wait("document.querySelectorAll('.lamps > span').length > 3", 150.0)
+    judge("the picture with its lamps")
+    page.click("Stop")
+    page.wait_text("No live picture yet")
+    page.key("6")
+    folder = finished(desk_output, theme)
+    page.wait_text(folder.name)
+    mark(page, folder.name)
+    page.key("o")
+    page.wait("document.querySelector('#report iframe')?.src.includes('report')")
+    judge("the report in its drawer")
+    page.ask("document.querySelector('.q-dialog button').click()")
+    page.wait("document.querySelector('.q-dialog') === null")
+    mark(page, folder.name)
+    page.click("archive")
+    page.wait_text("1 to 3 of 3")
+    judge("the archive")
+    page.click("sessions")
+    # what has just ended hands over
+    page.key("4")
+    news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    news.begin_run("run 1", 255, None)
+    with Channel(folder, news, {}):
+        page.wait("document.getElementById('amplitude').offsetParent !== null")
+    page.wait_text("THE LAST SESSION")
+    page.wait_text(" ± ")
+    judge("the page of the end")
+    page.ask("window.rigTheme('dark')")
+    assert wrong == {}, json.dumps(wrong, indent=1)
+
+
+def finished(output: Path, name: str) -> Path:
+    """A session that has ended, with results and a report, in the archive of the desk, too."""
+    folder = output / f"over-{name}"
+    shutil.copytree(OLDER / "series", folder)
+    (folder / "report.html").write_text("<html lang='en'><head><title>r</title></head></html>", "utf-8")
+    archive = output.parent / "archive"
+    if not archive.exists():
+        add_sessions(archive, [OLDER / "series", OLDER / "uncalibrated"])
+    return folder
+
+
+def mark(page: Page, folder: str) -> None:
+    """Mark a session, or take its mark away."""
+    box = (
+        "[...document.querySelectorAll('.q-table tbody tr')]"
+        f".find(row => row.innerText.includes({folder!r})).querySelector('.q-checkbox')"
+    )
+    before = page.wait(f"{box}.getAttribute('aria-checked')")
+    page.ask(f"{box}.click()")
+    page.wait(f"{box}.getAttribute('aria-checked') !== {before!r}")

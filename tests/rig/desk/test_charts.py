@@ -11,7 +11,8 @@ from acquisition.frame import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from rig.channel import Channel, SessionNews
-from rig.desk.chart_options import Curve, chart_options
+from rig.desk.chart_options import Curve, Ends, chart_options
+from rig.desk.charts import trajectory
 from rig.presentation import quantity
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page
@@ -29,6 +30,32 @@ def test_axes_are_named_by_the_catalogue_and_a_band_is_as_wide_as_it_says() -> N
     low, wide = (one["data"] for one in found["series"][1:3])
     assert (low, wide) == ([(0.0, 3.5)], [(0.0, 1.0)])
     assert found["graphic"][0]["style"]["text"] == ""
+
+
+def test_rows_below_each_other_have_the_same_time() -> None:
+    curves = (Curve("amplitude"), Curve("period_s", row=1))
+    points = [[(1.0, 2.0), (9.0, 1.0)], [(3.0, 4.0), (5.0, 4.0)]]
+    found = chart_options(quantity("elapsed_s"), curves, points, "arcsec", False, [], None, "")
+    assert [(axis["min"], axis["max"]) for axis in found["xAxis"]] == [(1.0, 9.0), (1.0, 9.0)]
+
+
+@pytest.mark.parametrize("high", [0.37, 9.4, 94.2, 95.0, 101.0, 128.0, 180.0])
+def test_ends_of_a_trajectory_are_labels(high: float) -> None:
+    chart = ChartsOptions()
+    for stretched in (False, True):
+        trajectory(chart, [-0.1 * high, 0.013 * high], [-high, 0.97 * high], "arcsec", stretched=stretched)  # type: ignore[arg-type]
+        for axis, extent in zip(chart.ends, ((-0.1 * high, 0.013 * high), (-high, 0.97 * high)), strict=True):
+            low, top, step = axis
+            assert low <= extent[0] < extent[1] <= top
+            assert low / step == pytest.approx(round(low / step), abs=1e-9)
+            assert 3 <= round((top - low) / step) <= 7
+
+
+class ChartsOptions:
+    """Keeps the ends that a chart is given."""
+
+    def show(self, points: object, unit: str, *, ends: Ends, empty: str) -> None:
+        self.ends = ends
 
 
 @pytest.mark.slow

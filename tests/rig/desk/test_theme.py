@@ -31,10 +31,9 @@ def test_at_night_nothing_but_red_is_lit() -> None:
 def test_every_theme_has_every_colour_and_every_colour_that_is_used_has_a_name() -> None:
     names = set(THEMES[theme.DARK])
     assert all(set(colours) == names for colours in THEMES.values())
-    used = set(
-        re.findall(r"var\(--([\w-]+)\)", "".join(path.read_text("utf-8") for path in DESK.rglob("*.py")))
-    )
-    assert used - {"name"} <= names
+    text = "".join(path.read_text("utf-8") for path in DESK.rglob("*.py"))
+    sizes = set(re.findall(r"--(head|room|aspect):", text))
+    assert set(re.findall(r"var\(--([\w-]+)\)", text)) - {"name"} <= names | sizes
 
 
 def test_panels_have_no_colours_of_their_own() -> None:
