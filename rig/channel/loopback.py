@@ -26,6 +26,8 @@ CHANNEL_NAME = ".channel.json"
 LOOPBACK = "127.0.0.1"
 WHO = "/who"
 """Asked before anything else: a challenge, which only the session of the file can answer."""
+SPECTRA = "spectra"
+"""Query of a history that has them, too."""
 _MOST_ASKED_BYTES = 64 * 1024
 Orders = Mapping[str, Callable[[str], str]]
 """What may be ordered, by its first word, which is called with the rest; returns what was done, or raises
@@ -119,7 +121,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             news = {**channel.session_news.news(after), **channel.extra()}
             self._answer(json.dumps(plain_values(news)).encode(), "application/json")
         elif address.path == "/history":
-            told = plain_values(channel.session_news.history())
+            told = plain_values(channel.session_news.history(spectra=address.query == SPECTRA))
             self._answer(json.dumps(told).encode(), "application/json")
         elif address.path == "/picture":
             frame = channel.session_news.picture(after)
@@ -264,9 +266,9 @@ class Line:
         found: dict[str, Any] = json.loads(data)
         return found
 
-    def history(self) -> dict[str, Any]:
+    def history(self, *, spectra: bool = True) -> dict[str, Any]:
         """What `SessionNews.history` says."""
-        _, _, data = self._ask("GET", "/history")
+        _, _, data = self._ask("GET", f"/history?{SPECTRA}" if spectra else "/history")
         found: dict[str, Any] = json.loads(data)
         return found
 

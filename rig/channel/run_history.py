@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
-from processing.deflections import Deflections
+from processing.deflections import Deflections, joined
 from processing.swing import Swing
 from processing.ticks import NS_PER_S, seconds
 from rig.instrument import FittedDecay, Snapshot
 
 Array = NDArray[np.float64]
 _MOST = 800
+_TAKEN_TOGETHER = 128
 _FIRST_WIDTH_S = 0.02
 _SWINGS = 20_000
 _SWING_POINTS = 800
@@ -81,15 +82,29 @@ class RunHistory:
         self._motion = Extremes(2)
         self._swings: deque[tuple[float, float, float, float]] = deque(maxlen=_SWINGS)
         self._start_ns = 0
+        self._waiting: list[Deflections] = []
+        self._waiting_samples = 0
         self._decay: FittedDecay | None = None
         self._estimates: dict[str, deque[tuple[float, float, float]]] = {}
         self._estimated_from = 0
 
     def motion(self, start_ns: int, deflections: Deflections) -> None:
         """Deflections of recorded frames."""
+        self._start_ns = start_ns
         if len(deflections):
-            time_s = (deflections.times_ns - start_ns) / NS_PER_S
-            self._motion.take(time_s, np.stack((deflections.shown_x, deflections.shown_y)))
+            self._waiting.append(deflections)
+            self._waiting_samples += len(deflections)
+            # blocks of two frames would take a tenth of what a frame may
+            if self._waiting_samples >= _TAKEN_TOGETHER:
+                self._take_motion()
+
+    def _take_motion(self) -> None:
+        if not self._waiting:
+            return
+        whole = joined(self._waiting, self._waiting[0].unit)
+        self._waiting, self._waiting_samples = [], 0
+        time_s = (whole.times_ns - self._start_ns) / NS_PER_S
+        self._motion.take(time_s, np.stack((whole.shown_x, whole.shown_y)))
 
     def swing(self, start_ns: int, swing: Swing, shown_size: float) -> None:
         """A half-cycle without doubts."""
@@ -111,6 +126,7 @@ class RunHistory:
 
     def told(self) -> dict[str, Any]:
         """Everything as plain values, deflections and amplitudes as they are shown."""
+        self._take_motion()
         swings = list(self._swings)[:: max(1, math.ceil(len(self._swings) / _SWING_POINTS))]
         return {
             "x": self._motion.curve(0),

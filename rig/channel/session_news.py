@@ -14,7 +14,7 @@ from acquisition.camera import CameraSettings
 from acquisition.frame import Frame, Image
 from acquisition.record.events import Event
 from processing.balance import Balance
-from processing.deflections import Deflections, DeflectionUnit
+from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.spot import Spot, SpotFlag
 from processing.ticks import NS_PER_S, seconds
 from rig.channel.ground_now import GroundNow
@@ -25,6 +25,8 @@ from rig.settings import Configuration
 
 _PATH_S = 20.0
 _PATH_POINTS = 400
+_BLOCKS_JOINED = 32
+"""Blocks of a few frames that are kept as one: whoever asks would join thousands."""
 _EVENTS = 500
 _PICTURE_INTERVAL_S = 0.1
 _WATCHED_S = 60.0
@@ -65,6 +67,7 @@ class SessionNews:
 
     def _begin(self) -> None:
         self._path: deque[Deflections] = deque()
+        self._loose = 0
         self._history = RunHistory()
         self._ground = GroundNow(self._config.pendulum)
         self._balance: Balance | None = None
@@ -130,7 +133,14 @@ class SessionNews:
                 if path and deflections.times_ns[0] <= path[-1].times_ns[-1]:
                     # the record begins with frames that were seen while its beginning was waited for
                     path.clear()
+                    self._loose = 0
                 path.append(deflections)
+                self._loose += 1
+                if self._loose == _BLOCKS_JOINED:
+                    # after a gap there may be fewer
+                    loose = [path.pop() for _ in range(min(_BLOCKS_JOINED, len(path)))]
+                    path.append(joined(loose[::-1], self._unit))
+                    self._loose = 0
                 while newest_ns - path[0].times_ns[-1] > _PATH_S * NS_PER_S:
                     path.popleft()
         now_s = time.monotonic()
@@ -210,11 +220,16 @@ class SessionNews:
             "balance": None if balance is None else self._of_balance(balance),
         }
 
-    def history(self) -> dict[str, Any]:
-        """What charts show of the run since it began, decimated, and the spectra of its last minutes."""
+    def history(self, *, spectra: bool = True) -> dict[str, Any]:
+        """What charts show of the run since it began, decimated.
+
+        With `spectra` also those of its last minutes, which take longer than all the rest.
+        """
         with self._lock:
             told, path = self._history.told(), list(self._path)
             ground, parts = self._ground, self._ground.parts()
+        if not spectra:
+            return {"run": self.run, **told}
         with self._one_spectrum:
             shaken = ground.spectrum(*parts)
         return {"run": self.run, **told, "spectrum": spectrum(path), "ground": shaken}

@@ -139,14 +139,14 @@ class Following:
         finally:
             self._one_picture.release()
 
-    def history(self) -> dict[str, Any]:
+    def history(self, *, spectra: bool) -> dict[str, Any]:
         """What charts show of the running session; empty without one, or where it does not answer. Blocks."""
         folder = self.folder
         try:
             if folder is None:
                 return {}
             with Line(folder) as line:
-                return line.history()
+                return line.history(spectra=spectra)
         except NoSession:
             return {}
 

@@ -175,6 +175,8 @@ def _serve(
         log_level="warning",
         access_log=False,
         ws="websockets-sansio",
+        # in a laboratory a network is faster than what this would cost the computer of the rig
+        ws_per_message_deflate=False,
         ssl_certfile=entrance.certificate,
         ssl_keyfile=entrance.certificate_key,
         # a browser that keeps its connection does not answer the goodbye of TLS

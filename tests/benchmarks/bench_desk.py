@@ -28,6 +28,8 @@ from rig.measure.session_file import RunEntry, RunState, SessionState
 from rig.settings import load_configuration
 from tests.benchmarks.bench_pipeline import real_time
 from tests.benchmarks.desk_in_browser import first_paint_s, random_use
+from tests.rig.desk.desk_page import Page
+from tests.rig.view.headless_browser import headless_browser
 
 RATE_HZ, WIDTH, HEIGHT = 500.0, 640, 480
 PICTURES_HZ = 10.0
@@ -53,6 +55,7 @@ def run(quick: bool = False) -> dict[str, Any]:
         "a picture at the desk, ms": float(np.median([one["picture_ms"] for one in watched])),
         "cores of the desk itself": float(np.median([one["desk_cores"] for one in watched])),
     }
+    results |= with_a_page(seconds if quick else 2 * seconds)
     found, rows_s, read_s = search_s(5_000 if quick else 100_000)
     results |= {
         "sessions searched": found,
@@ -64,6 +67,24 @@ def run(quick: bool = False) -> dict[str, Any]:
     for name, value in results.items():
         print(f"{name:<36} {value:.4g}" if isinstance(value, int | float) else f"{name:<36} {value}")
     return results
+
+
+def with_a_page(seconds: float) -> dict[str, Any]:
+    """What desk and channel take, by processor time, while a browser shows Measure of 500 frames/s.
+
+    Memory is compared between the first and the last third: a page that is just opened still grows.
+    """
+    one = measured(seconds, desk=True, page=True)
+    return {
+        "with a page: frames lost": one["dropped"],
+        "with a page: cores of the desk": one["desk_cores"],
+        "with a page: cores of the channel": one["own_cores"],
+        "with a page: cores of both": one["desk_cores"] + one["own_cores"],
+        "with a page: pictures/s seen": one["pictures_hz"],
+        "with a page: memory of the desk, MiB": one["desk_mib"],
+        "with a page: it has grown by, MiB": one["grown_mib"],
+        "with a page: heap of the page has grown by, MiB": one["page_grown_mib"],
+    }
 
 
 def search_s(sessions: int) -> tuple[int, float, float]:
@@ -91,8 +112,11 @@ def search_s(sessions: int) -> tuple[int, float, float]:
         return page.all, max(took_s), read_s
 
 
-def measured(seconds: float, *, desk: bool) -> dict[str, Any]:
-    """One run; with a `desk` in a process of its own, which asks for pictures as a browser does."""
+def measured(seconds: float, *, desk: bool, page: bool = False) -> dict[str, Any]:
+    """One run; with a `desk` in a process of its own, which asks for pictures as a browser does.
+
+    `page`: a real browser shows the page, and nothing else asks.
+    """
     with tempfile.TemporaryDirectory() as place, ExitStack() as stack:
         folder = Path(place) / "session"
         folder.mkdir()
@@ -111,15 +135,17 @@ def measured(seconds: float, *, desk: bool) -> dict[str, Any]:
         stack.enter_context(Channel(folder, session_news, {}))
         answering = stack.enter_context(own_time(_Handler, "do_GET"))
         keeping = stack.enter_context(own_time(SessionNews, "block"))
-        looking = stack.enter_context(Desk(source)) if desk else None
+        looking = stack.enter_context(Desk(source, page=page)) if desk else None
         found = real_time(WIDTH, HEIGHT, 8, RATE_HZ, seconds, watchers=[display, session_news], show=show)
         if looking is not None:
             found |= {
                 "own_cores": (answering[0] + keeping[0]) / seconds,
                 "pictures_hz": session_news.pictures / seconds,
-                "picture_ms": float(np.median(looking.took_ms)),
+                "picture_ms": float(np.median(looking.took_ms)) if looking.took_ms else np.nan,
                 "desk_cores": looking.cores,
             }
+            if page:
+                found |= looking.memory()
         return found
 
 
@@ -141,11 +167,13 @@ def own_time(kind: type, name: str) -> Iterator[list[float]]:
 
 
 class Desk:
-    """`rig desk` in a process, and a thread that asks it for pictures."""
+    """`rig desk` in a process, and a thread that asks it for pictures, or a page that does."""
 
-    def __init__(self, source: Path) -> None:
+    def __init__(self, source: Path, *, page: bool = False) -> None:
         self.took_ms: list[float] = []
-        self._source = source
+        self._source, self._with_page = source, page
+        self._held: list[tuple[float, float]] = []
+        self._opened = ExitStack()
         self._ended = threading.Event()
 
     def __enter__(self) -> "Desk":
@@ -157,14 +185,21 @@ class Desk:
         )
         assert self._process.stdout is not None
         self._address = urllib.parse.urlsplit(self._process.stdout.readline().strip())
+        if self._with_page:
+            page = Page(self._opened.enter_context(headless_browser()))
+            page.open(self._address.geturl())
+            page.key("4")
+            page.wait("document.getElementById('amplitude').offsetParent !== null")
+            self._page = page
         self._began = time.monotonic(), self._busy_s()
-        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread = threading.Thread(target=self._weigh if self._with_page else self._look, daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._thread.join()
+        self._opened.close()
         self._process.kill()
         self._process.communicate()
 
@@ -173,6 +208,25 @@ class Desk:
         """What the desk itself took since it was opened."""
         began_s, busy_s = self._began
         return (self._busy_s() - busy_s) / (time.monotonic() - began_s)
+
+    def memory(self) -> dict[str, float]:
+        """Of the desk in MiB, and by how much it and the page's heap were larger in the last third."""
+        held = np.array(self._held)
+        third = max(1, len(held) // 3)
+        grown = np.median(held[-third:], axis=0) - np.median(held[third : 2 * third], axis=0)
+        return {
+            "desk_mib": float(np.median(held[-third:, 0])),
+            "grown_mib": float(grown[0]),
+            "page_grown_mib": float(grown[1]),
+        }
+
+    def _weigh(self) -> None:
+        while not self._ended.wait(1.0):
+            pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
+            # what is only waiting to be collected is no growth
+            self._page.browser.call("HeapProfiler.collectGarbage")
+            heap = self._page.browser.call("Runtime.getHeapUsage")["usedSize"]
+            self._held.append((pages * os.sysconf("SC_PAGE_SIZE") / 2**20, heap / 2**20))
 
     def _busy_s(self) -> float:
         words = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()

@@ -44,7 +44,7 @@ def build(desk: Desk, tab: Tab) -> None:
         nonlocal stretched
         stretched = not stretched
         stretching.set_text("to scale" if stretched else "stretch X")
-        refresh()
+        draw()
 
     with ui.dialog().props('aria-label="stop the session"') as sure, ui.card():
         ui.label("Stop the session? The record is closed and fitted; nothing is lost.")
@@ -128,14 +128,19 @@ def build(desk: Desk, tab: Tab) -> None:
         laser.classes(remove="go no", add="no" if old or news.get("darkness") else "go")
         brakes.set_visibility(devices.controller is not None)
         learned.set_content(tables.table(_estimates(run_state), "parameters so far"))
-        path = news.get("path") or {"x": [], "y": []}
-        charts.trajectory(way, path["x"], path["y"], unit, stretched=stretched)
         state.set_content(tables.table([list(row) for row in news.get("rows") or []], "state of the run"))
         events.set_content(
             "".join(_event(at_s, event) for at_s, event in newest_first(news, tuple(desk.following.events)))
         )
 
+    def draw() -> None:
+        if desk.following.running:
+            path = desk.following.news.get("path") or {"x": [], "y": []}
+            unit = str(desk.following.news.get("unit") or "")
+            charts.trajectory(way, path["x"], path["y"], unit, stretched=stretched)
+
     tab.every(0.25, refresh)
+    tab.every(0.5, draw)
     refresh()
 
 

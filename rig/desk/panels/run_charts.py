@@ -72,10 +72,10 @@ class RunCharts:
         following = self._desk.following
         if not following.running:
             return
-        history = await run.io_bound(following.history)
+        unit, name = str(following.news.get("unit") or "arcsec"), str(self._choice.value)
+        history = await run.io_bound(following.history, spectra=name in _SPECTRA)
         if not history:
             return
-        unit, name = str(following.news.get("unit") or "arcsec"), str(self._choice.value)
         chart, marks = self._charts[name], _marks(following.events, str(following.news.get("run") or ""))
         if name in ("decay", "period"):
             kind = "amplitude" if name == "decay" else "period"

@@ -128,7 +128,9 @@ def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
     page.wait_text("has the unit yard; m is meant")
     judge("a wizard whose answer was wrong")
     page.key("1")
-    page.ask("document.querySelector('[aria-label=\"Set gain / dB\"]').click()")
+    setting = "document.querySelector('[aria-label=\"Set gain / dB\"]')"
+    page.wait(f"{setting}.offsetParent !== null")
+    page.ask(f"{setting}.click()")
     page.wait("document.querySelector('.errors > *') !== null")
     judge("an error")
     page.click("Live picture")
