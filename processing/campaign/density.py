@@ -62,11 +62,13 @@ def log_prior(design: Design, h: Floats, w: Floats) -> Floats:
 
 def log_kinds(design: Design, w: Floats, found: Spread) -> Floats:
     """Log likelihood (M, R, S, K) of every run, by sub-likelihood and by whether it is bad."""
-    off = design.y - np.einsum("rkp,mp->mrk", design.x, w)[:, :, None]
-    squared = np.einsum("mrsk,mrskl,mrsl->mrs", off, found.inverse, off)[..., None]
-    entries = design.has.sum(axis=1)[:, None, None]
-    one = -0.5 * (squared / design.worse**2 + found.log_det[..., None] + entries * _LOG_2PI)
-    one -= entries * np.log(design.worse)
+    runs, entries, size = design.x.shape
+    seen = (w @ design.x.reshape(runs * entries, size).T).reshape(len(w), runs, entries)
+    off = design.y - seen[:, :, None]
+    squared = np.sum((found.inverse @ off[..., None])[..., 0] * off, axis=-1)[..., None]
+    known = design.has.sum(axis=1)[:, None, None]
+    one = -0.5 * (squared / design.worse**2 + found.log_det[..., None] + known * _LOG_2PI)
+    one -= known * np.log(design.worse)
     return np.asarray(one + design.log_share[..., None] + design.log_kind)
 
 
@@ -111,11 +113,12 @@ def conditional(design: Design, h: Floats, start: Floats) -> Conditional:
         chance = np.exp(kinds - logsumexp(kinds, axis=(2, 3), keepdims=True))
         weighted = np.sum(chance / design.worse**2, axis=3)[..., None, None] * found.inverse
         per_run = weighted.sum(axis=2)
-        pulled = np.einsum("mrskl,rsl->mrk", weighted, design.y)
-        times_x = np.einsum("mrkl,rlp->mrkp", per_run, design.x)
+        pulled = (weighted @ design.y[..., None])[..., 0].sum(axis=2)
+        times_x = per_run @ design.x
         count, size = design.x.shape[0] * design.x.shape[1], design.x.shape[2]
         curvature = design.x.reshape(count, size).T @ times_x.reshape(len(h), count, size)
-        right = np.einsum("rkp,mrk->mp", design.x, pulled) + precision * design.prior_mean
+        right = pulled.reshape(len(h), count) @ design.x.reshape(count, size)
+        right = right + precision * design.prior_mean
         places = np.arange(size)
         curvature[:, places, places] += precision
         if len(design.bounds.limit):
