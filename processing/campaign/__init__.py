@@ -21,6 +21,7 @@ from processing.campaign.outlook import (
     ratio_against_nothing,
     ratio_between_forms,
 )
+from processing.campaign.parts import InParts, here
 from processing.campaign.planning import Choice, ChosenRun, choose_runs
 from processing.campaign.posterior import CampaignPosterior, fit_campaign, moved_by
 from processing.campaign.sampling import SETTLED, Sampled, predictive_check, sample_campaign

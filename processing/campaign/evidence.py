@@ -12,6 +12,7 @@ from processing.campaign.compressed import CompressedRun
 from processing.campaign.design import CampaignModel, Level, design_of
 from processing.campaign.forms import ORDER, Effect, Form
 from processing.campaign.laplace import likeliest
+from processing.campaign.parts import InParts, here
 from processing.campaign.posterior import CampaignPosterior
 from processing.errors import DataError
 
@@ -62,16 +63,22 @@ class ChangePoint:
     at_most: int
 
 
-def compare_forms(runs: Sequence[CompressedRun], model: CampaignModel, candidates: Sequence[Effect]) -> Forms:
+def compare_forms(
+    runs: Sequence[CompressedRun],
+    model: CampaignModel,
+    candidates: Sequence[Effect],
+    *,
+    do: InParts = here,
+) -> Forms:
     """Each candidate beside the model's effects against the model without it, by Laplace's method.
 
     Half of the probability beforehand is that of nothing, the candidates share the other half: among many a
     chance resemblance is charged for.
     """
-    base = likeliest(design_of(runs, model))
+    base = likeliest(design_of(runs, model), do=do)
     gains = np.array(
         [
-            likeliest(design_of(runs, model.with_effects(*model.effects, one)), base.h).log_evidence
+            likeliest(design_of(runs, model.with_effects(*model.effects, one)), base.h, do).log_evidence
             - base.log_evidence
             for one in candidates
         ]
@@ -87,7 +94,9 @@ def compare_forms(runs: Sequence[CompressedRun], model: CampaignModel, candidate
     )
 
 
-def find_change(runs: Sequence[CompressedRun], model: CampaignModel, parameter: str) -> ChangePoint:
+def find_change(
+    runs: Sequence[CompressedRun], model: CampaignModel, parameter: str, *, do: InParts = here
+) -> ChangePoint:
     """Where, if anywhere, a parameter of the campaign became another one; runs are in their order.
 
     Raises
@@ -98,12 +107,12 @@ def find_change(runs: Sequence[CompressedRun], model: CampaignModel, parameter: 
     if len(runs) < 2 * _FEWEST:
         raise DataError(f"{len(runs)} runs: a change needs {_FEWEST} on either side")
     places = np.arange(_FEWEST, len(runs) - _FEWEST + 1)
-    base = likeliest(design_of(runs, model))
+    base = likeliest(design_of(runs, model), do=do)
     gains = []
     for place in places.tolist():
         step = Effect(parameter=parameter, covariate=ORDER, form=Form.STEP, reference=place)
         changed = design_of(runs, model.with_effects(*model.effects, step))
-        gains.append(likeliest(changed, base.h).log_evidence - base.log_evidence)
+        gains.append(likeliest(changed, base.h, do).log_evidence - base.log_evidence)
     found = np.array(gains)
     share = np.exp(found - logsumexp(found))
     reached = np.cumsum(share)

@@ -8,6 +8,7 @@ from scipy.optimize import minimize
 from processing.arrays import Floats
 from processing.campaign.density import in_parts, log_marginal
 from processing.campaign.design import Design
+from processing.campaign.parts import InParts, here
 from processing.errors import DataError
 
 _NARROW, _WIDE = 1e-5, 8.0
@@ -28,9 +29,9 @@ class Laplace(NamedTuple):
     log_evidence: float
 
 
-def likeliest(design: Design, start: Floats | None = None) -> Laplace:
+def likeliest(design: Design, start: Floats | None = None, do: InParts = here) -> Laplace:
     """Likeliest scatters with the latent numbers integrated, and their curvature; `start` are logarithms of
-    scatters from which to begin.
+    scatters from which to begin, `do` does what can be done in parts.
 
     Raises
     ------
@@ -47,8 +48,7 @@ def likeliest(design: Design, start: Floats | None = None) -> Laplace:
 
     def fall(h: Floats) -> tuple[float, Floats]:
         around = np.concatenate([h[None], h + steps, h - steps])
-        value, inner = log_marginal(design, around, last[0])
-        last[0] = inner.w[0]
+        value, last[0] = _marginal(design, around, last[0], do)
         ahead, behind = np.split(value[1:], 2)
         return -float(value[0]), -(ahead - behind) / (2 * _STEP)
 
@@ -58,7 +58,7 @@ def likeliest(design: Design, start: Floats | None = None) -> Laplace:
     if not np.all(np.isfinite(solved.x)) or not np.isfinite(solved.fun):
         raise DataError("the campaign's likelihood has no maximum: state priors, or leave effects out")
     h = np.asarray(solved.x, dtype=np.float64)
-    curvature = _curvature(design, h, last[0])
+    curvature = _curvature(design, h, last[0], do)
     values, vectors = np.linalg.eigh(curvature)
     covariance = (vectors / np.maximum(values, _LARGEST_U**-2)) @ vectors.T
     log_det = float(np.sum(np.log(np.maximum(values, _LARGEST_U**-2))))
@@ -66,7 +66,18 @@ def likeliest(design: Design, start: Floats | None = None) -> Laplace:
     return Laplace(h, covariance, last[0], evidence)
 
 
-def _curvature(design: Design, h: Floats, w: Floats) -> Floats:
+def _marginal(design: Design, h: Floats, start: Floats, do: InParts) -> tuple[Floats, Floats]:
+    """Log marginal densities (M,), and the likeliest latent numbers of the first."""
+    done = do(_marginal_part, design, [(h[part], start) for part in in_parts(design, len(h))])
+    return np.concatenate([value for value, _ in done]), done[0][1]
+
+
+def _marginal_part(design: Design, h: Floats, start: Floats) -> tuple[Floats, Floats]:
+    value, inner = log_marginal(design, h, start)
+    return value, inner.w[0]
+
+
+def _curvature(design: Design, h: Floats, w: Floats, do: InParts) -> Floats:
     """Second derivatives of minus the log marginal by the logarithms of the scatters."""
     size, grid, both = len(h), _OUTER * np.eye(len(h)), np.array([1.0, -1.0])
     gradients = []
@@ -74,9 +85,7 @@ def _curvature(design: Design, h: Floats, w: Floats) -> Floats:
         # (centre, ahead or behind, direction, coordinate)
         around = (h + sign * grid)[:, None, None] + _INNER * both[:, None, None] * np.eye(size)
         around = around.reshape(-1, size)
-        value = np.concatenate(
-            [log_marginal(design, around[part], w)[0] for part in in_parts(design, len(around))]
-        )
+        value, _ = _marginal(design, around, w, do)
         ahead, behind = np.moveaxis(value.reshape(size, 2, size), 1, 0)
         gradients.append((ahead - behind) / (2 * _INNER))
     found = -(gradients[0] - gradients[1]) / (2 * _OUTER)

@@ -13,6 +13,7 @@ from processing.campaign.density import in_parts, log_kinds, spread
 from processing.campaign.design import CampaignModel, Design, Level, design_of
 from processing.campaign.forms import Effect
 from processing.campaign.laplace import likeliest
+from processing.campaign.parts import InParts, here
 from processing.campaign.weighted_draws import Round, weighted_round
 from processing.estimate import Estimate
 
@@ -121,21 +122,27 @@ def moved_by(found: CampaignPosterior, effect: Effect, x: Floats) -> Floats:
 
 
 def fit_campaign(
-    runs: Sequence[CompressedRun], model: CampaignModel, *, draws: int = DRAWS, seed: int = 1
+    runs: Sequence[CompressedRun],
+    model: CampaignModel,
+    *,
+    draws: int = DRAWS,
+    seed: int = 1,
+    do: InParts = here,
 ) -> CampaignPosterior:
     """The posterior of a model over runs.
 
     The scatters' likeliest values and curvature come from Laplace's method with the latent numbers
     integrated. Draws with heavier tails about them get weights by the exact density; where few count, the
-    next round starts from the moments of the one before, and the best one is kept.
+    next round starts from the moments of the one before, and the best one is kept. `do` does what can be
+    done in parts.
     """
     design = design_of(runs, model)
-    found = likeliest(design)
+    found = likeliest(design, do=do)
     rng = np.random.default_rng(seed)
     centre, covariance = found.h, found.covariance
     best: Round | None = None
     for _ in range(_ROUNDS):
-        one = weighted_round(rng, design, found.w, centre, covariance, draws)
+        one = weighted_round(rng, design, found.w, centre, covariance, draws, do)
         best = one if best is None or one.effective > best.effective else best
         if one.effective > ENOUGH * draws or not len(centre):
             break

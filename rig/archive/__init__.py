@@ -7,6 +7,7 @@ from rig.archive.blind import unseal
 from rig.archive.blinding import blind_runs
 from rig.archive.campaigned import RunWithResults, is_sealed, results_of_runs
 from rig.archive.chosen import remark, show_runs, view_runs
+from rig.archive.cluster import client_of
 from rig.archive.listing import Format, list_runs
 from rig.archive.plot import plot_runs
 from rig.archive.remote import is_remote, opened
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from rig.archive.finding import FoundRuns, find_runs
     from rig.archive.laboratories import compare_groups
     from rig.archive.publishing import publish_runs
+    from rig.archive.refits import code_identity
     from rig.archive.refitting import refit_runs
     from rig.archive.thinning import thin_runs
 
@@ -25,6 +27,7 @@ _LATER = {
     "FoundRuns": "finding",
     "Statement": "crates",
     "check_archive": "checking",
+    "code_identity": "refits",
     "compare_groups": "laboratories",
     "find_runs": "finding",
     "print_differences": "differences",

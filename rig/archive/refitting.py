@@ -9,10 +9,11 @@ from typing import Any
 
 from acquisition.record import whole_file
 from acquisition.record.reader import RecordReader
-from processing.errors import ConfigurationError, MissingPackage, RecordError
+from processing.errors import ConfigurationError, RecordError
 from rig.analysis import chosen_laws
 from rig.archive.blind import sealed
 from rig.archive.chosen import chosen_runs
+from rig.archive.cluster import client_of
 from rig.archive.proved import with_line
 from rig.archive.refits import Level, Recipe, Task, code_identity, refit
 from rig.archive.session_rows import now_utc
@@ -126,16 +127,9 @@ def _give_up(quarantine: Path, task: Task) -> None:
 
 def on_cluster(work: Work[T], tasks: Sequence[T], address: str) -> Iterator[tuple[T, str | None]]:
     """The same on a Dask cluster that runs already, whose workers see the same files under the same names."""
-    try:
-        from distributed import Client
+    with client_of(address) as client:
         from distributed.scheduler import KilledWorker
-    except ImportError:
-        raise MissingPackage("--cluster", "distributed") from None
-    try:
-        client = Client(address, timeout="10s", set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise ConfigurationError(f"--cluster {address}: no Dask scheduler answers there: {error}") from None
-    with client:
+
         suspects: list[T] = []
         for task, outcome in _submitted(client, work, tasks):
             if isinstance(outcome, KilledWorker):

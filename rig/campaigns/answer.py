@@ -2,24 +2,23 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite, log
 
 import numpy as np
 
 from processing.angle import ARCSEC_RAD
-from processing.arrays import Floats
 from processing.campaign import (
     POSITIVE,
-    CampaignModel,
     CampaignPosterior,
     CompressedRun,
     Effect,
+    InParts,
     Level,
     Sampled,
     chance,
     compare_forms,
     find_change,
     fit_campaign,
+    here,
     is_seen,
     parameters,
     predictive_check,
@@ -27,14 +26,11 @@ from processing.campaign import (
     span_of,
     within,
 )
-from processing.contact import DRAG
-from processing.contact.laws import DEFAULT_LAW
-from processing.errors import ConfigurationError, DataError
-from processing.estimate import NOT_DETERMINED, Estimate
+from processing.errors import DataError
+from processing.estimate import Estimate
 from processing.fit import FitMethod
-from rig.analysis import RunResults
 from rig.campaigns.budget import budget_of_level
-from rig.campaigns.energy import ENERGY, energy_draws
+from rig.campaigns.contact_values import contact_values
 from rig.campaigns.likelihoods import FoundRun, compressed
 from rig.campaigns.results import (
     CampaignEffect,
@@ -45,10 +41,9 @@ from rig.campaigns.results import (
     likelihood_tree,
 )
 from rig.campaigns.stated import StatedCampaign, StatedEffect
+from rig.campaigns.stated_model import model_of, names_of
 
 _BAD = 0.5
-_NOTHING = 20.0
-"""Width of a 68 % band over its middle from which on nothing is known."""
 _FEW = 0.05
 """Part of the draws that must count."""
 
@@ -62,8 +57,11 @@ class Campaign:
     stated: StatedCampaign
 
 
-def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool = False) -> Campaign:
-    """The answer of a campaign; with `sample` the posterior is a sampler's.
+def answer_of(
+    found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool = False, do: InParts = here
+) -> Campaign:
+    """The answer of a campaign; with `sample` the posterior is a sampler's. `do` does what can be done in
+    parts.
 
     Raises
     ------
@@ -88,19 +86,23 @@ def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
     model = model_of(stated, names, reference_rad, runs)
     sampled = sample_campaign(runs, model, seed=stated.seed) if sample else None
     posterior = (
-        fit_campaign(runs, model, draws=stated.draws, seed=stated.seed)
+        fit_campaign(runs, model, draws=stated.draws, seed=stated.seed, do=do)
         if sampled is None
         else sampled.posterior
     )
-    alone = fit_campaign(runs, model.without_priors(), draws=stated.draws, seed=stated.seed)
-    contacts = _contacts(posterior, alone, [one for one, _ in entered], reference_rad)
-    forms = compare_forms(runs, model, stated.candidates) if stated.candidate else None
+    alone = fit_campaign(runs, model.without_priors(), draws=stated.draws, seed=stated.seed, do=do)
+    contacts = contact_values(posterior, alone, [one for one, _ in entered], reference_rad)
+    forms = compare_forms(runs, model, stated.candidates, do=do) if stated.candidate else None
     tried = len(stated.effect) + len(stated.candidate)
     effects = tuple(_effect(effect, posterior, alone, tried, runs) for effect in stated.effect)
     candidates = []
     for place, candidate in enumerate(stated.candidate):
         with_it = fit_campaign(
-            runs, model.with_effects(*model.effects, candidate.effect()), draws=stated.draws, seed=stated.seed
+            runs,
+            model.with_effects(*model.effects, candidate.effect()),
+            draws=stated.draws,
+            seed=stated.seed,
+            do=do,
         )
         shown = _effect(candidate, with_it, None, tried, runs)
         assert forms is not None
@@ -118,7 +120,7 @@ def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
         effects=effects,
         candidates=tuple(candidates),
         nothing=1.0 if forms is None else forms.nothing,
-        changes=tuple(find_change(runs, model, name) for name in stated.change_points),
+        changes=tuple(find_change(runs, model, name, do=do) for name in stated.change_points),
         shared={
             level.name: posterior.estimate(level) for level in posterior.levels if level.kind == "shared"
         },
@@ -136,112 +138,6 @@ def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
         stated=stated.model_dump(mode="json", exclude_defaults=True),
     )
     return Campaign(results, posterior, stated)
-
-
-def names_of(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> tuple[str, ...]:
-    """The parameters that are modelled."""
-    known = (*DEFAULT_LAW.names(), DRAG.key)
-    if unknown := [name for name in stated.parameters if name not in known]:
-        raise ConfigurationError(f"parameters: there is no {unknown[0]!r}; a campaign has {', '.join(known)}")
-    seen = {name for run in runs for name in (*run.names, *run.bounds)}
-    return stated.parameters or tuple(name for name in known if name in seen)
-
-
-def model_of(
-    stated: StatedCampaign, names: tuple[str, ...], reference_rad: float, runs: Sequence[CompressedRun]
-) -> CampaignModel:
-    """What is stated, as the model takes it."""
-    levels = {}
-    for name, prior in stated.prior.items():
-        if name not in names:
-            raise ConfigurationError(f"prior.{name}: is none of the parameters {', '.join(names)}")
-        value, u = prior.value, prior.u
-        if name in POSITIVE:
-            if not value > 0:
-                raise ConfigurationError(f"prior.{name}.value = {value:g}: should be above 0")
-            value, u = log(value), u / value
-            # beside the middle of what the runs say of the exponent
-            for of, exponent, less in (("b", "p", 1.0), ("gamma_pa", "n", 0.0)):
-                if name == of:
-                    middle = np.median(
-                        [r.values[r.names.index(exponent)] for r in runs if exponent in r.names]
-                    )
-                    value += (float(middle) - less) * log(reference_rad)
-        levels[name] = Estimate(value, u)
-    return CampaignModel(
-        names=names,
-        effects=stated.effects,
-        sizes=stated.size,
-        levels=levels,
-        contacts_alike=stated.contacts_alike,
-        bad_run_chance=stated.bad_run_chance,
-    )
-
-
-def level_draws(found: CampaignPosterior, contact: str) -> Floats:
-    """Draws (M, k) of a contact's coordinates where all effects are nought."""
-    columns = []
-    for name in found.model.names:
-        own = found.draws(Level("contact", name, contact))
-        mean = Level("mean", name)
-        columns.append(own + found.draws(mean) if mean in found.levels else own)
-    return np.stack(columns, axis=1)
-
-
-def _contacts(
-    posterior: CampaignPosterior,
-    alone: CampaignPosterior,
-    found: Sequence[FoundRun],
-    reference_rad: float,
-) -> dict[str, dict[str, CampaignValue]]:
-    names, out = posterior.model.names, {}
-    for contact in dict.fromkeys(run.contact for run in posterior.runs):
-        draws = [
-            _quantities(one, contact, names, [f.run for f in found if f.contact == contact], reference_rad)
-            for one in (posterior, alone)
-        ]
-        out[contact] = {name: _value(posterior, alone, draws[0][name], draws[1][name]) for name in draws[0]}
-    return out
-
-
-def _quantities(
-    found: CampaignPosterior,
-    contact: str,
-    names: tuple[str, ...],
-    runs: Sequence[RunResults],
-    reference_rad: float,
-) -> dict[str, Floats]:
-    """Draws of all quantities of a contact by key, those of the catalogue."""
-    physical = parameters(names, level_draws(found, contact), reference_rad)
-    out = {name: physical[:, place] for place, name in enumerate(names)}
-    if "c" in out:
-        energy = energy_draws(found, out["c"], runs)
-        if energy is not None:
-            out[ENERGY] = energy
-    return out
-
-
-def _value(
-    posterior: CampaignPosterior, alone: CampaignPosterior, draws: Floats, of_alone: Floats
-) -> CampaignValue:
-    low, high = posterior.quantiles(draws, (0.025, 0.975))
-    value, u = _middle(posterior, draws)
-    return CampaignValue(
-        value=value,
-        standard_uncertainty=u,
-        lower_95=low,
-        upper_95=high,
-        without_priors=_middle(alone, of_alone),
-    )
-
-
-def _middle(found: CampaignPosterior, draws: Floats) -> Estimate:
-    """Median and half of the 68 % band, which a few far draws of a logarithm do not move; NaN where it is
-    so wide that nothing is known."""
-    low, value, high = found.quantiles(draws, (0.1587, 0.5, 0.8413))
-    if not isfinite(high - low) or high - low > _NOTHING * abs(value):
-        return NOT_DETERMINED
-    return Estimate(value, 0.5 * (high - low))
 
 
 def _effect(

@@ -9,7 +9,8 @@ from matplotlib.ticker import MaxNLocator
 
 from processing.arrays import Floats
 from processing.campaign import ORDER, POSITIVE, CompressedRun, Effect, Form, moved_by
-from rig.campaigns.answer import Campaign, level_draws
+from rig.campaigns.answer import Campaign
+from rig.campaigns.contact_values import level_draws
 from rig.campaigns.results import CampaignResults
 from rig.campaigns.tables import covariate_words, source_words
 from rig.presentation import palette, quantity

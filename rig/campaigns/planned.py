@@ -22,9 +22,9 @@ from processing.campaign import (
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit import PlannedLikelihood, planned_likelihood
-from rig.campaigns.answer import model_of, names_of
 from rig.campaigns.likelihoods import FoundRun, compressed
 from rig.campaigns.stated import StatedCampaign
+from rig.campaigns.stated_model import model_of, names_of
 from rig.campaigns.targets import Target, goals_of
 from rig.plan import Expected
 from rig.presentation import Cell, Table

@@ -44,6 +44,9 @@ def campaign(
     where: Annotated[
         str, typer.Option(help="The archive's runs that meet a condition, as of rig archive list.")
     ] = "",
+    cluster: Annotated[
+        str, typer.Option(help="Dask cluster that does the work: tcp://HOST:PORT, as rig archive refit has.")
+    ] = "",
     sample: Annotated[
         bool, typer.Option("--sample", help="The full posterior by a sampler (emcee), with its R-hat.")
     ] = False,
@@ -79,12 +82,18 @@ def campaign(
 
     stated = StatedCampaign() if config is None else read_campaign(config)
     if archive is None:
-        found = answer_of(runs_of_folders(folders or []), stated, sample=sample)
+        runs = runs_of_folders(folders or [])
     else:
         from rig.archive import opened
 
         with opened(archive) as place:
             runs = runs_of_archive(place, where)
+    if cluster:
+        from rig.campaigns import parts_on_cluster
+
+        with parts_on_cluster(cluster) as do:
+            found = answer_of(runs, stated, sample=sample, do=do)
+    else:
         found = answer_of(runs, stated, sample=sample)
     answer(campaign=encoded(found.results))
     print_tables(campaign_tables(found))
