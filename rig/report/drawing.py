@@ -24,6 +24,13 @@ ASYMPTOTIC: Final = palette.ASYMPTOTIC_FIT_COLOUR
 SMOOTH: Final = palette.BLUISH_GREEN
 INK: Final = "#222831"
 _GAP = 5.0
+_EDGE_IN = 0.02
+_TIMES = 3
+"""Marks change with the size of the axes, and with them what room they need."""
+_FROM_ZERO = 0.3
+"""An axis begins at zero where the lowest value is below this part of the highest."""
+_MARKS = 3
+"""A logarithmic axis has at least so many marks; else a linear one has more."""
 
 STYLE: Final[Mapping[str, Any]] = {
     "font.family": "sans-serif",
@@ -87,6 +94,7 @@ def svg(drawing: ReportFigure) -> bytes:
     """The figure as SVG; the same figure gives the same bytes."""
     out = io.BytesIO()
     with styled():
+        _make_room(drawing.figure)
         drawing.figure.savefig(
             out, format="svg", metadata={"Date": None, "Creator": None, "Title": drawing.title}
         )
@@ -97,8 +105,26 @@ def png(drawing: ReportFigure, dpi: int = 200) -> bytes:
     """The figure as PNG."""
     out = io.BytesIO()
     with styled():
+        _make_room(drawing.figure)
         drawing.figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
     return out.getvalue()
+
+
+def _make_room(figure: Figure) -> None:
+    """Move the outer edges of the axes inwards where their labels would be cut off."""
+    width, height = figure.get_figwidth(), figure.get_figheight()
+    for _ in range(_TIMES):
+        box, margins = figure.get_tightbbox(), figure.subplotpars
+        over = (_EDGE_IN - box.x0, box.x1 - width + _EDGE_IN, _EDGE_IN - box.y0, box.y1 - height + _EDGE_IN)
+        left, right, bottom, top = (max(0.0, inches) for inches in over)
+        if not any((left, right, bottom, top)):
+            return
+        figure.subplots_adjust(
+            left=margins.left + left / width,
+            right=margins.right - right / width,
+            bottom=margins.bottom + bottom / height,
+            top=margins.top - top / height,
+        )
 
 
 def envelope(x: Array, y: Array, columns: int = 900) -> tuple[Array, Array, Array]:
@@ -141,3 +167,27 @@ def span(axes: Axes, values: Array, weight_share: float = 0.0, margin: float = 0
     low, high = np.quantile(finite, [weight_share, 1 - weight_share])
     pad = margin * (high - low) or abs(high) * margin or 1.0
     axes.set_ylim(low - pad, high + pad)
+
+
+def from_data(values: Array, margin: float = 0.02) -> tuple[float, float]:
+    """Limits of an axis of what is never negative: from zero where the values come near it, else theirs."""
+    finite = values[np.isfinite(values)]
+    if len(finite) == 0:
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    pad = margin * (high if low < _FROM_ZERO * high else high - low or high)
+    return (0.0 if low < _FROM_ZERO * high else low - pad), high + pad
+
+
+def amplitude_axis(axes: Axes, low: float, high: float) -> None:
+    """The x axis of amplitudes in arcsec: logarithmic with marks at 1, 2, 5, where there are some."""
+    axes.set_xlabel("α / arcsec")
+    steps = [mark * 10.0**power for power in range(-4, 7) for mark in (1, 2, 5)]
+    marks = [mark for mark in steps if 0.9 * low <= mark <= 1.1 * high]
+    if len(marks) < _MARKS:
+        axes.set_xlim(*from_data(np.array([low, high]), 0.05))
+        return
+    axes.set_xscale("log")
+    axes.set_xticks(marks, [f"{mark:g}" for mark in marks])
+    axes.minorticks_off()
+    axes.set_xlim(low * 0.9, high * 1.1)

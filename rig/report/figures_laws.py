@@ -20,7 +20,9 @@ from rig.report.drawing import (
     SMOOTH,
     Array,
     ReportFigure,
+    amplitude_axis,
     canvas,
+    from_data,
     span,
     thinned,
 )
@@ -61,7 +63,7 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
         top.plot(points.time_s, curves.exact_rad / size, color=EXACT, lw=0.9, label=FitMethod.EXACT)
     top.set_ylabel(f"α / {unit.shown}")
     top.set_xlim(0, points.time_s[-1] * 1.005)
-    top.set_ylim(bottom=0)
+    top.set_ylim(*from_data(points.amplitude / size, 0.04))
     top.legend(loc="upper right")
     return ReportFigure(
         "fig12-decay",
@@ -132,11 +134,11 @@ def _period(curves: Curves, models: dict[str, tuple[Array, str, float]]) -> Figu
     span(bottom, np.concatenate(residuals), 0.005, 0.25)
     bottom.axhline(0, color=INK, lw=0.6)
     bottom.set_xlabel("α / arcsec")
-    bottom.set_xlim(0, alpha[-1] * 1.01)
+    bottom.set_xlim(*from_data(alpha))
     bottom.set_ylabel("data − curve / ms")
     top.set_ylabel("T / s")
     top.ticklabel_format(axis="y", useOffset=False)
-    top.legend(loc="lower right")
+    top.legend(loc="best")
     return figure
 
 
@@ -212,11 +214,7 @@ def loss_figure(
     left.set_ylabel("logarithmic decrement per cycle")
     right.set_ylabel("quality factor Q")
     for axes in (left, right):
-        axes.set_xscale("log")
-        axes.set_xlabel("α / arcsec")
-        axes.set_xticks([2, 5, 10, 20, 50, 100], ["2", "5", "10", "20", "50", "100"])
-        axes.minorticks_off()
-        axes.set_xlim(alpha.min() * 0.9, alpha.max() * 1.1)
+        amplitude_axis(axes, float(alpha.min()), float(alpha.max()))
     right.legend(loc="best")
     return ReportFigure(
         "losses",
@@ -253,13 +251,11 @@ def moments_figure(laws: ComparedLaws, free: MomentsWithoutLaw) -> ReportFigure:
             top.plot(phi, law * 1e9, color=colour, lw=0.9, label=name)
             bottom.plot(phi, (law - values) / u, color=colour, lw=0.9)
         top.set_title(title)
-        top.set_xscale("log")
         top.set_ylabel("M / nN m")
-        bottom.set_xlabel("φ / arcsec")
         bottom.set_ylabel("(law − no law)/u", fontsize=7.5)
         bottom.set_ylim(-5, 5)
-        bottom.set_xticks([2, 5, 10, 20, 50, 100], ["2", "5", "10", "20", "50", "100"])
-        bottom.minorticks_off()
+        amplitude_axis(bottom, float(phi[0]), float(phi[-1]))
+        bottom.set_xlabel("φ / arcsec")
         bottom.set_xlim(phi[0], phi[-1])
     panels[0, 0].legend(loc="upper left")
     return ReportFigure(

@@ -1,0 +1,81 @@
+"""Axes of figures follow from what is drawn, and no label is cut."""
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from processing.swing import TurningPoints
+from rig.analysis import Curves
+from rig.report.drawing import ReportFigure, amplitude_axis, canvas, from_data, png, styled
+from rig.report.figures_laws import decay_figure, period_figure
+from rig.report.run_data import ShownUnit
+
+ARCSEC = np.pi / 648000
+
+
+def curves(first: float, last: float) -> tuple[TurningPoints, Curves]:
+    """A decay between two amplitudes in arcsec, with periods that grow by a quarter of a per cent."""
+    amplitude = np.linspace(first, last, 40) * ARCSEC
+    index = np.arange(40, dtype=np.int64)
+    period = 4.07 * (1 + 4.0 * amplitude)
+    points = TurningPoints(index, 2.0 * index, np.full(40, 1e-5), amplitude, np.full(40, 1e-9))
+    found = Curves(
+        asymptotic_rad=amplitude, exact_rad=amplitude, exact_time_s=points.time_s, period_rad=amplitude,
+        period_time_s=points.time_s,
+        period_s=period, u_period_s=np.full(40, 1e-6), asymptotic_period_s=period, exact_period_s=period,
+        smooth_s=period,
+    )  # fmt: skip
+    return points, found
+
+
+def blank(figure: Figure) -> float:
+    """The part of the first axes' width, left and right of everything that is drawn."""
+    axes = figure.axes[0]
+    x = np.concatenate([np.asarray(line.get_xdata(), dtype=float) for line in axes.lines])
+    low, high = axes.get_xlim()
+    return 1 - (np.nanmax(x) - np.nanmin(x)) / (high - low)
+
+
+@pytest.mark.parametrize(("first", "last"), [(140.0, 101.0), (124.0, 2.0), (5.0, 4.9)])
+def test_little_of_a_period_figure_is_blank(first: float, last: float) -> None:
+    points, found = curves(first, last)
+    drawn = period_figure(found).figure
+    assert blank(drawn) < 0.1
+    low, high = drawn.axes[0].get_xlim()
+    assert sum(low <= tick <= high for tick in drawn.axes[0].get_xticks()) >= 3
+    low, high = decay_figure(points, found, ShownUnit("arcsec", ARCSEC)).figure.axes[0].get_ylim()
+    assert (high - low) < 1.2 * max(first - last, 0.0 if low else high)
+
+
+@pytest.mark.parametrize(("low", "high"), [(101.0, 140.0), (2.0, 124.0), (0.4, 1.3), (900.0, 30_000.0)])
+def test_an_axis_of_amplitudes_has_marks(low: float, high: float) -> None:
+    axes = canvas(2.0).subplots()
+    amplitude_axis(axes, low, high)
+    start, end = axes.get_xlim()
+    assert start <= low < high <= end
+    assert sum(start <= tick <= end for tick in axes.get_xticks()) >= 3
+
+
+def test_limits_begin_at_zero_where_values_come_near_it() -> None:
+    assert from_data(np.array([2.0, 124.0]))[0] == 0.0
+    assert from_data(np.array([101.0, 140.0]))[0] == pytest.approx(101.0, abs=1.0)
+    assert from_data(np.array([np.nan])) == (0.0, 1.0)
+    low, high = from_data(np.array([7.0, 7.0]))
+    assert low < 7.0 < high
+
+
+def test_no_label_is_cut() -> None:
+    with styled():
+        figure = canvas(2.0)
+        axes = figure.subplots()
+        figure.subplots_adjust(left=0.02, right=0.999, bottom=0.02, top=0.999)
+        axes.plot([0, 1], [4.1715123, 4.1715124])
+        axes.ticklabel_format(axis="y", useOffset=False)
+        axes.set_ylabel("a long label")
+        axes.set_xlabel("x")
+        assert figure.get_tightbbox().x0 < 0
+        png(ReportFigure("a", "a", "a", figure), dpi=50)
+        box = figure.get_tightbbox()
+    assert box.x0 >= 0
+    assert box.y0 >= 0
+    assert box.x1 <= figure.get_figwidth()
