@@ -1,7 +1,7 @@
 """What stands behind a fit's numbers: drag, identifiability, budget, Monte Carlo, contact, work."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from processing.contact import (
     hertz_contact,
 )
 from processing.errors import DataError
-from processing.estimate import Estimate
+from processing.estimate import NOT_DETERMINED, Determinacy, Estimate
 from processing.fit import (
     Budget,
     Determination,
@@ -194,6 +194,7 @@ def evaluate(
             propagated = monte_carlo(contact, rig, rng, draws=DRAWS, against=tables)
         except DataError as error:
             notes.append(f"no Monte Carlo: {error}")
+    sees_c = all(each.verdict is Determinacy.DETERMINED for each in determinations if each.name == "c")
     return replace(
         run,
         pendulum=pendulum,
@@ -205,8 +206,8 @@ def evaluate(
         budget=tables,
         monte_carlo=MonteCarlo(DRAWS, seed, propagated) if propagated else None,
         work_per_cycle=tuple(
-            _work(amplitude, exact, pendulum, rig if propagated else None, seed)
-            for amplitude in (TABLE4_AMPLITUDE_ARCSEC, float(points.amplitude[0]) / ARCSEC_RAD)
+            _work(amplitude, exact, pendulum, rig if propagated else None, seed, sees_c=sees_c)
+            for amplitude in _shown_amplitudes(points)
         ),
         notes=tuple(notes),
     )
@@ -263,10 +264,29 @@ def _adhesion(c: Estimate, pendulum: PendulumOnBall, rig: RigQuantities) -> Adhe
     )
 
 
+def _shown_amplitudes(points: TurningPoints) -> Sequence[float]:
+    """In arcsec: that of the paper's Table 4, or the measured one that is nearest to it, and the first."""
+    first, last = float(np.max(points.amplitude)), float(np.min(points.amplitude))
+    nearest = min(max(TABLE4_AMPLITUDE_ARCSEC * ARCSEC_RAD, last), first)
+    if nearest == first:
+        return (first / ARCSEC_RAD,)
+    # not by way of rad, so that 3.1 stays 3.1
+    return (max(TABLE4_AMPLITUDE_ARCSEC, last / ARCSEC_RAD), float(points.amplitude[0]) / ARCSEC_RAD)
+
+
 def _work(
-    amplitude_arcsec: float, exact: FitResult, pendulum: PendulumOnBall, rig: RigQuantities | None, seed: int
+    amplitude_arcsec: float,
+    exact: FitResult,
+    pendulum: PendulumOnBall,
+    rig: RigQuantities | None,
+    seed: int,
+    *,
+    sees_c: bool,
 ) -> Work:
-    """Work per cycle with the scatter that fit and apparatus leave it; NaN uncertainty where unknown."""
+    """Work per cycle with the scatter that fit and apparatus leave it; NaN uncertainty where unknown.
+
+    The part of adhesion is not determined where c is not.
+    """
     amplitude_rad = amplitude_arcsec * ARCSEC_RAD
     work = cycle_work(amplitude_rad, exact.parameters, pendulum)
     u_dissipated = u_adhesive = math.nan
@@ -285,6 +305,6 @@ def _work(
     return Work(
         amplitude_arcsec,
         Estimate(work.dissipated_j, u_dissipated),
-        Estimate(work.adhesive_j, u_adhesive),
+        Estimate(work.adhesive_j, u_adhesive) if sees_c else NOT_DETERMINED,
         work.drag_j,
     )

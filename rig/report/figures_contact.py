@@ -14,9 +14,12 @@ from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, ReportFigure, canva
 
 
 def loop_figure(
-    parameters: ContactParameters, pendulum: PendulumOnBall, amplitude_arcsec: float = 3.1
+    parameters: ContactParameters, pendulum: PendulumOnBall, amplitude_arcsec: float, *, sees_c: bool
 ) -> ReportFigure:
-    """The three loops of Table 4 with the rectangle of the adhesive work."""
+    """The three loops of Table 4 at an amplitude that was measured, with the rectangle of the adhesive work.
+
+    Where the data do not determine c there is no such rectangle.
+    """
     amplitude_rad = amplitude_arcsec * ARCSEC_RAD
     loop = moment_loop(amplitude_rad, asdict(parameters), pendulum)
     work = cycle_work(amplitude_rad, parameters, pendulum)
@@ -39,23 +42,24 @@ def loop_figure(
         axes.axvline(0, color=INK, lw=0.5)
         axes.set_title(title)
         axes.set_xlabel("φ / arcsec")
-    adhesive = weight_moment(pendulum) * parameters.c * 1e9
-    panels[0].plot(
-        np.array([-1, 1, 1, -1, -1]) * amplitude_arcsec,
-        np.array([-1, -1, 1, 1, -1]) * adhesive,
-        ls=(0, (4, 2)), color=INK, lw=0.9,
-    )  # fmt: skip
-    for place, text in (
-        (0.96, f"4A = {plain(work.dissipated_j * 1e15)} fJ"),
-        (0.11, f"4Aₜ = {plain(work.adhesive_j * 1e15)} fJ"),
-    ):
+    said = [(0.96, f"4A = {plain(work.dissipated_j * 1e15)} fJ")]
+    if sees_c:
+        adhesive = weight_moment(pendulum) * parameters.c * 1e9
+        panels[0].plot(
+            np.array([-1, 1, 1, -1, -1]) * amplitude_arcsec,
+            np.array([-1, -1, 1, 1, -1]) * adhesive,
+            ls=(0, (4, 2)), color=INK, lw=0.9,
+        )  # fmt: skip
+        said.append((0.11, f"4Aₜ = {plain(work.adhesive_j * 1e15)} fJ"))
+    for place, text in said:
         panels[0].text(0.5, place, text, transform=panels[0].transAxes, ha="center", va="top", fontsize=7.5)
     panels[0].set_ylabel("M / nN m")
     return ReportFigure(
         "table4-loops",
-        f"Moments over one cycle at {amplitude_arcsec:g} arcsec (Table 4)",
-        "Shaded: 4A, the work lost in a cycle. Dashed: 4Aₜ, the part of adhesion (c). "
-        "The elastic moment is the skeletal curve about which the total makes its loop.",
+        f"Moments over one cycle at {amplitude_arcsec:.4g} arcsec (as in Table 4)",
+        "Shaded: 4A, the work lost in a cycle. "
+        + ("Dashed: 4Aₜ, the part of adhesion (c). " if sees_c else "")
+        + "The elastic moment is the skeletal curve about which the total makes its loop.",
         figure,
     )
 

@@ -1,5 +1,6 @@
 """`rig report`: a session's HTML page, its figures as SVG and PNG, its tables as CSV."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -336,10 +337,12 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
             figures_laws.period_figure(curves),
             figures_laws.smooth_figure(curves),
             figures_laws.residual_figure(points, curves, fit.outliers),
-            figures_contact.loop_figure(exact, pendulum),
             figures_laws.loss_figure(points, exact, pendulum),
             figures_contact.correlation_figure(fit.correlation),
         ]
+        for work in run.results.work_per_cycle[:1]:
+            known = not math.isnan(work.adhesive_4at_j.value)
+            drawings.append(figures_contact.loop_figure(exact, pendulum, work.amplitude_arcsec, sees_c=known))
         if run.spectrum is not None:
             unit = motion.unit
             drawings.append(

@@ -2,12 +2,14 @@
 
 import math
 
-from processing.contact import ExpectedDrag
+from processing.angle import ARCSEC_RAD
+from processing.contact import ExpectedDrag, weight_moment
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.analysis import (
     Curves,
     RunResults,
+    bound_text,
     encoded,
     law_table,
     moments_table,
@@ -15,7 +17,7 @@ from rig.analysis import (
     quality_table,
     waveform_table,
 )
-from rig.presentation import Cell, Table, Verdict, plain, quantity, with_uncertainty
+from rig.presentation import NOT_KNOWN, Cell, Table, Verdict, plain, quantity, with_uncertainty
 from rig.report.run_data import RunData
 from rig.report.tables_instruments import instrument_table
 from rig.report.tables_uncertainty import budget_table, identifiability_table, monte_carlo_table
@@ -93,15 +95,22 @@ def hertz_table(results: RunResults) -> Table:
 
 
 def work_table(results: RunResults) -> Table:
-    """4A and 4A_t at the amplitude of Table 4 and at the start of the run."""
+    """4A and 4A_t at the amplitude of Table 4, or the measured one nearest to it, and at the run's start."""
     rows: list[list[Cell]] = []
     shown = []
+    c = results.verdicts().get("c")
     for item in results.work_per_cycle:
         pairs = (item.dissipated_4a_j, item.adhesive_4at_j)
         rows.append([item.amplitude_arcsec, *pairs[0], *pairs[1]])
-        share = pairs[1].value / pairs[0].value if pairs[0].value else math.nan
         texts = [with_uncertainty(value * 1e15, u * 1e15) for value, u in pairs]
-        shown.append([plain(item.amplitude_arcsec, 4), *texts, f"{100 * share:.1f} %"])
+        share = f"{100 * pairs[1].value / pairs[0].value:.1f} %" if pairs[0].value else NOT_KNOWN
+        if math.isnan(pairs[1].value):
+            # where c is but bounded, so is its part, which is proportional to it
+            share = NOT_KNOWN
+            if c is not None and results.pendulum is not None:
+                moment_n_m = weight_moment(results.pendulum)
+                texts[1] = bound_text(c, 1e15 * 4 * moment_n_m * item.amplitude_arcsec * ARCSEC_RAD)
+        shown.append([plain(item.amplitude_arcsec, 4), *texts, share])
     return Table(
         "work", "Work over one cycle",
         ("amplitude_arcsec", "4A_j", "u_4A_j", "4A_t_j", "u_4A_t_j"), rows,

@@ -206,3 +206,28 @@ def test_the_report_says_when_and_by_whom(measured_series: Path) -> None:
     assert re.search(r"Run 1began 20\d\d-\d\d-\d\d \d\d:\d\d:\d\d UTC", text)
     assert "operatordemonstration" in text
     assert text.count("surroundings") == 1, "what surrounds both runs alike is said once"
+
+
+def test_nothing_is_stated_of_amplitudes_that_were_not_measured(measured_series: Path) -> None:
+    """The runs end at 101 arcsec: Table 4's loop at 3.1 arcsec would be the law's own, not the pendulum's."""
+    for number, run in enumerate(results_of(measured_series)["runs"], start=1):
+        lowest, highest = run["final_amplitude"], run["initial_amplitude"]
+        assert lowest > 90
+        amplitudes = [work["amplitude_arcsec"] for work in run["work_per_cycle"]]
+        assert len(amplitudes) == 2
+        assert all(0.999 * lowest <= amplitude <= 1.001 * highest for amplitude in amplitudes)
+        (c,) = [item for item in run["identifiability"] if item["name"] == "c"]
+        assert c["verdict"] != "determined"
+        for work in run["work_per_cycle"]:
+            assert work["dissipated_4a_j"]["standard_uncertainty"] > 0
+            assert work["adhesive_4at_j"] == {"value": None, "standard_uncertainty": None}
+        shown = html_table(measured_series / "report.html", "Work over one cycle", number)
+        assert all("95 %" in adhesive and share == "–" for _, _, adhesive, share in shown)
+    assert "3.1 arcsec" not in parsed(measured_series / "report.html").text
+
+
+def html_table(page: Path, title: str, number: int) -> list[list[str]]:
+    """The cells of one of the page's tables with this title, counted from 1."""
+    part = page.read_text(encoding="utf-8").split(f"{title}</h3>")[number].split("</table>")[0]
+    body = part.split("<tbody>")[1]
+    return [re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in body.split("</tr>") if "<td" in row]
