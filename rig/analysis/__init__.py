@@ -5,7 +5,7 @@ from rig.analysis.compared_laws import chosen_laws, law_table, laws_of, moments_
 from rig.analysis.contact_laws import surface_energies
 from rig.analysis.contact_results import Correlation, Fit, MonteCarlo, SurfaceEnergies
 from rig.analysis.contact_series import combined_series
-from rig.analysis.contact_verdicts import evaluate, fit_results
+from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, evaluate, fit_results
 from rig.analysis.curves import Curves, curves_of
 from rig.analysis.decay_values import decay_lines
 from rig.analysis.determined import bound_text, determined_text, series_verdicts

@@ -84,8 +84,10 @@ def export(
         typer.Option("-o", "--output", help="Folder to write; with hdf5, dcc: file.", show_default=False),
     ],
     format_: Annotated[
-        Literal["csv", "parquet", "hdf5", "dcc"],
-        typer.Option("--format", help="hdf5 follows NeXus; dcc: calibration certificate."),
+        Literal["csv", "parquet", "hdf5", "dcc", "latex"],
+        typer.Option(
+            "--format", help="hdf5: NeXus; dcc: calibration certificate; latex: the report's tables."
+        ),
     ] = "csv",
 ) -> None:
     """Export spots, half-cycles and results for other programs.

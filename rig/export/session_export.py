@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
+from acquisition.record.whole_file import write_new
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import TableDecay
 from rig.export.certificate import write_certificate_of_calibration, write_certificate_of_runs
@@ -11,9 +12,10 @@ from rig.export.run import read_run, runs_in
 from rig.export.table_run import read_table_decay
 from rig.export.tables import TABLES, table_path, write_csv, write_parquet
 from rig.presentation import say
+from rig.report import latex_tables
 from rig.sealing import refuse_blind
 
-Format = Literal["csv", "parquet", "hdf5", "dcc"]
+Format = Literal["csv", "parquet", "hdf5", "dcc", "latex"]
 ONE_FILE = ("hdf5", "dcc")
 """Formats that make one file, not a folder of them."""
 
@@ -23,7 +25,8 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
 
     What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, three
     files a run. HDF5: `output` is the file, one NXentry a run. DCC: `output` is a digital calibration
-    certificate of the results, or of those of a calibration file. Nothing that exists is written over.
+    certificate of the results, or of those of a calibration file. LaTeX: a folder with the tables of the
+    report. Nothing that exists is written over.
 
     Raises RecordError for a source without records, ConfigurationError for a file that exists.
     """
@@ -31,6 +34,8 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     if kind == "dcc" and source.suffix.lower() == ".toml":
         write_certificate_of_calibration(source, output)
         return [output]
+    if kind == "latex":
+        return _export_latex(source, output)
     found = runs_in(source)
     suffix = "csv" if kind == "csv" else "parquet"
     names = [name for name, _, _ in found]
@@ -67,3 +72,21 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
         return [path for run in runs for path in write(output, run)]
     except OSError as error:
         raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
+
+
+def _export_latex(source: Path, output: Path) -> list[Path]:
+    """The tables of the report, a file each."""
+    made = []
+    for name, text in latex_tables(source).items():
+        path = output / name
+        try:
+            output.mkdir(parents=True, exist_ok=True)
+            write_new(path, text.encode())
+        except FileExistsError:
+            raise ConfigurationError(
+                f"{path}: exists already and is not overwritten; choose another folder"
+            ) from None
+        except OSError as error:
+            raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
+        made.append(path)
+    return made

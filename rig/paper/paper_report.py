@@ -102,5 +102,7 @@ def _drawings(series: PairSeries) -> list[ReportFigure]:
             figures_laws.period_figure(curves),
             figures_laws.smooth_figure(curves),
         ]
-    drawings.append(figures_contact.loop_figure(exact.contact(), series.pendulum, LOOP_AMPLITUDE_ARCSEC))
+    drawings.append(
+        figures_contact.loop_figure(exact.contact(), series.pendulum, LOOP_AMPLITUDE_ARCSEC, sees_c=True)
+    )
     return drawings

@@ -5,6 +5,7 @@ from rig.report.comparison import compare
 from rig.report.drawing import INK, ReportFigure, canvas, png, styled, svg
 from rig.report.figures_witness import witness_figure
 from rig.report.html import check_report
+from rig.report.latex_files import latex_tables
 from rig.report.run_data import RunData, ShownTrajectory, ShownUnit
 from rig.report.session_report import draw_run, make_report, save_figures, save_tables
 from rig.report.source import turning_points_again

@@ -8,7 +8,7 @@ import numpy as np
 from processing.angle import ARCSEC_RAD
 from processing.contact import ContactParameters, PendulumOnBall, cycle_work, moment_loop, weight_moment
 from processing.fit import FitMethod
-from rig.analysis import Correlation, Series
+from rig.analysis import TABLE4_AMPLITUDE_ARCSEC, Correlation, Series
 from rig.presentation import palette, plain, quantity
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, ReportFigure, canvas
 
@@ -20,7 +20,7 @@ def loop_figure(
 
     Where the data do not determine c there is no such rectangle.
     """
-    amplitude_rad = amplitude_arcsec * ARCSEC_RAD
+    amplitude_rad, of_paper = amplitude_arcsec * ARCSEC_RAD, amplitude_arcsec == TABLE4_AMPLITUDE_ARCSEC
     loop = moment_loop(amplitude_rad, asdict(parameters), pendulum)
     work = cycle_work(amplitude_rad, parameters, pendulum)
     phi = loop.phi_rad / ARCSEC_RAD
@@ -56,7 +56,7 @@ def loop_figure(
     panels[0].set_ylabel("M / nN m")
     return ReportFigure(
         "table4-loops",
-        f"Moments over one cycle at {amplitude_arcsec:.4g} arcsec (as in Table 4)",
+        f"Moments over one cycle at {amplitude_arcsec:.4g} arcsec" + (" (Table 4)" if of_paper else ""),
         "Shaded: 4A, the work lost in a cycle. "
         + ("Dashed: 4Aₜ, the part of adhesion (c). " if sees_c else "")
         + "The elastic moment is the skeletal curve about which the total makes its loop.",

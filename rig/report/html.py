@@ -9,65 +9,88 @@ from pathlib import Path
 from acquisition.record.check import Finding
 from acquisition.record.digest import sha256_of
 from processing.errors import RecordError
-from rig.presentation import Table
+from rig.presentation import Table, latex_table
 from rig.report.drawing import ReportFigure
+from rig.report.theme import DARK, LIGHT, following, variables
 
 RESULTS_SHA256 = "results-sha256"
-STYLE = """
-:root { --ink: #1f2630; --soft: #5b6675; --line: #d9dee5; --tint: #f5f7fa; --accent: #0072b2; }
+STYLE = (
+    f"""
+:root {{ color-scheme: light; {variables(LIGHT)} }}
+@media screen and (prefers-color-scheme: dark) {{ :root {{ color-scheme: dark; {variables(DARK)} }} }}
+"""
+    """
 * { box-sizing: border-box; }
-html { font: 15px/1.55 system-ui, "Segoe UI", "Helvetica Neue", Arial, sans-serif; color: var(--ink);
-  background: #fff; -webkit-print-color-adjust: exact; print-color-adjust: exact; }
-body { max-width: 60rem; margin: 0 auto; padding: 2.4rem 1.6rem 4rem; }
-header { border-bottom: 2px solid var(--ink); padding-bottom: .9rem; margin-bottom: 1.4rem; }
-h1 { font-size: 1.75rem; line-height: 1.2; margin: 0 0 .3rem; letter-spacing: -.01em; }
+html { font: 15px/1.5 system-ui, "Segoe UI", "Helvetica Neue", Arial, sans-serif; color: var(--ink);
+  background: var(--paper); -webkit-print-color-adjust: exact; print-color-adjust: exact; }
+body { max-width: 72rem; margin: 0 auto; padding: 1.2rem 1.6rem 4rem; }
+header { border-bottom: 2px solid var(--ink); padding-bottom: .5rem; margin-bottom: .8rem; }
+h1 { font-size: 1.6rem; line-height: 1.2; margin: 0 0 .2rem; letter-spacing: -.01em; }
 h2 { font-size: 1.3rem; margin: 2.6rem 0 .8rem; padding-top: .5rem; border-top: 1px solid var(--line); }
 h3 { font-size: 1.02rem; margin: 1.9rem 0 .5rem; }
 p { margin: .5rem 0; max-width: 46rem; }
+a { color: var(--accent); }
 .soft, figcaption, .note { color: var(--soft); font-size: .88rem; }
-.key { display: grid; grid-template-columns: repeat(auto-fit, minmax(17.5rem, 1fr)); gap: .7rem;
+.first { display: grid; grid-template-columns: minmax(0, 1fr) minmax(0, 1.05fr); gap: 0 1.6rem; }
+.first figure, .first .key { margin: .2rem 0; }
+.verdict { list-style: none; padding: 0; margin: 0 0 .7rem; }
+.verdict li { margin: .15rem 0; }
+.verdict li:first-child { font-size: 1.3rem; font-weight: 600; line-height: 1.3; }
+.good { color: var(--good); }
+.bad { color: var(--bad); font-weight: 600; }
+.key { display: grid; grid-template-columns: repeat(auto-fit, minmax(14rem, 1fr)); gap: .5rem;
   margin: 1.1rem 0; }
-.key div { background: var(--tint); border-left: 3px solid var(--accent); padding: .55rem .8rem; }
-.key span { display: block; color: var(--soft); font-size: .8rem; }
-.key b { font-weight: 600; font-size: 1rem; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.key div { background: var(--tint); border-left: 3px solid var(--accent); padding: .35rem .7rem; }
+.key span { display: block; color: var(--soft); font-size: .8rem; line-height: 1.35; }
+.key b { font-weight: 600; font-size: 1rem; font-variant-numeric: tabular-nums; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums; margin: .4rem 0; }
-th { text-align: right; font-weight: 600; color: var(--soft); border-bottom: 1.5px solid var(--ink);
-  padding: .22rem .6rem; vertical-align: bottom; }
+thead th, thead td { text-align: right; font-weight: 600; color: var(--soft); padding: .22rem .6rem;
+  border-bottom: 1.5px solid var(--ink); vertical-align: bottom; }
 td { text-align: right; padding: .2rem .6rem; border-bottom: 1px solid var(--line); white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; padding-left: .2rem; }
 td:first-child { white-space: normal; max-width: 12rem; }
 .side { display: flex; flex-wrap: wrap; gap: 0 3rem; align-items: flex-start; }
-header + h2 { border-top: 0; margin-top: 0; }
+.side > div { max-width: 100%; }
 table.verdict td:last-child { white-space: normal; min-width: 8rem; text-align: left; }
 table.verdict th:last-child { text-align: left; }
 table.verdict td:nth-child(2) { text-align: left; }
-tr.group td { border-top: 1px solid #9aa5b1; }
-figure { margin: 1.3rem 0 1.6rem; }
+tr.group td { border-top: 1px solid var(--soft); }
+figure { margin: 1.3rem 0 1.6rem; max-width: 60rem; }
 figure img { width: 100%; height: auto; display: block; }
+figure img.card { background: var(--card); border-radius: 3px; }
 figcaption { margin-top: .25rem; max-width: 46rem; }
 figcaption b { color: var(--ink); font-weight: 600; }
-ul.notes { padding-left: 1.1rem; margin: .6rem 0; }
+ul.notes { padding-left: 1.1rem; margin: .6rem 0; max-width: 60rem; }
 ul.notes li { margin: .25rem 0; }
-.warn { border-left: 3px solid #d55e00; background: #fdf3ec; padding: .5rem .9rem; margin: .8rem 0; }
+.warn { border-left: 3px solid #d55e00; background: var(--warn); padding: .35rem .9rem; margin: .6rem 0; }
 table.facts td { white-space: normal; text-align: left; overflow-wrap: anywhere; }
 table.facts td:first-child { color: var(--soft); vertical-align: top; min-width: 8rem; max-width: 15rem; }
+details { margin: .8rem 0; }
+summary { cursor: pointer; font-weight: 600; padding: .2rem 0; }
 .columns { columns: 2; column-gap: 2rem; }
 .columns table { width: 100%; font-size: .76rem; }
-@media (max-width: 44rem) { .columns { columns: 1; } }
+@media (max-width: 56rem) { .first { grid-template-columns: minmax(0, 1fr); } }
+@media (max-width: 44rem) { .columns { columns: 1; } body { padding: 1rem 1rem 3rem; } }
 @page { size: A4; margin: 15mm 14mm; }
 @media print {
   html { font-size: 10.2px; }
   body { max-width: none; padding: 0; }
+  .first { grid-template-columns: minmax(0, 1fr) minmax(0, 1.05fr); }
   h2 { break-after: avoid; }
   h2.page { break-before: page; border-top: 0; }
   h3 { break-after: avoid; }
   figure, .key, tr, .warn { break-inside: avoid; }
+  figure { max-width: 150mm; }
   table.short { break-inside: avoid; }
   .scroll { overflow: visible; }
   thead { display: table-header-group; }
+  .download { display: none; }
+  details::details-content { display: none; }
+  details > :not(summary) { display: none; }
 }
 """
+)
 
 
 def page(title: str, subtitle: str, body: Sequence[str], results_sha256: str = "") -> str:
@@ -79,9 +102,9 @@ def page(title: str, subtitle: str, body: Sequence[str], results_sha256: str = "
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"{made_from}"
         f"<style>{STYLE}</style></head>\n<body>\n"
-        f'<header><h1>{escape(title)}</h1><p class="soft">{escape(subtitle)}</p></header>\n'
+        f'<header><h1>{escape(title)}</h1><p class="soft">{escape(subtitle)}</p></header>\n<main>\n'
         + "\n".join(body)
-        + "\n</body></html>\n"
+        + "\n</main></body></html>\n"
     )
 
 
@@ -103,10 +126,15 @@ def paragraph(text: str, kind: str = "") -> str:
 
 
 def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:
-    """A figure with its caption; `kind` is the media type of the data."""
-    encoded = base64.b64encode(data).decode("ascii")
+    """A figure with its caption; `kind` is the media type of the data.
+
+    Lines follow the page's theme; what is made of pixels, and what is written on them, stays on white.
+    """
+    follows = kind == "image/svg+xml" and b"<image" not in data
+    encoded = base64.b64encode(following(data) if follows else data).decode("ascii")
+    card = "" if follows else ' class="card"'
     return (
-        f'<figure><img alt="{escape(drawing.title)}" src="data:{kind};base64,{encoded}">'
+        f'<figure><img{card} alt="{escape(drawing.title)}" src="data:{kind};base64,{encoded}">'
         f"<figcaption><b>{escape(drawing.title)}.</b> {escape(drawing.caption)}</figcaption></figure>"
     )
 
@@ -116,7 +144,8 @@ def table(content: Table, level: int = 3) -> str:
     short = ' class="short"' if len(content.shown) < 20 else ""
     if content.head and content.head[-1] == "verdict":
         short = short.replace('class="short', 'class="short verdict') or ' class="verdict"'
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in content.head)
+    # an empty heading is none
+    head = "".join(f'<th scope="col">{escape(cell)}</th>' if cell else "<td></td>" for cell in content.head)
     lines = []
     grouped = len({row[0] for row in content.shown if row[0]}) < len(content.shown)
     for row in content.shown:
@@ -126,13 +155,44 @@ def table(content: Table, level: int = 3) -> str:
     header = f"<thead><tr>{head}</tr></thead>" if any(content.head) else ""
     return (
         f"{heading(content.title, level)}\n"
-        f'<div class="scroll"><table{short}>{header}<tbody>{"".join(lines)}</tbody></table></div>{note}'
+        f'<div class="scroll" tabindex="0" role="group" aria-label="{escape(content.title)}">'
+        f"<table{short}>{header}<tbody>{''.join(lines)}</tbody></table></div>{note}{_download(content)}"
     )
+
+
+def _download(content: Table) -> str:
+    """A link that holds the table for LaTeX itself, so that the page needs no file beside it."""
+    encoded = base64.b64encode(latex_table(content).encode()).decode("ascii")
+    return (
+        f'<p class="soft download"><a download="{content.name}.tex" '
+        f'aria-label="LaTeX of the table: {escape(content.title)}" '
+        f'href="data:application/x-tex;base64,{encoded}">LaTeX</a></p>'
+    )
+
+
+def first_screen(left: Sequence[str], right: Sequence[str]) -> str:
+    """What is seen without scrolling: the verdict beside the decay."""
+    return f'<div class="first"><div>{"".join(left)}</div><div>{"".join(right)}</div></div>'
+
+
+def verdict(lines: Sequence[tuple[str, str]]) -> str:
+    """Lines with a class each (`good`, `bad` or none), the first one large."""
+    items = "".join(
+        f'<li class="{kind}">{escape(text)}</li>' if kind else f"<li>{escape(text)}</li>"
+        for text, kind in lines
+    )
+    return f'<ul class="verdict">{items}</ul>'
+
+
+def folded(title: str, body: Sequence[str]) -> str:
+    """What most readers pass over: closed until it is asked for, and never printed."""
+    return f"<details><summary>{escape(title)}</summary>{''.join(body)}</details>"
 
 
 def side_by_side(tables: Sequence[str]) -> str:
     """Small tables next to each other where the page is wide enough."""
-    return '<div class="side">' + "".join(f"<div>{content}</div>" for content in tables) + "</div>"
+    inside = "".join(f"<div>{content}</div>" for content in tables if content)
+    return f'<div class="side">{inside}</div>' if inside else ""
 
 
 def facts(rows: Sequence[tuple[str, str]]) -> str:

@@ -28,6 +28,7 @@ from rig.analysis import (
     remarks,
     results_path,
     series_verdicts,
+    whole_result,
 )
 from rig.presentation import Table, plain, quantity
 from rig.report import figures_contact, figures_ground, figures_laws, figures_motion, html
@@ -60,14 +61,16 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     name = results_path(folder).stem.replace("results", "report", 1)
     target = output or source.folder / f"{name}.html"
     files = target.parent / target.stem
-    body = [*_summary(source)]
     try:
         files.mkdir(parents=True, exist_ok=True)
         whole_file.take_away_leftovers(target.parent, target.name)
-        if source.series is not None:
-            body += _series(source.series, files)
-        for number_, run in enumerate(source.runs, start=1):
-            body += _run(run, files / f"run-{number_}", alone=len(source.runs) == 1)
+        series = [] if source.series is None else _series(source.series, files)
+        alone = len(source.runs) == 1
+        runs = [_run(run, files / f"run-{k}", alone=alone) for k, run in enumerate(source.runs, start=1)]
+        # the first decay is seen at once, beside the verdict; each of the others with its run
+        body = [*_summary(source, runs[0].pop("fig12-decay", "")), *series]
+        for each in runs:
+            body += each.values()
         body += _provenance(source)
         title, subtitle = _title(source)
         whole_file.replace(
@@ -111,21 +114,22 @@ def _title(source: ReportSource) -> tuple[str, str]:
     return title, f"{what}: " + ", ".join(words)
 
 
-def _summary(source: ReportSource) -> list[str]:
+def _summary(source: ReportSource, decay: str) -> list[str]:
+    """The verdict with the parameters beside the first decay; below it how all this was measured."""
     run, series = source.runs[0].results, source.series
-    body = [html.heading("Summary")]
+    body = []
     if any(data.simulated for data in source.runs):
         body.append(
             '<div class="warn">SIMULATED: every number comes from the simulated rig; '
             "nothing was measured.</div>"
         )
-    body.append(html.facts(_circumstances(source)))
+    first = [html.verdict(_verdict(source))]
     exact, energy, verdicts = _headline(run, series)
     if exact:
         budget = run.budget if series is None else series.budget
-        body.append(html.key_values(_key_results(exact, energy, verdicts, budget)))
+        first.append(html.key_values(_key_results(exact, energy, verdicts, budget)))
         what = "combined over the runs" if series is not None else "of the run"
-        body.append(
+        first.append(
             html.paragraph(
                 f"Exact fit {what}, value ± standard uncertainty: of the whole budget where it is named "
                 "what dominates it, else of the swings alone.",
@@ -134,8 +138,11 @@ def _summary(source: ReportSource) -> list[str]:
         )
     if run.instrument is not None:
         found = headline(run.instrument, None if series is None else series.instrument)
-        body.append(html.key_values(found))
-        body.append(html.paragraph("Value ± standard uncertainty of the swings.", "note"))
+        first.append(html.key_values(found))
+        first.append(html.paragraph("Value ± standard uncertainty of the swings.", "note"))
+    body.append(html.first_screen(first, [decay]))
+    body.append(html.heading("Summary"))
+    body.append(html.facts(_circumstances(source)))
     for data in source.runs:
         body.append(html.paragraph(_sentence(data)))
         if data.results.problem:
@@ -144,6 +151,28 @@ def _summary(source: ReportSource) -> list[str]:
     if len(source.runs) == 1:
         body.append(html.notes(_notes(source.runs[0])))
     return body
+
+
+def _verdict(source: ReportSource) -> list[tuple[str, str]]:
+    """The result, what limits it and what to do, and whether the conditions of the runs held."""
+    first = source.runs[0].results
+    found = whole_result(first, None if source.series is None else source.series.budget)
+    lines = [(found.text or "Nothing was fitted", "")]
+    if found.limits:
+        limited = ", ".join(f"{one.name} {100 * one.share:.0f} %" for one in found.limits[:2])
+        lines.append((f"Its uncertainty: {limited}. Next: {'; '.join(found.next_steps)}.", ""))
+    judged = [item for run in source.runs for item in run.results.conditions]
+    broken = [item for item in judged if not item.ok]
+    doubtful = [item for item in judged if item.ok and item.remedy]
+    if broken:
+        names = ", ".join(dict.fromkeys(item.name for item in broken))
+        lines.append((f"Conditions NOT met: {names}", "bad"))
+    elif judged:
+        names = ", ".join(dict.fromkeys(item.name for item in doubtful))
+        lines.append(
+            ("Conditions met" + (f", with a warning of {names}" if names else " in all respects"), "good")
+        )
+    return lines
 
 
 def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
@@ -265,37 +294,43 @@ def _series(series: Series, files: Path) -> list[str]:
     return body
 
 
-def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
+_ORDER = (
+    "kind-damping", "kind-hardness", "kind-decrement", "kind-period", "kind-plane", "instrument",
+    "parameters",
+    ("quality", "hertz"),
+    "conditions", "fig12-decay", "damping", "fig13-period", "fig14-smoother", "residuals", "position-errors",
+    "spectrum", "witness", "table4-loops", "work", "losses", "laws", "waveform", "moments",
+    ("drag", "identifiability"),
+    "correlation", "budget", "monte-carlo", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory",
+)  # fmt: skip
+"""Tables and figures of a run as they follow one another; small tables stand side by side."""
+
+
+def _run(run: RunData, files: Path, *, alone: bool) -> dict[str, str]:
+    """The parts of a run in their order, figures and tables by their names."""
     files.mkdir(parents=True, exist_ok=True)
     curves = _curves(run)
     tables = run_tables(run, curves)
     save_tables(tables, files)
-    shown = {table.name: html.table(table) for table in tables if table.shown}
+    tables_shown = {table.name: html.table(table) for table in tables if table.shown}
     with styled():
         figures = {d.name: text for d, text in _pictures(_drawings(run, curves), files)}
-
-    def take(*names: str) -> list[str]:
-        return [found.pop(name) for name in names for found in (shown, figures) if name in found]
-
-    body = [html.heading(run.title, new_page=not alone)]
+    body = {"heading": html.heading(run.title, new_page=not alone)}
     if not alone:
-        body.append(html.paragraph(_sentence(run)))
-        body.append(html.notes(_notes(run)))
+        body["said"] = html.paragraph(_sentence(run)) + html.notes(_notes(run))
     if run.results.instrument is not None:
-        body.append(html.notes(run.results.instrument.text))
-    body += take("kind-damping", "kind-hardness", "kind-decrement", "kind-period", "kind-plane")
-    body += take("instrument", "parameters")
-    body.append(html.side_by_side(take("quality", "hertz")))
-    body += take("conditions")
-    body += take(
-        "fig12-decay", "damping", "fig13-period", "fig14-smoother", "residuals", "position-errors", "spectrum"
-    )
-    body += take("witness")
-    body += take("table4-loops", "work", "losses", "laws", "waveform", "moments")
-    body.append(html.side_by_side(take("drag", "identifiability")))
-    body += take("correlation", "budget", "monte-carlo")
-    body += take("fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory")
-    return [*body, *shown.values(), *figures.values()]
+        body["instrument-said"] = html.notes(run.results.instrument.text)
+    for part in _ORDER:
+        if isinstance(part, tuple):
+            body["+".join(part)] = html.side_by_side([_taken(name, tables_shown, figures) for name in part])
+        else:
+            body[part] = _taken(part, tables_shown, figures)
+    return {name: text for name, text in {**body, **tables_shown, **figures}.items() if text}
+
+
+def _taken(name: str, tables: dict[str, str], figures: dict[str, str]) -> str:
+    """What has this name, a table before a figure, and both where both have it."""
+    return "\n".join(found.pop(name) for found in (tables, figures) if name in found)
 
 
 def _curves(run: RunData) -> Curves | None:
@@ -394,16 +429,16 @@ def _provenance(source: ReportSource) -> list[str]:
     name, sha256 = source.results
     body = [html.heading("Provenance", new_page=True), html.facts([(f"sha256 of {name}", sha256)])]
     for run in source.runs:
-        if len(source.runs) > 1:
-            body.append(html.heading(run.title, 3))
         rows = list(run.provenance["file"].items())
         for section in ("calibration", "record", "session", "environment", "camera", "frame", "versions"):
             rows += [
                 (f"{section}: {key}", text) for key, text in run.provenance.get(section, {}).items() if text
             ]
-        body.append(html.facts(rows))
+        what = "The record and its circumstances"
+        title = what if len(source.runs) == 1 else f"{what}, {run.title}"
+        body.append(html.folded(title, [html.facts(rows)]))
     configuration = source.runs[0].provenance.get("configuration")
     if configuration:
-        body.append(html.heading("Configuration and calibration", 3))
-        body.append(f'<div class="columns">{html.facts(list(configuration.items()))}</div>')
+        columns = f'<div class="columns">{html.facts(list(configuration.items()))}</div>'
+        body.append(html.folded("Configuration and calibration", [columns]))
     return body

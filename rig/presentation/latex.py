@@ -1,0 +1,121 @@
+"""Tables for LaTeX: numbers and units as siunitx takes them, symbols in mathematics."""
+
+import re
+from typing import Final
+
+from processing.d_si import in_d_si
+from processing.errors import ConfigurationError
+from rig.presentation.table import Table
+
+_NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
+_SUPERSCRIPTS: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹ᵖ", "-0123456789p")
+_SUBSCRIPTS: Final = str.maketrans("₀₁₂₃₄₅₆₇₈₉ₜ", "0123456789t")
+_GREEK: Final = {
+    "α": "alpha", "β": "beta", "γ": "gamma", "δ": "delta", "ε": "varepsilon", "ζ": "zeta", "η": "eta",
+    "θ": "theta", "κ": "kappa", "λ": "lambda", "μ": "mu", "ν": "nu", "ξ": "xi", "π": "pi", "ρ": "rho",
+    "σ": "sigma", "τ": "tau", "φ": "varphi", "χ": "chi", "ψ": "psi", "ω": "omega", "Γ": "Gamma",
+    "Δ": "Delta", "Σ": "Sigma", "Φ": "Phi", "Ω": "Omega",
+}  # fmt: skip
+_OTHERS: Final = {
+    "−": "$-$", "×": r"$\times$", "·": r"$\cdot$", "±": r"$\pm$", "…": r"\dots{}", "–": "--", "√": r"$\surd$",
+    "≤": r"$\le$", "≥": r"$\ge$", "≈": r"$\approx$", "<": "$<$", ">": "$>$", "µ": r"\textmu{}",
+    "Λ": r"$\Lambda$",
+    "″": r"$''$", "′": r"$'$", "°": r"$^\circ$", "→": r"$\to$", "∞": r"$\infty$",
+    "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}",
+}  # fmt: skip
+_WITH_U = re.compile(rf"\(?({_NUMBER}) ± ({_NUMBER})\)?(?: × 10([⁻⁰¹²³⁴-⁹]+))?")
+_PLAIN = re.compile(rf"({_NUMBER})(?: × 10([⁻⁰¹²³⁴-⁹]+))?")
+
+
+def latex_table(content: Table) -> str:
+    """A table as a float with booktabs and siunitx; its numbers and symbols are those that are shown.
+
+    Rows are shown as the report has them: rounded, with standard uncertainties.
+    """
+    head, rows = content.head or content.columns, content.shown
+    unit_column = next((place for place, cell in enumerate(head) if cell == "unit"), -1)
+    lines = [
+        "% needs \\usepackage{booktabs,siunitx} and \\sisetup{separate-uncertainty=true}",
+        r"\begin{table}",
+        rf"\caption{{{_text(content.title)}}}",
+        rf"\label{{tab:{content.name}}}",
+        rf"\begin{{tabular}}{{l{'r' * (max(1, len(head)) - 1)}}}",
+        r"\toprule",
+    ]
+    if any(head):
+        lines += [" & ".join(_heading(cell) for cell in head) + r" \\", r"\midrule"]
+    for row in rows:
+        cells = [_unit(cell) if place == unit_column else _cell(cell) for place, cell in enumerate(row)]
+        lines.append(" & ".join(cells) + r" \\")
+    lines += [r"\bottomrule", r"\end{tabular}"]
+    if content.note:
+        lines.append(rf"\par\footnotesize {_text(content.note)}")
+    return "\n".join([*lines, r"\end{table}", ""])
+
+
+def _heading(label: str) -> str:
+    """A label such as `γ / MPa`."""
+    symbol, slash, unit = label.partition(" / ")
+    if not slash:
+        return _text(label)
+    unit = unit[1:-1] if unit.startswith("(") and unit.endswith(")") else unit
+    return f"{_text(symbol)} / {_unit(unit)}"
+
+
+def _cell(text: str) -> str:
+    """A number with its uncertainty, a number, or words with numbers in them."""
+    spelled = text.replace("−", "-")
+    if found := _WITH_U.fullmatch(spelled):
+        value, u, power = found.groups()
+        return rf"\num{{{value} +- {u}{_power(power)}}}"
+    if found := _PLAIN.fullmatch(spelled):
+        return rf"\num{{{found[1]}{_power(found[2])}}}"
+    return _text(text)
+
+
+def _power(raised: str | None) -> str:
+    return "" if raised is None else f" e{raised.translate(_SUPERSCRIPTS)}"
+
+
+def _unit(text: str) -> str:
+    """A unit of the project's table by siunitx's names, which are those of D-SI; else as it is written."""
+    if not text.strip():
+        return ""
+    try:
+        named = in_d_si(text)
+    except ConfigurationError:
+        return rf"\unit{{{_raised(text)}}}"
+    return rf"\unit{{{named}}}" if named != r"\one" else _text(text)
+
+
+def _raised(text: str) -> str:
+    """A unit with a power that is a parameter: `rad⁻ᵖ`."""
+    return re.sub(r"[⁻⁰¹²³⁴-⁹ᵖ]+", lambda found: f"^{{{found[0].translate(_SUPERSCRIPTS)}}}", text)
+
+
+def _text(text: str) -> str:
+    """Words, with symbols and powers in mathematics."""
+    found = re.sub(
+        r"(×) 10([⁻⁰¹²³⁴-⁹]+)", lambda power: f"\0\\times 10^{{{power[2].translate(_SUPERSCRIPTS)}}}\0", text
+    )
+    parts = []
+    for place, part in enumerate(found.split("\0")):
+        parts.append(f"${part}$" if place % 2 else "".join(_word(piece) for piece in _pieces(part)))
+    return "".join(parts)
+
+
+def _pieces(text: str) -> list[str]:
+    return re.findall(r"[A-Za-zα-ωΓΔΣΦΩ]\u0304?[₀-₉ₜ]+|[A-Za-zα-ωΓΔΣΦΩ]\u0304|[⁻⁰¹²³⁴-⁹ᵖ]+|.", text)
+
+
+def _word(piece: str) -> str:
+    if piece[0] in "⁻⁰¹²³⁴⁵⁶⁷⁸⁹ᵖ":
+        return f"$^{{{piece.translate(_SUPERSCRIPTS)}}}$"
+    letter, below = piece[0], piece[1:].translate(_SUBSCRIPTS)
+    symbol = f"\\{_GREEK[letter]}" if letter in _GREEK else letter
+    if len(piece) > 1:
+        symbol = rf"\bar{{{symbol}}}" if "\u0304" in below else symbol
+        below = below.replace("\u0304", "")
+        return f"${symbol}_{{{below}}}$" if below else f"${symbol}$"
+    return f"${symbol}$" if letter in _GREEK else _OTHERS.get(piece, piece)

@@ -1,0 +1,116 @@
+"""The report as a browser shows it: its first screen, both themes, a phone, paper; axe-core over it."""
+
+import base64
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.rig.desk.desk_page import Page
+from tests.rig.desk.test_accessibility import RUN, axe
+from tests.rig.view.headless_browser import headless_browser
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+__all__ = ["axe"]
+LOADED = "document.readyState === 'complete' && [...document.images].every(image => image.complete)"
+
+
+@pytest.fixture(scope="module")
+def page(measured_series: Path) -> Iterator[Page]:
+    with headless_browser() as browser:
+        found = Page(browser)
+        browser.open((measured_series / "report.html").as_uri())
+        found.wait(LOADED)
+        yield found
+
+
+def show(page: Page, theme: str = "light", media: str = "") -> None:
+    """The theme that the reader prefers, on a screen or on paper."""
+    page.browser.call(
+        "Emulation.setEmulatedMedia", media=media, features=[{"name": "prefers-color-scheme", "value": theme}]
+    )
+
+
+def shown(page: Page) -> Any:
+    """The screen as (ny, nx, 3)."""
+    data = base64.b64decode(page.browser.call("Page.captureScreenshot", format="png")["data"])
+    return cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+
+
+def test_verdict_and_decay_are_on_the_first_screen(page: Page) -> None:
+    show(page)
+    page.ask("scrollTo(0, 0)")
+    for part in (".verdict", ".first .key", ".first figure img"):
+        box = page.ask(
+            "(r => [r.left, r.top, r.right, r.bottom])"
+            f"(document.querySelector({part!r}).getBoundingClientRect())"
+        )
+        assert box[0] >= 0
+        assert box[2] <= 1280
+        assert 0 < box[3] <= 800, part
+    assert "Fig. 12" in page.ask("document.querySelector('.first figcaption').innerText")
+    assert "Conditions" in page.ask("document.querySelector('.verdict').innerText")
+
+
+def test_the_page_and_its_figures_follow_the_theme(page: Page) -> None:
+    box = page.ask(
+        "(r => [r.left, r.top, r.right, r.bottom].map(Math.round))"
+        "(document.querySelector('.first figure img').getBoundingClientRect())"
+    )
+    ground = {}
+    for theme in ("light", "dark"):
+        show(page, theme)
+        page.ask("scrollTo(0, 0)")
+        screen = shown(page)
+        figure = screen[box[1] : box[3], box[0] : box[2]]
+        grey = figure.mean(axis=2)
+        ground[theme] = float(np.median(grey)), float(np.median(screen[:, :40].mean(axis=2)))
+        assert abs(ground[theme][0] - ground[theme][1]) < 3, "the figure stands on the page's own ground"
+        # inks: axes and labels, which are furthest from the ground
+        far = float(np.quantile(np.abs(grey - ground[theme][0]), 0.995))
+        assert far > 100
+    assert ground["light"][0] > 250
+    assert ground["dark"][0] < 40
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_axe_finds_nothing(page: Page, axe: str, theme: str) -> None:
+    show(page, theme)
+    page.ask("document.querySelectorAll('details').forEach(each => each.open = true)")
+    if not page.ask("typeof axe === 'object'"):
+        page.ask(axe + "; true")
+    found = json.loads(page.ask(RUN))
+    page.ask("document.querySelectorAll('details').forEach(each => each.open = false)")
+    assert found == [], json.dumps(found, indent=1)
+
+
+def test_a_phone_scrolls_downwards_only(page: Page) -> None:
+    show(page)
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    page.browser.call("Emulation.setDeviceMetricsOverride", **size)
+    page.wait("innerWidth === 390")
+    assert page.ask("document.documentElement.scrollWidth") <= 390
+    assert (
+        page.ask("getComputedStyle(document.querySelector('.first')).gridTemplateColumns.split(' ').length")
+        == 1
+    )
+    page.browser.call(
+        "Emulation.setDeviceMetricsOverride", width=1280, height=800, deviceScaleFactor=1, mobile=False
+    )
+    page.wait("innerWidth === 1280")
+
+
+def test_paper_is_white_and_has_neither_hashes_nor_configuration(page: Page) -> None:
+    page.ask("document.querySelectorAll('details').forEach(each => each.open = true)")
+    show(page, "dark", "print")
+    assert page.ask("getComputedStyle(document.documentElement).backgroundColor") == "rgb(255, 255, 255)"
+    assert page.ask("getComputedStyle(document.documentElement).colorScheme") == "light"
+    assert "session.max_duration_s" not in page.text()
+    assert "sha256 of results.json" in page.text()
+    assert page.ask("[...document.querySelectorAll('.download')].every(e => e.offsetParent === null)")
+    show(page)
+    assert "session.max_duration_s" in page.text(), "it is there, on the screen"
