@@ -15,7 +15,8 @@ from calibration.certificate_document import (
     certificate_bytes,
 )
 from calibration.known_angle import ScaleCheck, check_scale, moved_between
-from calibration.lever_fit import LadderFit, LadderSteps, fit_ladder, lever_from_shifts, lever_from_tilts
+from calibration.ladder import LadderSteps
+from calibration.lever_fit import LadderFit, fit_ladder, lever_from_shifts, lever_from_tilts
 from calibration.lever_geometry import GeometryLever, LeverGeometry, lever_from_geometry
 from calibration.light_lever import Lever, deflection_unit
 from calibration.oscillation import require_rest

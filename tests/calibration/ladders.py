@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.lever_fit import LadderSteps, fit_ladder
+from calibration.ladder import LadderSteps
+from calibration.lever_fit import fit_ladder
 from processing.angle import ARCSEC_RAD
 
 PITCH_M = 4.8e-6

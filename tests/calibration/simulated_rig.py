@@ -19,7 +19,8 @@ from acquisition.simulation.settings import (
 )
 from acquisition.simulation.true_path import true_path
 from calibration.axes_fit import AxesFit, fit_axes
-from calibration.lever_fit import LadderFit, LadderSteps, fit_ladder
+from calibration.ladder import LadderSteps
+from calibration.lever_fit import LadderFit, fit_ladder
 from calibration.pointing import stability
 from calibration.sensor import SensorCalibration, photon_transfer
 from calibration.timebase import ClockRelation, relate_clocks

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from calibration.known_angle import check_scale, moved_between
-from calibration.lever_fit import LadderSteps, fit_ladder, lever_from_shifts, lever_from_tilts
+from calibration.ladder import LadderSteps
+from calibration.lever_fit import fit_ladder, lever_from_shifts, lever_from_tilts
 from calibration.lever_geometry import LeverGeometry, lever_from_geometry, trace_m
 from calibration.light_lever import Lever
 from processing.angle import ARCSEC_RAD
