@@ -8,7 +8,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
 from rig.analysis import read_results
-from rig.commands.physics import fit_records
+from rig.commands.fitting import fit_records
 from rig.instrument import recorded_configuration
 from rig.replay.record_replay import replay_record
 from rig.report import make_report

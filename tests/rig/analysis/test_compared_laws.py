@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError
-from rig.commands.physics import fit_records
+from rig.commands.fitting import fit_records
 
 
 def test_a_records_laws_are_compared_and_the_verdict_stands_in_the_results(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from acquisition.record.recover import recover
-from rig.commands.physics import fit_records
+from rig.commands.fitting import fit_records
 from rig.measure import resume_session
 from rig.replay.record_replay import replay_record
 from rig.view.recorded import write_rrd

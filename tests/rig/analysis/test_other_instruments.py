@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from processing.errors import ConfigurationError
 from processing.instruments.descriptions import INSTRUMENTS
 from rig.cli import app
-from rig.commands.physics import fit_records
+from rig.commands.fitting import fit_records
 from rig.measure.session import measure_session, simulate_record
 from rig.presentation import with_uncertainty
 from rig.settings.configuration import load_configuration

@@ -10,7 +10,7 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from processing.fit import Conditions
 from rig.analysis import SessionResults, read_results
-from rig.commands.physics import plan
+from rig.commands.planning import plan
 from rig.instrument import complete, recorded_configuration
 from rig.plan.expected import expected_of
 from rig.settings import load_configuration

@@ -1,0 +1,193 @@
+"""`rig plan`, `rig instruments`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from processing.errors import ConfigurationError
+from rig.commands.arguments import Set
+from rig.commands.inputs import is_of_table, one_record, recorded_or_fitted, there, with_results
+from rig.commands.json_answers import in_json
+from rig.commands.outputs import folder_without
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    for command in (plan, instruments):
+        app.command()(in_json(command))
+
+
+def plan(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="A run of this rig (.mcap) or its folder, a fitted table's, or a configuration (TOML).",
+            show_default=False,
+            callback=recorded_or_fitted,
+        ),
+    ],
+    first: Annotated[
+        list[float] | None, typer.Option(min=0.1, help="First amplitude, arcsec; may be repeated.")
+    ] = None,
+    last: Annotated[
+        list[float] | None, typer.Option(min=0.1, help="Last amplitude, arcsec; may be repeated.")
+    ] = None,
+    ground: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Drive of another ground, rad/s2/sqrt(Hz); default: what SOURCE says."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Folder for the picture, or the plan.",
+            callback=folder_without("plan.*", "plan-*.toml"),
+        ),
+    ] = None,
+    set_: Set = None,
+    runs: Annotated[
+        list[int] | None, typer.Option(min=1, help="Number of runs; may be repeated; default: 1.")
+    ] = None,
+    noise: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Configuration: noise of one frame, arcsec, where it is known."),
+    ] = None,
+    contact: Annotated[
+        Path | None,
+        typer.Option(help="Configuration: results.json with the contact that is expected.", callback=there),
+    ] = None,
+    witness: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Noise of a witness of the ground over the ground it sees, at the swing's frequency: 0.1.",
+        ),
+    ] = None,
+    wait: Annotated[
+        list[float] | None,
+        typer.Option(min=0.0, help="Minutes between runs that tell ageing; may be repeated; default: 0, 60."),
+    ] = None,
+    target: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--for",
+            metavar="TARGET",
+            help="Choose runs that reach it soonest: 'u(c)/c<0.05', or two forms; may be repeated.",
+        ),
+    ] = None,
+    campaign: Annotated[
+        Path | None, typer.Option(help="With --for: what is stated (campaign.toml).", callback=there)
+    ] = None,
+    after: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="With --for: a folder of runs of the sample that were made; may be repeated.",
+            callback=with_results,
+        ),
+    ] = None,
+    sample: Annotated[
+        list[str] | None,
+        typer.Option(help="With --for: a sample to measure; may be repeated; default: session.sample."),
+    ] = None,
+    hours: Annotated[
+        float | None, typer.Option(min=0.1, help="With --for: rig time that the runs may take.")
+    ] = None,
+) -> None:
+    """Show what runs to come will tell of the contact.
+
+    Uncertainties over first and last amplitudes, number of runs and rig time, from a run of this rig, a table
+    or film that was fitted, or a configuration; then which two runs, one after the other, tell a contact
+    that ages, which one decay cannot.
+
+    \b
+    Examples:
+      rig plan runs/first/run-1.mcap --first 124 --last 2 -o plans
+      rig plan configs/basement.toml --runs 1 --runs 3
+      rig plan fits/decay
+      rig plan configs/basement.toml --witness 0.05
+      rig plan configs/basement.toml --for "u(c)/c<0.05" --hours 10 -o plans
+    """
+    if not target:
+        stated = {"--campaign": campaign, "--after": after, "--sample": sample, "--hours": hours}
+        if given := next((name for name, value in stated.items() if value), ""):
+            raise ConfigurationError(f"{given}: has no effect without --for TARGET")
+    firsts, lasts = first or [300.0, 124.0, 60.0], last or [30.0, 15.0, 8.0, 4.0, 2.0]
+    counts = runs or [1]
+    if min(lasts) >= max(firsts):
+        raise ConfigurationError(
+            f"--last {min(lasts):g}: should be below the first amplitude, {max(firsts):g} arcsec; name a "
+            "smaller one, or a larger --first"
+        )
+
+    if target:
+        if source.suffix.lower() != ".toml":
+            raise ConfigurationError(
+                f"{source}: --for plans runs of a configuration; name its TOML file, and what was found by "
+                "--contact or --after"
+            )
+        if runs is not None:
+            raise ConfigurationError("--runs: --for chooses how many; leave it out, or limit --hours")
+        from rig.campaigns import AskedPlan
+        from rig.commands.planned_for import plan_for
+
+        asked = AskedPlan(
+            source=source, targets=target, first_arcsec=firsts, last_arcsec=lasts, overrides=set_ or [],
+            noise_arcsec=noise, contact=contact, ground_rad_per_s2_rthz=ground, witness=witness,
+            waits_min=wait, campaign=campaign, samples=sample or [],
+        )  # fmt: skip
+        plan_for(asked, after or [], hours, output)
+        return
+
+    from rig.plan import (
+        ageing_table,
+        expected_of_table,
+        plan_ageing,
+        plan_expected,
+        plan_runs,
+        planned_expectation,
+        print_plan,
+        save_plan,
+    )
+    from rig.presentation import say
+
+    if source.suffix.lower() == ".toml":
+        expected = planned_expectation(source, set_ or [], noise, contact)
+        planned = plan_expected(expected, firsts, lasts, ground, counts, witness)
+    elif is_of_table(source):
+        if noise is not None or contact is not None or set_:
+            raise ConfigurationError(
+                f"{source}: a table's results have their own noise, contact and configuration; leave out "
+                "--noise, --contact and --set"
+            )
+        planned = plan_expected(expected_of_table(source), firsts, lasts, ground, counts, witness)
+        say("without the waveform of the swings, which results do not hold: uncertainties are upper limits")
+    else:
+        from rig.analysis import analyse_record, refuse_unread
+        from rig.sealing import refuse_blind
+
+        refuse_blind(source, "a plan from what it found")
+
+        if noise is not None or contact is not None:
+            raise ConfigurationError(
+                f"{source}: a record has its own noise and contact; leave out --noise and --contact"
+            )
+        run = analyse_record(one_record(source), set_ or [])
+        planned = plan_runs(run, firsts, lasts, ground, counts, witness)
+        refuse_unread([run])
+    waits_s = [60.0 * minutes for minutes in ([0.0, 60.0] if wait is None else wait)]
+    ageing = ageing_table(plan_ageing(planned, waits_s))
+    print_plan(planned, ageing)
+    if output is not None:
+        save_plan(planned, output, ageing)
+
+
+def instruments() -> None:
+    """List the kinds of pendulum, for instrument.kind."""
+    from processing.instruments import INSTRUMENTS
+    from rig.presentation import answer, print_line
+
+    answer(instruments={each.kind: each.sentence for each in INSTRUMENTS.values()})
+    for description in INSTRUMENTS.values():
+        print_line(f"{description.kind:<15} {description.sentence}")
