@@ -45,6 +45,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     results = {
         "films": sum(counts.values()),
         **counts,
+        "wrong": counts["wrong"],
         "wrong ones": wrong,
         "worst of the others, px": worst_px,
     }

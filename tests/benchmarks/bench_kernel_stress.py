@@ -41,6 +41,7 @@ def stress(rounds: int) -> dict[str, Any]:
     """How many processes came to their end, and what ended the others."""
     ended: Counter[str] = Counter()
     told: list[str] = []
+    crashed = 0
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory() as place:
         real = Path(place) / "real"
@@ -52,6 +53,8 @@ def stress(rounds: int) -> dict[str, Any]:
             for kind, which, cache in kinds:
                 for status, words in together(which, cache, number):
                     ended[f"{kind}: {'good' if not status else f'status {status}'}"] += 1
+                    # a process that a signal has ended
+                    crashed += status < 0
                     if status:
                         told.append(f"round {number}, {kind}: status {status}: {words}")
                         print(told[-1], flush=True)
@@ -61,6 +64,7 @@ def stress(rounds: int) -> dict[str, Any]:
         "rounds": rounds,
         "processes at once": PROCESSES,
         "threads each": THREADS,
+        "crashed": crashed,
         "ended": dict(sorted(ended.items())),
         "not good": told,
         "load": os.getloadavg()[0],

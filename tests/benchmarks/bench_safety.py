@@ -43,18 +43,23 @@ TRIALS = [
 ]
 
 
+def sequences(quick: bool = False) -> dict[str, Any]:
+    """The random sequences alone, which need no interpreter."""
+    return run_sequences(50 if quick else 1000, 30)
+
+
 def run(quick: bool = False) -> dict[str, Any]:
     """Measure; the table is also printed."""
     trials = TRIALS[:3] if quick else TRIALS
     if wanted := os.environ.get("SAFETY_TRIALS"):
         trials = [trial for trial in TRIALS if wanted in " ".join(trial)]
-    sequences = run_sequences(50 if quick else 1000, 30)
-    print(sequences, flush=True)
+    found = sequences(quick)
+    print(found, flush=True)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         package = _interpreter(folder)
         if package is None:
-            return {"sequences": sequences, "skipped": "node and npm are needed to run the firmware"}
+            return {"sequences": found, "skipped": "node and npm are needed to run the firmware"}
 
         def one(number: int) -> Row:
             path, fault = trials[number]
@@ -80,7 +85,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     target.write_text(text, encoding="utf-8")
     wrong = [row for row in rows if row.violation]
     return {
-        "sequences": sequences,
+        "sequences": found,
         "rows": [asdict(row) for row in rows],
         "lit by itself": sum(row.relit for row in rows),
         "violations": [f"{row.path}: {row.fault}: {row.violation}" for row in wrong],

@@ -24,6 +24,6 @@ def run(quick: bool = False) -> dict[str, Any]:
             wrong.append(case.name)
         shown.add_row(case.name, outcome.kind, outcome.said[-120:])
     Console(width=180).print(shown)
-    results = {"tables": counts.total(), **counts, "wrong ones": wrong}
+    results = {"tables": counts.total(), **counts, "wrong": counts["wrong"], "wrong ones": wrong}
     print(results)
     return results

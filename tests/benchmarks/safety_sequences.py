@@ -269,4 +269,4 @@ def run_sequences(count: int, steps: int, first: int = 0) -> dict[str, Any]:
         world = sequence(seed, steps, folder)
         counts += world.counts
         found += [f"{seed}: {text} ({world.kind}): {' '.join(world.story)}" for text in world.found[:1]]
-    return {"sequences": count, "steps": count * steps, **counts, "violations": found}
+    return {"sequences": count, "steps": count * steps, **counts, "violations": found, "violated": len(found)}
