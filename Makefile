@@ -10,7 +10,7 @@ INSTALL = $(PIP) install --quiet
 export PYTHONDONTWRITEBYTECODE =
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-quick test-kernel mutants bench lint format schema pictures drawings docs hooks pins clean
+.PHONY: demo test test-quick test-kernel mutants bench validation lint format schema pictures drawings docs hooks pins clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
@@ -63,6 +63,11 @@ docs: $(VENV)/.installed-test
 bench: $(VENV)/.installed-test
 	-$(PIP) install --quiet ".[bench]"
 	$(BIN)/python -m tests.benchmarks $(ARGS)
+
+# Every claim with its number: docs/validation.md and what it follows from. ARGS="--quick", ARGS="gum iso11146".
+validation: $(VENV)/.installed-test
+	-$(PIP) install --quiet ".[bench]" ".[test-cameras]"
+	$(BIN)/python -m tests.validation $(ARGS)
 
 # Of what they run nothing is downloaded; pre-commit itself is in no pins, for nothing else needs it.
 hooks: $(VENV)/.installed-test

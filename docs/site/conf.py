@@ -70,6 +70,7 @@ CONTENTS = {
         "docs/reference/topics",
         "docs/reference/python",
         "docs/benchmarks",
+        "docs/validation",
         "CHANGELOG",
     ],
     "Decisions": ["docs/decisions/README"],

@@ -1,0 +1,1 @@
+"""Judges from outside: certified values, definitions of standards, other programs."""

@@ -1,0 +1,46 @@
+"""The paper's own numbers: its Table 1, its surface energies, the parameters of its three pairs."""
+
+from functools import cache
+
+from processing.contact.hertz import MATERIALS, pendulum_on_ball
+from processing.contact.moments import surface_energy
+from processing.estimate import Estimate
+from rig.paper.comparison import table1, table2, table3
+from rig.paper.printed import BALL_RADIUS_M, MASS_KG, PAIRS
+from rig.paper.simulation import simulate_pair
+from tests.validation.row import Found
+
+
+def first_table() -> dict[str, Found]:
+    """Rows of Table 1 (radii, depths, angles after Hertz) that do not come out as printed."""
+    rows = table1().rows
+    off = [str(row[1]) for row in rows if row[-1] != "agrees as rounded"]
+    return {"off": Found((float(len(off)),), f"of {len(rows)} printed numbers")}
+
+
+def energies() -> dict[str, Found]:
+    """Surface energies of Table 3 by the form of Table 2, relative to the printed ones, %."""
+    off = []
+    for pair in PAIRS:
+        pendulum = pendulum_on_ball(MASS_KG, BALL_RADIUS_M, MATERIALS["steel"], MATERIALS[pair.flat])
+        energy = surface_energy(Estimate(pair.c, 0.0), pendulum)
+        off.append(100 * abs(energy.table2.value / pair.surface_energy_j_per_m2 - 1))
+    return {"off": Found(tuple(off), ", ".join(pair.flat for pair in PAIRS))}
+
+
+@cache
+def parameters() -> dict[str, Found]:
+    """All three pairs: decays integrated with the printed parameters, and what the fit finds, over u.
+
+    Where u is below 1e-4 of the printed value, this stands for it: the printed digits are no better.
+    """
+    off, kept = [], []
+    for pair in PAIRS:
+        simulated = simulate_pair(pair, -4, seed=5)
+        for row in (*table2([simulated], -4).rows, *table3([simulated]).rows):
+            if row[1] in ("b", "p", "c", "n", "T₀", "γ"):
+                printed, exact, u = (float(row[place]) for place in (3, 4, 5))
+                off.append(abs(exact - printed) / max(u, 1e-4 * abs(printed)))
+                kept.append(f"{pair.flat} {row[1]}")
+    worst = kept[off.index(max(off))]
+    return {"pull": Found((max(off),), f"{len(off)} parameters; the farthest, {worst}")}

@@ -1,0 +1,102 @@
+"""The page: every row with its number, its limit and when it was measured; bold is what falls short."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from tests.validation.kept import ROOT, Kept
+from tests.validation.known import known_number
+from tests.validation.row import NotTested, Row
+
+FILE = ROOT / "docs" / "validation.md"
+_HEAD = """# Validation
+
+What README and these pages claim, and what came out when it was tested. Each row is tested by means that
+share nothing with the code that it judges: certified values, a definition written in a standard, data that
+others have published, another program, or a simulation that has no formula in common with the analysis.
+This page is written by
+
+    make validation                         # rows that this commit has no number of; hours
+    make validation ARGS="--quick"          # rows that take seconds
+    make validation ARGS="gum iso11146"     # those whose names begin like that
+    make validation ARGS="--again gum-h1"   # also if this commit has a number
+
+from what it measured last, which `docs/validation.json` keeps; a run that is ended goes on where it was. The
+name of a row is its word for `ARGS`; rows are declared in `tests/validation/catalogue.py`. Other programs
+come with `pip install ".[bench]"` and `".[test-cameras]"`, RO-Crate's validator with
+`pip install roc-validator`, public data from the folder that `RIG_SHARED_DATA` names. **Bold** falls short of
+its limit, and stays here until it no longer does.
+"""
+_FIGURE = (
+    "![Shares of cases that intervals hold, for each fit](pictures/validation-coverage.svg)",
+    "",
+    (
+        "How often an interval of one standard uncertainty holds the truth: a point is a parameter of a "
+        "case, or all of a case together; the band is the row's limit, the line 68 %, which is right."
+    ),
+    "",
+)
+
+
+def page_of(rows: Sequence[Row], kept: Mapping[str, Kept], not_tested: Sequence[NotTested]) -> str:
+    """The whole page, in Markdown."""
+    text = [_HEAD, summary(rows, kept), ""]
+    if any(row.share and row.name in kept for row in rows):
+        text += _FIGURE
+    for group in dict.fromkeys(row.group for row in rows):
+        text += [
+            f"## {group}",
+            "",
+            "| row | claim | tested by | number | limit | measured |",
+            "|---|---|---|---|---|---|",
+            *(_line(row, kept.get(row.name)) for row in rows if row.group == group),
+            "",
+        ]
+    text += ["## What has no row", "", "| what | why |", "|---|---|"]
+    text += [f"| {item.what} | {item.why} |" for item in not_tested]
+    return "\n".join([*text, "", _machines(rows, kept)]) + "\n"
+
+
+def summary(rows: Sequence[Row], kept: Mapping[str, Kept]) -> str:
+    """How many rows keep their limit, fall short, were not run."""
+    run = [row for row in rows if row.name in kept]
+    short = [row for row in run if not row.limit.holds(kept[row.name].values)]
+    names = f" ({', '.join(f'`{row.name}`' for row in short)})" if short else ""
+    return (
+        f"{len(rows)} rows: {len(run) - len(short)} within their limits, {len(short)} short of them{names}, "
+        f"{len(rows) - len(run)} not run on this commit."
+    )
+
+
+def shown(row: Row, found: Kept) -> str:
+    """The number with its unit, bold where it is beyond the limit."""
+    low, high = min(found.values), max(found.values)
+    number = f"{low:.3g}" if len(found.values) == 1 or low == high else f"{low:.3g} to {high:.3g}"
+    text = f"{number} {row.unit}".strip()
+    return text if row.limit.holds(found.values) else f"**{text}**"
+
+
+def _line(row: Row, found: Kept | None) -> str:
+    limit = f"{row.limit.text} {row.unit}".strip()
+    if found is None:
+        before = f"; earlier, by [benchmarks](benchmarks.md): {known_number(row.known)}" if row.known else ""
+        return f"| `{row.name}` | {row.claim} | {row.means} | not run on this commit{before} | {limit} | |"
+    detail = f"; {found.detail}" if found.detail else ""
+    when = f"{found.date}, {found.commit}, {_cpu(found.cpu_s)}"
+    return f"| `{row.name}` | {row.claim} | {row.means} | {shown(row, found)}{detail} | {limit} | {when} |"
+
+
+def _cpu(cpu_s: float) -> str:
+    return f"{cpu_s:.0f} s" if cpu_s < 100 else f"{cpu_s / 60:.0f} min"
+
+
+def _machines(rows: Sequence[Row], kept: Mapping[str, Kept]) -> str:
+    """What the last column says, and where it was measured."""
+    machines = sorted({kept[row.name].machine for row in rows if row.name in kept})
+    return (
+        "Measured: date, last commit that touched the program (+ where something was not committed), "
+        f"processor time; on {'; '.join(machines)}."
+    )
+
+
+def write_page(text: str, path: Path = FILE) -> None:
+    path.write_text(text, encoding="utf-8")

@@ -1,0 +1,191 @@
+"""The page of claims follows from what is kept, and rows that take seconds still hold."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.acquisition.record.samples import write_sample
+from tests.validation import __main__ as program
+from tests.validation import figure, page
+from tests.validation.benchmarks import numbers_at
+from tests.validation.catalogue import NOT_TESTED, ROWS
+from tests.validation.kept import Kept, kept_now, read_kept, write_kept
+from tests.validation.known import known_number
+from tests.validation.outside import mcap_records
+from tests.validation.outside.printed import tolerances_off, units_off
+from tests.validation.row import Found, Limit, Missing, Row
+
+QUICK = [row for row in ROWS if row.quick]
+SHORT = {"nist-starts", "gum-s1-verdicts"}
+"""Quick rows that are known to fall short: bold on the page. One that no longer does is taken out here."""
+
+
+def test_the_page_follows_from_what_is_kept() -> None:
+    assert page.FILE.read_text(encoding="utf-8") == page.page_of(ROWS, read_kept(), NOT_TESTED), (
+        "make validation ARGS=--page"
+    )
+
+
+def test_what_is_kept_is_of_rows_that_exist() -> None:
+    kept = read_kept()
+    assert set(kept) <= {row.name for row in ROWS}
+    assert len({row.name for row in ROWS}) == len(ROWS)
+    # a quick row is measured before it lands
+    assert {row.name for row in QUICK} <= set(kept)
+
+
+def test_the_figure_has_every_share_that_is_kept() -> None:
+    kept = read_kept()
+    drawn = figure.FILE.read_text(encoding="utf-8")
+    assert figure.coverage_svg(ROWS, kept)
+    for row in ROWS:
+        assert (f">{row.name}<" in drawn) is (row.share and row.name in kept)
+
+
+@pytest.mark.parametrize("row", QUICK, ids=[row.name for row in QUICK])
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
+def test_quick_rows_hold(row: Row) -> None:
+    try:
+        found = row.measure()[row.number]
+    except Missing as missing:
+        pytest.skip(str(missing))
+    assert row.limit.holds(found.values) is (row.name not in SHORT), found
+
+
+def test_numbers_that_are_known_from_benchmarks_are_found() -> None:
+    named = [row.known for row in ROWS if row.known]
+    assert len(named) >= 10
+    assert all(known_number(beginning) for beginning in named)
+    with pytest.raises(KeyError, match="has 0 lines"):
+        known_number("no such line")
+
+
+def _row(measure: Callable[[], dict[str, Found]], **changes: object) -> Row:
+    row = Row("some-row", "Group", "A claim", "means", measure, "number", "m", Limit(high=2.0), quick=True)
+    return replace(row, **changes)  # type: ignore[arg-type]
+
+
+def _kept(*values: float) -> Kept:
+    return Kept(values, "two seeds", "2026-01-02", "abc1234", "Linux", 3.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "shown"), [((1.5,), "1.5 m"), ((1.0, 2.0), "1 to 2 m"), ((1.0, 2.5), "**1 to 2.5 m**")]
+)
+def test_what_falls_short_is_bold(values: tuple[float, ...], shown: str) -> None:
+    text = page.page_of([_row(dict)], {"some-row": _kept(*values)}, ())
+    assert f"| {shown}; two seeds | ≤ 2 m | 2026-01-02, abc1234, 3 s |" in text
+    assert ("1 short of them (`some-row`)" in text) is shown.startswith("**")
+
+
+def test_a_row_that_was_not_run_has_no_number_but_one_of_benchmarks() -> None:
+    assert "| not run on this commit | ≤ 2 m | |" in page.page_of([_row(dict)], {}, ())
+    known = page.page_of([_row(dict, known="`make demo`, 119,040")], {}, ())
+    assert "| not run on this commit; earlier, by [benchmarks](benchmarks.md): 38 s (30); " in known
+
+
+def test_no_number_is_not_within_a_limit() -> None:
+    assert not Limit(0.0, 1.0).holds(())
+    assert not Limit(0.0, 1.0).holds((0.5, float("nan")))
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder in which the program writes what it does."""
+    monkeypatch.setattr(program, "read_kept", lambda: read_kept(tmp_path / "kept.json"))
+    monkeypatch.setattr(program, "write_kept", lambda kept: write_kept(kept, tmp_path / "kept.json"))
+    monkeypatch.setattr(page.write_page, "__defaults__", (tmp_path / "page.md",))
+    monkeypatch.setattr(figure, "FILE", tmp_path / "figure.svg")
+    return tmp_path
+
+
+def test_an_ended_run_goes_on_where_it_was(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The second row ends the first run; the second one does not measure the first row again."""
+    called = []
+
+    def measured() -> dict[str, Found]:
+        called.append("first")
+        return {"number": Found((1.0,), "")}
+
+    def ends() -> dict[str, Found]:
+        called.append("second")
+        if len(called) == 2:
+            raise KeyboardInterrupt
+        return {"number": Found((3.0,), "")}
+
+    def fails() -> dict[str, Found]:
+        raise ValueError("no number")
+
+    def missing() -> dict[str, Found]:
+        raise Missing("a library")
+
+    rows = (
+        _row(measured),
+        _row(ends, name="other-row"),
+        _row(missing, name="third"),
+        _row(fails, name="last"),
+    )
+    monkeypatch.setattr(program, "ROWS", rows)
+    monkeypatch.setattr("sys.argv", ["validation"])
+    with pytest.raises(KeyboardInterrupt):
+        program.main()
+    assert list(read_kept(place / "kept.json")) == ["some-row"]
+    assert program.main() == 1
+    assert called == ["first", "second", "second"]
+    assert set(read_kept(place / "kept.json")) == {"some-row", "other-row"}
+    assert "**3 m**" in (place / "page.md").read_text(encoding="utf-8")
+    assert "last: A claim\n  failed: ValueError: no number\n" in capsys.readouterr().out
+    monkeypatch.setattr("sys.argv", ["validation", "--again", "some"])
+    assert program.main() == 0
+    assert called[3:] == ["first"]
+
+
+def test_a_word_that_means_no_row_is_named() -> None:
+    assert [row.name for row in program.chosen(["nist-values"], quick=False)] == ["nist-values"]
+    assert len(program.chosen(["gum"], quick=True)) == 11
+    # a name is meant by its words, not by its letters
+    with pytest.raises(ValueError, match="no row gu; rows begin with archive, beams"):
+        program.chosen(["gu"], quick=False)
+
+
+def test_what_is_kept_is_read_back(tmp_path: Path) -> None:
+    found = kept_now(Found((1.23456789, 2.0), "said"), 0.123)
+    write_kept({"b": found, "a": found}, tmp_path / "kept.json")
+    back = read_kept(tmp_path / "kept.json")
+    assert list(back) == ["a", "b"]
+    assert back["a"] == found
+    assert found.values == (1.23457, 2.0)
+    # one row a line, so that rows of two machines merge
+    assert len((tmp_path / "kept.json").read_text().splitlines()) == 4
+    assert json.loads((tmp_path / "kept.json").read_text())["a"]["detail"] == "said"
+
+
+def test_a_record_that_is_no_mcap_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_sample(path, 64)
+    assert mcap_records.faults(path)[0] == []
+    data = bytearray(path.read_bytes())
+    for place in (len(data) // 2, len(data) - 3):
+        changed = data.copy()
+        changed[place] ^= 1
+        path.write_bytes(changed)
+        assert mcap_records.faults(path)[0], place
+
+
+def test_distances_are_in_printed_digits_and_tolerances() -> None:
+    assert units_off(0.295582, "0.295") == pytest.approx(0.582)
+    assert units_off(50000838.4, "50000838") == pytest.approx(0.4)
+    # u = 0.0754: two digits are 75e-3, the tolerance half of the last
+    assert tolerances_off(1.0839, 1.0834, 0.0754) == pytest.approx(1.0)
+    assert tolerances_off(19.9, 17.0, 10.1) == pytest.approx(5.8)
+
+
+def test_numbers_are_found_below_their_names() -> None:
+    found = {"cases": [{"one_u": {"b": 0.7, "c": 0.6}}, {"one_u": [0.5], "other": 3}], "one_u": True}
+    assert list(numbers_at(found, "one_u")) == [0.7, 0.6, 0.5]
+    assert list(numbers_at(found, "other")) == [3.0]
