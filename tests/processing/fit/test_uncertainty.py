@@ -1,5 +1,6 @@
 """Budget and Monte Carlo agree with repeated fits with changed inputs."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,7 @@ from processing.fit.reported import (
     reported_quantities,
     work_per_cycle_j,
 )
-from processing.fit.uncertainty import FIT, GROUND, budgets, monte_carlo
+from processing.fit.uncertainty import FIT, GROUND, budget_of, budgets, monte_carlo, propagated
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 from tests.processing.fit.driven import driven_decay
@@ -173,6 +174,25 @@ def test_few_runs_widen_the_coverage_factor(found: FittedContact) -> None:
     c = budgets(replace(found, dof=2.0), quiet)["c"]
     assert c.degrees_of_freedom < 5
     assert c.coverage_factor_95 > 2.5
+
+
+@pytest.mark.parametrize(
+    ("last", "holds"),
+    # JCGM 101:2008, 9.2.2 and 9.2.4: four normal quantities; three rectangles, and one ten times as wide
+    [(InputQuantity(0.0, 1.0), True), (InputQuantity(0.0, 10.0, "rectangular"), False)],
+)
+def test_the_budget_of_a_sum_holds_where_the_supplement_says_so(last: InputQuantity, holds: bool) -> None:
+    """Whatever the first digit of u is, and though 10,000 draws leave the ends uncertain by 3 % of u."""
+    u = math.hypot(math.sqrt(3.0), last.u)
+    shape = replace(last, u=1.0)
+    for scale in (1.0, 0.3, 0.7):
+        budget = budget_of("", 0.0, [("sum", "B", scale * u, 1.0, scale * u)])
+        verdicts = []
+        for seed in range(40):
+            rng = np.random.default_rng([101, seed])
+            drawn = sum(quantity.draw(rng, 10_000) for quantity in (shape, shape, shape, last))
+            verdicts.append(propagated(scale * np.asarray(drawn), budget).gum_holds)
+        assert verdicts.count(holds) >= 39, (scale, verdicts.count(holds))
 
 
 def test_monte_carlo_agrees_where_all_is_linear(found: FittedContact) -> None:
