@@ -8,10 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.true_path import noisy, true_path
+from acquisition.simulation.witness import SimulatedWitness
+from processing.angle import ARCSEC_RAD
 from processing.arrays import Floats
+from processing.estimate import Estimate
 from processing.fit import FitResult, Witness, WitnessVerdict, fit_exact, fit_with_witness
 from processing.fit.exact_model import Errors, ExactModel
-from processing.swing import TurningPoints
+from processing.swing import SwingDetector, TurningPoints, turning_points
 from tests.processing.fit.decays import paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_path
 
@@ -193,3 +198,37 @@ def test_a_real_seismometer_of_unknown_response_tells_what_drove_the_pendulum() 
     # velocity leads the acceleration by a quarter, up to the sign of the side
     assert abs(found.use.responses[0].phase_rad) == pytest.approx(np.pi / 2, abs=0.3)
     assert found.use.responses[0].with_slope
+
+
+def delay_found(seed: int, late_s: float) -> Estimate:
+    """Of a witness that is late, beside turning points that the detector has found in samples."""
+    settings = SimulationSettings.model_validate(
+        {
+            "seed": seed,
+            "ground": {"model": "white", "white_m_per_s2_per_sqrt_hz": 2e-5},
+            "witness": {"noise_m_per_s2_per_sqrt_hz": 1e-12, "delay_s": late_s},
+            "fast": {"amplitude_arcsec": 0.0},
+            "axes": {"leakage": 0.0},
+        }
+    )
+    noise_rad = 0.02 * ARCSEC_RAD
+    path = noisy(true_path(settings, 900.0, frame_rate_hz=50.0), noise_rad, noise_rad, seed)
+    detector = SwingDetector()
+    u = np.full(len(path.times_ns), noise_rad)
+    swings = [*detector.update(path.times_ns, path.y_rad, u), *detector.finish()]
+    points = turning_points(swings)
+    begin_s = next(1e-9 * one.turn_time_ns for one in swings if not one.flags)
+    felt = SimulatedWitness(settings).until(900.0, 0)
+    seen = Witness(felt.time_s - begin_s, felt.counts[:, :1], ("along",))
+    found = fit_with_witness(points, PENDULUM, seen, fit_exact(points, PENDULUM))
+    assert found.use.used
+    return found.use.delay_s
+
+
+def test_a_delay_beside_turning_points_that_were_measured_is_not_biased() -> None:
+    """A detector knows the point of rest from earlier half-cycles: what looks back only is like a delay."""
+    found = [delay_found(seed, 0.05) for seed in range(1, 7)]
+    mean = np.mean([one.value for one in found])
+    u_mean = np.mean([one.standard_uncertainty for one in found]) / np.sqrt(len(found))
+    assert u_mean < 0.02
+    assert abs(mean + 0.05) < 3 * u_mean
