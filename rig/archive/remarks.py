@@ -7,9 +7,10 @@ import json
 import platform
 import secrets
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from pydantic import AwareDatetime, BaseModel, ValidationError
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
@@ -18,19 +19,18 @@ from rig.archive.proved import changed, has_line, read_file, with_line, without_
 _FOLDER = "remarks"
 
 
-@dataclass(frozen=True)
-class _Remark:
+class _Remark(BaseModel, frozen=True):
     """One command: tags added to and removed from runs (by the SHA-256 of their records), or a note.
 
     `turn` is larger than that of every remark that its writer knew: remarks hold in this order, whatever the
     clocks say. Those of earlier versions have none, and go before all others by their time.
     """
 
-    utc: datetime.datetime
-    runs: tuple[str, ...]
+    utc: AwareDatetime
     turn: int = 0
     user: str = ""
     computer: str = ""
+    runs: tuple[str, ...]
     add: tuple[str, ...] = ()
     remove: tuple[str, ...] = ()
     note: str = ""
@@ -68,11 +68,10 @@ def write_remark(
         note=note,
     )
     path = archive / _FOLDER / f"{now:%Y%m%dT%H%M%S.%f}-{secrets.token_hex(4)}.json"
-    text = json.dumps({**asdict(remark), "utc": now.isoformat()}, indent=1)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         whole_file.take_away_leftovers(path.parent)
-        whole_file.write_new(path, with_line(text.encode()))
+        whole_file.write_new(path, with_line(json.dumps(remark.model_dump(mode="json"), indent=1).encode()))
     except OSError as error:
         raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
 
@@ -97,37 +96,14 @@ def _remarks(archive: Path) -> list[tuple[str, _Remark]]:
 def _read(path: Path) -> _Remark:
     data = read_file(path)
     try:
-        remark = _understood(json.loads(without_line(path, data) if has_line(data) else data))
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        remark = _Remark.model_validate_json(without_line(path, data) if has_line(data) else data)
+    except ValidationError as error:
         raise RecordError(
-            f"{path}: cannot be read: {error!r}; it was damaged, take it from a backup"
+            f"{path}: cannot be read: {str(error).splitlines()[0]}; it was damaged, take it from a backup"
         ) from None
     if remark.turn and not has_line(data):
         raise changed(path)
     return remark
-
-
-def _understood(tree: Any) -> _Remark:
-    # pydantic takes longer to import than a list of 100,000 runs takes to be read
-    utc = datetime.datetime.fromisoformat(tree["utc"])
-    if utc.tzinfo is None:
-        raise ValueError(f"{utc} states no time zone")
-    return _Remark(
-        utc,
-        runs=tuple(map(_text, tree["runs"])),
-        turn=int(tree.get("turn", 0)),
-        user=_text(tree.get("user", "")),
-        computer=_text(tree.get("computer", "")),
-        add=tuple(map(_text, tree.get("add", ()))),
-        remove=tuple(map(_text, tree.get("remove", ()))),
-        note=_text(tree.get("note", "")),
-    )
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError(f"{value!r} is no text")
-    return value
 
 
 def user_name() -> str:
