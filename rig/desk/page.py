@@ -231,7 +231,10 @@ window.rigTheme = function (name) {
 window.rigOther = name => window.rigTheme(document.documentElement.classList.contains(name) ? 'dark' : name);
 window.rigTheme(localStorage.getItem('theme') || 'dark');
 // the frame of a picture has its name; the picture in it has none of its own
-new MutationObserver(
-  () => document.querySelectorAll('.picture img:not([alt])').forEach(one => { one.alt = ''; }))
+new MutationObserver(() => {
+  document.querySelectorAll('.picture img:not([alt])').forEach(one => { one.alt = ''; });
+  // a wide table scrolls, with the keys, too
+  document.querySelectorAll('.q-table__middle:not([tabindex])').forEach(one => { one.tabIndex = 0; });
+})
   .observe(document.documentElement, {childList: true, subtree: true});
 """

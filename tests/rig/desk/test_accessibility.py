@@ -144,6 +144,8 @@ def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
     mark(page, folder.name)
     page.key("o")
     page.wait("document.querySelector('#report iframe')?.src.includes('report')")
+    # it slides in
+    page.wait("document.querySelector('#report').getBoundingClientRect().right <= innerWidth + 1")
     judge("the report in its drawer")
     page.ask("document.querySelector('.q-dialog button').click()")
     page.wait("document.querySelector('.q-dialog') === null")
@@ -151,7 +153,11 @@ def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
     page.click("archive")
     page.wait_text("1 to 3 of 3")
     judge("the archive")
-    page.click("sessions")
+    # not the panel of this name
+    page.ask(
+        "[...document.querySelectorAll('.q-btn-toggle button')].find(b => b.innerText === 'sessions').click()"
+    )
+    page.wait_text(folder.name)
     # what has just ended hands over
     page.key("4")
     news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]

@@ -97,14 +97,14 @@ def test_no_tab_without_a_connection_acts() -> None:
 def test_keys_port_and_what_was_typed_outlive_a_desk(tmp_path: Path) -> None:
     source = tmp_path / "rig.toml"
     first = Kept(source)
-    first.hold()
+    first.hold(tmp_path)
     first.opened_at("http://127.0.0.1:8642/", 8642)
     first.note_acting("tab")
     first.type("Ada", "session.notes", "humid today")
     first.use("Ada", "steel", {"session.sample": "steel"})
     first.close()
     second = Kept(source)
-    second.hold()
+    second.hold(tmp_path)
     assert (second.key, second.watch_key, second.port) == (first.key, first.watch_key, 8642)
     assert second.acting == "tab"
     assert second.typed("Ada") == {"session.notes": "humid today"}
@@ -117,22 +117,23 @@ def test_keys_port_and_what_was_typed_outlive_a_desk(tmp_path: Path) -> None:
 def test_of_a_configuration_there_is_one_desk(tmp_path: Path) -> None:
     source = tmp_path / "rig.toml"
     kept = Kept(source)
-    kept.hold()
+    kept.hold(tmp_path)
     kept.opened_at("http://127.0.0.1:1/?key=k", 1)
     other = (
-        "import sys; from pathlib import Path; from rig.desk.kept import Kept; Kept(Path(sys.argv[1])).hold()"
+        "import sys; from pathlib import Path; from rig.desk.kept import Kept; "
+        "source = Path(sys.argv[1]); Kept(source).hold(source.parent)"
     )
     done = subprocess.run(
         [sys.executable, "-c", other, str(source)], capture_output=True, text=True, check=False, timeout=50
     )
     assert "a desk of it is open already: use http://127.0.0.1:1/?key=k" in done.stderr
     kept.close()
-    Kept(source).hold()
+    Kept(source).hold(tmp_path)
 
 
 def test_two_desks_of_one_configuration_in_a_process(tmp_path: Path) -> None:
     kept = Kept(tmp_path / "rig.toml")
-    kept.hold()
+    kept.hold(tmp_path)
     with pytest.raises(ConfigurationError, match="open already"):
-        Kept(tmp_path / "rig.toml").hold()
+        Kept(tmp_path / "rig.toml").hold(tmp_path)
     kept.close()

@@ -83,7 +83,7 @@ def test_a_trajectory_is_drawn_zoomed_and_exported(
         page.ask("document.querySelector('[aria-label=\"zoom into trajectory\"]').click()")
         page.wait(f"{OF}.getOption().dataZoom[0].end === 75")
         part = page.ask(f"rigRows({OF}).length")
-        assert part == pytest.approx(0.75 * 100, abs=6), "of axes that end at 15 half is seen"
+        assert part == pytest.approx(0.6 * 100, abs=6), "of axes that end at 12 half is seen"
         more = Deflections(way.times_ns + 10**9, 0.5 * y, y, none, none, DeflectionUnit.PX)
         session_news.before_record([frame], [SPOT], more)
         page.wait(f"rigRows({OF}).length > {part} + 50")
