@@ -81,7 +81,8 @@ svg text { fill: var(--dim); font-size: 12px; }
 :focus-visible { outline: 3px solid var(--line); outline-offset: 2px; }
 
 .report { width: min(1000px, 94vw); max-width: 94vw !important; height: calc(100vh - 90px); padding: 8px;
-  margin-bottom: 64px; }
+  margin-bottom: 64px; position: relative; z-index: 1; }
+.q-dialog__inner:focus-visible { outline: none; }
 .report iframe { width: 100%; flex: 1 1 auto; border: 0; background: var(--ground); }
 .find { width: 260px; }
 

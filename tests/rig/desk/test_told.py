@@ -68,8 +68,11 @@ def test_what_a_session_was_started_with_is_chosen_again(
     with desk_page(browser, config) as (_, page):
         named(page, "Ada")
         page.key("4")
-        page.wait("document.querySelector('[aria-label=\"values of an earlier session\"]')?.offsetParent")
-        page.ask("document.querySelector('[aria-label=\"values of an earlier session\"]').click()")
+        before = (
+            "document.querySelector('[aria-label=\"values of an earlier session\"]')?.closest('.q-field')"
+        )
+        page.wait(f"{before}?.offsetParent != null")
+        page.ask(f"{before}.querySelector('.q-field__control').click()")
         choice = (
             "[...document.querySelectorAll('.q-menu .q-item')].find(one => one.innerText.includes('ruby'))"
         )
@@ -79,7 +82,7 @@ def test_what_a_session_was_started_with_is_chosen_again(
             page.wait(f"document.querySelector('[data-key=\"{key}\"]').value === {value!r}")
         # of somebody else they are not
         named(page, "Eve")
-        page.wait("!document.querySelector('[aria-label=\"values of an earlier session\"]')?.offsetParent")
+        page.wait(f"!{before}?.offsetParent")
 
 
 def named(page: Page, name: str) -> None:
