@@ -24,6 +24,6 @@ from rig.campaigns.results import (
     CampaignValue,
     SamplerFindings,
 )
-from rig.campaigns.sources import runs_of_archive, runs_of_folders
+from rig.campaigns.sources import NamedRuns, runs_of_archive, runs_of_folders
 from rig.campaigns.stated import StatedCampaign, read_campaign
 from rig.campaigns.targets import read_target

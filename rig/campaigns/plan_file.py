@@ -9,6 +9,7 @@ from pathlib import Path
 from processing.campaign import ChosenRun
 from rig.campaigns.planned import PlannedCampaign, PlannedKind, reasons
 from rig.campaigns.planner import AskedPlan
+from rig.campaigns.sources import NamedRuns
 from rig.settings import Configuration, load_configuration
 
 _Kind = tuple[PlannedKind, ChosenRun]
@@ -17,7 +18,7 @@ _MORE = 2
 
 
 def campaign_plan_files(
-    planned: PlannedCampaign, asked: AskedPlan, after: Sequence[Path], folder: Path
+    planned: PlannedCampaign, asked: AskedPlan, made: NamedRuns, folder: Path
 ) -> Mapping[str, str]:
     """plan.toml with these runs, and auto.toml, whose night chooses again after each; of several samples one
     file for every stretch of runs on the same one, for a person changes it. Paths become relative to their
@@ -32,7 +33,7 @@ def campaign_plan_files(
     if len(planned.within.samples) == 1:
         return {
             "plan.toml": "\n".join([*why, *_series(stretches[0], source, asked.overrides, config)]) + "\n",
-            "auto.toml": "\n".join(_deciding(planned, asked, after, folder)) + "\n",
+            "auto.toml": "\n".join(_deciding(planned, asked, made, folder)) + "\n",
         }
     width = len(str(len(stretches)))
     return {
@@ -96,7 +97,7 @@ def _series(runs: Sequence[_Kind], source: str, overrides: Sequence[str], config
     return lines
 
 
-def _deciding(planned: PlannedCampaign, asked: AskedPlan, after: Sequence[Path], folder: Path) -> list[str]:
+def _deciding(planned: PlannedCampaign, asked: AskedPlan, made: NamedRuns, folder: Path) -> list[str]:
     """The limits of a night that decides by itself: what was asked for, and as much again."""
     choice, within = planned.choice, planned.within
     hours = min(_MORE * choice.rig_time_s, within.longest_s) / 3600
@@ -109,8 +110,11 @@ def _deciding(planned: PlannedCampaign, asked: AskedPlan, after: Sequence[Path],
     ]
     if asked.campaign is not None:
         lines.append(f"campaign = {_word(_from(folder, asked.campaign))}")
-    if after:
-        lines.append(f"after = {_word([_from(folder, one) for one in after])}")
+    if made.folders:
+        lines.append(f"after = {_word([_from(folder, one) for one in made.folders])}")
+    if made.archive is not None:
+        place = made.archive if "://" in made.archive else _from(folder, Path(made.archive))
+        lines += [f"archive = {_word(place)}", f"where = {_word(made.where)}"]
     if asked.contact is not None:
         lines.append(f"contact = {_word(_from(folder, asked.contact))}")
     if asked.noise_arcsec is not None:

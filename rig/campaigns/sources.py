@@ -1,6 +1,8 @@
 """The runs of a campaign: of folders, or of an archive's rows that meet a condition."""
 
+import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from acquisition.record.digest import sha256_of
@@ -8,18 +10,94 @@ from processing.errors import ConfigurationError, RecordError
 from rig.analysis import read_results, results_path
 from rig.campaigns.likelihoods import FoundRun
 
+_SESSION = "session.json"
 
-def runs_of_folders(folders: Sequence[Path]) -> list[FoundRun]:
-    """All runs of sessions, in the order in which they are named; each folder is a contact.
 
-    Raises ConfigurationError where a run or a folder is there twice, RecordError where one cannot be read.
+@dataclass(frozen=True)
+class NamedRuns:
+    """Runs as a command or a plan names them: folders, or those of an archive that meet a condition.
+
+    Raises ConfigurationError for what excludes each other, or has no effect.
+    """
+
+    folders: Sequence[Path] = ()
+    archive: str | None = None
+    where: str = ""
+    by_sample: bool = False
+
+    def __post_init__(self) -> None:
+        if self.archive is not None and self.folders:
+            raise ConfigurationError(
+                f"{self.folders[0]}: folders and --archive exclude each other; leave one out"
+            )
+        if self.where and self.archive is None:
+            raise ConfigurationError(f"--where {self.where!r}: has no effect without --archive")
+        if self.by_sample and self.archive is not None:
+            raise ConfigurationError(
+                "--by-sample: has no effect with --archive, where each sample is a contact"
+            )
+
+    def found(self) -> list[FoundRun]:
+        """The runs; none where nothing is named."""
+        if self.archive is None:
+            return runs_of_folders(self.folders, by_sample=self.by_sample)
+        from rig.archive import opened
+
+        with opened(self.archive) as place:
+            return runs_of_archive(place, self.where)
+
+    def of_one_sample(self) -> list[FoundRun]:
+        """The same, of an archive's only those of one sample."""
+        found = self.found()
+        samples = dict.fromkeys(one.contact for one in found) if self.archive is not None else {}
+        if len(samples) > 1:
+            raise ConfigurationError(
+                f"--archive {self.archive}: its runs are of {len(samples)} samples ({', '.join(samples)}), "
+                "and a plan is of one: --where \"sample = '...'\""
+            )
+        return found
+
+
+def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list[FoundRun]:
+    """All runs of sessions, in the order in which they are named; each folder is a contact, with `by_sample`
+    each sample is one. Of the folder of a night all series are taken, as one contact.
+
+    Raises ConfigurationError where a run or a folder is there twice, or a folder does not tell its sample,
+    RecordError where one cannot be read.
     """
     names = [folder.resolve().name if folder.is_dir() else folder.resolve().parent.name for folder in folders]
     found: list[FoundRun] = []
     for folder, name in zip(folders, names, strict=True):
         label = name if names.count(name) == 1 else str(folder)
-        found += _runs(results_path(folder), label, label)
+        for series in sessions_in(folder):
+            own = label if series == folder else f"{label}/{series.name}"
+            contact = _sample(series) if by_sample else label
+            found += _runs(results_path(series), own, contact)
     return _different(found)
+
+
+def sessions_in(folder: Path) -> list[Path]:
+    """The folder itself; of a night's, which has no results of its own, its series that have some."""
+    if not folder.is_dir() or any(folder.glob("results*.json")):
+        return [folder]
+    series = sorted({path.parent for path in folder.glob("*/results*.json")})
+    return series or [folder]
+
+
+def _sample(folder: Path) -> str:
+    """The sample that a session's configuration states."""
+    place = folder if folder.is_dir() else folder.parent
+    path = place / _SESSION
+    try:
+        sample = json.loads(path.read_bytes())["configuration"]["session"].get("sample", "")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ConfigurationError(
+            f"{path}: tells no sample ({type(error).__name__}); leave out --by-sample, then each folder is a "
+            "contact"
+        ) from None
+    if not sample:
+        raise ConfigurationError(f"{path}: its session.sample is empty; leave out --by-sample")
+    return str(sample)
 
 
 def runs_of_archive(archive: Path, where: str) -> list[FoundRun]:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import JsonLines, Set
+from rig.commands.arguments import JsonLines, Set, Where
 from rig.commands.inputs import there
 from rig.commands.outputs import new_file, new_folder
 
@@ -23,7 +23,6 @@ Names = Annotated[
     list[str] | None,
     typer.Argument(help="First characters of a run's or a session's hash.", show_default=False),
 ]
-Where = Annotated[str, typer.Option(help="The runs that meet a condition, as of rig archive list.")]
 
 Refits = Annotated[
     bool, typer.Option("--refits", help="Of results that rig archive refit made, all versions.")

@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.inputs import there, with_results
+from rig.commands.arguments import BySample, CampaignFile, InArchive, Where
+from rig.commands.inputs import with_results
 from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without
 
@@ -34,16 +35,10 @@ def campaign(
             callback=folder_without("campaign.json", "campaign.html"),
         ),
     ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(help="What is stated: parameters, effects, priors (campaign.toml).", callback=there),
-    ] = None,
-    archive: Annotated[
-        str | None, typer.Option(help="Take the runs of an archive instead; each sample is a contact.")
-    ] = None,
-    where: Annotated[
-        str, typer.Option(help="The archive's runs that meet a condition, as of rig archive list.")
-    ] = "",
+    config: CampaignFile = None,
+    archive: InArchive = None,
+    where: Where = "",
+    by_sample: BySample = False,
     cluster: Annotated[
         str, typer.Option(help="Dask cluster that does the work: tcp://HOST:PORT, as rig archive refit has.")
     ] = "",
@@ -63,31 +58,19 @@ def campaign(
     """
     if archive is None and not folders:
         raise ConfigurationError("rig campaign needs runs: name folders of sessions, or --archive")
-    if archive is not None and folders:
-        raise ConfigurationError(f"{folders[0]}: folders and --archive exclude each other; leave one out")
-    if where and archive is None:
-        raise ConfigurationError(f"--where {where!r}: has no effect without --archive")
-
     from rig.analysis import encoded
     from rig.campaigns import (
+        NamedRuns,
         StatedCampaign,
         answer_of,
         campaign_tables,
         read_campaign,
-        runs_of_archive,
-        runs_of_folders,
         save_campaign,
     )
     from rig.presentation import answer, print_tables, say
 
     stated = StatedCampaign() if config is None else read_campaign(config)
-    if archive is None:
-        runs = runs_of_folders(folders or [])
-    else:
-        from rig.archive import opened
-
-        with opened(archive) as place:
-            runs = runs_of_archive(place, where)
+    runs = NamedRuns(folders or [], archive, where, by_sample=by_sample).found()
     if cluster:
         from rig.campaigns import parts_on_cluster
 

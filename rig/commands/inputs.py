@@ -55,9 +55,10 @@ def is_of_table(path: Path) -> bool:
 
 
 def with_results(given: _Given) -> _Given:
-    """The same, for folders of sessions, which must hold results, and for files."""
+    """The same, for folders of sessions, or of nights, which must hold results, and for files."""
     for path in _paths(there(given)):
-        if path.is_dir() and not any(path.glob("results*.json")):
+        # a night's folder has those of its series
+        if path.is_dir() and not (any(path.glob("results*.json")) or any(path.glob("*/results*.json"))):
             raise ConfigurationError(
                 f"{path}: holds no results.json; rig run makes one, and rig fit from records"
             )

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import Set
+from rig.commands.arguments import CampaignFile, InArchive, Set, Where
 from rig.commands.inputs import is_of_table, one_record, recorded_or_fitted, there, with_results
 from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without
@@ -77,9 +77,7 @@ def plan(
             help="Choose runs that reach it soonest: 'u(c)/c<0.05', or two forms; may be repeated.",
         ),
     ] = None,
-    campaign: Annotated[
-        Path | None, typer.Option(help="With --for: what is stated (campaign.toml).", callback=there)
-    ] = None,
+    campaign: CampaignFile = None,
     after: Annotated[
         list[Path] | None,
         typer.Option(
@@ -87,6 +85,8 @@ def plan(
             callback=with_results,
         ),
     ] = None,
+    archive: InArchive = None,
+    where: Where = "",
     sample: Annotated[
         list[str] | None,
         typer.Option(help="With --for: a sample to measure; may be repeated; default: session.sample."),
@@ -110,7 +110,10 @@ def plan(
       rig plan configs/basement.toml --for "u(c)/c<0.05" --hours 10 -o plans
     """
     if not target:
-        stated = {"--campaign": campaign, "--after": after, "--sample": sample, "--hours": hours}
+        stated = {
+            "--campaign": campaign, "--after": after, "--archive": archive, "--where": where,
+            "--sample": sample, "--hours": hours,
+        }  # fmt: skip
         if given := next((name for name, value in stated.items() if value), ""):
             raise ConfigurationError(f"{given}: has no effect without --for TARGET")
     firsts, lasts = first or [300.0, 124.0, 60.0], last or [30.0, 15.0, 8.0, 4.0, 2.0]
@@ -129,7 +132,7 @@ def plan(
             )
         if runs is not None:
             raise ConfigurationError("--runs: --for chooses how many; leave it out, or limit --hours")
-        from rig.campaigns import AskedPlan
+        from rig.campaigns import AskedPlan, NamedRuns
         from rig.commands.planned_for import plan_for
 
         asked = AskedPlan(
@@ -137,7 +140,7 @@ def plan(
             noise_arcsec=noise, contact=contact, ground_rad_per_s2_rthz=ground, witness=witness,
             waits_min=wait, campaign=campaign, samples=sample or [],
         )  # fmt: skip
-        plan_for(asked, after or [], hours, output)
+        plan_for(asked, NamedRuns(after or [], archive, where), hours, output)
         return
 
     from rig.plan import (

@@ -10,6 +10,7 @@ from processing.errors import ConfigurationError, DataError
 from rig.campaigns import (
     AskedPlan,
     FoundRun,
+    NamedRuns,
     PlannedCampaign,
     PlannedKind,
     Planner,
@@ -201,7 +202,8 @@ class _Night:
 
     def _found(self) -> list[FoundRun]:
         """All runs of which something is known: those before the night, and its own."""
-        before = runs_of_folders(self._plan.after) if self._plan.after else []
+        plan = self._plan
+        before = NamedRuns(plan.after, plan.archive, plan.where).of_one_sample()
         return [*before, *(run for one in self._file.now.measured for run in self._runs(one))]
 
     def _runs(self, decision: Decision) -> list[FoundRun]:

@@ -24,6 +24,8 @@ class DecidingPlan(RunConditions, frozen=True, extra="forbid"):
     set: tuple[str, ...] = Field(default=(), description="KEY=VALUE, as with --set")
     campaign: Path | None = Field(default=None, description="what is stated (campaign.toml)")
     after: tuple[Path, ...] = Field(default=(), description="folders of runs of the sample that were made")
+    archive: str | None = Field(default=None, description="the same, of an archive")
+    where: str = Field(default="", description="its runs that meet a condition")
     contact: Path | None = Field(default=None, description="results.json with the contact that is expected")
     noise_arcsec: float | None = Field(default=None, gt=0, description="of one frame, where it is known")
     first_arcsec: tuple[_Arcsec, ...] = Field(min_length=1, description="amplitudes that a run may begin at")
@@ -79,6 +81,9 @@ def load_deciding_plan(path: Path) -> DecidingPlan:
             "config": folder / plan.config,
             "campaign": None if plan.campaign is None else folder / plan.campaign,
             "contact": None if plan.contact is None else folder / plan.contact,
+            "archive": plan.archive
+            if plan.archive is None or "://" in plan.archive
+            else str(folder / plan.archive),
             "after": tuple(folder / one for one in plan.after),
         }
     )

@@ -22,7 +22,7 @@ from tests.rig.campaigns.made_sessions import (
     session,
     twice,
 )
-from tests.rig.command_line import rig
+from tests.rig.command_line import CONFIGS, rig
 
 OLDER = Path(__file__).parents[1] / "data" / "older"
 STATED = """
@@ -201,7 +201,51 @@ def test_runs_of_an_archive(tmp_path: Path) -> None:
     none = rig(*words, "--where", "b > 1e9", cwd=tmp_path)
     assert none.returncode == 2
     assert "no run with results meets it" in none.stderr
+    after = ("plan", CONFIGS / "basement.toml", "--for", "u(p)/p<0.9", "--archive", "catalogue")
+    assert "after 2 runs" in rig(*after, cwd=tmp_path).stdout
     assert rig("archive", "blind", "p", "--archive", "catalogue", cwd=tmp_path).returncode == 0
     blind = rig(*words, cwd=tmp_path)
     assert blind.returncode == 2
     assert "is blind" in blind.stderr
+
+
+def test_sessions_of_one_sample_are_one_contact(tmp_path: Path) -> None:
+    folders = humid_campaign(tmp_path / "runs")
+    for folder in folders:
+        tree = {"configuration": {"session": {"sample": "K8"}}}
+        (folder / "session.json").write_text(json.dumps(tree))
+    assert {one.contact for one in runs_of_folders(folders)} == {"monday", "tuesday"}
+    found = runs_of_folders(folders, by_sample=True)
+    assert {one.contact for one in found} == {"K8"}
+    assert len({one.label for one in found}) == 12
+    done = rig("campaign", *folders, "--by-sample")
+    assert done.returncode == 0, done.stderr
+    assert "\nK8 " in done.stdout
+    (folders[0] / "session.json").unlink()
+    done = rig("campaign", *folders, "--by-sample")
+    assert done.returncode == 2
+    assert "session.json: tells no sample" in done.stderr
+
+
+def test_a_night_is_one_contact(tmp_path: Path) -> None:
+    humid_campaign(tmp_path / "night")
+    found = runs_of_folders([tmp_path / "night"])
+    assert {one.contact for one in found} == {"night"}
+    assert [found[0].label, found[-1].label] == ["night/monday/run-1", "night/tuesday/run-6"]
+    assert "night" in rig("campaign", tmp_path / "night").stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--where", "b > 0"], "has no effect without --archive"),
+        (["--archive", "a"], "exclude each other"),
+    ],
+)
+def test_names_that_exclude_each_other_are_refused(tmp_path: Path, words: list[str], message: str) -> None:
+    folder = humid_campaign(tmp_path)[0]
+    planned = ["plan", CONFIGS / "demo.toml", "--for", "u(c)/c<0.1", "--after", folder]
+    for command in (["campaign", folder], planned):
+        done = rig(*command, *words)
+        assert done.returncode == 2
+        assert message in done.stderr

@@ -13,6 +13,7 @@ from processing.errors import ConfigurationError
 from processing.fit import Conditions
 from rig.campaigns import (
     AskedPlan,
+    NamedRuns,
     PlannedCampaign,
     StatedCampaign,
     Within,
@@ -59,7 +60,7 @@ def test_a_plan_is_one_of_a_night(tmp_path: Path) -> None:
     assert found.choice.reached
     # also where what the plan sets was set before
     overrides = ["session.operator=me", "session.sample=another"]
-    written = campaign_plan_files(found, asked(overrides), [tmp_path / "monday"], tmp_path)
+    written = campaign_plan_files(found, asked(overrides), NamedRuns([tmp_path / "monday"]), tmp_path)
     for name, text in written.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     plan = load_plan(tmp_path / "plan.toml")
@@ -83,7 +84,7 @@ def test_a_plan_is_one_of_a_night(tmp_path: Path) -> None:
 
 def test_of_several_samples_each_stretch_is_a_plan_of_its_own(tmp_path: Path) -> None:
     found = planned("u(b)/b<0.01", replace(WITHIN, samples=["K8", 'steel "2"']))
-    files = campaign_plan_files(found, asked(), (), tmp_path)
+    files = campaign_plan_files(found, asked(), NamedRuns(), tmp_path)
     samples = [found.kind(one.candidate).sample for one in found.choice.runs]
     assert set(samples) == {"K8", 'steel "2"'}
     assert len(files) == 1 + sum(a != b for a, b in pairwise(samples))
