@@ -22,6 +22,6 @@ from processing.campaign.outlook import (
     ratio_between_forms,
 )
 from processing.campaign.parts import InParts, here
-from processing.campaign.planning import Choice, ChosenRun, choose_runs
+from processing.campaign.planning import Choice, ChosenRun, choose_next, choose_runs
 from processing.campaign.posterior import CampaignPosterior, fit_campaign, moved_by
 from processing.campaign.sampling import SETTLED, Sampled, predictive_check, sample_campaign

@@ -10,6 +10,7 @@ from math import sqrt
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
@@ -145,6 +146,10 @@ class Outlook:
     def ratio(self, information: Floats) -> float:
         """The worst expected uncertainty over its limit: below 1 all goals are reached."""
         return float(np.max(self._ratios(information)))
+
+    def reached(self, information: Floats) -> NDArray[np.bool_]:
+        """For each draw (M,) of the scatters whether all goals are reached, if it were known."""
+        return np.asarray(np.all(np.sqrt(self._variances(information)) < self._limits, axis=1))
 
     def merit(self, information: Floats) -> float:
         """A smooth form of `ratio`: what is not the worst counts, and each draw of the scatters alike, of

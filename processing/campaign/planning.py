@@ -77,6 +77,50 @@ def choose_runs(ahead: Outlook, *, longest_s: float = inf, most: int = 200, seed
     # where it counts when a run is made, another order may need more of them
     if good:
         order = _greedily(ahead, order, longest_s, most)
+    return _in_order(ahead, order, Choice(runs=(), now=now, expected=now, floor=floor, gains=ranked))
+
+
+def choose_next(ahead: Outlook, *, longest_s: float = inf, most: int = 200, seed: int = 1) -> Choice:
+    """The same for one who learns after every run, and ends as soon as that may be: the first run counts.
+
+    How runs scatter will be known better by then. So it is not the time that counts after which the
+    uncertainty is reached on average over the scatters, but the average of the times after which it is
+    reached for each. Precise runs, of which few are enough where they scatter little, gain by that.
+    """
+    planned = choose_runs(ahead, longest_s=longest_s, most=most, seed=seed)
+    if ahead.ordered or not planned.reached or not planned.runs:
+        return planned
+    places = {id(one): which for which, one in enumerate(ahead.candidates)}
+    best = [places[id(one.candidate)] for one in planned.runs]
+    least_s = _mean_time_s(ahead, best, most)
+    for which in range(len(ahead.candidates)):
+        order = _alone(ahead, which, longest_s, most)
+        if not order or _ratio(ahead, order) >= 1:
+            continue
+        mean_s = _mean_time_s(ahead, order, most)
+        if mean_s < _CLOSE * least_s:
+            best, least_s = order, mean_s
+    return _in_order(ahead, best, planned)
+
+
+def _mean_time_s(ahead: Outlook, order: Sequence[int], most: int) -> float:
+    """Time until the goals are reached by these runs in turns, for each draw of the scatters; its mean. What
+    so many runs do not reach counts as twice their time."""
+    whole, elapsed_s = ahead.before, 0.0
+    reached_s = np.full(len(whole), np.nan)
+    for place in range(most + 1):
+        reached_s[ahead.reached(whole) & np.isnan(reached_s)] = elapsed_s
+        if not np.any(np.isnan(reached_s)):
+            break
+        which = order[place % len(order)]
+        whole = whole + ahead.adds(which, elapsed_s, place)
+        elapsed_s += ahead.candidates[which].rig_time_s
+    return float(np.mean(np.where(np.isnan(reached_s), 2 * elapsed_s, reached_s)))
+
+
+def _in_order(ahead: Outlook, order: Sequence[int], known: Choice) -> Choice:
+    """The choice of these runs, with what is left after each."""
+    now, floor, ranked = known.now, known.floor, known.gains
     runs, before, ratio = [], ahead.before, now
     for place, which in enumerate(order):
         before = before + ahead.adds(which, _time_s(ahead, order[:place]), place)

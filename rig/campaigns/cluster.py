@@ -8,6 +8,7 @@ from processing.campaign import InParts
 from processing.errors import ConfigurationError
 
 T = TypeVar("T")
+_PATIENCE_S = 10
 
 
 @contextmanager
@@ -19,9 +20,13 @@ def parts_on_cluster(address: str) -> Iterator[InParts]:
     from rig.archive import client_of, code_identity
 
     with client_of(address) as client:
+        try:
+            client.wait_for_workers(1, timeout=_PATIENCE_S)
+        except TimeoutError:
+            raise ConfigurationError(
+                f"--cluster {address}: it has no worker; dask worker {address} adds one"
+            ) from None
         codes = client.run(code_identity)
-        if not codes:
-            raise ConfigurationError(f"--cluster {address}: it has no worker; dask worker {address} adds one")
         other = next((worker for worker, code in codes.items() if code != code_identity()), None)
         if other is not None:
             raise ConfigurationError(

@@ -15,6 +15,7 @@ from processing.campaign import (
     Choice,
     CompressedRun,
     Outlook,
+    choose_next,
     choose_runs,
     fit_campaign,
     to_coordinates,
@@ -90,10 +91,13 @@ def plan_campaign(
     targets: Sequence[Target],
     within: Within,
     found: Sequence[FoundRun] = (),
+    *,
+    learns: bool = False,
 ) -> PlannedCampaign:
     """The runs that reach the targets in the least rig time, after those that were found.
 
     Found runs are of the one sample that is planned for; without any the priors alone say what is known.
+    With `learns` a new choice follows after every run, and the first one counts.
 
     Raises
     ------
@@ -120,7 +124,8 @@ def plan_campaign(
     goals = goals_of(targets, model, values, reference_rad)
     horizon_s = within.longest_s if np.isfinite(within.longest_s) else 86400.0
     ahead = Outlook(runs, model, candidates, goals, posterior=posterior, horizon_s=horizon_s)
-    choice = choose_runs(ahead, longest_s=within.longest_s, most=within.most_runs, seed=stated.seed)
+    choose = choose_next if learns else choose_runs
+    choice = choose(ahead, longest_s=within.longest_s, most=within.most_runs, seed=stated.seed)
     return PlannedCampaign(choice, tuple(targets), kinds, within, stated.seed, len(runs), tuple(left_out))
 
 

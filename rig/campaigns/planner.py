@@ -48,9 +48,15 @@ class Planner:
         self._expected = planned_expectation(asked.source, asked.overrides, asked.noise_arcsec, asked.contact)
 
     def plan(
-        self, found: Sequence[FoundRun] = (), *, longest_s: float = math.inf, most_runs: int = 200
+        self,
+        found: Sequence[FoundRun] = (),
+        *,
+        longest_s: float = math.inf,
+        most_runs: int = 200,
+        learns: bool = False,
     ) -> PlannedCampaign:
-        """The runs that reach the targets soonest, after those that were found.
+        """The runs that reach the targets soonest, after those that were found; with `learns` it is asked
+        again after each.
 
         Raises
         ------
@@ -78,5 +84,5 @@ class Planner:
             most_runs=most_runs,
         )
         return plan_campaign(
-            expected._replace(conditions=conditions), self.stated, self._targets, within, found
+            expected._replace(conditions=conditions), self.stated, self._targets, within, found, learns=learns
         )

@@ -107,7 +107,7 @@ class _Night:
         left_s = self._left_s()
         try:
             planned = self._planner.plan(
-                self._found(), longest_s=max(left_s, 0.0), most_runs=plan.max_runs - len(made)
+                self._found(), longest_s=max(left_s, 0.0), most_runs=plan.max_runs - len(made), learns=True
             )
         except DataError as error:
             return self._ended(Ending.CANNOT, str(error))
@@ -303,7 +303,8 @@ def _why(planned: PlannedCampaign) -> str:
         if choice.reached
         else f"within the plan's limits it is not reached: {which} bring it to {choice.expected:.2f}"
     )
-    place = ", by chance the first of them," if len(choice.runs) > 1 else ""
+    several = len({one.candidate.label for one in choice.runs}) > 1
+    place = ", by chance the first of them," if several else ""
     return (
         f"{first.candidate.label}: after {before} u is {first.before:.3g} of its limit; {reach}; this one"
         f"{place} should leave {first.after:.3g}; for its time give most, as ln u in an hour: {best}"

@@ -14,6 +14,7 @@ from processing.campaign import (
     Goal,
     Level,
     Outlook,
+    choose_next,
     choose_runs,
     fit_campaign,
     ratio_against_nothing,
@@ -186,3 +187,20 @@ def test_the_air_of_the_made_up_decays_is_one() -> None:
     assert longer.shared["air"][0] == pytest.approx(4e-6 / 3e-3, rel=0.05)
     assert shorter.shared["air"][0] == pytest.approx(longer.shared["air"][0], rel=0.05)
     assert AIR_PER_S > 0
+
+
+def test_who_learns_begins_with_runs_that_tell_how_they_scatter() -> None:
+    """Two goals that two short runs just reach on average; precise ones reach them sooner where runs scatter
+    little, which is seen after the first."""
+    model = CampaignModel(names=NAMES, sizes={"b": 0.01, "p": 0.001, "c": 0.1})
+    goals = [Goal(limit=0.01, coordinates={"b": 1.0}), Goal(limit=0.1, coordinates={"c": 1.0})]
+    ahead = Outlook([], model, runs_between(LONG, (60.0, 2.0), (30.0, 2.0), ready_s=120.0), goals)
+    fixed, first = choose_runs(ahead), choose_next(ahead)
+    assert fixed.rig_time_s < first.rig_time_s
+    assert first.runs[0].candidate.label == "124 to 2 arcsec"
+    assert fixed.reached
+    assert first.reached
+    # where nothing scatters there is nothing to learn
+    still = CampaignModel(names=NAMES, scatter=())
+    ahead = Outlook([], still, runs_between(LONG, (60.0, 2.0), (30.0, 2.0)), goals)
+    assert choose_next(ahead).rig_time_s <= choose_runs(ahead).rig_time_s
