@@ -4,7 +4,6 @@ Run as ``python -m tests.benchmarks.bench_campaign [--quick] [PART...]`` from th
 from `tests/processing/campaign/simulated_campaigns.py`, which shares no formula with the analysis.
 """
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,6 +29,7 @@ from processing.campaign import (
 from processing.estimate import Estimate
 from processing.fit import Evidence, FitResult, drifts_of, fit_exact
 from processing.swing import TurningPoints
+from tests.benchmarks.parts import Parts, run_parts, words_of
 from tests.processing.campaign.simulated_campaigns import NAMES, Floats, Made, World, made
 from tests.processing.fit.changing import World as ChangingWorld
 from tests.processing.fit.changing import changing_path
@@ -283,7 +283,7 @@ def age(count: int) -> dict[str, float]:
     return {"one_decay_u": float(np.median(alone)), "within_2u": within_2, "rms_u": float(np.std(together))}
 
 
-PARTS: dict[str, tuple[Callable[[int], dict[str, float]], int]] = {
+PARTS: Parts = {
     "calibration": (calibration, 500),
     "coverage": (coverage, 200),
     "false_slopes": (false_slopes, 200),
@@ -295,19 +295,8 @@ PARTS: dict[str, tuple[Callable[[int], dict[str, float]], int]] = {
 
 def run(quick: bool = False, parts: tuple[str, ...] = ()) -> dict[str, Any]:
     """All parts, or those that are named."""
-    results: dict[str, Any] = {}
-    for name, (part, count) in PARTS.items():
-        if not parts or name in parts:
-            print(f"{name}:", flush=True)
-            began_s = time.monotonic()
-            results[name] = part(max(1, count // 20) if quick else count)
-            print(f"  ({time.monotonic() - began_s:.0f} s)", flush=True)
-    return results
+    return run_parts(PARTS, quick=quick, names=parts)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", choices=[[], *PARTS], metavar="PART")
-    parser.add_argument("--quick", action="store_true")
-    words = parser.parse_args()
-    run(words.quick, tuple(words.parts))
+    run(*words_of(__doc__, PARTS))

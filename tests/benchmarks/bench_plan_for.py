@@ -5,9 +5,7 @@ of tests/processing/campaign/simulated_decays.py; what is true is drawn anew for
 for its middle.
 """
 
-import argparse
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -32,6 +30,7 @@ from processing.campaign import (
 )
 from processing.errors import DataError
 from processing.estimate import Estimate
+from tests.benchmarks.parts import Parts, run_parts, words_of
 from tests.processing.campaign.simulated_decays import NAMES, TRUTH, expected, measured
 
 SIZES = {"b": 0.01, "p": 0.001, "c": 0.1}
@@ -236,24 +235,13 @@ def laws(count: int) -> dict[str, float]:
     return found
 
 
-PARTS: dict[str, tuple[Callable[[int], dict[str, float]], int]] = {"times": (times, 100), "laws": (laws, 100)}
+PARTS: Parts = {"times": (times, 100), "laws": (laws, 100)}
 
 
 def run(quick: bool = False, parts: tuple[str, ...] = ()) -> dict[str, Any]:
     """All parts, or those that are named."""
-    results: dict[str, Any] = {}
-    for name, (part, count) in PARTS.items():
-        if not parts or name in parts:
-            print(f"{name}:", flush=True)
-            began_s = time.monotonic()
-            results[name] = part(max(4, count // 20) if quick else count)
-            print(f"  ({time.monotonic() - began_s:.0f} s)", flush=True)
-    return results
+    return run_parts(PARTS, quick=quick, names=parts, least=4)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", choices=[[], *PARTS], metavar="PART")
-    parser.add_argument("--quick", action="store_true")
-    words = parser.parse_args()
-    run(words.quick, tuple(words.parts))
+    run(*words_of(__doc__, PARTS))
