@@ -19,6 +19,7 @@ from processing.fit.checks import (
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact_model import ExactModel
 from processing.fit.exact_result import result_of
+from processing.fit.exact_starts import start_near, starts_of
 from processing.fit.ground import AT_REST, GROUND_SEEN, GroundFit, Noise, density_of_step
 from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
 from processing.fit.result import FitResult
@@ -95,7 +96,7 @@ def _best(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) ->
     """Likeliest minimum over the start values; the first one is accepted if it fits the data."""
     best: _Settled | None = None
     tried = 0
-    for start in chain(model.start_near(near), model.starts()):
+    for start in chain(start_near(model, near), starts_of(model)):
         tried += 1
         found = _settle(model, start, loss, kind)
         if found is None:
@@ -226,7 +227,7 @@ def fit_exact_with(
     )
     noise, scale = model.noise_of(like), like.ground.measurement_scale
     best: tuple[ExactModel, Solution] | None = None
-    for columns in chain(model.start_near(like), model.starts()):
+    for columns in chain(start_near(model, like), starts_of(model)):
         try:
             for _ in range(3):
                 here = model.on_ground(columns, noise, scale).about(columns)

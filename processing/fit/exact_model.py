@@ -1,32 +1,27 @@
 """A law's half-swing map as a least-squares model of amplitudes and times, at rest or on moving ground."""
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
-from itertools import islice
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import HalfSwings, OneHalfSwing, PendulumOnBall, tabulated_half_swing
-from processing.contact.laws import DEFAULT_LAW, DRAG, Law
+from processing.contact import PendulumOnBall
+from processing.contact.laws import DEFAULT_LAW, Law
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import AT_REST, Noise
 from processing.fit.ground_filter import GAINS, drive_filter
 from processing.fit.known_drive import KnownDrive
 from processing.fit.result import FitResult
+from processing.fit.swings_of_law import SwingsOfLaw
 from processing.fit.witnessed_columns import NOT_WITNESSED, WitnessedColumns
 from processing.periods import mean_period
 from processing.swing import TurningPoints
 
-_DOWN_THE_VALLEY, _PLACES = 6.0, 25
-"""How far down from the largest friction starts are looked for, as a logarithm, and how many are tried."""
-_MUCH_BETTER = 0.25
-"""Chi-square of the evidence, over that where a start lies, for which the start is moved."""
 _STEP = 3.0
 """Step of a derivative of the evidence, in what one column alone is uncertain by."""
 
@@ -113,9 +108,7 @@ class ExactModel:
         self._gains: Floats | None = None
         count = len(self.lower)
         self._beside = _Beside(np.zeros(count), np.zeros(0), np.zeros((0, count)))
-        # kept for the last parameters: searches begin and end where others have been; copies share them
-        self._tabulated: dict[bytes, OneHalfSwing] = {}
-        self._swung: dict[bytes, HalfSwings] = {}
+        self._swings = SwingsOfLaw(law, self._index, self._x)
 
     def curve(self, columns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Amplitude (in units of the reference), time (s), and the derivatives of both by the columns.
@@ -128,19 +121,11 @@ class ExactModel:
             nothing = np.full((len(self._x), len(columns)), np.nan)
             return nothing[:, 0], nothing[:, 0], nothing, nothing
         period0_s, first_time_s = parameters[-2:]
-        found = self._half_swings(parameters[:-2])
+        found = self._swings.at_the_points(parameters[:-2])
         amplitude_jacobian = found.amplitude_gradient @ matrix[:-2]
         time_jacobian = period0_s * (found.time_gradient @ matrix[:-2])
         time_jacobian += found.time[:, None] * matrix[-2] + matrix[-1]
         return found.amplitude, first_time_s + period0_s * found.time, amplitude_jacobian, time_jacobian
-
-    def _half_swings(self, parameters: Floats) -> HalfSwings:
-        """The law's map at the indices of the points."""
-        key = parameters.tobytes()
-        if key not in self._swung:
-            self._swung.clear()
-            self._swung[key] = self.law.half_swing_map(parameters, self._index)
-        return self._swung[key]
 
     def __call__(self, columns: Floats) -> tuple[Floats, Floats]:
         """Residuals divided by their standard uncertainties, and their derivatives by the columns."""
@@ -193,7 +178,7 @@ class ExactModel:
         Raises DataError if the law predicts no waveform there.
         """
         out = copy(self)
-        here = self._of_evidence(columns)
+        here = self.of_evidence(columns)
         jacobian = np.zeros((len(here), len(columns)))
         if len(here):
             # steps of some uncertainties that the points leave to each column if the others are known
@@ -205,7 +190,7 @@ class ExactModel:
                 step = float(steps[column])
                 moved = columns.copy()
                 moved[column] += step
-                jacobian[:, column] = (self._of_evidence(moved) - here) / step
+                jacobian[:, column] = (self.of_evidence(moved) - here) / step
         out._beside = _Beside(columns.copy(), here, jacobian, self._beside.scale)
         return out
 
@@ -223,7 +208,11 @@ class ExactModel:
         found = self.witnessed.gains(columns, covariance)
         return replace(self.evidence, drive=self.evidence.drive.with_gains(*found))
 
-    def _of_evidence(self, columns: Floats, more: Mapping[str, float] = MappingProxyType({})) -> Floats:
+    def of_evidence(self, columns: Floats, more: Mapping[str, float] = MappingProxyType({})) -> Floats:
+        """Residuals of the evidence as the law itself predicts it there, with further values of the waveform.
+
+        Raises DataError if it predicts none.
+        """
         if self.evidence == NO_EVIDENCE:
             return np.zeros(0)
         physical, _ = self.columns.physical(columns)
@@ -255,7 +244,7 @@ class ExactModel:
             matrix = np.column_stack([matrix, np.zeros(len(matrix))])
         count, held = len(self._x), gains is not None
         gains = np.zeros((count, GAINS)) if gains is None else gains
-        table = self._table(parameters)
+        table = self._swings.through_the_decay(parameters)
         if table is None:
             nothing = np.full((2 * count, matrix.shape[1]), np.nan)
             return Filtered(nothing[:, 0], nothing, nothing[:, :2].T, np.nan, gains)
@@ -304,29 +293,10 @@ class ExactModel:
 
         Raises DataError where the law does not swing so far.
         """
-        table = self._table(self.columns.map_parameters(columns)[0])
+        table = self._swings.through_the_decay(self.columns.map_parameters(columns)[0])
         if table is None:
             raise DataError("the pendulum would not swing for as long as it did")
         return table.amplitude, table.loss
-
-    def _table(self, parameters: Floats) -> OneHalfSwing | None:
-        """One half-swing at all amplitudes of the data; None if it cannot be had for these parameters."""
-        if not np.all(np.isfinite(parameters)):
-            return None
-        key = parameters[:-3].tobytes()
-        if key not in self._tabulated:
-            highest, lowest = 1.05 * float(self._x.max()), 0.9 * float(self._x.min())
-            count = int(1.1 * self._index[-1]) + 20
-            while True:
-                table = tabulated_half_swing(self.law.half_swing_map, parameters[:-2], highest, count)
-                reached = len(table.amplitude)
-                if reached < count or count > 4 * self._index[-1] or table.amplitude[-1] < lowest:
-                    break
-                count *= 2
-            self._tabulated.clear()
-            self._tabulated[key] = table
-        table = self._tabulated[key]
-        return table if len(table.amplitude) > 1 else None
 
     def by_amplitudes(self, columns: Floats, errors: Floats) -> Floats:
         """Changes (2 points, m) of the residuals where measured amplitudes grow by `errors` (points, m)."""
@@ -355,58 +325,6 @@ class ExactModel:
         out._measured = self._measured + np.array([np.zeros_like(errors_s), step * errors_s])
         return np.asarray((out(columns)[0] - self(columns)[0]) / step)
 
-    def starts(self) -> Iterator[Floats]:
-        """Start values for which the map reaches the last half-cycle, the most promising first.
-
-        Where none does, the first of each kind: a driven pendulum may swing for longer than any free one.
-        Where the waveform speaks against one, the place along the law's valley of friction and drag that it
-        likes best comes before.
-        """
-        usable: list[Floats] = []
-        others: list[Floats] = []
-        for attempts in self.columns.starts(self.points):
-            inside = [self._inside(attempt) for attempt in attempts]
-            reaching = (columns for columns in inside if np.all(np.isfinite(self(columns)[0])))
-            for columns in islice(reaching, 1):
-                if not usable:
-                    yield from self._by_waveform(columns)
-                usable.append(columns)
-                yield columns
-            others += inside[:1]
-        if not usable:
-            yield from others
-
-    def _by_waveform(self, columns: Floats) -> Iterator[Floats]:
-        """The same with as much friction in the place of drag as the evidence says, if it says otherwise."""
-        valley = self.columns.valley
-        if valley is None or self.evidence.waveform is None:
-            return
-        down = np.linspace(self.upper[valley] - _DOWN_THE_VALLEY, self.upper[valley], _PLACES)
-        found: list[tuple[float, Floats]] = []
-        for place in [float(columns[valley]), *down.tolist()]:
-            moved = columns.copy()
-            moved[valley] = place
-            with suppress(DataError):
-                if np.all(np.isfinite(self(moved)[0])):
-                    found.append((float(np.sum(self._of_evidence(moved) ** 2)), moved))
-        if not found:
-            return
-        best = min(found, key=lambda one: one[0])
-        if found[0][1] is not best[1] and best[0] < _MUCH_BETTER * found[0][0]:
-            yield self._inside(best[1])
-
-    def start_near(self, fit: "FitResult | None") -> Iterator[Floats]:
-        """The parameters of an earlier fit as a start, where the map then reaches the last half-cycle."""
-        if fit is None:
-            return
-        values = {DRAG.key: 0.0} | {name: fit.estimate(name).value for name in fit.names}
-        columns = self._inside(self.columns.from_physical(values))
-        if np.all(np.isfinite(self(columns)[0])):
-            yield columns
-
-    def _inside(self, columns: Floats) -> Floats:
-        return np.clip(columns, self.lower + 1e-9, self.upper - 1e-9)
-
     def by_loss(
         self, columns: Floats, loss: Callable[[Floats], Floats], values: Mapping[str, float]
     ) -> Floats:
@@ -415,8 +333,8 @@ class ExactModel:
         `values` are added to the law's own for the waveform that belongs to a size of 1.
         """
         of_points = self.filtered(columns, self._noise, self._gains, loss=loss).jacobian[:, -1]
-        before = self._of_evidence(columns)
-        after = self._of_evidence(columns, values)
+        before = self.of_evidence(columns)
+        after = self.of_evidence(columns, values)
         return np.concatenate([of_points, self.scale * (after - before)])
 
     def by_log_rho(self, columns: Floats) -> Floats:

@@ -11,6 +11,7 @@ from processing.estimate import Estimate
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
+from processing.fit.exact_starts import start_near, starts_of
 from processing.fit.result import FitResult
 from processing.least_squares import solve
 from processing.swing import TurningPoints
@@ -83,7 +84,7 @@ class WithoutLaw:
         known_s *= _stiffer(fit, self.fit.estimate("period0_s").value)
         held = Evidence(drag_s=_exactly(known_s)) if drag else NO_EVIDENCE
         model = ExactModel(swung.first(reached), self.pendulum, law=self.fit.law, drag=drag, evidence=held)
-        start = next(chain(model.start_near(self.fit), model.starts()))
+        start = next(chain(start_near(model, self.fit), starts_of(model)))
         model = model.about(start)
         solution = solve(model, start, lower=model.lower, upper=model.upper)
         values, _ = model.columns.physical(solution.values)

@@ -10,6 +10,7 @@ from processing.errors import DataError
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
+from processing.fit.exact_starts import starts_of
 from processing.fit.ground import Noise
 from processing.fit.result import FitResult
 from processing.least_squares import Solution, solve
@@ -30,7 +31,7 @@ def pulls(result: FitResult, parameters: ContactParameters) -> np.ndarray:
 def one_decay(points: TurningPoints, pendulum: PendulumOnBall) -> Solution:
     """Least squares to one free decay, every turning point with an error of its own."""
     model = ExactModel(points, pendulum)
-    return solve(model, next(model.starts()), lower=model.lower, upper=model.upper)
+    return solve(model, next(starts_of(model)), lower=model.lower, upper=model.upper)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -9,6 +9,7 @@ import pytest
 from processing.contact import AMPLITUDE, LAWS, TIME, Law, laws, moment_loop, weight_moment
 from processing.fit import fit_exact, identifiability
 from processing.fit.exact_model import ExactModel
+from processing.fit.exact_starts import starts_of
 from tests.processing.contact.laws.constant_moment import CONSTANT_MOMENT, constant_moment_decay
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 
@@ -46,7 +47,7 @@ def test_columns_stand_for_the_physical_values_and_back(name: str, calibrated: b
     parameters, pendulum = paper_pair("steel")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=5, last_arcsec=40)
     model = ExactModel(points, pendulum if calibrated else None, law=law)
-    start = next(model.starts())
+    start = next(starts_of(model))
     values, by_columns = model.columns.physical(start)
     back = model.columns.from_physical(dict(zip(model.names, values.tolist(), strict=True)))
     np.testing.assert_allclose(back, start, rtol=1e-9)
