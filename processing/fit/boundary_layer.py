@@ -14,6 +14,7 @@ from scipy.special import fdtrc
 from processing.contact import STEEPER_DRAG, PendulumOnBall
 from processing.estimate import Estimate
 from processing.fit.exact_model import ExactModel
+from processing.fit.exact_sensitivities import by_loss
 from processing.fit.result import FitResult
 from processing.fit.steeper import SteeperDrag
 from processing.least_squares import covariance_of
@@ -36,8 +37,8 @@ def steeper_drag(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fi
     per_unit = _UNIT / (model.reference**0.5 * rate**1.5)
     # a softer pendulum is slower by the root of its stiffness
     lost = _UNIT * _LOST * sqrt(period_s / period0_s)
-    more = model.by_loss(
-        columns, lambda x: np.asarray(lost * np.maximum(x, 0.0) ** 1.5), {STEEPER_DRAG: per_unit}
+    more = by_loss(
+        model, columns, lambda x: np.asarray(lost * np.maximum(x, 0.0) ** 1.5), {STEEPER_DRAG: per_unit}
     )
     residuals, jacobian = model(columns)
     both = np.column_stack([jacobian, more])

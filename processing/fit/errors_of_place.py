@@ -16,6 +16,7 @@ from processing.contact import PendulumOnBall
 from processing.fit.apparatus import RigQuantities
 from processing.fit.exact import fit_exact_with
 from processing.fit.exact_model import ExactModel
+from processing.fit.exact_sensitivities import by_amplitudes
 from processing.fit.result import FitResult
 from processing.least_squares import propagate
 from processing.swing import TurningPoints
@@ -56,7 +57,7 @@ def place_errors(
     model, columns = ExactModel.of(points, pendulum, fit)
     residuals, jacobian = model(columns)
     felt = np.max(np.abs(errors) / points.u_amplitude[:, None], axis=0) > _FELT
-    by_errors = -model.by_amplitudes(columns, errors[: fit.half_cycles][:, felt])
+    by_errors = -by_amplitudes(model, columns, errors[: fit.half_cycles][:, felt])
     good = np.isfinite(residuals) & np.isfinite(jacobian).all(axis=1) & np.isfinite(by_errors).all(axis=1)
     residuals, jacobian, by_errors = residuals[good], jacobian[good], by_errors[good]
     size = np.sqrt(np.sum(jacobian**2, axis=0))

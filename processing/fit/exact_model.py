@@ -298,51 +298,26 @@ class ExactModel:
             raise DataError("the pendulum would not swing for as long as it did")
         return table.amplitude, table.loss
 
-    def by_amplitudes(self, columns: Floats, errors: Floats) -> Floats:
-        """Changes (2 points, m) of the residuals where measured amplitudes grow by `errors` (points, m)."""
-        relative = errors / self.reference
-        unmoved = np.zeros((len(self._beside.residuals), relative.shape[1]))
-        if self._gains is None:
-            of_amplitudes = -relative / self._u[:, None]
-            return np.concatenate([of_amplitudes, np.zeros_like(of_amplitudes), unmoved])
+    def filtered_here(
+        self, columns: Floats, *, with_rho: bool = False, loss: Callable[[Floats], Floats] | None = None
+    ) -> Filtered:
+        """The filter with the noise and the weights of this model, see `on_ground`."""
+        return self.filtered(columns, self._noise, self._gains, with_rho=with_rho, loss=loss)
+
+    def beside_here(self, columns: Floats) -> tuple[Floats, Floats]:
+        """Residuals of the evidence as this model weighs them, and their derivatives by the columns."""
+        return self._beside(columns)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the residuals are distances from one free decay: the ground does not move."""
+        return self._gains is None
+
+    def measuring_more(self, amplitude: Floats, time_s: Floats) -> "ExactModel":
+        """The same model of points whose amplitudes, in units of the reference, and times are larger."""
         out = copy(self)
-        before = self(columns)[0]
-        changes = []
-        for change in relative.T:
-            out._measured = self._measured + np.array([change, np.zeros_like(change)])
-            changes.append(out(columns)[0] - before)
-        return np.asarray(changes, dtype=np.float64).T
-
-    def by_times(self, columns: Floats, errors_s: Floats) -> Floats:
-        """Changes (residuals,) for a unit of errors (points,) that measured times have more."""
-        unmoved = np.zeros(len(self._beside.residuals))
-        if self._gains is None:
-            of_times = -errors_s / self.points.u_time_s
-            return np.concatenate([np.zeros_like(of_times), of_times, unmoved])
-        out = copy(self)
-        # a small step: a filter with a limit is linear only there
-        step = 1e-3 * float(np.median(self.points.u_time_s)) / max(float(np.max(np.abs(errors_s))), 1e-300)
-        out._measured = self._measured + np.array([np.zeros_like(errors_s), step * errors_s])
-        return np.asarray((out(columns)[0] - self(columns)[0]) / step)
-
-    def by_loss(
-        self, columns: Floats, loss: Callable[[Floats], Floats], values: Mapping[str, float]
-    ) -> Floats:
-        """Derivatives of the residuals by the size of a further loss (see `filtered`).
-
-        `values` are added to the law's own for the waveform that belongs to a size of 1.
-        """
-        of_points = self.filtered(columns, self._noise, self._gains, loss=loss).jacobian[:, -1]
-        before = self.of_evidence(columns)
-        after = self.of_evidence(columns, values)
-        return np.concatenate([of_points, self.scale * (after - before)])
-
-    def by_log_rho(self, columns: Floats) -> Floats:
-        """Derivative of the fitted columns by ln(R/a), by linearised least squares."""
-        both = self.filtered(columns, self._noise, self._gains, with_rho=True).jacobian
-        beside = self._beside(columns)[1]
-        both = np.concatenate([both, np.column_stack([beside, np.zeros(len(beside))])])
-        return np.asarray(-np.linalg.lstsq(both[:, :-1], both[:, -1], rcond=1e-12)[0], dtype=np.float64)
+        out._measured = self._measured + np.array([amplitude, time_s])
+        return out
 
     @classmethod
     def of(

@@ -9,6 +9,7 @@ from processing.contact.laws import AMPLITUDE, DRAG, TIME
 from processing.fit.checks import OUTLIER, data_warnings, of_correlation, of_ground, of_limits, of_overstated
 from processing.fit.evidence import AIR, WAVEFORM
 from processing.fit.exact_model import ExactModel
+from processing.fit.exact_sensitivities import by_log_rho
 from processing.fit.ground import AT_REST, GroundFit
 from processing.fit.result import FitResult
 from processing.fit.whiteness import Whiteness, correlated_covariance, neighbours_covariance, whiteness
@@ -71,7 +72,7 @@ def result_of(
         arae_decay=_mean_of_finite(deviation),
         arae_period=_mean_of_finite(period_deviation),
         reference_rad=model.reference,
-        by_log_rho=to_physical @ model.by_log_rho(solution.values),
+        by_log_rho=to_physical @ by_log_rho(model, solution.values),
         mean_period_s=mean_period_estimate(points, chi2_per_dof),
         loss=loss,
         cost=solution.cost,

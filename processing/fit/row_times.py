@@ -18,6 +18,7 @@ from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.fit.exact_model import ExactModel
+from processing.fit.exact_sensitivities import by_times
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
 from processing.quantity import Quantity
@@ -101,7 +102,7 @@ def alternation_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: 
         raise DataError("the alternation of turning times is of an exact fit")
     model, columns = ExactModel.of(points, pendulum, fit)
     residuals, jacobian = model(columns)
-    by_delay = model.by_times(columns, sides(model.points) * model.points.amplitude)
+    by_delay = by_times(model, columns, sides(model.points) * model.points.amplitude)
     good = np.isfinite(residuals) & np.isfinite(jacobian).all(axis=1) & np.isfinite(by_delay)
     residuals, jacobian, by_delay = residuals[good], jacobian[good], by_delay[good]
     norm = np.linalg.norm(jacobian, axis=0)
