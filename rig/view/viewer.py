@@ -13,48 +13,29 @@ import os
 import shutil
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
-
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import ConfigurationError, RecordError
-from processing.estimate import Estimate
 from processing.spot import Spot, SpotFlag
-from processing.swing import Swing
 from processing.ticks import seconds
 from rig.instrument import Block, CameraClock, Phase, Snapshot
-from rig.presentation import Shown, balance_numbers, quantity
+from rig.presentation import balance_numbers
 from rig.rerun import (
-    BalanceNumbers,
-    ClockDrift,
-    Curve,
-    Estimates,
-    Fits,
-    Floats,
     LayoutName,
-    LogLevel,
-    LogLine,
-    Losses,
     Message,
     Mode,
-    Picture,
-    Properties,
-    ReferenceSamples,
-    Samples,
     Setup,
-    State,
-    Swings,
     Trouble,
 )
 from rig.view.feed import Feed
+from rig.view.shown_values import ShownValues
 from rig.view.state_text import empty_panels, state_text
 from rig.view.viewer_program import ViewerProgram
 
@@ -65,12 +46,6 @@ _GATHERED_NS = 50_000_000
 """Samples of a run that are passed on together."""
 _FULL_BYTES = 1 << 20
 """With less than this a disk is called full."""
-
-
-def _in_panel(key: str) -> Shown:
-    """A parameter as its panel shows it: the viewer's axes have no powers of ten, and c is some 10⁻⁸."""
-    shown = quantity(key)
-    return replace(shown, symbol="10⁹ c", factor=1e9 * shown.factor) if key == "c" else shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +67,12 @@ class ViewCounts:
     troubles: frozenset[Trouble]
 
 
-class Viewer:
+class Viewer(ShownValues):
     """Live stream and .rrd file of one run, drawn by separate processes.
 
-    It is a watcher of a run (`block`, `event`, `snapshot`), and takes plain values of a record
-    (`samples`, `swings` and so on). Every method except `close` and `wait_room` returns immediately
-    and may be called from any thread; arrays are copied. Without file and live stream nothing is
-    started and all data are ignored.
+    It is a watcher of a run (`block`, `event`, `snapshot`), and takes the plain values of `ShownValues`.
+    Every method except `close` and `wait_room` returns immediately and may be called from any thread; arrays
+    are copied. Without file and live stream nothing is started and all data are ignored.
 
     Parameters
     ----------
@@ -177,11 +151,9 @@ class Viewer:
         for name, value in (("period_s", period_s), ("amplitude", amplitude)):
             if not (math.isfinite(value) and value > 0):
                 raise ConfigurationError(f"{name} of the view must be positive, not {value!r}")
-        self._unit = unit
+        super().__init__(unit, parameters, full_scale_dn)
         self._image_interval_s = image_interval_s
-        self._full_scale_dn = full_scale_dn
         self._advise = advise
-        self._parameters = {key: _in_panel(key) for key in parameters}
         self._estimated_from = 0
         self._shown_clock = CameraClock()
         self._balanced = False
@@ -189,7 +161,6 @@ class Viewer:
         self._gathered: list[Deflections] = []
         self._flags: list[int] = []
         self._references: list[Spot] = []
-        self._reference_origin_px: dict[str, tuple[float, float]] = {}
         self._next_image_s = 0.0
         self._next_state_s = 0.0
         self._shown_phase: Phase | None = None
@@ -311,102 +282,11 @@ class Viewer:
         counts = {"dropped_frames": snapshot.dropped_frames, "lost_spots": snapshot.lost_spots}
         self.losses(snapshot.elapsed_s, counts)
 
-    # -- plain values ----------------------------------------------------------
-
-    def samples(
-        self, times_s: ArrayLike, x: ArrayLike, y: ArrayLike, flags: ArrayLike, *, run: str = ""
-    ) -> None:
-        """Deflections of one or many frames as shown, arrays of one length; NaN where the spot was lost."""
-        # a model that every spot of a run has is nothing that must be seen
-        copied_flags = np.array(flags, dtype=np.int64, ndmin=1) & ~int(SpotFlag.MULTIPLE | SpotFlag.LEARNED)
-        self._put(Samples(run, _floats(times_s), _floats(x), _floats(y), copied_flags))
-
-    def reference(
-        self, times_s: ArrayLike, x_px: ArrayLike, y_px: ArrayLike, lost: ArrayLike, *, run: str = ""
-    ) -> None:
-        """Positions of the reference spot in one or many frames; shown from where it was first found."""
-        gone = np.array(lost, ndmin=1) != 0
-        x, y = (np.where(gone, np.nan, _floats(values)) for values in (x_px, y_px))
-        found = np.flatnonzero(np.isfinite(x + y))
-        if run not in self._reference_origin_px:
-            if not len(found):
-                return
-            self._reference_origin_px[run] = (float(x[found[0]]), float(y[found[0]]))
-        origin_x, origin_y = self._reference_origin_px[run]
-        self._put(ReferenceSamples(run, _floats(times_s), x - origin_x, y - origin_y))
-
-    def swings(self, swings: Sequence[Swing], start_ns: int, *, run: str = "") -> None:
-        """Half-cycles of the slow mode at their turning points: amplitude and (whole) period."""
-        size = self._unit.shown_size
-        self._put(
-            Swings(
-                run,
-                seconds(np.array([swing.turn_time_ns for swing in swings]) - start_ns),
-                _floats([swing.amplitude / size for swing in swings]),
-                _floats([swing.u_amplitude / size for swing in swings]),
-                _floats([2.0 * swing.half_period_s for swing in swings]),
-                _floats([2.0 * swing.u_half_period_s for swing in swings]),
-            )
-        )
-
-    def balance(
-        self, time_s: float, numbers: Mapping[str, tuple[float, float]], *, advice: str = "", run: str = ""
-    ) -> None:
-        """Balance at one moment: value and standard uncertainty by name (see `balance_numbers`)."""
-        plain = {name: (float(value), float(u)) for name, (value, u) in numbers.items()}
-        self._put(BalanceNumbers(run, float(time_s), plain, advice))
-
-    def estimates(self, time_s: float, numbers: Mapping[str, Estimate]) -> None:
-        """The view's parameters at one moment, value and standard uncertainty by key, as stored."""
-        shown = {
-            key: (one.factor * numbers[key].value, one.factor * numbers[key].standard_uncertainty)
-            for key, one in self._parameters.items()
-            if key in numbers
-        }
-        if shown:
-            self._put(Estimates("", float(time_s), shown))
-
-    def clock(self, time_s: float, drift_ppm: float, u_drift_ppm: float, *, run: str = "") -> None:
-        """Rate of the camera's clock against the computer's, less 1, with its standard uncertainty."""
-        self._put(ClockDrift(run, float(time_s), float(drift_ppm), float(u_drift_ppm)))
-
-    def image(
-        self,
-        time_s: float,
-        image: NDArray[np.uint8] | NDArray[np.uint16],
-        spot_px: tuple[float, float] = (math.nan, math.nan),
-        *,
-        run: str = "",
-    ) -> None:
-        """Camera image (ny, nx) and the spot (x, y) in it; at most ten a second of the run are drawn."""
-        full = self._full_scale_dn or int(np.iinfo(image.dtype).max)
-        x_px, y_px = spot_px
-        # A camera's frames are read-only and never written to again; anything else is copied.
-        held = image.copy() if image.flags.writeable else image
-        self._put(Picture(run, float(time_s), held, float(x_px), float(y_px), full))
-
-    def losses(self, time_s: float, counts: Mapping[str, int], *, own: bool = True, run: str = "") -> None:
-        """Losses since the start by name, e.g. ``dropped_frames``; with the view's `own`."""
-        view = {"view_dropped": self.counts.dropped} if own else {}
-        self._put(Losses(run, float(time_s), {**counts, **view}))
-
-    def state(self, text: str, *, time_s: float = math.nan, run: str = "") -> None:
-        """State of the session, in Markdown; default of the time: the latest one."""
-        self._put(State(run, float(time_s), text))
-
-    def log(self, time_s: float, level: LogLevel, text: str, *, kind: str = "", run: str = "") -> None:
-        """One line of the log; `kind` is that of an event."""
-        self._put(LogLine(run, float(time_s), level, text, kind))
-
-    def fits(self, curves: Sequence[Curve], text: str = "", *, run: str = "") -> None:
-        """Curves of the analysing layout and the report's text (Markdown)."""
-        self._put(Fits(run, tuple(curves), text))
-
-    def properties(self, values: Mapping[str, float | str]) -> None:
-        """What is known of the whole run, by name."""
-        self._put(Properties(dict(values)))
-
     # -- how it fares --------------------------------------------------------------
+
+    @property
+    def _dropped(self) -> int:
+        return self.counts.dropped
 
     @property
     def counts(self) -> ViewCounts:
@@ -474,7 +354,3 @@ class Viewer:
         if note not in self._notes:
             self._notes[note] = trouble
             logger.warning("%s", note)
-
-
-def _floats(values: ArrayLike) -> Floats:
-    return np.array(values, dtype=np.float64, ndmin=1)
