@@ -63,6 +63,8 @@ def test_a_crate_is_described_proved_and_read_again(archive: Path, tmp_path: Pat
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
+# the validator's own use of rdflib
+@pytest.mark.filterwarnings("ignore:ConjunctiveGraph is deprecated:DeprecationWarning")
 def test_a_crate_is_what_its_profile_asks(
     archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
