@@ -23,7 +23,7 @@ without memory that has the same turning points.
 from collections.abc import Callable, Mapping
 from functools import partial
 from math import log
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -50,6 +50,21 @@ _BEYOND = 1.08
 """How far the splines reach beyond the first amplitude."""
 _PER_KNOT, _FINE = 12, 40
 """Amplitudes of `grid`, and points at which works are tabulated, between two knots."""
+
+
+class TabulatedMoments(Protocol):
+    """Friction and elastic moment over the amplitudes of one decay, as `MomentSplines` has them: functions
+    with a last axis of coefficients.
+    """
+
+    grid: Floats
+    lost: Floats
+    stored: Floats
+
+    def friction(self, x: Floats) -> Floats: ...
+    def elastic(self, x: Floats) -> Floats: ...
+    def friction_work(self, x: Floats) -> Floats: ...
+    def elastic_work(self, x: Floats) -> Floats: ...
 
 
 class MomentSplines:
@@ -156,7 +171,7 @@ class _Quarters(NamedTuple):
 
 
 def _quarters(
-    splines: MomentSplines, of_friction: Floats, of_elastic: Floats, drag: float, sign: float
+    splines: TabulatedMoments, of_friction: Floats, of_elastic: Floats, drag: float, sign: float
 ) -> _Quarters:
     nodes = quarter_nodes()
     without = 1 - splines.stored @ of_elastic - sign * (splines.lost @ of_friction)
@@ -176,7 +191,7 @@ def _quarters(
 
 
 def _turning(
-    splines: MomentSplines,
+    splines: TabulatedMoments,
     energy: Floats,
     of_friction: Floats,
     of_elastic: Floats,
@@ -201,7 +216,9 @@ def _turning(
     return np.where(x > lowest, x, np.nan)
 
 
-def _table(splines: MomentSplines, of_friction: Floats, of_elastic: Floats, drag: float) -> SwingTable | None:
+def swing_table(
+    splines: TabulatedMoments, of_friction: Floats, of_elastic: Floats, drag: float
+) -> SwingTable | None:
     """Half-swings from the amplitudes of the grid; None where the pendulum sticks."""
     from scipy.interpolate import CubicSpline  # here, because it would slow down every command
 
@@ -255,7 +272,7 @@ def _half_swings(splines: MomentSplines, parameters: Floats, index: Ints) -> Hal
     in_units = np.ones(last + 1)
     in_units[[*range(count), last]] = parameters[-2] / splines.unit_rad
     scaled = parameters * in_units
-    table = _table(splines, scaled[:count], scaled[count:-3], float(scaled[-3]))
+    table = swing_table(splines, scaled[:count], scaled[count:-3], float(scaled[-3]))
 
     def table_from(amplitude: float) -> SwingTable | None:
         return table if table is not None and amplitude >= table.lowest else None

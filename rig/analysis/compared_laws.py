@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from processing.angle import ARCSEC_RAD
-from processing.contact import PendulumOnBall
+from processing.contact import PendulumOnBall, StatedLaw
 from processing.contact.laws import DEFAULT_LAW, LAWS, Law
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, FitResult, LawComparison, compare_laws, fit_without_law
@@ -38,12 +38,14 @@ def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
     return tuple(law for law in LAWS.values() if law is DEFAULT_LAW or {law.name, "all"} & set(names))
 
 
-def laws_of(run: AnalysedRun, laws: Iterable[Law]) -> ComparedLaws | None:
+def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws | None:
     """Fit the laws to the turning points of a fitted run; None where it has no fit."""
     exact, pendulum = run.fits.get(FitMethod.EXACT), run.results.pendulum
     if exact is None or pendulum is None:
         return None
-    compared = compare_laws(run.points, pendulum, laws, like=exact)
+    like = dict(zip(exact.names, exact.values.tolist(), strict=True))
+    made = [law.of(run.points, pendulum, like) if isinstance(law, StatedLaw) else law for law in laws]
+    compared = compare_laws(run.points, pendulum, made, like=exact)
     free = _without_law(run.points, pendulum, compared, exact)
     remaining = [trial.law.name for trial in compared.remaining]
     values = _values(compared)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.digest import known_sha256_of_any
+from processing.contact import StatedLaw
 from processing.contact.laws import Law
 from processing.decay_summary import DecaySummary, summarise_decay
 from processing.deflections import DeflectionUnit, slow_deflections
@@ -66,21 +67,22 @@ def analyse_table(
     config: Configuration | None,
     columns: TableColumns,
     witness: WitnessRecord | None = None,
+    laws: Sequence[Law | StatedLaw] = (),
 ) -> AnalysedTable:
     """Detect the swings of a trajectory, separate its decays, and report each as a run of the rig.
 
     Two positions are first turned onto the direction of the larger motion. The contact's laws are fitted
-    where unit and pendulum allow, with a `witness` of the ground where there is one. Raises DataError where
-    no decay can be had, with the reason.
+    where unit and pendulum allow, and others beside it, with a `witness` of the ground where there is one.
+    Raises DataError where no decay can be had, with the reason.
     """
-    return analyse_trajectory(path, columns.read(path), config, witness=witness)
+    return analyse_trajectory(path, columns.read(path), config, laws, witness)
 
 
 def analyse_trajectory(
     path: Path,
     trajectory: Trajectory,
     config: Configuration | None,
-    laws: Sequence[Law] = (),
+    laws: Sequence[Law | StatedLaw] = (),
     witness: WitnessRecord | None = None,
 ) -> AnalysedTable:
     """The same of positions that were read before, from a table or a film; `laws` are compared where one is
@@ -181,7 +183,7 @@ def _analyse(
     deflection: NDArray[np.float64],
     noise: float,
     config: Configuration | None,
-    laws: Sequence[Law],
+    laws: Sequence[Law | StatedLaw],
     witness: WitnessRecord | None,
 ) -> FoundDecay:
     """One decay, by the same path as a record's."""

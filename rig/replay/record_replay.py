@@ -113,7 +113,7 @@ def replay_record(
             run = replace(run, results=found)
     results = session_results([run], output or record.parent)
     if results.runs[0].sealed is None:
-        _say_differences(record, replay, result, run, partial=partial)
+        _say_differences(record, replay, result, run, partial=partial, retracked=retrack)
     print_results(results, [])
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
@@ -184,7 +184,7 @@ def _view(
 
 
 def _say_differences(
-    record: Path, replay: Replay, result: Replayed, run: AnalysedRun, *, partial: bool
+    record: Path, replay: Replay, result: Replayed, run: AnalysedRun, *, partial: bool, retracked: bool
 ) -> None:
     """Print differences from the recorded spots, half-cycles and fitted parameters."""
     if replay.sought:
@@ -194,7 +194,7 @@ def _say_differences(
         )
         return
     answer(comparison=result.comparison)
-    print_comparison(result.comparison, partial=partial)
+    print_comparison(result.comparison, partial=partial, retracked=retracked)
     if partial:
         return
     source, known = recorded_results(record, run.results.sha256)

@@ -13,6 +13,8 @@ from rig.replay.comparison import Change, ReplayDifferences
 _PLAIN_INTERVAL_S = 5.0
 _LINE_INTERVAL_S = 0.1
 _ERASE = "\r\x1b[K"
+_OF_ROUNDING_U = 0.01
+"""Largest change, in standard uncertainties, that is put down to rounding."""
 _EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
 
 
@@ -86,7 +88,7 @@ class ReplayLine:
         return begin + "".join((texts[0], *texts[2:4], texts[1], texts[4]))
 
 
-def print_comparison(comparison: ReplayDifferences, *, partial: bool) -> None:
+def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked: bool = False) -> None:
     """Print one line if nothing differs, else a short table of spots and half-cycles."""
     if comparison.identical:
         flagged = comparison.swings_flagged
@@ -113,6 +115,12 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool) -> None:
         rows.append([name, *map(str, counts), _largest(change_u, where, once, counts[-1])])
     head = ("", "recorded", "replayed", "changed", "largest change")
     print_tables([Table("comparison", "", head, rows, head, rows)])
+    if retracked and not found.spots_once and 0 < found.largest_spot_change_u < _OF_ROUNDING_U:
+        # each fit starts at the spot of the frame before, which carries the last digits on
+        print_line(
+            "the spots agree: pixels of a window are counted from another corner than those of the whole "
+            "frame, so that sums are rounded differently"
+        )
     if partial:
         say(
             "half-cycles of a part differ in any case: they are numbered from its beginning, "

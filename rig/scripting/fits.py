@@ -2,16 +2,22 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from processing.contact import DEFAULT_LAW, Law, Moment, StatedLaw
 from processing.errors import ConfigurationError
 from rig.analysis import (
+    ModelCurve,
+    RunResults,
     SessionResults,
     StatedWitness,
     TableColumns,
     TableResults,
     analyse_record,
     analyse_table,
+    laws_of,
+    model_curves,
     session_results,
 )
 from rig.scripting.record import Record
@@ -26,6 +32,8 @@ def fit(
     overrides: Mapping[str, object] | None = None,
     *,
     witness: str | Path | None = None,
+    law: Moment | None = None,
+    elastic: Moment | None = None,
 ) -> SessionResults:
     """Fit the contact laws to one or more records, or evaluate them as the kind of pendulum requires.
 
@@ -37,6 +45,13 @@ def fit(
         Changes of the recorded configuration for this fit, by dotted key: ``{"fit.drag": True}``.
     witness
         What a seismometer or tiltmeter recorded beside the runs: CSV, miniSEED or SAC.
+    law
+        A friction of your own, ``f(phi_rad, c=1e-8, k=6e-3)``: its moment against the motion over m g R at
+        angles above 0 (an array), and parameters whose defaults are where the fit begins. It is fitted beside
+        the paper's law, with the same drag and ground, and compared with it: ``results.runs[0].laws``.
+    elastic
+        With `law`: the elastic moment in the direction of phi, likewise; None: that of Eq. 3, whose n and
+        gamma are fitted.
 
     Returns
     -------
@@ -53,7 +68,38 @@ def fit(
     several = [source] if isinstance(source, str | Path | Record | Session) else source
     ground = None if witness is None else StatedWitness(Path(witness)).read()
     runs = [analyse_record(path, changes, witness=ground) for one in several for path in _paths(one)]
+    if laws := _laws(law, elastic):
+        runs = [replace(run, results=replace(run.results, laws=laws_of(run, laws))) for run in runs]
     return session_results(runs, Path.cwd())
+
+
+def curves(
+    run: RunResults, law: Moment | None = None, elastic: Moment | None = None
+) -> Mapping[str, ModelCurve]:
+    """Measured and fitted amplitudes and times of every turning point, by fit and law.
+
+    Parameters
+    ----------
+    run
+        A run of results, or a fitted table; nothing is fitted again.
+    law, elastic
+        Those with which `fit` was called: results hold the values of their parameters, not the functions.
+
+    Raises
+    ------
+    RigError
+        The run was not fitted, or not with this law.
+    """
+    stated = _laws(law, elastic)
+    return model_curves(run, StatedLaw(law, elastic) if stated and law is not None else None)
+
+
+def _laws(law: Moment | None, elastic: Moment | None) -> tuple[Law | StatedLaw, ...]:
+    if law is None:
+        if elastic is not None:
+            raise ConfigurationError("elastic: has no effect without law, the friction beside it")
+        return ()
+    return DEFAULT_LAW, StatedLaw(law, elastic)
 
 
 def _paths(source: Recorded) -> list[Path]:
@@ -76,6 +122,8 @@ def fit_table(
     time_unit: str = "",
     run: str = "",
     witness: str | Path | None = None,
+    law: Moment | None = None,
+    elastic: Moment | None = None,
 ) -> TableResults:
     """Determine decay and period from a table of positions of any instrument, and fit the contact laws.
 
@@ -97,6 +145,8 @@ def fit_table(
         Which of the runs, where the file holds several.
     witness
         What a seismometer or tiltmeter recorded beside the decays, as for `fit`; needs a configuration.
+    law, elastic
+        Moments of your own, as for `fit`; need a configuration.
 
     Returns
     -------
@@ -111,9 +161,11 @@ def fit_table(
     """
     if witness is not None and configuration is None:
         raise ConfigurationError("witness: has no effect without configuration, which gives the pendulum")
+    if law is not None and configuration is None:
+        raise ConfigurationError("law: has no effect without configuration, which gives the pendulum")
     ground = None if witness is None else StatedWitness(Path(witness)).read()
     config = None
     if configuration is not None:
         config = load_configuration(Path(configuration), needs_camera=False)
     columns = TableColumns(time, tuple(positions), unit, time_unit, run=run)
-    return analyse_table(Path(path), config, columns, ground).results
+    return analyse_table(Path(path), config, columns, ground, _laws(law, elastic)).results

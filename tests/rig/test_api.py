@@ -39,6 +39,11 @@ def test_every_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) ->
     assert set(names["record"].events()["kind"]) >= {"start", "stop"}
     assert names["b"].value == pytest.approx(0.03, rel=0.02)
     assert names["table"].fits["exact"].parameters["p"].value == pytest.approx(0.944, rel=0.01)
+    assert np.sqrt(np.mean(names["pull"] ** 2)) == pytest.approx(1, abs=0.6)
+    assert len(names["half_period_s"][0]) == len(names["exact"].index) - 1
+    assert set(names["laws"].laws) == {"paper", "proportional"}
+    assert names["laws"].laws["proportional"].parameters["k"].value == pytest.approx(0.05, rel=0.4)
+    assert np.all(np.isfinite(names["own_curve"].amplitude_residual_rad))
     reread = rig.read_results(folder / "robust.json")
     assert reread.runs[0].fits["exact"].parameters == names["again"].runs[0].fits["exact"].parameters
 

@@ -68,7 +68,9 @@ class FilesCamera:
         except DeviceError as error:
             raise DeviceError(f"camera.files.path: {error}") from None
         if source.lossy:
-            _log.warning("%s: %s as a rule loses detail; spot positions suffer from it", path, source.lossy)
+            _log.warning(
+                "%s: the codec %s usually loses detail, at the expense of the positions", path, source.lossy
+            )
         for line in source.said:
             _log.warning("%s: %s", path, line)
         self.lossy = source.lossy

@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 _LOSSLESS: Final = (
     "ffv1", "huffyuv", "ffvhuff", "rawvideo", "v210", "v410", "v308", "v408", "r210", "r10k", "png", "tiff",
     "bmp", "utvideo", "magicyuv", "qtrle", "zlib", "zmbv", "lagarith", "gif", "pgm", "pgmyuv", "ppm", "y41p",
-    "yuv4", "targa", "dpx",
+    "yuv4", "targa", "dpx", "apng", "sgi", "pam", "pbm", "exr", "fits",
 )  # fmt: skip
 _STRICT: Final = {"err_detect": "crccheck+bitstream+buffer+explode", "ec": "0"}
 _FAR: Final = 1 << 62

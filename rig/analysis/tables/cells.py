@@ -115,8 +115,8 @@ def _cells(
     width, count = widths.most_common(1)[0] if widths else (0, 0)
     if count < 2:
         raise DataError(
-            f"{path}: holds {count} rows of numbers; a table of time and position is expected "
-            "(separated by tabs, commas, semicolons or spaces)"
+            f"{path}: holds {count} row{'' if count == 1 else 's'} of numbers; a table of time and position "
+            "is expected (separated by tabs, commas, semicolons or spaces)"
         )
     fewest = min(2, width)
     first = next(

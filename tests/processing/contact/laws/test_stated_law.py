@@ -1,0 +1,62 @@
+"""A law stated as a function: the paper's own is fitted as the paper's, on ground and in air, too."""
+
+import numpy as np
+import pytest
+
+from processing.contact import DEFAULT_LAW, StatedLaw
+from processing.errors import DataError
+from processing.fit import fit_exact
+from tests.processing.fit.decays import decay, paper_pair
+
+
+def eq1(phi_rad, c=1e-8, b=4e-3, p=0.95):  # type: ignore[no-untyped-def]
+    """Friction of the paper."""
+    return c + b * phi_rad**p
+
+
+@pytest.mark.parametrize("drag", [False, True])
+def test_the_papers_law_as_a_function_is_fitted_as_the_papers(drag: bool) -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=20)
+    paper = fit_exact(points, pendulum, drag=drag)
+    like = dict(zip(paper.names, paper.values.tolist(), strict=True))
+    own = fit_exact(points, pendulum, law=StatedLaw(eq1).of(points, pendulum, like), drag=drag)
+    near = 0.3 if drag else 0.02  # without the waveform friction and drag share a flat valley
+    for name in DEFAULT_LAW.names(drag=drag):
+        theirs, ours = paper.estimate(name), own.estimate(name)
+        assert ours.value == pytest.approx(theirs.value, abs=near * theirs.standard_uncertainty)
+        assert ours.standard_uncertainty == pytest.approx(theirs.standard_uncertainty, rel=near)
+
+
+def test_an_elastic_moment_of_ones_own_is_that_of_a_shorter_period() -> None:
+    """One in proportion to the angle is gravity's: with half a per cent of it taken, T0 is as much longer."""
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=20)
+    like = {"period0_s": 4.07}
+    periods = []
+    for share in (0.0, 0.005):
+        law = StatedLaw(eq1, lambda phi_rad, e=1e-3, share=share: (share + e) * phi_rad)
+        index = np.arange(5)
+        own = np.array([1e-8, 4e-3, 0.95, 0.0, share])
+        made = law.of(points, pendulum, like)
+        periods.append(made.half_swing_map(np.array([*own, 0.0, 2e-4, 1.5]), index).time[-1])
+    # e and share are both parameters: the second is 0 in the first law
+    assert periods[1] / periods[0] == pytest.approx((1 - 0.005) ** -0.5, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("friction", "said"),
+    [
+        (lambda phi_rad, k: k * phi_rad, "no number where the fit begins"),
+        (lambda phi_rad: phi_rad, "at least one parameter"),
+        (lambda phi_rad, n=1.0: n * phi_rad, "one of Eq. 3"),
+        (lambda phi_rad, k=1.0: k * phi_rad[:2], "one for each angle"),
+        (lambda phi_rad, k=np.inf: k * phi_rad, "no number where the fit begins"),
+        (lambda phi_rad, period0_s=1.0: phi_rad, "name it otherwise"),
+    ],
+)
+def test_what_is_no_law_is_told(friction, said: str) -> None:  # type: ignore[no-untyped-def]
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=60)
+    with pytest.raises(DataError, match=said):
+        StatedLaw(friction).of(points, pendulum, {"period0_s": 4.0, "n": 0.1, "gamma_pa": 3e7})
