@@ -64,6 +64,7 @@ CONTENTS = {
     "Reference": [
         "docs/reference/commands",
         "docs/reference/configuration",
+        "docs/reference/cameras",
         "docs/reference/results",
         "docs/record",
         "docs/reference/archive",
