@@ -80,7 +80,7 @@ def settlement(
     doubt = (
         f"the turning points stand as detected ({reason}): measured again on the fitted motion they would "
         f"move by {shift.time:.2g} standard uncertainties in time and {shift.amplitude:.2g} in amplitude; "
-        "the uncertainties hold that"
+        "the uncertainties allow for it"
     )
     return Settlement(widened(swings, shift), None, None, doubt)
 

@@ -5,13 +5,20 @@ from math import isfinite
 
 from processing.contact import DRAG
 from processing.estimate import Determinacy, Estimate
-from processing.fit import WAVEFORM, BaseMotion, Drag, DragFinding, FitMethod, Ground
+from processing.fit import WAVEFORM, BaseMotion, Determination, Drag, DragFinding, FitMethod, Ground
+from rig.analysis.determined import bound_text
 from rig.analysis.headline import drag_headline, headline
 from rig.analysis.limits import whole_result
 from rig.analysis.results import RunResults
 from rig.analysis.witnessed_fits import witness_sentences
 from rig.presentation import plain, quantity, with_uncertainty
 
+_FOUND = {
+    DragFinding.SEEN: "The decay shows a linear drag",
+    DragFinding.NEGATIVE: "A negative drag would describe the decay best, so that the model lacks something",
+    DragFinding.UNSEEN: "No linear drag is seen",
+    DragFinding.OPEN: "This decay cannot distinguish a drag from friction",
+}
 _MUCH = 1.5
 """Factor by which the ground enlarges an uncertainty, from which on it is named."""
 
@@ -32,7 +39,11 @@ def remarks(run: RunResults) -> list[str]:
         pairs = run.strong_correlations
         names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
         lines.append(f"Strongly correlated in this run: {names}.".replace("-", "−"))
-    lines += [f"{item.text}." for item in run.identifiability if item.verdict is not Determinacy.DETERMINED]
+    lines += [
+        f"{quantity(item.name).symbol} is not determined: {_bound(item)}."
+        for item in run.identifiability
+        if item.verdict is not Determinacy.DETERMINED
+    ]
     return [*lines, *run.notes]
 
 
@@ -47,9 +58,9 @@ def brief_remarks(run: RunResults) -> list[str]:
     result = whole_result(run)
     steps = "; ".join(result.next_steps)
     if steps and result.symbol:
-        lines.append(f"What limits {result.symbol}: {result.limits[0].name}. Next: {steps}.")
+        lines.append(f"{result.symbol} is limited by: {result.limits[0].name}. To improve it: {steps}.")
     elif steps:
-        lines.append(f"{result.text}. Next: {steps}.")
+        lines.append(f"{result.text}. To improve it: {steps}.")
     return list(filter(None, lines))
 
 
@@ -81,6 +92,11 @@ def _density(found: Estimate, upper_95: float, unit: str, seen: bool) -> str:
     return f"{with_uncertainty(*found)} {unit}" if seen else f"below {plain(upper_95, 2)} {unit} (95 %)"
 
 
+def _bound(item: Determination) -> str:
+    shown = quantity(item.name)
+    return f"{bound_text(item, shown.factor)} {shown.unit}".rstrip()
+
+
 def _cost(ground: Ground) -> str:
     """What the ground adds to the uncertainties, and what would help; nothing where it adds little."""
     widened = {name: factor for name, factor in ground.widening.items() if factor > _MUCH}
@@ -91,7 +107,7 @@ def _cost(ground: Ground) -> str:
         for name, factor in sorted(widened.items(), key=lambda item: -item[1])
     )
     return (
-        f" It limits what is known: uncertainties are larger than on ground at rest by factors of {listed}. "
+        f" Because of it uncertainties are larger than on ground at rest, by factors of {listed}. "
         "A finer balance, a quieter hour, a higher start or more runs would help."
     )
 
@@ -105,32 +121,34 @@ def _worth_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
         f"{quantity(name).symbol} {plain(one, 2)}" if isfinite(one) else f"{quantity(name).symbol} open"
         for name, one in sorted(gained.items(), key=lambda item: -item[1])
     )
-    return f"Without the waveform of the swing uncertainties would be larger by factors of {listed}."
+    return f"Without the waveform of the swing the uncertainties would be larger, by factors of {listed}."
 
 
 def _drag_sentence(drag: Drag) -> str:
     """What the data say of a drag, and whose value stands where they say nothing."""
     shown = quantity("drag_s")
     by_b, by_c = (f"{100 * shift:+.3g} %" for shift in (drag.relative_shift_b, drag.relative_shift_c))
-    moved = f"with it b moves by {by_b} and c by {by_c}"
+    moved = f"it changes b by {by_b} and c by {by_c}"
     match drag.finding:
         case DragFinding.SEEN:
             said = f"{shown.text(*drag.drag_s)} s; {moved}"
         case DragFinding.OPEN if _by_the_data(drag):
             said = (
-                f"they bound it to less than {plain(drag.upper_95_s, 2)} s (95 %), and its doubt, "
-                f"{shown.text(*drag.of_data_s)} s, is in every uncertainty; {moved}"
+                f"it is below {plain(drag.upper_95_s, 2)} s (95 %), and what is left open, "
+                f"{shown.text(*drag.of_data_s)} s, is part of every uncertainty; {moved}"
             )
         case DragFinding.OPEN if drag.known_s is not None:
             said = (
-                f"it is what is known of the air, {shown.text(*drag.known_s)} s, whose doubt is in every "
-                f"uncertainty; {moved}"
+                f"the drag expected of the air is taken, {shown.text(*drag.known_s)} s, whose uncertainty is "
+                f"part of every other; {moved}"
             )
         case DragFinding.OPEN:
-            said = f"{shown.text(*drag.drag_s)} s; state what is known of the air (fit.drag)"
+            said = f"{shown.text(*drag.drag_s)} s; state what you know of the air (fit.drag)"
         case _:
-            said = f"{shown.text(*drag.of_data_s)} s, chance {plain(drag.p_value, 2)}"
-    return f"{drag.finding.capitalize()}: {said}.".replace("-", "−")
+            said = (
+                f"{shown.text(*drag.of_data_s)} s, with a probability of {plain(drag.p_value, 2)} by chance"
+            )
+    return f"{_FOUND[drag.finding]}: {said}.".replace("-", "−")
 
 
 def _by_the_data(drag: Drag) -> bool:

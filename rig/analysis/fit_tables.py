@@ -86,7 +86,7 @@ def whole_table(run: RunResults) -> Table:
         "Parameters of the contact, exact fit",
         ("parameter", "value", "standard_uncertainty"),
         rows if any(row[-1] for row in shown) else (),
-        ("", "value", "unit", "of its variance"),
+        ("", "value", "unit", "main sources of its variance"),
         shown,
         "Value ± standard uncertainty of swings and apparatus together.",
     )

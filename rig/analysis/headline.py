@@ -40,9 +40,8 @@ def drag_headline(drag: Drag | None, *, fitted: bool) -> str:
     if drag is None or not drag.significant:
         return ""
     shift = f"{100 * drag.relative_shift_b:+.3g} %".replace("-", "−")
-    return (
-        f"A drag of {shown.text(*drag.drag_s)} s is seen, the air's; with it b is {shift} off a fit without."
-    )
+    seen = f"The drag of the air is seen, {shown.text(*drag.drag_s)} s"
+    return f"{seen}; a fit without it has another b, by {shift}."
 
 
 def headline(budget: Mapping[str, Budget], verdicts: Mapping[str, Determination]) -> str:
@@ -52,4 +51,5 @@ def headline(budget: Mapping[str, Budget], verdicts: Mapping[str, Determination]
         return ""
     shown = quantity(SURFACE_ENERGY)
     text = f"{shown.symbol} = {shown.text(item.value, item.standard_uncertainty)} {shown.unit}"
-    return f"{text} with the whole budget, swings and apparatus; of its variance: {dominant_text(item)}."
+    sources = f"main sources of its variance: {dominant_text(item)}"
+    return f"{text} with the whole budget, swings and apparatus; {sources}."

@@ -13,10 +13,10 @@ from rig.presentation import SOURCES, quantity
 _SHOWN_SHARE = 0.02
 _LIMITS_FROM = 0.25
 _DO: Final[Mapping[str, str]] = {
-    "swings": "measure longer or more often: state more runs",
-    "ground": "measure while the ground is quieter, or record a witness of it (rig fit --witness)",
-    "misfit": "look in the report how far the law misses the decay, and compare the laws",
-    "position_errors": "map the sensor's errors of position",
+    "swings": "measure longer, or make more runs (--runs)",
+    "ground": "measure while the ground is quieter, or record it beside the run (rig fit --witness)",
+    "misfit": "see in the report where the law misses the decay, and compare laws (rig fit --law all)",
+    "position_errors": "correct the sensor's errors of position",
     "ageing": "wait until the contact has settled, or state its history",
     "period_drift": "let the temperature settle before the next run",
 }
@@ -50,7 +50,7 @@ class WholeResult(NamedTuple):
     def next_steps(self) -> list[str]:
         """What to do about each of the sources that make most of the uncertainty."""
         large = [one for one in self.limits if one.share >= _LIMITS_FROM]
-        return [_DO.get(one.source, f"know {one.name} better") for one in large]
+        return [_DO.get(one.source, f"determine {one.name} more accurately") for one in large]
 
 
 def whole_result(run: RunResults, of_series: Mapping[str, Budget] | None = None) -> WholeResult:

@@ -260,7 +260,7 @@ def _changes(summary: DecaySummary) -> list[str]:
             )
             said.append(
                 f"the {name} is not constant (chi2/dof of a constant one {mean.chi2_per_dof:.3g}){ends}; the "
-                "uncertainty of its mean holds that"
+                "uncertainty of its mean allows for it"
             )
     return said
 

@@ -59,7 +59,7 @@ def video(
     ] = False,
     dark: Annotated[
         bool | None,
-        typer.Option("--dark/--bright", help="What swings is darker than its ground, or brighter."),
+        typer.Option("--dark/--bright", help="What swings is darker than its background, or brighter."),
     ] = None,
     begin: Annotated[float | None, typer.Option("--from", help="Use it from here on, in s.")] = None,
     end: Annotated[float | None, typer.Option("--to", help="Use it up to here, in s.")] = None,

@@ -113,6 +113,11 @@ def _instead_of(path: Path) -> str:
         "": "; a name with spaces stands in quotes",
         ".toml": "; rig init writes a configuration",
     }.get(path.suffix.lower(), "")
+    if path.suffix.lower() == ".toml":
+        from rig.settings import shipped_names
+
+        if path.stem in shipped_names():
+            how = f"; rig init --example {path.stem} writes {path.name} here"
     if not path.parent.is_dir():
         return f"; there is no folder {path.parent}{how}"
     try:

@@ -85,7 +85,7 @@ def ageing_table(planned: AgeingPlan) -> Table:
             f"u({symbol}), any ageing", "u(ageing)",
         ),
         shown,
-        "Friction that grows or falls evenly, by a rate of which nothing is known beside these runs, each of "
-        f"which has its own period. {symbol} is that of the middle of the time. Contact and air are "
-        "the same: air that changes is taken for age.",
+        "For friction that changes linearly with time, at a rate known from these runs alone, each of which "
+        f"has its own period. {symbol} refers to the middle of the time. A change of the air cannot be told "
+        "from ageing.",
     )  # fmt: skip

@@ -13,7 +13,7 @@ from processing.errors import DataError
 from processing.fit import Conditions, FitMethod, PlannedRun, planned_run
 from rig.analysis import AnalysedRun
 from rig.plan.expected import Expected
-from rig.presentation import Cell, Table, answer, percent, print_tables, quantity
+from rig.presentation import Cell, Table, answer, percent, plain, print_tables, quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +96,9 @@ def plan_expected(
     return Plan(conditions, values, tuple(runs), tuple(sorted(set(counts))), longest_s, pendulum)
 
 
-def _share(u: float, value: float) -> str:
+def _share(u: float, value: float, unit: str) -> str:
     """An uncertainty over its value, or beside it where that is none: no drag."""
-    return percent(u / abs(value)) if value else f"{u:.2g}"
+    return percent(u / abs(value)) if value else f"{plain(u, 2)} {unit}".rstrip()
 
 
 def plan_table(plan: Plan) -> Table:
@@ -115,7 +115,7 @@ def plan_table(plan: Plan) -> Table:
         drowned += "" if run.duration_s <= plan.longest_s else " *"
         shown.append(
             [f"{first:g} to {last:g}{drowned}", f"{count}", f"{all_s / 60:.1f}"]
-            + [_share(times * run.u[name], plan.values[name]) for name in names]
+            + [_share(times * run.u[name], plan.values[name], quantity(name).unit) for name in names]
         )
     too_long = ""
     if any(run.duration_s > plan.longest_s for run in plan.runs):
@@ -124,7 +124,7 @@ def plan_table(plan: Plan) -> Table:
     witnessed = (
         ""
         if conditions.witness_noise is None
-        else f", of which a witness leaves {conditions.unknown_rad_per_s2_rthz:.1e}"
+        else f", of which a witness leaves {plain(conditions.unknown_rad_per_s2_rthz, 2)}"
     )
     return Table(
         "plan",
@@ -136,9 +136,9 @@ def plan_table(plan: Plan) -> Table:
         rows,
         ("amplitudes, arcsec", "runs", "min", *(f"u({quantity(name).symbol})" for name in names)),
         shown,
-        "Standard uncertainty over value, from the swings alone; minutes of all runs. The amplitude of "
-        f"one half-cycle is measured to {conditions.u_amplitude_rad / ARCSEC_RAD:.2g} arcsec, ground "
-        f"{conditions.ground_rad_per_s2_rthz:.1e} rad/s²/√Hz{witnessed}.{too_long}",
+        "Relative standard uncertainties from the swings alone; times of all runs together. One amplitude is "
+        f"measured to {plain(conditions.u_amplitude_rad / ARCSEC_RAD, 2)} arcsec; the drive of the "
+        f"ground is {plain(conditions.ground_rad_per_s2_rthz, 2)} rad/s²/√Hz{witnessed}.{too_long}",
     )
 
 

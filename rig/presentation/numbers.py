@@ -82,9 +82,11 @@ def plain(value: float, digits: int = 4) -> str:
 
 
 def percent(fraction: float, digits: int = 2) -> str:
-    """A fraction in per cent, with so many significant digits and no power of ten: `0.25 %`, `130 %`."""
+    """A fraction in per cent, with so many significant digits: `0.25 %`, `130 %`, `2.0 × 10⁻⁵ %`."""
     text = f"{100 * fraction:.{digits}g}"
-    return f"{100 * fraction:.0f} %" if "e+" in text else f"{text} %"
+    if "e+" in text:
+        return f"{100 * fraction:.0f} %"
+    return f"{plain(100 * fraction, digits)} %" if "e-" in text else f"{text} %"
 
 
 def _decimal(value: float) -> Decimal:

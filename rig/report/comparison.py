@@ -279,7 +279,7 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
         "differences", "Differences",
         ("first", "second", "parameter", "difference", "standard_uncertainty", "p_value", "verdict"), rows,
         ("", "", "difference", "chance", "verdict"), shown,
-        f"{len(shown)} of {len(rows)} comparisons differ; the others are in the CSV. "
-        "Welch's t. The chance is that of so large a difference between series that are alike; 5 % is shared "
-        "between all rows. Mass, radius and scale, which move all series together, are left out.",
+        f"{len(shown)} of {len(rows)} comparisons differ; the others are in the CSV. Welch's t test: the "
+        "chance is that of a difference at least as large between series that are alike, and all rows share "
+        "the level of 5 %. What moves all series together (mass, radius, scale) is left out.",
     )  # fmt: skip

@@ -22,10 +22,18 @@ _SEEN = Drag(
 )
 
 
-@pytest.mark.parametrize("finding", DragFinding)
-def test_a_verdict_on_the_drag_is_said_and_shown(finding: DragFinding) -> None:
+@pytest.mark.parametrize(
+    ("finding", "begins"),
+    [
+        (DragFinding.SEEN, "The decay shows a linear drag: "),
+        (DragFinding.NEGATIVE, "A negative drag would describe the decay best"),
+        (DragFinding.UNSEEN, "No linear drag is seen: "),
+        (DragFinding.OPEN, "This decay cannot distinguish a drag from friction: "),
+    ],
+)
+def test_a_verdict_on_the_drag_is_said_and_shown(finding: DragFinding, begins: str) -> None:
     results = RunResults(record="run-1.mcap", drag=replace(_SEEN, finding=finding))
-    assert remarks(results)[0].startswith(f"{finding.capitalize()}: ")
+    assert remarks(results)[0].startswith(begins)
     assert drag_table(results).shown[-1] == ["verdict", finding]
 
 
@@ -74,12 +82,14 @@ def test_the_bases_acceleration_needs_the_height_of_the_mass_centre() -> None:
 def test_a_drag_that_is_seen_says_what_it_does_to_the_others() -> None:
     text = remarks(RunResults(record="run-1.mcap", drag=_SEEN))[0]
     assert "(2.00 ± 0.10) × 10⁻³ s" in text
-    assert "b moves by −1.2 % and c by +3.4 %" in text
+    assert "it changes b by −1.2 % and c by +3.4 %" in text
 
 
 def test_where_the_data_do_not_tell_the_air_is_named_with_its_doubt() -> None:
     text = remarks(RunResults(record="run-1.mcap", drag=replace(_SEEN, finding=DragFinding.OPEN)))[0]
-    assert "known of the air, (1.5 ± 1.0) × 10⁻³ s, whose doubt is in every uncertainty" in text
+    assert (
+        "expected of the air is taken, (1.5 ± 1.0) × 10⁻³ s, whose uncertainty is part of every other" in text
+    )
     unknown = replace(_SEEN, finding=DragFinding.OPEN, known_s=None)
     assert "fit.drag" in remarks(RunResults(record="run-1.mcap", drag=unknown))[0]
 
@@ -87,7 +97,7 @@ def test_where_the_data_do_not_tell_the_air_is_named_with_its_doubt() -> None:
 def test_a_drag_that_is_seen_stands_in_the_headline_and_vacuum_too() -> None:
     with_drag = Fit(parameters={"b": Estimate(3.7e-3, 1e-5), "drag_s": Estimate(2e-3, 1e-4)})
     said = remarks(RunResults(record="run-1.mcap", drag=_SEEN, fits={"exact": with_drag}))
-    assert said[0].startswith("A drag of (2.00 ± 0.10) × 10⁻³ s is seen")
+    assert said[0].startswith("The drag of the air is seen, (2.00 ± 0.10) × 10⁻³ s;")
     vacuum = Fit(parameters={"b": Estimate(3.7e-3, 1e-5)})
     said = remarks(RunResults(record="run-1.mcap", drag=_SEEN, fits={"exact": vacuum}))
     assert said[0].startswith("Fitted without a drag, as in vacuum")
@@ -97,7 +107,7 @@ def test_a_drag_that_is_seen_stands_in_the_headline_and_vacuum_too() -> None:
 def test_what_the_waveform_gave_is_said() -> None:
     fit = Fit(parameters={"drag_s": Estimate(2e-3, 1e-4)}, worth={"waveform": {"b": 12.0, "p": 1.1}})
     said = remarks(RunResults(record="run-1.mcap", fits={"exact": fit}))
-    assert "Without the waveform of the swing uncertainties would be larger by factors of b 12." in said
+    assert "Without the waveform of the swing the uncertainties would be larger, by factors of b 12." in said
 
 
 def test_what_is_hardly_determined_is_said_and_nothing_of_what_is() -> None:
@@ -122,7 +132,7 @@ def test_what_is_hardly_determined_is_said_and_nothing_of_what_is() -> None:
     assert remarks(results) == [
         ground_sentence(_DRIVEN),
         "Strongly correlated in this run: b and p (−0.998).",
-        "c < 2e-9.",
+        "c is not determined: < 2.0 × 10⁻⁹ (95 %).",
         "a note",
     ]
     assert remarks(RunResults(record="run-1.mcap", fits={"exact": Fit()})) == []

@@ -106,20 +106,20 @@ def test_the_terminal_shows_the_whole_uncertainty_and_that_of_the_swings_alone_w
 @pytest.mark.parametrize(
     ("of_data", "known", "words"),
     [
-        (Estimate(1e-7, 1e-6), Estimate(1.8e-3, 1.3e-3), "they bound it to less than 2.0 × 10⁻⁶ s (95 %)"),
+        (Estimate(1e-7, 1e-6), Estimate(1.8e-3, 1.3e-3), "it is below 2.0 × 10⁻⁶ s (95 %)"),
         (
             Estimate(1e-3, 5e-3),
             Estimate(1.8e-3, 1.3e-3),
-            "it is what is known of the air, (1.8 ± 1.3) × 10⁻³ s",
+            "the drag expected of the air is taken, (1.8 ± 1.3) × 10⁻³ s",
         ),
-        (Estimate(1e-3, 5e-3), None, "they bound it to less than"),
+        (Estimate(1e-3, 5e-3), None, "it is below"),
     ],
 )
 def test_whose_drag_it_is(of_data: Estimate, known: Estimate | None, words: str) -> None:
     drag = Drag(
         of_data_s=of_data, known_s=known, upper_95_s=of_data.value + 1.9 * of_data.standard_uncertainty
     )
-    (line,) = [line for line in remarks(replace(_RUN, drag=drag)) if "tell a drag" in line]
+    (line,) = [line for line in remarks(replace(_RUN, drag=drag)) if "distinguish a drag" in line]
     assert words in line
 
 
