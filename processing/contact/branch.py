@@ -44,9 +44,11 @@ class Branch(NamedTuple):
         """
         amplitude = np.max(np.abs(phi_rad), axis=-1, keepdims=True)
         known = {**values, "reference": np.ones(())}
-        held = self.at_reversal(amplitude, known)
-        down = self.resistance(amplitude - phi_rad, held, known)
-        up = self.resistance(amplitude + phi_rad, held, known)
+        # a fit may leave a parameter so small that its quotients overflow
+        with np.errstate(all="ignore"):
+            held = self.at_reversal(amplitude, known)
+            down = self.resistance(amplitude - phi_rad, held, known)
+            up = self.resistance(amplitude + phi_rad, held, known)
         weight = weight_moment(pendulum)
         friction = 0.5 * (down + up)
         if self.constant:

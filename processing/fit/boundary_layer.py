@@ -72,9 +72,10 @@ def with_steeper_drag(fit: FitResult, found: SteeperDrag) -> FitResult:
     shift = np.array(found.shift)
     widened = fit.covariance + np.outer(shift, shift)
     reading = fit.reading_covariance
+    percent = float(f"{100 * found.relative_shift_b:.3g}")
     said = (
         f"a drag with the 3/2 power of the speed is in the data (chance without: {found.p_value:.1g}); "
-        f"with it b moves by {100 * found.relative_shift_b:+.3g} %, which its uncertainty holds"
+        f"with it b changes by {percent:+g} %, which its uncertainty covers"
     )
     ratio = np.sqrt(np.diag(widened) / np.diag(fit.covariance))
     return replace(

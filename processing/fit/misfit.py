@@ -99,7 +99,7 @@ def with_misfit_of(fit: FitResult, exact: FitResult) -> FitResult:
 
 def _warnings(misfit: Misfit, factor: Floats) -> tuple[str, ...]:
     parts = [
-        f"its {name} by {100 * size:.2g} %"
+        f"its {name} by {float(f'{100 * size:.2g}'):g} %"
         for name, size in (
             ("losses", misfit.loss), ("durations", misfit.duration), ("harmonics", misfit.waveform),
         )

@@ -58,7 +58,13 @@ from rig.analysis.settled import loss_of, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import expected_drag, recorded_surroundings, stated_surroundings
-from rig.analysis.table_fit import AnalysedTable, FoundDecay, along_and_across, analyse_table
+from rig.analysis.table_fit import (
+    AnalysedTable,
+    FoundDecay,
+    along_and_across,
+    analyse_table,
+    analyse_trajectory,
+)
 from rig.analysis.table_screen import fit_envelope_table, fit_read, fit_several, fit_trajectory
 from rig.analysis.trajectory import Trajectory
 from rig.analysis.waveform_results import waveform_table

@@ -194,7 +194,9 @@ def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
     if first.of_table:
         rows.append(("positions from", first.results.record))
     else:
-        rows.append(("frames from", "the simulated rig" if first.simulated else "a camera"))
+        driver = first.provenance.get("camera", {}).get("driver", "")
+        stored = "a film or a folder of images" if driver == "files" else "a camera"
+        rows.append(("frames from", "the simulated rig" if first.simulated else stored))
     return [(name, text) for name, text in rows if text]
 
 

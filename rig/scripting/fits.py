@@ -8,6 +8,7 @@ from pathlib import Path
 from processing.contact import DEFAULT_LAW, Law, Moment, StatedLaw
 from processing.errors import ConfigurationError
 from rig.analysis import (
+    FilmAsked,
     ModelCurve,
     RunResults,
     SessionResults,
@@ -16,6 +17,8 @@ from rig.analysis import (
     TableResults,
     analyse_record,
     analyse_table,
+    analyse_trajectory,
+    film_trajectory,
     laws_of,
     model_curves,
     session_results,
@@ -92,6 +95,43 @@ def curves(
     """
     stated = _laws(law, elastic)
     return model_curves(run, StatedLaw(law, elastic) if stated and law is not None else None)
+
+
+def fit_film(
+    path: str | Path,
+    *,
+    pixel: str = "",
+    rate_hz: float | None = None,
+    dark: bool | None = None,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    configuration: str | Path | None = None,
+) -> TableResults:
+    """Follow what swings through a film, and determine decay and period as of a table.
+
+    Parameters
+    ----------
+    path
+        A film, raw pixels, or a folder of images.
+    pixel
+        Size of a pixel with its unit, ``"0.142 mm"`` or ``"3.2 arcsec"``; empty: px.
+    rate_hz
+        Frames a second, of images; a film has its own times.
+    dark
+        Whether what swings is darker than its background; None: the first frame tells.
+    begin_s, end_s
+        The stretch that is used.
+    configuration
+        TOML file with [pendulum] and [fit], which fits the contact laws where the pixel is an angle.
+
+    Raises
+    ------
+    RigError
+        No film, one that cannot be read right, or no free decay in it.
+    """
+    config = None if configuration is None else load_configuration(Path(configuration), needs_camera=False)
+    asked = FilmAsked(rate_hz=rate_hz, dark=dark, size=pixel, begin_s=begin_s, end_s=end_s)
+    return analyse_trajectory(Path(path), film_trajectory(Path(path), asked), config).results
 
 
 def _laws(law: Moment | None, elastic: Moment | None) -> tuple[Law | StatedLaw, ...]:
