@@ -10,7 +10,7 @@ INSTALL = $(PIP) install --quiet
 export PYTHONDONTWRITEBYTECODE =
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-quick test-kernel mutants bench validation lint format schema pictures drawings docs hooks pins clean
+.PHONY: demo test test-quick test-kernel mutants bench validation lint format schema pictures drawings docs hooks pins wheel release clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
@@ -68,6 +68,16 @@ bench: $(VENV)/.installed-test
 validation: $(VENV)/.installed-test
 	-$(PIP) install --quiet ".[bench]" ".[test-cameras]"
 	$(BIN)/python -m tests.validation $(ARGS)
+
+# Of what is committed, in dist; the Containerfile takes it from there.
+wheel: $(VENV)/.installed
+	rm -f dist/*.whl
+	$(BIN)/python -m hatchling build -d dist -t wheel
+
+# VERSION=1.2.3: checks, commit, tag, sdist, wheel, SBOM, site, sums, all or nothing; pushing it publishes.
+release: $(VENV)/.installed-test
+	$(PIP) install --quiet ".[release]"
+	$(BIN)/python -m tests.release "$(VERSION)"
 
 # Of what they run nothing is downloaded; pre-commit itself is in no pins, for nothing else needs it.
 hooks: $(VENV)/.installed-test
