@@ -113,7 +113,9 @@ def _adjoint(side_drag: float, source: Floats, root: Floats, travelled: Floats, 
     dg = df + side drag T diag(1/sqrt(g)) dg, where df holds the explicit dependence on the parameters. For
     a result with the derivative ``source`` by g, the derivative by the parameters is therefore ``out . df``.
     """
-    out[:] = source
+    # one by one: for out[:] = source numba compiles the text of an error, which takes longer than the rest
+    for k in range(NODES):
+        out[k] = source[k]
     if side_drag == 0:
         return
     for _ in range(200):
