@@ -121,11 +121,15 @@ def run(
             raise typer.BadParameter(
                 "--plan names its configurations: leave out CONFIG, --set, --runs and --view"
             )
-        from rig.measure import decide_night, measure_plan
         from rig.settings import decides
 
-        measure = decide_night if decides(plan) else measure_plan
-        raise typer.Exit(measure(plan, output, force=force, json_lines=json_lines))
+        if decides(plan):
+            from rig.deciding import decide_night
+
+            raise typer.Exit(decide_night(plan, output, force=force, json_lines=json_lines))
+        from rig.measure import measure_plan
+
+        raise typer.Exit(measure_plan(plan, output, force=force, json_lines=json_lines))
     assert config is not None
 
     overrides = list(set_ or [])

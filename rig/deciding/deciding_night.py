@@ -19,9 +19,8 @@ from rig.campaigns import (
     reasons,
     runs_of_folders,
 )
-from rig.measure.decisions import ChosenState, Decision, DecisionsFile, Ending
-from rig.measure.night import measure_series, series_configuration
-from rig.measure.waiting import Sleep, Waiting
+from rig.deciding.decisions import ChosenState, Decision, DecisionsFile, Ending
+from rig.measure import Sleep, Waiting, measure_series, series_configuration
 from rig.presentation import print_json_line, say
 from rig.settings import Configuration, DecidingPlan, PlannedSeries, load_deciding_plan
 

@@ -15,7 +15,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
-from rig.measure import decide_night
+from rig.deciding import decide_night
 from rig.settings import load_deciding_plan
 from tests.rig.command_line import SMALL, figures_are_not_drawn, rig
 from tests.rig.measure.test_night import Night, written
