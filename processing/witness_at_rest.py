@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from processing.arrays import Flags, Floats
 from processing.errors import DataError
@@ -104,7 +104,7 @@ def witness_at_rest(time_s: Floats, deflection: Floats, witness: Witness) -> Wit
     return WitnessAtRest(
         steps=compared.steps,
         coherence=coherence,
-        by_chance=float(beta.ppf(_CHANCE, taken, free / _ALIKE)),
+        by_chance=float(betaincinv(taken, free / _ALIKE, _CHANCE)),
         factor=float(min(np.cosh(fisher), _MOST)),
         least=float(min(low, _MOST)),
         most=float(min(high, _MOST)),
