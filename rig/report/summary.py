@@ -1,0 +1,207 @@
+"""The beginning of a report: title, verdict beside the first decay, and how all this was measured."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from processing.contact import SurfaceEnergy
+from processing.contact.laws import DEFAULT_LAW
+from processing.estimate import Estimate
+from processing.fit import Budget, Determination, FitMethod
+from processing.instruments import INSTRUMENTS
+from rig.analysis import (
+    RunResults,
+    Series,
+    TableDecay,
+    budget_of,
+    decay_lines,
+    determined_text,
+    dominant_text,
+    remarks,
+    series_verdicts,
+    whole_result,
+)
+from rig.presentation import plain, quantity
+from rig.report import html
+from rig.report.run_data import ReportSource, RunData
+from rig.report.tables_instruments import headline
+
+_NOT_STATED = "not stated"
+
+
+def title_of(source: ReportSource) -> tuple[str, str]:
+    """Title and subtitle of the page."""
+    first = source.runs[0]
+    session = first.provenance.get("session", {})
+    name = source.folder.resolve().name
+    if isinstance(first.results, TableDecay):
+        name = Path(first.results.record).name + (f", run {first.results.run}" if first.results.run else "")
+    title = session.get("sample") or name
+    counted = "decay" if first.of_table else "run"
+    words = [f"{len(source.runs)} {counted}{'s' if len(source.runs) > 1 else ''}"]
+    if session.get("operator"):
+        words.append(f"operator {session['operator']}")
+    words += [word for word in (session.get("contact_history"), session.get("notes")) if word]
+    if any(run.simulated for run in source.runs):
+        title = f"SIMULATED: {title}"
+    results = first.results
+    what = "Free decay of a pendulum on one ball" if results.fits else "Free decay of a pendulum"
+    if results.instrument is not None:
+        what = INSTRUMENTS[results.instrument.kind].title
+    return title, f"{what}: " + ", ".join(words)
+
+
+def summary_of(source: ReportSource, decay: str) -> list[str]:
+    """The verdict with the parameters beside the first decay; below it how all this was measured."""
+    run, series = source.runs[0].results, source.series
+    body = []
+    if any(data.simulated for data in source.runs):
+        body.append(
+            '<div class="warn">SIMULATED: every number comes from the simulated rig; '
+            "nothing was measured.</div>"
+        )
+    first = [html.verdict(_verdict(source))]
+    exact, energy, verdicts = _headline(run, series)
+    if exact:
+        budget = run.budget if series is None else series.budget
+        first.append(html.key_values(_key_results(exact, energy, verdicts, budget)))
+        what = "combined over the runs" if series is not None else "of the run"
+        first.append(
+            html.paragraph(
+                f"Exact fit {what}, value ± standard uncertainty: of the whole budget where it is named "
+                "what dominates it, else of the swings alone.",
+                "note",
+            )
+        )
+    if run.instrument is not None:
+        found = headline(run.instrument, None if series is None else series.instrument)
+        first.append(html.key_values(found))
+        first.append(html.paragraph("Value ± standard uncertainty of the swings.", "note"))
+    body.append(html.first_screen(first, [decay]))
+    body.append(html.heading("Summary"))
+    body.append(html.facts(_circumstances(source)))
+    for data in source.runs:
+        body.append(html.paragraph(sentence(data)))
+        if data.results.problem:
+            body.append(f'<div class="warn">{html.escape("No fit: " + data.results.problem)}</div>')
+            body.append(html.notes(decay_lines(data.results)))
+    if len(source.runs) == 1:
+        body.append(html.notes(notes_of(source.runs[0])))
+    return body
+
+
+def _verdict(source: ReportSource) -> list[tuple[str, str]]:
+    """The result, what limits it and what to do, and whether the conditions of the runs held."""
+    first = source.runs[0].results
+    found = whole_result(first, None if source.series is None else source.series.budget)
+    lines = [(found.text or "Nothing was fitted", "")]
+    if found.limits:
+        limited = ", ".join(f"{one.name} {100 * one.share:.0f} %" for one in found.limits[:2])
+        lines.append((f"Its uncertainty: {limited}. Next: {'; '.join(found.next_steps)}.", ""))
+    judged = [item for run in source.runs for item in run.results.conditions]
+    broken = [item for item in judged if not item.ok]
+    doubtful = [item for item in judged if item.ok and item.remedy]
+    if broken:
+        names = ", ".join(dict.fromkeys(item.name for item in broken))
+        lines.append((f"Conditions NOT met: {names}", "bad"))
+    elif judged:
+        names = ", ".join(dict.fromkeys(item.name for item in doubtful))
+        lines.append(
+            ("Conditions met" + (f", with a warning of {names}" if names else " in all respects"), "good")
+        )
+    return lines
+
+
+def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
+    """Who measured, when each run began and how long it lasted, what surrounded it, and with what."""
+    first = source.runs[0]
+    rows = []
+    if first.results.instrument is not None:
+        kind = INSTRUMENTS[first.results.instrument.kind]
+        rows.append(("instrument", f"{kind.sentence.rstrip('.')} ({kind.kind})"))
+    rows.append(("operator", first.provenance.get("session", {}).get("operator", "") or _NOT_STATED))
+    around = [_surroundings(run) for run in source.runs]
+    alike = len(set(around)) == 1
+    for run, surroundings in zip(source.runs, around, strict=True):
+        began = run.provenance["file"].get("began", "")
+        text = f"{began and f'began {began}, '}lasted {_lasted(run)}"
+        rows.append((run.title, text if alike else f"{text}; {surroundings or f'air {_NOT_STATED}'}"))
+    if alike:
+        rows.append(("surroundings", around[0] or _NOT_STATED))
+    if first.of_table:
+        rows.append(("positions from", first.results.record))
+    else:
+        driver = first.provenance.get("camera", {}).get("driver", "")
+        stored = "a film or a folder of images" if driver == "files" else "a camera"
+        rows.append(("frames from", "the simulated rig" if first.simulated else stored))
+    return [(name, text) for name, text in rows if text]
+
+
+def _lasted(run: RunData) -> str:
+    time_s = run.motion.time_s if len(run.motion.time_s) else run.points.time_s
+    length_s = time_s[-1] - time_s[0] if len(time_s) else 0.0
+    return f"{length_s / 60:.1f} min"
+
+
+def _surroundings(run: RunData) -> str:
+    """Air and history of the contact as results have them; of older ones the air as stated."""
+    found = run.results.surroundings
+    stated = {name: float(text) for name, text in run.provenance.get("environment", {}).items()}
+    known = stated if found is None else found.known()
+    said = []
+    for name, value in known.items():
+        shown = quantity(name)
+        said.append(f"{shown.name} {plain(value * shown.factor, 4)} {shown.unit}")
+    return ", ".join(said)
+
+
+def _headline(
+    run: RunResults, series: Series | None
+) -> tuple[Mapping[str, Estimate], SurfaceEnergy | None, Mapping[str, Determination]]:
+    """Parameters, surface energy and verdicts that are reported first: those of the series, or of the run."""
+    combined = {} if series is None else series.fits.get(FitMethod.EXACT, {})
+    if series is not None and combined:
+        parameters = {n: Estimate(item.value, item.standard_uncertainty) for n, item in combined.items()}
+        return parameters, series.surface_energy_j_per_m2, series_verdicts(combined)
+    fit = run.fits.get(FitMethod.EXACT)
+    return {} if fit is None else fit.parameters, run.surface_energy_j_per_m2, run.verdicts()
+
+
+def _key_results(
+    exact: Mapping[str, Estimate],
+    energy: SurfaceEnergy | None,
+    verdicts: Mapping[str, Determination],
+    budget: Mapping[str, Budget],
+) -> list[tuple[str, str]]:
+    """Labels and values; with the whole budget and what dominates it where the apparatus has a part."""
+    items = [(name, exact[name]) for name in DEFAULT_LAW.names(drag=True) if name in exact]
+    if energy is not None:
+        items.insert(0, ("surface_energy_table2_j_per_m2", energy.table2))
+    shown = []
+    for name, value in items:
+        item, label = budget_of(name, budget, verdicts), quantity(name).label
+        if item is None:
+            shown.append((label, determined_text(name, value, verdicts)))
+        else:
+            text = quantity(name).text(item.value, item.standard_uncertainty)
+            shown.append((f"{label} (u: {dominant_text(item)})", text))
+    return shown
+
+
+def sentence(run: RunData) -> str:
+    """How much was measured in a run, in one sentence."""
+    results, unit = run.results, run.motion.unit.shown
+    left_out = len(run.stored.left_out_flags)
+    taken = (
+        f"{results.frames} rows"
+        if run.of_table
+        else f"{results.frames} frames, {results.dropped_frames} dropped"
+    )
+    return (
+        f"{run.title}: {results.half_cycles_text(unit, ' from ')} in {_lasted(run)}; {taken}; "
+        f"{left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left out."
+    )
+
+
+def notes_of(run: RunData) -> list[str]:
+    """What is to be said of a run, with its warnings."""
+    return [*remarks(run.results), *run.results.warnings, *run.notes]
