@@ -77,7 +77,7 @@ a { color: var(--line); }
 .events { font-size: 14px; overflow-y: auto; width: 100%; flex: 1 1 120px; min-height: 90px; }
 svg text { fill: var(--dim); font-size: 12px; }
 .camera { width: 100%; }
-.picture { background: #000; } .picture img { image-rendering: pixelated; touch-action: none; }
+.picture { background: #000; } .picture img { touch-action: none; }
 :focus-visible { outline: 3px solid var(--line); outline-offset: 2px; }
 
 .report { width: min(1000px, 94vw); max-width: 94vw !important; height: calc(100vh - 90px); padding: 8px;
