@@ -72,7 +72,9 @@ def run(
     plan: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Measure the series of a plan (TOML file), without CONFIG.", callback=there
+            metavar="FILE",
+            help="Measure a plan (TOML file): its series, or a night that decides.",
+            callback=there,
         ),
     ] = None,
     instead: Annotated[
