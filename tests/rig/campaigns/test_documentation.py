@@ -68,7 +68,7 @@ def test_the_plans_of_the_page(tmp_path: Path) -> None:
 
 
 def test_the_night_of_the_page_is_one(tmp_path: Path) -> None:
-    (block,) = re.findall(r"^```toml\n(\[auto\]\n.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
+    (block,) = re.findall(r"^```toml\n(# a night that decides\n.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
     (tmp_path / "auto.toml").write_text(block, encoding="utf-8")
     plan = load_deciding_plan(tmp_path / "auto.toml")
     assert plan.max_runs == 12
