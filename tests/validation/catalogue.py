@@ -137,7 +137,7 @@ ROWS: tuple[Row, ...] = (
     Row("coverage-no-law", _COVERAGE, "Moments without a law", "the paper's law in decays of the tests' own, and in the basement",
         benchmark("without_law", "friction", "elastic", factor=100), "number", "%", _IN_70, share=True),
     Row("coverage-instruments", _COVERAGE, "Other pendulums and their quantities",
-        "every kind simulated, 50 seeds, three or more quantities together", benchmark("instruments", "coverage", factor=100),
+        "every kind simulated, 50 seeds; each quantity, and all of a kind together", benchmark("instruments", "coverage", factor=100),
         "number", "%", Limit(48, 88), share=True),
     Row("coverage-damping", _COVERAGE, "Time constants at every amplitude", "decays with known damping, 400 seeds",
         benchmark("damping", "covered, %"), "number", "%", Limit(61, 75), share=True),
