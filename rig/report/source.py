@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from acquisition.record.digest import known_sha256_of
 from acquisition.record.proof import measured_sha256_of
 from acquisition.record.reader import RecordReader
+from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import RecordedNote
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
@@ -77,7 +78,8 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     if results.sha256 != measured_sha256_of(path, known=True):
         notes.append("the record is not the one that the results were made from: its hash differs")
     if configuration is not None:
-        provenance["configuration"] = _flat(json.loads(configuration))
+        simulated = RecordedCamera.of(provenance).simulated
+        provenance["configuration"] = shown_configuration(json.loads(configuration), simulated=simulated)
     first_ns = stored.first_ns or (int(spots["time_ns"][0]) if len(spots) else 0)
     unit = ShownUnit(deflections.unit.shown, deflections.unit.shown_size)
     if results.instrument is not None and deflections.unit is DeflectionUnit.RAD:
@@ -141,6 +143,12 @@ def _picture(reader: RecordReader, spots: NDArray[Any], notes: list[str]) -> Rec
     except (RigError, ValueError) as error:
         notes.append(f"no frame could be read: {error}")
     return None
+
+
+def shown_configuration(tree: JsonObject, *, simulated: bool) -> dict[str, str]:
+    """A record's configuration as dotted keys; of a real run without what only the simulated rig reads."""
+    of_simulation = () if simulated else ("simulation", "faults")
+    return _flat({key: value for key, value in tree.items() if key not in of_simulation})
 
 
 def _flat(tree: JsonObject, above: str = "") -> dict[str, str]:

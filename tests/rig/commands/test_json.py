@@ -133,3 +133,15 @@ def _inputs(name: str, folder: Path, series: Path) -> None:
             light = np.exp(-((columns - x_px) ** 2 + (rows - 20) ** 2) / 18)
             image = np.rint(5 + 200 * light).astype(np.uint8)
             assert cv2.imwrite(str(folder / "film" / f"{number:03d}.png"), image)
+
+
+def test_the_lines_of_the_page_run(tmp_path: Path, measured_series: Path) -> None:
+    page = (CONFIGS.parent / "docs" / "session.md").read_text(encoding="utf-8")
+    lines = [
+        line.split()[1:] for line in page.splitlines() if line.startswith("    rig ") and "--json" in line
+    ]
+    assert len(lines) == 2
+    (tmp_path / "runs").mkdir()
+    shutil.copytree(measured_series, tmp_path / "runs" / "first")
+    for words in lines:
+        assert json.loads(rig(*words, cwd=tmp_path).stdout)
