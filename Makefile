@@ -10,7 +10,7 @@ INSTALL = $(PIP) install --quiet
 export PYTHONDONTWRITEBYTECODE =
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-quick test-kernel mutants bench validation lint format schema pictures drawings docs hooks pins wheel release clean
+.PHONY: demo test test-quick test-kernel mutants bench validation lint format schema pictures drawings docs hooks pins wheel release container clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
@@ -73,6 +73,10 @@ validation: $(VENV)/.installed-test
 wheel: $(VENV)/.installed
 	rm -f dist/*.whl
 	$(BIN)/python -m hatchling build -d dist -t wheel
+
+# The image of the Containerfile, built by buildah and run: root, buildah and debootstrap are needed.
+container: $(VENV)/.installed
+	.ci/container
 
 # VERSION=1.2.3: checks, commit, tag, sdist, wheel, SBOM, site, sums, all or nothing; pushing it publishes.
 release: $(VENV)/.installed-test

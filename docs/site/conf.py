@@ -42,8 +42,8 @@ python_display_short_literal_types = True
 maximum_signature_line_length = 80
 
 CONTENTS = {
-    "Start": ["docs/tutorial", "docs/everyday", "docs/troubleshooting"],
-    "Build one": ["docs/build", "docs/safety"],
+    "Start": ["docs/installation", "docs/tutorial", "docs/everyday", "docs/troubleshooting"],
+    "Build one": ["docs/build", "docs/safety", "docs/raspberry-pi"],
     "Concepts": ["docs/concepts", "docs/laws", "docs/instruments"],
     "How to": [
         "docs/session",
