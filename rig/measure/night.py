@@ -29,6 +29,7 @@ from rig.settings import (
     validate_configuration,
 )
 
+_SEED_STEP = 2_000_003
 _ENDS: dict[str, RunState] = {
     EventKind.REJECTED: RunState.REJECTED,
     EventKind.STOPPED: RunState.STOPPED,
@@ -54,7 +55,7 @@ def measure_plan(
     before anything is lit if a configuration of the plan cannot be used.
     """
     plan = load_plan(source)
-    configs = [series_configuration(series) for series in plan.series]
+    configs = [_of_place(series_configuration(series), place) for place, series in enumerate(plan.series)]
     folder = output or configs[0].session.output / source.stem
     worst = 0
     for series, config in zip(plan.series, configs, strict=True):
@@ -69,6 +70,14 @@ def measure_plan(
         if series is not plan.series[-1]:
             sleep(series.pause_s)
     return worst
+
+
+def _of_place(config: Configuration, place: int) -> Configuration:
+    """The simulated rig has other random numbers in each series, as in each run of one."""
+    if not config.simulated or place == 0:
+        return config
+    seed = (config.simulation.seed + _SEED_STEP * place) % 2**63
+    return config.model_copy(update={"simulation": config.simulation.model_copy(update={"seed": seed})})
 
 
 class SeriesEnd(NamedTuple):

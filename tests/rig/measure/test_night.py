@@ -124,6 +124,19 @@ def test_a_failure_ends_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "no frame within 5 s; the plan ends here" in capsys.readouterr().err
 
 
+def test_series_of_the_simulated_rig_are_different_runs(tmp_path: Path) -> None:
+    written(tmp_path / "a.toml", SMALL | {"session.max_duration_s": "3"})
+    series = '[[series]]\nname = "{}"\nconfig = "a.toml"\n'
+    (tmp_path / "plan.toml").write_text(series.format("one") + series.format("two"))
+    with figures_are_not_drawn():
+        measure_plan(tmp_path / "plan.toml", tmp_path / "out")
+    seen = []
+    for name in ("one", "two"):
+        with RecordReader(tmp_path / "out" / name / "run-1.mcap") as reader:
+            seen.append(reader.spots()["y_px"][:50])
+    assert not (seen[0] == seen[1]).any()
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
