@@ -75,8 +75,10 @@ def free_swing(
         for _ in range(_ROUNDS):
             half = 0.5 * (a + following)
             phi = 0.5 * (a - following) + half * cos
-            friction, elastic = law.branch_moments(phi, np.full_like(phi, -1.0), values, pendulum)
-            moment = half * ((friction + elastic) / weight + drag * speed + steeper * speed**1.5)
+            # values that a fit tries may be too large for numbers: what is infinite is no swing, below
+            with np.errstate(over="ignore", invalid="ignore"):
+                friction, elastic = law.branch_moments(phi, np.full_like(phi, -1.0), values, pendulum)
+                moment = half * ((friction + elastic) / weight + drag * speed + steeper * speed**1.5)
             cells = moment * before
             work = np.cumsum(cells, axis=1) - cells + moment * behind
             total = np.sum(cells, axis=1, keepdims=True)

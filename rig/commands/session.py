@@ -11,7 +11,7 @@ from processing.errors import ConfigurationError, MissingPackage
 from rig.commands.archive import PLACE, Archive
 from rig.commands.arguments import MODES, Config, JsonLines, Set, View
 from rig.commands.inputs import there
-from rig.commands.outputs import appended_file, new_file
+from rig.commands.outputs import appended_file, folder_without, new_file
 
 
 def register(app: typer.Typer) -> None:
@@ -182,7 +182,11 @@ def doctor(
     ] = False,
     udev_folder: Annotated[
         Path | None,
-        typer.Option(help="Folder for those rules, instead of /etc/udev/rules.d.", show_default=False),
+        typer.Option(
+            help="Folder for those rules, instead of /etc/udev/rules.d.",
+            show_default=False,
+            callback=folder_without(),
+        ),
     ] = None,
     json_lines: JsonLines = False,
     set_: Set = None,
@@ -195,13 +199,16 @@ def doctor(
       sudo .venv/bin/rig doctor --install-udev
     """
     from rig.devices import RULES_FOLDER, examine, install_rules
-    from rig.presentation import say
+    from rig.presentation import print_json_line, say
     from rig.settings import load_configuration
 
     if install_udev or udev_folder is not None:
         path, then = install_rules(udev_folder or RULES_FOLDER)
-        print(path)
-        say(f"next: {then}")
+        if json_lines:
+            print_json_line("udev", {"written": str(path), "next": then})
+        else:
+            print(path)
+            say(f"next: {then}")
         if config is None:
             return
     if config is None:

@@ -139,7 +139,7 @@ def test_checks_name_the_rule_and_the_port() -> None:
     found = FoundCamera("Testwerk", "T1", "7", UsbSpeed.HIGH, False, None)
     allowed, speed = check_usb_camera(found)
     assert not allowed.ok
-    assert ".rules" in allowed.remedy
+    assert "rig doctor --install-udev" in allowed.remedy
     assert not speed.ok
     assert "USB 3" in speed.remedy
 
@@ -179,7 +179,7 @@ def test_the_doctor_explains_what_to_do_without_permission(
     done = CliRunner().invoke(app, ["doctor", DEMO, *USB, "--json"])
     assert done.exit_code == 1
     checks = {check["name"]: check for check in map(json.loads, done.output.splitlines())}
-    assert "70-usb3vision.rules" in checks["camera permission"]["remedy"]
+    assert "rig doctor --install-udev" in checks["camera permission"]["remedy"]
     assert "no permission" in checks["camera"]["reason"]
 
 
