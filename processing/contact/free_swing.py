@@ -69,34 +69,33 @@ def free_swing(
     a, begins, side = amplitudes_rad[:, None], np.zeros((len(amplitudes_rad), 1)), 1.0
     ratio = np.ones_like(a)
     parts = []
-    for _ in range(halves):
-        following = a * ratio
-        speed = 0.5 * (a + following) * sin
-        for _ in range(_ROUNDS):
-            half = 0.5 * (a + following)
-            phi = 0.5 * (a - following) + half * cos
-            # values that a fit tries may be too large for numbers: what is infinite is no swing, below
-            with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):  # values of a law that does not fit may reverse a swing, or overflow
+        for _ in range(halves):
+            following = a * ratio
+            speed = 0.5 * (a + following) * sin
+            for _ in range(_ROUNDS):
+                half = 0.5 * (a + following)
+                phi = 0.5 * (a - following) + half * cos
                 friction, elastic = law.branch_moments(phi, np.full_like(phi, -1.0), values, pendulum)
                 moment = half * ((friction + elastic) / weight + drag * speed + steeper * speed**1.5)
-            cells = moment * before
-            work = np.cumsum(cells, axis=1) - cells + moment * behind
-            total = np.sum(cells, axis=1, keepdims=True)
-            kinetic = np.where(
-                forward,
-                0.5 * half * (1 - cos) * (a + phi) - work,
-                0.5 * half * (1 + cos) * (following - phi) + total - work,
-            )
-            left = a**2 - 2 * total
-            if not (np.all(left > 0) and np.all(kinetic > 0)):
-                raise DataError("friction holds the pendulum before the end of the swing")
-            speed, following = np.sqrt(2 * kinetic), np.sqrt(left)
-        step = (edge[1] - edge[0]) * half * sin / speed
-        ends = begins + np.cumsum(step, axis=1)
-        parts.append((side * phi, -side * speed, ends - 0.5 * step))
-        ratio = following / a
-        a, begins, side = following, ends[:, -1:], -side
-    phi, slope, phase = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+                cells = moment * before
+                work = np.cumsum(cells, axis=1) - cells + moment * behind
+                total = np.sum(cells, axis=1, keepdims=True)
+                kinetic = np.where(
+                    forward,
+                    0.5 * half * (1 - cos) * (a + phi) - work,
+                    0.5 * half * (1 + cos) * (following - phi) + total - work,
+                )
+                left = a**2 - 2 * total
+                if not (np.all(left > 0) and np.all(kinetic > 0)):
+                    raise DataError("friction holds the pendulum before the end of the swing")
+                speed, following = np.sqrt(2 * kinetic), np.sqrt(left)
+            step = (edge[1] - edge[0]) * half * sin / speed
+            ends = begins + np.cumsum(step, axis=1)
+            parts.append((side * phi, -side * speed, ends - 0.5 * step))
+            ratio = following / a
+            a, begins, side = following, ends[:, -1:], -side
+        phi, slope, phase = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
     return FreeSwing(phi, slope, phase, begins[:, 0])
 
 
