@@ -13,7 +13,7 @@ import pytest
 
 from processing.errors import ConfigurationError
 from rig.archive import add_sessions
-from rig.archive.refits import Recipe, Task, read_refit, refit
+from rig.archive.refits import Recipe, Task, code_identity, read_refit, refit
 from rig.archive.refitting import on_cluster
 from rig.archive.store import Archive
 from rig.archive.workers import alone, in_processes
@@ -101,6 +101,10 @@ def test_what_cannot_be_done_is_said_and_not_stored(
     assert Archive(archive).refits.names() == set()
     task = Task(str(archive), record, "0" * 64, Recipe("swings", (), (), "other"))
     assert "other code" in refit(task)
+    # a commit since then that changed no source is no other code
+    version, _, sources = code_identity().split(" ")
+    same = Recipe("swings", (), (), f"{version} (00000000) {sources}")
+    assert "has changed since it was added" in refit(task._replace(recipe=same))
     with pytest.raises(ConfigurationError, match=r"no Dask scheduler answers|needs distributed"):
         list(on_cluster(refit, [task], "tcp://127.0.0.1:9"))
 
