@@ -111,7 +111,7 @@ def _refitted(folder: Path, runs: int) -> dict[str, Any]:
                         killed += 1
                     next_s = time.monotonic() + _KILLED_EVERY_S
         times.append(time.monotonic() - began_s)
-        question = "select * exclude (made_utc, turn) from refits order by all"
+        question = "select * exclude (made_utc, added_utc, turn) from refits order by all"
         connection = Archive(archive).connection(refits=True)
         names = {item[0] for item in connection.execute("select * from refits limit 0").description}
         question = question if "turn" in names else question.replace(", turn", "")
