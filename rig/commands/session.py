@@ -11,7 +11,7 @@ from processing.errors import ConfigurationError, MissingPackage
 from rig.commands.archive import PLACE, Archive
 from rig.commands.arguments import MODES, Config, JsonLines, Set, View
 from rig.commands.inputs import there
-from rig.commands.outputs import appended_file, folder_without, new_file
+from rig.commands.outputs import appended_file, new_file, old_folder
 
 
 def register(app: typer.Typer) -> None:
@@ -185,7 +185,7 @@ def doctor(
         typer.Option(
             help="Folder for those rules, instead of /etc/udev/rules.d.",
             show_default=False,
-            callback=folder_without(),
+            callback=old_folder,
         ),
     ] = None,
     json_lines: JsonLines = False,

@@ -62,7 +62,6 @@ def install_rules(folder: Path = RULES_FOLDER) -> tuple[Path, str]:
         raise ConfigurationError(f"{folder}: no such folder; this system has no udev, and needs no rules")
     path = folder / _FILE
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         whole_file.replace(path, udev_rules().encode(), mode=0o644)
     except PermissionError:
         raise DeviceError(f"{path}: only root may write it: {as_root()}") from None

@@ -187,7 +187,8 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
             figures_laws.loss_figure(points, exact, pendulum),
             figures_contact.correlation_figure(fit.correlation),
         ]
-        for work in run.results.work_per_cycle[:1]:
+        # a negative power has no moment at rest: it is no friction, and its loop no loop
+        for work in run.results.work_per_cycle[:1] if exact.p >= 0 else ():
             known = not math.isnan(work.adhesive_4at_j.value)
             drawings.append(figures_contact.loop_figure(exact, pendulum, work.amplitude_arcsec, sees_c=known))
         if run.spectrum is not None:

@@ -37,10 +37,12 @@ class Page:
         return told.get("result", {}).get("value")
 
     def wait(self, script: str, limit_s: float = LIMIT_S) -> Any:
-        """Until an expression is true; returns its value."""
+        """Until an expression is true; returns its value, of an element that it is there."""
+        # what the page hangs on an element may be more than the browser tells by value
+        told = f"(() => {{ const found = ({script}); return found instanceof Element || found }})()"
         deadline_s = time.monotonic() + limit_s
         while True:
-            found = self.ask(f"(() => {{ try {{ return {script} }} catch (e) {{ return null }} }})()")
+            found = self.ask(f"(() => {{ try {{ return {told} }} catch (e) {{ return null }} }})()")
             if found:
                 return found
             assert time.monotonic() < deadline_s, f"never came true: {script}\n{self.text()}"

@@ -50,7 +50,7 @@ def test_who_may_not_write_there_is_told_the_one_command(tmp_path: Path) -> None
 
 def test_a_folder_that_is_missing_and_a_doctor_without_anything_are_refused(tmp_path: Path) -> None:
     done = rig("doctor", "--install-udev", "--udev-folder", tmp_path / "none")
-    assert (done.returncode, done.stdout) == (1, "")
+    assert (done.returncode, done.stdout) == (2, "")
     done = rig("doctor")
     assert done.returncode == 2
     assert "name the configuration to check, or --install-udev" in done.stderr

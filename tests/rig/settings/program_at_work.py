@@ -226,7 +226,11 @@ def suffer_every_fault() -> None:
         draught_at_s=0.1,
     )
     tiny = {
-        "disturbances": {"air_arcsec": 0.1, "microphonics": [{"frequency_hz": 50.0, "amplitude_px": 0.1}]},
+        "disturbances": {
+            "air_arcsec": 0.1,
+            "microphonics": [{"frequency_hz": 50.0, "amplitude_px": 0.1}],
+            "camera_slips_at_s": 0.1,
+        },
         "sensor": {"width_px": 32, "height_px": 32, "row_time_s": 1e-5},
         "optics": {"arm_m": 0.02, "sigma_x_px": 2, "sigma_y_px": 2},
     }
