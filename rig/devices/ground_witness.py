@@ -2,6 +2,7 @@
 
 import math
 import time
+from abc import ABC, abstractmethod
 from importlib.util import find_spec
 from typing import Protocol, Self
 
@@ -94,7 +95,7 @@ def check_witness(config: Configuration) -> Verdict:
     return Verdict("witness", alive, f"{kind}, samples come" if alive else problem, remedy)
 
 
-class _Samples:
+class _Samples(ABC):
     """Samples that were looked at, and wait to be taken."""
 
     def __init__(self) -> None:
@@ -109,8 +110,9 @@ class _Samples:
         self._looked_at = [one for one in self.take(frame) if one.time_ns >= from_ns]
         return list(self._looked_at)
 
+    @abstractmethod
     def _new(self, frame: Frame) -> list[RecordedWitness]:
-        raise NotImplementedError
+        """Samples that have come since the last call."""
 
 
 class _Connected(_Samples):
