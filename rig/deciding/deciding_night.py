@@ -93,6 +93,9 @@ class _Night:
         self._plan, self._config, self._planner = plan, config, planner
         self._folder, self._file = folder, file
         self._now_s, self._now_utc, self._sleep = now_s, now_utc, sleep
+        # the time of the day may be set back meanwhile: the night is no longer for it
+        self._began_s = now_s()
+        self._before_s = max((now_utc() - file.now.begun_utc).total_seconds(), 0.0)
 
     def decide(self) -> Decision | None:
         """The run to be made now; None, and in the file why, where none is."""
@@ -180,7 +183,8 @@ class _Night:
     def _rest(self, decision: Decision) -> None:
         """Wait, in the dark, as the run was chosen to."""
         left_s = decision.waiting_s - (self._now_utc() - decision.chosen_utc).total_seconds()
-        if decision.waiting_s > 0 and left_s > 0:
+        left_s = min(left_s, decision.waiting_s)
+        if left_s > 0:
             text = f"the contact rests for {left_s / 60:.0f} min before run {decision.number}"
             say(text)
             self._file.save(waiting=text)
@@ -214,7 +218,9 @@ class _Night:
     def _left_s(self) -> float:
         """Time until the night ends."""
         begun = self._file.now.begun_utc
-        elapsed_s = (self._now_utc() - begun).total_seconds()
+        elapsed_s = max(
+            (self._now_utc() - begun).total_seconds(), self._before_s + self._now_s() - self._began_s
+        )
         if self._config.on_demand:
             # what is simulated is measured sooner than it lasts
             elapsed_s = max(elapsed_s, self._file.now.rig_time_s)

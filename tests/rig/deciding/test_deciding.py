@@ -219,3 +219,24 @@ def test_a_night_ends_at_the_earlier_one_of_both_ends(tmp_path: Path) -> None:
     assert list(lasting.values()) == [2.0, 11.0, 23.0, 11.0, (utc - begun).total_seconds() / 3600]
     with pytest.raises(ConfigurationError, match="state hours or until"):
         load_deciding_plan(planned(tmp_path, plan=PLAN.replace("hours = 2\n", "")))
+
+
+def test_a_clock_that_is_set_back_makes_the_night_no_longer(tmp_path: Path) -> None:
+    plan, out = planned(tmp_path), tmp_path / "out"
+    begun = datetime.datetime(2026, 11, 1, 20, tzinfo=datetime.UTC)
+
+    def measured() -> bool:
+        file = out / "decisions.json"
+        return file.exists() and any(one["state"] == "measured" for one in decisions(out)["decisions"])
+
+    with figures_are_not_drawn():
+        status = decide_night(
+            plan,
+            out,
+            now_s=lambda: 3 * 3600.0 if measured() else 0.0,
+            now_utc=lambda: begun - datetime.timedelta(days=1) if measured() else begun,
+        )
+    assert status == 1
+    tree = decisions(out)
+    assert len(tree["decisions"]) == 1
+    assert tree["ending"] == "a limit of the plan"
