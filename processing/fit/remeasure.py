@@ -18,7 +18,7 @@ from processing.contact import ContactParameters, PendulumOnBall, scaled_contact
 from processing.deflections import Deflections
 from processing.errors import DataError
 from processing.fit.result import FitResult
-from processing.swing import KnownMotion, Swing, SwingDetector, SwingFlag, with_learned_weights
+from processing.swing import KnownMotion, Swing, SwingFlag, swings_of_blocks, with_learned_weights
 from processing.ticks import seconds
 
 _MOST = 0.95
@@ -89,9 +89,7 @@ def measured_again(
     -------
     The half-cycles, the first ones with uncertainties from the noise that is learned later.
     """
-    detector = SwingDetector(motion)
-    found = [swing for block in blocks for swing in detector.update(block.times_ns, block.y, block.u_y)]
-    found += detector.finish()
+    found = swings_of_blocks(blocks, motion)
     found_ns = np.array([swing.turn_time_ns for swing in found], dtype=np.int64)
     near_ns = 0.25e9 * math.pi / motion.rate_rad_per_s
     again: list[Swing] = []

@@ -2,7 +2,7 @@
 
 from processing.swing.compilation import compile_kernels
 from processing.swing.cycle_residuals import SHARED, CycleResiduals, CycleWatch
-from processing.swing.detector import SwingDetector
+from processing.swing.detector import SwingDetector, swings_of, swings_of_blocks
 from processing.swing.first_weights import with_learned_weights
 from processing.swing.known_motion import KnownMotion
 from processing.swing.modes import TwoModes, separate_modes

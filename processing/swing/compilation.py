@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from processing.swing.detector import SwingDetector
+from processing.swing.detector import swings_of
 from processing.swing.modes import separate_modes
 from processing.ticks import nanoseconds
 
@@ -24,7 +24,5 @@ def compile_kernels() -> None:
     deflection = (1.0 - 2.0 * _LOSS * halves - _LOSS) * np.cos(phase) + centre
     times_ns = nanoseconds(time_s)
     u = np.full(len(time_s), 1e-5)
-    detector = SwingDetector()
-    detector.update(times_ns, deflection, u)
-    detector.finish()
+    swings_of(times_ns, deflection, u)
     separate_modes(times_ns[:200], 0.1 * np.cos(5.0 * phase[:200]), deflection[:200], u[:200], u[:200])

@@ -1,9 +1,11 @@
 """Swing detector: turning points of a decaying oscillation, with uncertainties, from a stream of samples."""
 
 import math
+from collections.abc import Iterable
 
 from numpy.typing import ArrayLike
 
+from processing.deflections import Deflections
 from processing.swing.follower import Follower
 from processing.swing.half_cycle_fit import HalfCycleFit
 from processing.swing.judgement import turned
@@ -203,3 +205,16 @@ class SwingDetector:
         if not flags:
             self._last_good = self._last
         swings.append(self._last)
+
+
+def swings_of(times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[Swing]:
+    """All half-cycles of samples that are there as a whole; see `SwingDetector.update`."""
+    detector = SwingDetector()
+    return [*detector.update(times_ns, deflection, u_deflection), *detector.finish()]
+
+
+def swings_of_blocks(blocks: Iterable[Deflections], known: KnownMotion | None = None) -> list[Swing]:
+    """All half-cycles of deflections along the slow axis, in pieces that need not be in memory together."""
+    detector = SwingDetector(known)
+    found = [swing for block in blocks for swing in detector.update(block.times_ns, block.y, block.u_y)]
+    return [*found, *detector.finish()]

@@ -25,7 +25,7 @@ from rig.analysis.instrument_results import (
 )
 from rig.analysis.law_curves import ModelCurve, model_curves
 from rig.analysis.law_results import ComparedLaws, MomentsWithoutLaw
-from rig.analysis.less_reference import detected_again, less_beam_motion
+from rig.analysis.less_reference import less_beam_motion
 from rig.analysis.limits import Limit, whole_result
 from rig.analysis.position_table import TableColumns
 from rig.analysis.positions_file import POSITIONS_NAME, read_positions, write_positions

@@ -1,6 +1,6 @@
 """The deflections of a record less what its reference spot shares with the pendulum's."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,6 @@ from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.reference_beam import LessReference, ReferenceVerdict, common_motion, less_reference
 from processing.spot import SPOT_DTYPE, Spot
-from processing.swing import Swing, SwingDetector
 from rig.instrument import optics_of
 from rig.settings import Configuration
 
@@ -96,10 +95,3 @@ def _spots(table: np.ndarray) -> list[Spot]:
     for name in ("x_px", "y_px", "u_x_px", "u_y_px"):
         whole[name] = table[name]
     return [Spot(*row) for row in whole.tolist()]
-
-
-def detected_again(blocks: Iterable[Deflections]) -> list[Swing]:
-    """The half-cycles of deflections that are not those of the measurement any more."""
-    detector = SwingDetector()
-    found = [swing for one in blocks for swing in detector.update(one.times_ns, one.y, one.u_y)]
-    return [*found, *detector.finish()]

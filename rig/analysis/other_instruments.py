@@ -23,7 +23,7 @@ from processing.instruments import (
 )
 from processing.periods import mean_period
 from processing.surroundings import Surroundings
-from processing.swing import Swing, SwingDetector, SwingFlag, TurningPoints, turning_points
+from processing.swing import Swing, SwingFlag, TurningPoints, swings_of, turning_points
 from rig.analysis.instrument_results import (
     InstrumentResults,
     SwingPlane,
@@ -123,8 +123,7 @@ def _in_its_plane(
     at = deflections
     plane = swing_plane(at.times_ns, at.x, at.y, period_s)
     y, u_y = along_plane(plane, at.times_ns, at.x, at.y, at.u_x, at.u_y)
-    detector = SwingDetector()
-    found = detector.update(at.times_ns, y, u_y) + detector.finish()
+    found = swings_of(at.times_ns, y, u_y)
     per_minute = Estimate(*(60 * value / DEGREE_RAD for value in plane.rate_rad_per_s))
     turned_deg = Estimate(*(value / DEGREE_RAD for value in plane.turned_rad))
     lines.append(

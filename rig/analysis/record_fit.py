@@ -27,7 +27,7 @@ from processing.fit import (
 from processing.periods import mean_period
 from processing.spot import BeamUse
 from processing.surroundings import Surroundings
-from processing.swing import Swing, SwingHarmonics, TurningPoints
+from processing.swing import Swing, SwingHarmonics, TurningPoints, swings_of_blocks
 from rig.analysis.beam import Beam
 from rig.analysis.contact_laws import DecayFits, fit_decay
 from rig.analysis.contact_series import combined_series
@@ -35,7 +35,7 @@ from rig.analysis.contact_verdicts import evaluate, fit_results, rig_quantities
 from rig.analysis.decay_values import values_of_points
 from rig.analysis.drifts import believed_drifts
 from rig.analysis.fitted_drag import OPEN_DRAG, evidence_of, known_drag
-from rig.analysis.less_reference import WithoutBeamMotion, detected_again, less_beam_motion
+from rig.analysis.less_reference import WithoutBeamMotion, less_beam_motion
 from rig.analysis.other_instruments import Reduction, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.passing_deflections import PassingDeflections
@@ -109,7 +109,7 @@ def analyse_record(
         blocks = _RecordedDeflections(reader, less if less is not None and less.used else None)
         swings, unit = reader.swings(), reader.deflection_unit
         if less is not None and less.used:
-            swings = detected_again(blocks)
+            swings = swings_of_blocks(blocks)
         run = analyse_run(reader, watched.config, swings, blocks, unit, blocks.beam, witness=witness)
         if less is not None:
             run = replace(run, results=replace(run.results, notes=(*run.results.notes, less.text)))

@@ -20,7 +20,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Witness
 from processing.separate_decays import separate_decays
-from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
+from processing.swing import Swing, estimate_noise, swings_of, turning_points
 from processing.ticks import seconds
 from rig.analysis.amplitude_damping import amplitude_damping
 from rig.analysis.compared_laws import laws_of
@@ -91,9 +91,7 @@ def analyse_trajectory(
     scale = trajectory.scale_rad or 1.0
     deflection = along_and_across(trajectory.positions)[0] * scale
     noise = estimate_noise(trajectory.times_ns, deflection)
-    detector = SwingDetector()
-    swings = detector.update(trajectory.times_ns, deflection, np.full(len(deflection), noise))
-    swings += detector.finish()
+    swings = swings_of(trajectory.times_ns, deflection, np.full(len(deflection), noise))
     parts = separate_decays(swings)
     usable = [part for part in parts if len(turning_points(part)) >= _USABLE]
     if not usable:

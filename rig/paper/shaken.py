@@ -10,7 +10,7 @@ from acquisition.simulation.true_path import noisy, true_path, true_turning_poin
 from processing.angle import ARCSEC_RAD
 from processing.contact import MATERIALS, pendulum_on_ball
 from processing.fit import fit_asymptotic, fit_exact
-from processing.swing import SwingDetector, turning_points
+from processing.swing import swings_of, turning_points
 from rig.paper.printed import BALL, BALL_RADIUS_M, FINAL_AMPLITUDE_ARCSEC, MASS_KG, RUNS, PrintedPair
 from rig.paper.simulation import NOISE_ARCSEC, pair_settings, printed_parameters
 from rig.presentation import Cell, Table, plain
@@ -60,9 +60,7 @@ def shaken_pair(pair: PrintedPair, b_exponent: int, seed: int, runs: int = RUNS)
         end_s = float(true_turning_points(settings, FINAL_AMPLITUDE_ARCSEC, run=run).time_s[-1])
         motion = true_path(settings, end_s + 0.6 * truth.period0_s, _FRAMES_PER_S, run)
         seen = noisy(motion, noise_rad, noise_rad, seed + run)
-        detector = SwingDetector()
-        swings = detector.update(seen.times_ns, seen.y_rad, np.full(len(seen.y_rad), noise_rad))
-        points = turning_points(swings + detector.finish())
+        points = turning_points(swings_of(seen.times_ns, seen.y_rad, np.full(len(seen.y_rad), noise_rad)))
         asymptotic, exact = fit_asymptotic(points, pendulum), fit_exact(points, pendulum)
         errors.append((asymptotic.arae_decay, asymptotic.arae_period))
         relative.append(

@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from acquisition.simulation.settings import (
     ContactTruth,
     FastModeTruth,
@@ -16,7 +14,7 @@ from processing.angle import ARCSEC_RAD
 from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
 from processing.deflections import slow_deflections
 from processing.fit import FitMethod, FitResult, InputQuantity, RigQuantities, fit_asymptotic, fit_exact
-from processing.swing import SwingDetector, TurningPoints, turning_points
+from processing.swing import TurningPoints, swings_of_blocks, turning_points
 from processing.ticks import seconds
 from rig.analysis import (
     RunResults,
@@ -78,14 +76,12 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
     end_s = float(true_turning_points(settings, FINAL_AMPLITUDE_ARCSEC).time_s[-1])
     motion = true_path(settings, end_s + 0.6 * truth.period0_s)
     noise_rad = NOISE_ARCSEC * ARCSEC_RAD
-    u = np.full(len(motion.times_ns), noise_rad)
     runs, exact = [], []
     shown: ShownTrajectory | None = None
     for number in range(RUNS):
         seen = noisy(motion, noise_rad, noise_rad, seed + number)
-        detector = SwingDetector()
-        swings = detector.update(seen.times_ns, seen.y_rad, u) + detector.finish()
-        deflections = slow_deflections(seen.times_ns, seen.y_rad, u)
+        deflections = slow_deflections(seen.times_ns, seen.y_rad, noise_rad)
+        swings = swings_of_blocks([deflections])
         settled = settled_swings(swings, [deflections], deflections.unit, pendulum, FitSettings())
         runs.append(turning_points(settled.swings))
         exact.append(settled.exact or fit_exact(runs[-1], pendulum))

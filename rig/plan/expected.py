@@ -16,7 +16,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.fit import Conditions, FitMethod, sine_covariance
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
-from processing.swing import HarmonicsWatch, SwingDetector, turning_points
+from processing.swing import HarmonicsWatch, swings_of_blocks, turning_points
 from processing.ticks import nanoseconds
 from rig.analysis import RunResults, SessionResults, known_drag, read_results, stated_surroundings
 from rig.instrument import complete, pendulum_on_ball, sensor_model
@@ -228,10 +228,8 @@ def _of_swings(config: Configuration, noise_rad: float) -> tuple[float, float, N
         size = np.sqrt(0.25 * len(time_s) * rate_hz * _slow_density(config, at_hz))
         waves = size * (rng.standard_normal((2, len(at_hz))).T @ [1, 1j])
         swing_rad += np.fft.irfft(np.append(0.0, waves), len(time_s))
-    detector = SwingDetector()
-    u_rad = np.full(len(time_s), noise_rad)
-    seen = slow_deflections(nanoseconds(time_s), swing_rad, u_rad)
-    swings = [*detector.update(seen.times_ns, seen.y, seen.u_y), *detector.finish()]
+    seen = slow_deflections(nanoseconds(time_s), swing_rad, noise_rad)
+    swings = swings_of_blocks([seen])
     points, waveform = turning_points(swings), HarmonicsWatch(swings)
     waveform.update(seen)
     if len(points) < _HALF_CYCLES // 2:

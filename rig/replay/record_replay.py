@@ -9,12 +9,12 @@ from pathlib import Path
 from acquisition.record.events import Event
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
+from processing.swing import swings_of_blocks
 from rig.analysis import (
     RESULTS_NAME,
     AnalysedRun,
     analyse_record,
     analyse_run,
-    detected_again,
     less_beam_motion,
     print_results,
     recorded_results,
@@ -157,7 +157,7 @@ def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> 
     less = less_beam_motion(reader, config)
     if less is not None and less.used:
         deflections = [less(one) for one in deflections]
-        swings = detected_again(deflections)
+        swings = swings_of_blocks(deflections)
     run = analyse_run(reader, config, swings, deflections, config.deflection_unit, result.beam, replayed=True)
     if less is not None:
         run = replace(run, results=replace(run.results, notes=(*run.results.notes, less.text)))

@@ -1,16 +1,18 @@
 """Contact or air: what the waveform and what is known of the air say beside the turning points."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from processing.deflections import slow_deflections
 from processing.estimate import Estimate
 from processing.fit import Evidence, fit_exact, waveform_of
 from processing.fit.evidence import Waveform
-from processing.swing import HarmonicsWatch, SwingDetector, SwingHarmonics, TurningPoints, turning_points
+from processing.swing import SwingHarmonics, TurningPoints
 from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
+from tests.processing.fit.frames import points_and_harmonics, seen_in_frames
 
 RATE, U, DRAG_S = 25.0, 0.005 * ARCSEC, 1.7e-3
 PARAMETERS, PENDULUM = paper_pair("glass_k8", DRAG_S)
@@ -19,14 +21,8 @@ PARAMETERS, PENDULUM = paper_pair("glass_k8", DRAG_S)
 def seen(q: float, seed: int, stated: float = 1.0) -> tuple[TurningPoints, SwingHarmonics]:
     """A decay in air as frames show it, with uncertainties that are stated so many times too large."""
     path = driven_path(PARAMETERS, PENDULUM, q=q, seed=seed, frames_per_s=RATE)[2]
-    noisy = path + U * np.random.default_rng([seed, 3]).standard_normal(len(path))
-    times_ns = np.rint(np.arange(len(path)) * 1e9 / RATE).astype(np.int64)
-    samples = slow_deflections(times_ns, noisy, np.full(len(path), stated * U))
-    detector = SwingDetector()
-    swings = [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
-    watch = HarmonicsWatch(swings)
-    watch.update(samples)
-    return turning_points(swings), watch.found()
+    samples = seen_in_frames(path, U, [seed, 3], RATE)
+    return points_and_harmonics(replace(samples, u_y=stated * samples.u_y))
 
 
 @pytest.fixture(scope="module")
@@ -115,15 +111,9 @@ def test_what_is_known_of_the_air_enters_as_it_is_known(
 def test_a_law_that_is_wrong_is_fitted_where_the_waveform_says() -> None:
     """From the turning points' own start the fit ended at p = 6, with a drive of 1e-6 that explained all."""
     path = changing_path(PARAMETERS, PENDULUM, World(drag32=0.0151), q=8e-9, seed=1)[2]
-    noisy = path + U * np.random.default_rng([1, 78]).standard_normal(len(path))
-    times_ns = np.rint(np.arange(len(path)) * 1e9 / RATE).astype(np.int64)
-    samples = slow_deflections(times_ns, noisy, np.full(len(path), U))
-    detector = SwingDetector()
-    swings = [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
-    watch = HarmonicsWatch(swings)
-    watch.update(samples)
-    evidence = Evidence(waveform(watch.found()), Estimate(1.5e-3, 1.1e-3))
-    fit = fit_exact(turning_points(swings), PENDULUM, drag=True, evidence=evidence)
+    points, harmonics = points_and_harmonics(seen_in_frames(path, U, [1, 78], RATE))
+    evidence = Evidence(waveform(harmonics), Estimate(1.5e-3, 1.1e-3))
+    fit = fit_exact(points, PENDULUM, drag=True, evidence=evidence)
     assert fit.ground is not None
     assert fit.ground.density_rad_per_s2_rthz.value < 1e-7
     assert fit.estimate("p").value < 1.2

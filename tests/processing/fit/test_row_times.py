@@ -10,9 +10,9 @@ from processing.contact.laws import PAPER
 from processing.deflections import slow_deflections
 from processing.errors import DataError
 from processing.fit import alternation_of, delay_of_rows, fit_asymptotic, fit_exact, without_alternation
-from processing.swing import HarmonicsWatch, SwingDetector
 from tests.processing.fit.decays import ARCSEC, paper_pair, truth
 from tests.processing.fit.driven import driven_decay, driven_path
+from tests.processing.fit.frames import points_and_harmonics
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8")
 DELAY_S_PER_RAD = 12.5
@@ -54,10 +54,7 @@ def test_the_second_harmonic_is_that_of_rows(delay_s_per_rad: float) -> None:
     seen = path(at_s) + u * np.random.default_rng(3).standard_normal(len(at_s))
     times_ns = np.rint(frame_s * 1e9).astype(np.int64)
     samples = slow_deflections(times_ns, seen, np.full(len(seen), u))
-    detector = SwingDetector()
-    watch = HarmonicsWatch([*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()])
-    watch.update(samples)
-    found = delay_of_rows(watch.found(), PARAMETERS.period0_s)
+    found = delay_of_rows(points_and_harmonics(samples)[1], PARAMETERS.period0_s)
     assert found.seen is bool(delay_s_per_rad)
     # pieces of a decay have a mean amplitude only
     assert abs(found.delay_s_per_rad - delay_s_per_rad) < 0.05 * delay_s_per_rad + 4 * found.u_delay_s_per_rad

@@ -5,11 +5,11 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from processing.deflections import slow_deflections
 from processing.fit import Evidence, FitResult, fit_exact, steeper_drag, waveform_of, with_steeper_drag
-from processing.swing import HarmonicsWatch, SwingDetector, TurningPoints, turning_points
+from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
+from tests.processing.fit.frames import points_and_harmonics, seen_in_frames
 
 RATE, DRAG_S, SHARE = 25.0, 1.7e-3, 0.1
 PARAMETERS, PENDULUM = paper_pair("glass_k8", DRAG_S)
@@ -20,15 +20,8 @@ STEEPER = SHARE * DRAG_S / sqrt(124 * ARCSEC * 2 * pi / PARAMETERS.period0_s) * 
 def seen(steeper: float, seed: int) -> tuple[TurningPoints, FitResult]:
     """Integrated on moving ground, seen by frames, fitted with a linear drag of which nothing is known."""
     path = driven_path(PARAMETERS, PENDULUM, q=8e-9, seed=seed, frames_per_s=RATE, drag32=steeper)[2]
-    noisy = path + 0.005 * ARCSEC * np.random.default_rng([2, seed]).standard_normal(len(path))
-    times_ns = np.rint(np.arange(len(path)) * 1e9 / RATE).astype(np.int64)
-    samples = slow_deflections(times_ns, noisy, np.full(len(path), 0.005 * ARCSEC))
-    detector = SwingDetector()
-    swings = [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
-    watch = HarmonicsWatch(swings)
-    watch.update(samples)
-    points = turning_points(swings)
-    return points, fit_exact(points, PENDULUM, drag=True, evidence=Evidence(waveform_of(watch.found())))
+    points, harmonics = points_and_harmonics(seen_in_frames(path, 0.005 * ARCSEC, [2, seed], RATE))
+    return points, fit_exact(points, PENDULUM, drag=True, evidence=Evidence(waveform_of(harmonics)))
 
 
 def test_a_tenth_of_the_drag_is_found_and_b_holds_what_it_does() -> None:

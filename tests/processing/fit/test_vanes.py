@@ -2,16 +2,14 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from processing.deflections import slow_deflections
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit import Evidence, MeasuredAir, VanedRun, air_of_vanes, fit_exact, waveform_of
-from processing.swing import HarmonicsWatch, SwingDetector, turning_points
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
+from tests.processing.fit.frames import points_and_harmonics, seen_in_frames
 
 DRAG_S, PER_M2_S, RATE = 1.7e-3, 0.025, 25.0
 AREAS_M2 = (0.0, 0.07, 0.14)
@@ -27,15 +25,9 @@ def run_of(area_m2: float, seed: int, *, rougher: float = 1.0) -> VanedRun:
         b=rougher * PARAMETERS.b,
     )
     path = driven_path(true, PENDULUM, q=3e-9, seed=seed, frames_per_s=RATE, last_arcsec=10)[2]
-    seen = path + 0.005 * ARCSEC * np.random.default_rng([seed, 3]).standard_normal(len(path))
-    times_ns = np.rint(np.arange(len(path)) * 1e9 / RATE).astype(np.int64)
-    samples = slow_deflections(times_ns, seen, np.full(len(path), 0.005 * ARCSEC))
-    detector = SwingDetector()
-    swings = [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
-    watch = HarmonicsWatch(swings)
-    watch.update(samples)
-    points, evidence = turning_points(swings), Evidence(waveform_of(watch.found()))
-    return VanedRun(points, fit_exact(points, PENDULUM, drag=True, evidence=evidence), area_m2)
+    points, harmonics = points_and_harmonics(seen_in_frames(path, 0.005 * ARCSEC, [seed, 3], RATE))
+    fit = fit_exact(points, PENDULUM, drag=True, evidence=Evidence(waveform_of(harmonics)))
+    return VanedRun(points, fit, area_m2)
 
 
 @pytest.fixture(scope="module")

@@ -30,7 +30,7 @@ from processing.instruments.friction_law import fit_friction_law, rolling_fricti
 from processing.instruments.hardness import herbert_hardness
 from processing.instruments.plane import along_plane, swing_plane
 from processing.instruments.turning import refined
-from processing.swing import SwingDetector, TurningPoints, turning_points
+from processing.swing import TurningPoints, swings_of, turning_points
 from rig.instrument import complete, pendulum_on_ball
 from rig.settings.configuration import load_configuration
 
@@ -87,8 +87,7 @@ def samples(settings: SimulationSettings, final_deg: float, seed: int, noise_rad
 
 def detected(found: Samples) -> TurningPoints:
     """Turning points as the rig takes them from samples of a large swing; times from the first sample."""
-    detector = SwingDetector()
-    swings = detector.update(found.times_ns, found.y_rad, found.u_rad) + detector.finish()
+    swings = swings_of(found.times_ns, found.y_rad, found.u_rad)
     return turning_points(refined(found.times_ns, found.y_rad, found.u_rad, swings))
 
 

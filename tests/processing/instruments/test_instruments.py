@@ -20,7 +20,7 @@ from processing.instruments.friction_law import fit_friction_law, rolling_fricti
 from processing.instruments.hardness import herbert_hardness
 from processing.instruments.plane import swing_plane
 from processing.instruments.turning import refined
-from processing.swing import SwingDetector, TurningPoints
+from processing.swing import TurningPoints, swings_of
 from rig.settings.configuration import load_configuration
 from tests.processing.instruments.simulated_instruments import (
     CONFIGS,
@@ -284,8 +284,7 @@ def test_swings_without_samples_about_them_are_flagged() -> None:
     times_ns = np.arange(3000) * 10_000_000
     deflection = 0.1 * np.exp(-1e-4 * np.arange(3000)) * np.cos(2 * math.pi * times_ns * 1e-9 / 1.4)
     u = np.full(3000, 1e-5)
-    detector = SwingDetector()
-    swings = detector.update(times_ns, deflection + 1e-5 * np.sin(1e3 * times_ns), u) + detector.finish()
+    swings = swings_of(times_ns, deflection + 1e-5 * np.sin(1e3 * times_ns), u)
     lost = np.where(np.abs(times_ns - swings[10].turn_time_ns) < 3e8, np.nan, deflection)
     found = refined(times_ns, lost, u, swings)
     assert found[10].flags

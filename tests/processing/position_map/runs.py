@@ -13,7 +13,7 @@ from processing.contact import ContactParameters, PendulumOnBall
 from processing.deflections import Deflections, slow_deflections
 from processing.fit import fit_exact, known_motion
 from processing.position_map import PositionMap, PositionMapSearch
-from processing.swing import CycleWatch, Swing, SwingDetector, turning_points
+from processing.swing import CycleWatch, Swing, swings_of_blocks, turning_points
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
 
@@ -62,9 +62,7 @@ def run(
     if fast is not None:
         x = fast(time_s) + NOISE * rng.standard_normal(len(path))
         deflections = replace(deflections, x=x, u_x=deflections.u_y)
-    detector = SwingDetector()
-    swings = [*detector.update(times_ns, y, deflections.u_y), *detector.finish()]
-    return Run(swings, deflections, parameters, pendulum)
+    return Run(swings_of_blocks([deflections]), deflections, parameters, pendulum)
 
 
 def searched(one: Run) -> PositionMap | None:

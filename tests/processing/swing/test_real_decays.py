@@ -6,13 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
-
-
-def swings_of(times_ns: np.ndarray, deflection: np.ndarray, noise: float) -> list[Swing]:
-    detector = SwingDetector()
-    swings = detector.update(times_ns, deflection, np.full(len(times_ns), noise))
-    return swings + detector.finish()
+from processing.swing import estimate_noise, swings_of, turning_points
 
 
 @pytest.mark.parametrize(
@@ -23,7 +17,7 @@ def test_seismometer(shared_data: Path, name: str, period_s: float, at_least: in
     times_ns = np.round(table[:, 0] * 1e9).astype(np.int64)
     noise = estimate_noise(times_ns, table[:, 1])
     assert 0.001 < noise < 0.01
-    swings = swings_of(times_ns, table[:, 1], noise)
+    swings = swings_of(times_ns, table[:, 1], np.full(len(table), noise))
     good = turning_points(swings)
     assert len(good) >= at_least
     assert np.all(np.diff(good.amplitude) < 3.0 * np.hypot(*good.u_amplitude[[0, 1]]))
@@ -46,5 +40,5 @@ def test_torsion_balance_gives_no_wrong_swing(shared_data: Path, column: int) ->
     with gzip.open(shared_data / "ringdown" / "torsion-balance-laser-spot.csv.gz") as lines:
         table = np.genfromtxt(lines, delimiter=",", skip_header=1, usecols=(1, column))
     times_ns = np.round(table[:, 0] * 1e9).astype(np.int64)
-    swings = swings_of(times_ns, table[:, 1], estimate_noise(times_ns, table[:, 1]))
+    swings = swings_of(times_ns, table[:, 1], np.full(len(table), estimate_noise(times_ns, table[:, 1])))
     assert len([s for s in swings if not s.flags]) <= 2

@@ -8,7 +8,7 @@ import pytest
 from processing.contact import law_harmonics
 from processing.contact.laws import PAPER
 from processing.deflections import Deflections, slow_deflections
-from processing.swing import ORDERS, HarmonicsWatch, Swing, SwingDetector, SwingHarmonics
+from processing.swing import ORDERS, HarmonicsWatch, SwingDetector, SwingHarmonics, swings_of_blocks
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
 
@@ -31,13 +31,8 @@ def samples_of(y: np.ndarray, x: np.ndarray | None = None) -> Deflections:
     return found if x is None else Deflections(found.times_ns, x, y, found.u_y, found.u_y, found.unit)
 
 
-def swings_of(samples: Deflections) -> list[Swing]:
-    detector = SwingDetector()
-    return [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
-
-
 def measured(samples: Deflections, block: int = 500) -> SwingHarmonics:
-    watch = HarmonicsWatch(swings_of(samples))
+    watch = HarmonicsWatch(swings_of_blocks([samples]))
     for begin in range(0, len(samples), block):
         watch.update(samples[begin : begin + block])
     return watch.found()
@@ -90,8 +85,8 @@ def test_stated_uncertainties_are_those_of_the_scatter(path: np.ndarray) -> None
 
 
 def test_a_piece_with_a_disturbed_half_cycle_is_left_out(path: np.ndarray) -> None:
-    swings = swings_of(samples_of(path))
     samples = samples_of(path)
+    swings = swings_of_blocks([samples])
     clean = HarmonicsWatch(swings)
     clean.update(samples)
     flagged = [replace(one, flags=2) if one.index == swings[6].index else one for one in swings]

@@ -5,7 +5,7 @@ import pytest
 
 from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit, slow_deflections
-from processing.swing import SwingDetector
+from processing.swing import swings_of_blocks
 from rig.analysis import settled_swings
 from rig.settings import FitSettings
 from tests.processing.fit.decays import paper_pair
@@ -20,10 +20,8 @@ def test_few_noisy_samples_are_measured_again(seed: int) -> None:
     noise = 0.2 * ARCSEC_RAD
     times_ns = np.arange(len(path), dtype=np.int64) * 40_000_000
     seen = path + noise * np.random.default_rng([seed, 9]).standard_normal(len(path))
-    u = np.full(len(path), noise)
-    detector = SwingDetector()
-    swings = [*detector.update(times_ns, seen, u), *detector.finish()]
-    blocks = [slow_deflections(times_ns, seen, u)]
+    blocks = [slow_deflections(times_ns, seen, noise)]
+    swings = swings_of_blocks(blocks)
     settled = settled_swings(swings, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
     assert settled.motion is not None
     assert not settled.doubt

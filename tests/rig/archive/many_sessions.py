@@ -18,7 +18,7 @@ from acquisition.record.writer import RecordWriter
 from acquisition.simulation.true_path import true_path
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
-from processing.swing import SwingDetector
+from processing.swing import swings_of
 from rig.analysis import analyse_record, encoded, session_results
 from rig.instrument import CONFIGURATION_NAME, complete, configuration_attachments
 from rig.settings import load_configuration
@@ -87,12 +87,11 @@ def make_template(path: Path, seed: int) -> Template:
         flush_interval_s=math.inf,
     )
     spots = [Spot(640.0, 512.0, 0.01, 0.01, 9.0, 9.0, 0.0, 200.0, 8.0, 1.0, 0)] * count
-    detector = SwingDetector()
     with writer:
         listed = times_ns.tolist()
         deflections = Deflections(times_ns, x, y, u, u, DeflectionUnit.RAD)
         writer.write_spots(range(count), listed, listed, spots, deflections)
-        for swing in [*detector.update(times_ns, y, u), *detector.finish()]:
+        for swing in swings_of(times_ns, y, u):
             writer.write_swing(swing)
         # without an end a record counts as cut short
         writer.write_event(listed[0], EventKind.START, "first frame")

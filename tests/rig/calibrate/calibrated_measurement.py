@@ -18,7 +18,7 @@ from processing.fit import points_in_true_time
 from processing.fit.exact import fit_exact
 from processing.fit.reported import fitted_contact
 from processing.fit.uncertainty import budgets
-from processing.swing import SwingDetector
+from processing.swing import swings_of
 from rig.analysis import settled_swings
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.instrument import complete, pendulum_on_ball
@@ -107,8 +107,7 @@ def measure(
         lever, config.axes, x_px, y_px, u_px, u_px, (lever.reference_x_px, lever.reference_y_px)
     )
     stamps_ns = np.rint(times_s * (1 + 1e-6 * rig.settings.clock.drift_ppm) * 1e9).astype(np.int64)
-    detector = SwingDetector()
-    swings = [*detector.update(stamps_ns, y_rad, u_y_rad), *detector.finish()]
+    swings = swings_of(stamps_ns, y_rad, u_y_rad)
     swings = [swing for swing in swings if swing.amplitude > final_arcsec * ARCSEC_RAD]
     pendulum, quantities = pendulum_on_ball(config), rig_quantities(config)
     assert pendulum is not None

@@ -26,7 +26,7 @@ from processing.deflections import slow_deflections
 from processing.fit import points_in_true_time
 from processing.fit.exact import fit_exact
 from processing.spot import Spot
-from processing.swing import SwingDetector, TurningPoints
+from processing.swing import TurningPoints, swings_of_blocks
 from rig.analysis import settled_swings
 from rig.instrument import Deflector, complete, pendulum_on_ball
 from rig.settings.configuration import Configuration, FitSettings
@@ -91,8 +91,7 @@ def measure(
     axes = Axes(slow_angle_rad=settings.axes.slow_angle_rad)
     shape = (settings.sensor.height_px, settings.sensor.width_px)
     at = Deflector(lever, axes, shape, shutter)(frame_ns, spots)
-    detector = SwingDetector()
-    swings = [*detector.update(at.times_ns, at.y, at.u_y), *detector.finish()]
+    swings = swings_of_blocks([at])
     swings = [swing for swing in swings if swing.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
     slow = slow_deflections(at.times_ns, at.y, at.u_y)
     points = points_in_true_time(

@@ -15,7 +15,7 @@ from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.laws import PAPER
 from processing.deflections import slow_deflections
 from processing.fit.exact import fit_exact
-from processing.swing import SwingDetector, turning_points
+from processing.swing import swings_of, turning_points
 from rig.analysis import settled_swings
 from rig.settings.configuration import FitSettings
 from tests.calibration.simulated_rig import climb_tilts, draw_rig, spots_of, swing_for_axes
@@ -46,9 +46,9 @@ def _found(spots: Spots) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         lever, spots.axes, spots.x_px, spots.y_px, u, u, (lever.reference_x_px, lever.reference_y_px)
     )
     times_ns = np.rint(spots.times_s * 1e9).astype(np.int64)
-    detector = SwingDetector()
-    swings = [*detector.update(times_ns, y_rad, u_y_rad), *detector.finish()]
-    swings = [swing for swing in swings if swing.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
+    swings = [
+        swing for swing in swings_of(times_ns, y_rad, u_y_rad) if swing.amplitude > FINAL_ARCSEC * ARCSEC_RAD
+    ]
     pendulum = pendulum_on_ball(0.406, 6.05e-3, MATERIALS["steel"], MATERIALS["glass_k8"])
     slow = slow_deflections(times_ns, y_rad, u_y_rad)
     fit = fit_exact(

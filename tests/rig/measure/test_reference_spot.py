@@ -12,8 +12,8 @@ from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
 from processing.spot import Spot
-from processing.swing import Swing
-from rig.analysis import analyse_record, detected_again, less_beam_motion, read_results
+from processing.swing import Swing, swings_of_blocks
+from rig.analysis import analyse_record, less_beam_motion, read_results
 from rig.devices import FrameStream
 from rig.instrument import (
     camera_settings,
@@ -87,7 +87,7 @@ def test_half_cycles_are_nearer_to_the_truth_without_the_beams_motion(recorded: 
         assert less is not None
         assert less.used
         before = scatter(reader.swings())
-        after = scatter(detected_again(less(one) for one in reader.deflection_blocks()))
+        after = scatter(swings_of_blocks(less(one) for one in reader.deflection_blocks()))
     assert before[0] > 0.02
     assert after[0] < 0.3 * before[0]
     assert after[1] < 2.0

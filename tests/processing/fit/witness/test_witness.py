@@ -16,7 +16,7 @@ from processing.arrays import Floats
 from processing.estimate import Estimate
 from processing.fit import FitResult, Witness, WitnessVerdict, fit_exact, fit_with_witness
 from processing.fit.exact_model import Errors, ExactModel
-from processing.swing import SwingDetector, TurningPoints, turning_points
+from processing.swing import TurningPoints, swings_of, turning_points
 from tests.processing.fit.decays import paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_path
 
@@ -213,9 +213,8 @@ def delay_found(seed: int, late_s: float) -> Estimate:
     )
     noise_rad = 0.02 * ARCSEC_RAD
     path = noisy(true_path(settings, 900.0, frame_rate_hz=50.0), noise_rad, noise_rad, seed)
-    detector = SwingDetector()
     u = np.full(len(path.times_ns), noise_rad)
-    swings = [*detector.update(path.times_ns, path.y_rad, u), *detector.finish()]
+    swings = swings_of(path.times_ns, path.y_rad, u)
     points = turning_points(swings)
     begin_s = next(1e-9 * one.turn_time_ns for one in swings if not one.flags)
     felt = SimulatedWitness(settings).until(900.0, 0)

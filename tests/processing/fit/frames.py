@@ -1,0 +1,24 @@
+"""Paths as a camera's frames show them, and what the detector makes of them as a whole."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.deflections import Deflections, slow_deflections
+from processing.swing import HarmonicsWatch, SwingHarmonics, TurningPoints, swings_of_blocks, turning_points
+
+
+def seen_in_frames(
+    path_rad: NDArray[np.float64], noise_rad: float, seed: int | list[int], frames_per_s: float = 25.0
+) -> Deflections:
+    """A path, one position a frame, with noise, whose size is stated."""
+    times_ns = np.rint(np.arange(len(path_rad)) * 1e9 / frames_per_s).astype(np.int64)
+    noise = noise_rad * np.random.default_rng(seed).standard_normal(len(path_rad))
+    return slow_deflections(times_ns, path_rad + noise, noise_rad)
+
+
+def points_and_harmonics(samples: Deflections) -> tuple[TurningPoints, SwingHarmonics]:
+    """Turning points of the detector, and the waveform between them."""
+    swings = swings_of_blocks([samples])
+    watch = HarmonicsWatch(swings)
+    watch.update(samples)
+    return turning_points(swings), watch.found()
