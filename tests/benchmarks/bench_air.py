@@ -5,9 +5,6 @@ with drag come from the tests' own integration, or from the simulated rig on rec
 second with 0.005 arcsec; nothing is known of the drag beforehand. Neither shares a formula with the fit.
 """
 
-import argparse
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from time import process_time
@@ -19,19 +16,21 @@ from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.arrays import Floats
 from processing.contact.laws import PAPER
-from processing.deflections import DeflectionUnit, slow_deflections
+from processing.deflections import DeflectionUnit
 from processing.errors import RigError
 from processing.fit import FitResult, VanedRun, air_of_vanes, fit_exact
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
-from processing.least_squares import covariance_of
-from processing.swing import SwingDetector, TurningPoints, turning_points
+from processing.swing import TurningPoints, swings_of_blocks, turning_points
 from rig.analysis import FittedDrag, evidence_of, settled_swings
 from rig.settings import FitSettings
 from tests.benchmarks.bench_ground import GROUND_FILE, recorded, simulated
+from tests.benchmarks.bound import bound, true_columns
+from tests.benchmarks.cases import chosen, run_told
 from tests.benchmarks.coverage import coverage, held, lines, named, rms
 from tests.processing.fit.decays import ARCSEC, paper_pair, truth
 from tests.processing.fit.driven import driven_path
+from tests.processing.fit.frames import seen_in_frames
 
 NOISE_ARCSEC, FRAMES_PER_S = 0.005, 25.0
 NAMES = PAPER.names(drag=True)
@@ -85,13 +84,9 @@ class Fitted(NamedTuple):
 
 def fitted(case: Case, seed: int, more_s: float = 0.0, slower: float = 1.0) -> Fitted:
     """From frames to parameters as a session does it, with nothing known of the air."""
-    path, noise = path_of(case, seed, more_s, slower), NOISE_ARCSEC * ARCSEC
-    times_ns = np.rint(np.arange(len(path)) * 1e9 / FRAMES_PER_S).astype(np.int64)
-    rng = np.random.default_rng([seed, 78, cases().index(case)])
-    seen = path + noise * rng.standard_normal(len(path))
-    samples = slow_deflections(times_ns, seen, np.full(len(path), noise))
-    detector = SwingDetector()
-    swings = [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
+    path, seeds = path_of(case, seed, more_s, slower), [seed, 78, cases().index(case)]
+    samples = seen_in_frames(path, NOISE_ARCSEC * ARCSEC, seeds, FRAMES_PER_S)
+    swings = swings_of_blocks([samples])
     pendulum = paper_pair(FLAT)[1]
     settled = settled_swings(swings, [samples], DeflectionUnit.RAD, pendulum, FitSettings())
     points, evidence = turning_points(settled.swings), evidence_of(FittedDrag(), settled.harmonics)
@@ -102,21 +97,18 @@ def fitted(case: Case, seed: int, more_s: float = 0.0, slower: float = 1.0) -> F
     return Fitted(again, points, between_s - began_s, process_time() - between_s)
 
 
-def bound(found: Fitted, case: Case) -> Floats:
+def least(found: Fitted, case: Case) -> Floats:
     """Standard deviations of the Cramer-Rao bound of points and waveform together, at the truth."""
     parameters, pendulum = paper_pair(FLAT, case.drag_s)
     points = found.points.first(found.fit.half_cycles)
     model = ExactModel(points, pendulum, drag=True, evidence=found.fit.evidence)
-    known = dict(zip(NAMES, truth(parameters, NAMES), strict=True))
-    known |= {"initial_amplitude_rad": float(points.amplitude[0]), "start_time_s": float(points.time_s[0])}
-    columns = model.columns.from_physical(known)
+    columns = true_columns(model, parameters, points)
     assert found.fit.ground is not None
     step = found.fit.ground.noise.step
     if case.q is not None:
         step = case.q / density_of_step(1.0, float(np.diff(points.time_s).mean()))
     here = model.about(columns).on_ground(columns, Noise(step / model.reference))
-    jacobian, matrix = here(columns)[1], model.columns.physical(columns)[1]
-    return np.asarray(np.sqrt(np.diag(matrix @ covariance_of(jacobian) @ matrix.T)))[: len(NAMES)]
+    return bound(model, columns, here(columns)[1])[: len(NAMES)]
 
 
 def measure(case: Case, seeds: int) -> dict[str, Any]:
@@ -127,14 +119,14 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
     for seed in range(seeds):
         try:
             found = fitted(case, seed)
-            least = bound(found, case)
+            at_best = least(found, case)
         except RigError as error:
             failed += 1
             print(f"  seed {seed}: {error}")
             continue
         off = found.fit.values[: len(NAMES)] - expected
         pulls.append(off / found.fit.standard_uncertainty[: len(NAMES)])
-        to_bound.append(off / least)
+        to_bound.append(off / at_best)
         relative.append(found.fit.standard_uncertainty[0] / expected[0])
         ratio.append(found.cpu_s / found.vacuum_cpu_s)
         inside.append(held(found.fit, NAMES, expected))
@@ -183,9 +175,7 @@ def vanes(seeds: int) -> dict[str, Any]:
 def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All of it; numbers as plain values."""
     result: dict[str, Any] = {"cases": []}
-    for case in cases():
-        if only and not any(word in case.name for word in only):
-            continue
+    for case in chosen(cases(), only, lambda case: case.name):
         found = measure(case, 3 if quick else seeds)
         result["cases"].append(found)
         print(
@@ -202,14 +192,5 @@ def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> di
     return result
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", metavar="CASE", help="parts of names of cases; all without")
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--seeds", type=int, default=100)
-    words = parser.parse_args()
-    json.dump(run(words.quick, words.seeds, tuple(words.cases)), sys.stderr, indent=1)
-
-
 if __name__ == "__main__":
-    main()
+    run_told(__doc__, run, 100)

@@ -28,7 +28,7 @@ from processing.contact.laws import PAPER
 from processing.deflections import DeflectionUnit, slow_deflections
 from processing.errors import RigError
 from processing.fit import FitResult, fit_exact
-from processing.swing import SwingDetector, TurningPoints, turning_points
+from processing.swing import TurningPoints, swings_of_blocks, turning_points
 from rig.analysis import settled_swings
 from rig.instrument import complete
 from rig.measure.end_of_run import EndLimits, EndOfRun
@@ -184,11 +184,10 @@ def frames(runs: int, *wanted: str) -> dict[str, Any]:
         pointing = Pointing(settings, FrameNoise(settings.seed, 0), 0, 1 / rate_hz)
         seen = path.y_rad + rad_per_px * pointing.offset_px(0, len(path.y_rad))[:, 1]
         seen += frame_rad * np.random.default_rng([seed, 80]).standard_normal(len(seen))
-        u_seen = np.full(len(seen), frame_rad)
-        detector = SwingDetector()
-        found = [*detector.update(path.times_ns, seen, u_seen), *detector.finish()]
-        blocks = [slow_deflections(path.times_ns, seen, u_seen)]
-        settled = settled_swings(found, blocks, DeflectionUnit.RAD, expected.pendulum, config.fit)
+        blocks = [slow_deflections(path.times_ns, seen, frame_rad)]
+        settled = settled_swings(
+            swings_of_blocks(blocks), blocks, DeflectionUnit.RAD, expected.pendulum, config.fit
+        )
         fit = settled.exact or fit_exact(turning_points(settled.swings), expected.pendulum)
         values.append([fit.estimate(name).value for name in PAPER.names()])
         stated.append([fit.estimate(name).standard_uncertainty for name in PAPER.names()])

@@ -6,10 +6,7 @@ neither shares a formula with the fit. A case named "frames" goes through the sw
 second with the noise of a tracked spot; the others give the fit true turning points with noise.
 """
 
-import argparse
-import json
 import os
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,19 +20,21 @@ from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.contact import PendulumOnBall
 from processing.contact.laws import PAPER
-from processing.deflections import DeflectionUnit, slow_deflections
+from processing.deflections import DeflectionUnit
 from processing.errors import RigError
 from processing.fit import FitResult, combine_runs, fit_exact
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
 from processing.instruments import DEGREE_RAD, damping
-from processing.least_squares import covariance_of
-from processing.swing import SwingDetector, TurningPoints, turning_points
+from processing.swing import TurningPoints, swings_of_blocks, turning_points
 from rig.analysis import settled_swings
 from rig.settings import FitSettings
+from tests.benchmarks.bound import bound, true_columns
+from tests.benchmarks.cases import chosen, run_told
 from tests.benchmarks.coverage import coverage, held, lines, named, rms
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_decay, driven_path
+from tests.processing.fit.frames import seen_in_frames
 from tests.processing.instruments.test_driven import PERIOD_S, damping_time, driven, ten_swings
 
 NOISE_ARCSEC = 0.005
@@ -120,13 +119,8 @@ def recorded(seed: int) -> dict[str, Any]:
 def detected(path: Floats, pendulum: PendulumOnBall, seed: int) -> TurningPoints:
     """Turning points that the swing detector finds in tilts, measured again as in a session."""
     noise = NOISE_ARCSEC * ARCSEC * np.sqrt(FRAMES_PER_S / 25.0)
-    times_ns = np.rint(np.arange(len(path)) * 1e9 / FRAMES_PER_S).astype(np.int64)
-    seen = path + noise * np.random.default_rng([seed, 78]).standard_normal(len(path))
-    u_seen = np.full(len(path), noise)
-    detector = SwingDetector()
-    swings = [*detector.update(times_ns, seen, u_seen), *detector.finish()]
-    blocks = [slow_deflections(times_ns, seen, u_seen)]
-    settled = settled_swings(swings, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
+    blocks = [seen_in_frames(path, noise, [seed, 78], FRAMES_PER_S)]
+    settled = settled_swings(swings_of_blocks(blocks), blocks, DeflectionUnit.RAD, pendulum, FitSettings())
     return turning_points(settled.swings)
 
 
@@ -141,20 +135,17 @@ def cases() -> list[Case]:
     return out
 
 
-def bound(points: TurningPoints, case: Case, noise: Noise) -> Floats:
+def least(points: TurningPoints, case: Case, noise: Noise) -> Floats:
     """Standard deviations of the Cramer-Rao bound of the driven model at the truth, with its noise known."""
     parameters, pendulum = paper_pair(case.flat)
     model = ExactModel(points, pendulum)
-    known = dict(zip(model.names, truth(parameters, model.names), strict=False))
-    known |= {"initial_amplitude_rad": float(points.amplitude[0]), "start_time_s": float(points.time_s[0])}
-    columns = model.columns.from_physical(known)
+    columns = true_columns(model, parameters, points)
     if case.q is not None:
         half_period_s = float(np.diff(points.time_s).mean())
         noise = Noise(case.q / density_of_step(1.0, half_period_s), averaged=case.averaged)
     noise = replace(noise, step=noise.step / model.reference)
     jacobian = model.on_ground(columns, noise)(columns)[1]
-    matrix = model.columns.physical(columns)[1]
-    return np.asarray(np.sqrt(np.diag(matrix @ covariance_of(jacobian) @ matrix.T)))[: len(PAPER.names())]
+    return bound(model, columns, jacobian)[: len(PAPER.names())]
 
 
 def measure(case: Case, seeds: int) -> dict[str, Any]:
@@ -182,7 +173,7 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
         q.append(result.ground.density_rad_per_s2_rthz.value)
         off = result.values[: len(names)] - expected
         pulls.append(off / result.standard_uncertainty[: len(names)])
-        to_bound.append(off / bound(points.first(result.half_cycles), case, result.ground.noise))
+        to_bound.append(off / least(points.first(result.half_cycles), case, result.ground.noise))
         inside.append(held(result, names, expected))
     table = {
         **coverage(pulls, inside),
@@ -254,9 +245,7 @@ def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> di
         print(f"{name}: {seconds:.2f} s of CPU time")
     if not only or "others" in only:
         result["others"] = other_pendulums(10 if quick else seeds)
-    for case in cases():
-        if only and not any(word in case.name for word in only):
-            continue
+    for case in chosen(cases(), only, lambda case: case.name):
         count = 4 if quick else max(round(seeds * case.share), 4)
         found = measure(case, count)
         result["cases"].append(found)
@@ -270,14 +259,5 @@ def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> di
     return result
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", metavar="CASE", help="parts of names of cases; all without")
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--seeds", type=int, default=200)
-    words = parser.parse_args()
-    json.dump(run(words.quick, words.seeds, tuple(words.cases)), sys.stderr, indent=1)
-
-
 if __name__ == "__main__":
-    main()
+    run_told(__doc__, run, 200)

@@ -18,7 +18,7 @@ from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit, slow_deflections
 from processing.fit import FitResult, fit_exact, known_motion, measured_again
 from processing.spot import SpotFlag, SpotTracker
-from processing.swing import SwingDetector, turning_points
+from processing.swing import swings_of_blocks, turning_points
 from rig.analysis import settled_swings
 from rig.settings import FitSettings
 from tests.benchmarks.bench_remeasure import swing
@@ -110,9 +110,8 @@ def measure(name: str, seeds: int, short: bool) -> dict[str, Any]:
     for seed in range(seeds):
         noise = u * np.random.default_rng([seed, 41]).standard_normal(count)
         seen = angle + PX * np.interp(angle / PX, sensor.place, sensor.error) + noise
-        detector = SwingDetector()
-        swings = [*detector.update(times_ns, seen, u), *detector.finish()]
         block = slow_deflections(times_ns, seen, u)
+        swings = swings_of_blocks([block])
         first = fit_exact(turning_points(swings), samples.pendulum)
         largest = float(turning_points(swings).amplitude[0])
         again = measured_again(swings, [block], known_motion(first.parameters, samples.pendulum, largest))

@@ -5,7 +5,6 @@ motion is the tests' own integration, and the simulated rig's where there is a d
 swing detector and is measured again as in a session.
 """
 
-import argparse
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -20,10 +19,11 @@ from processing.contact import ContactParameters, PendulumOnBall
 from processing.contact.laws import PAPER
 from processing.deflections import DeflectionUnit, slow_deflections
 from processing.fit import fit_exact
-from processing.swing import SwingDetector, turning_points
+from processing.swing import swings_of_blocks, turning_points
 from rig.analysis import settled_swings
 from rig.analysis.fitted_drag import FittedDrag
 from rig.settings import FitSettings
+from tests.benchmarks.cases import chosen, run_told
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
 
@@ -116,11 +116,10 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
         noise = case.noise_arcsec * ARCSEC
         times_ns = np.rint(samples.time_s * 1e9).astype(np.int64)
         seen = samples.angle_rad + noise * rng.standard_normal(len(times_ns))
-        u = np.full(len(seen), noise)
-        detector = SwingDetector()
-        swings = [*detector.update(times_ns, seen, u), *detector.finish()]
-        blocks = [slow_deflections(times_ns, seen, u)]
-        settled = settled_swings(swings, blocks, DeflectionUnit.RAD, samples.pendulum, settings, drag=drag)
+        blocks = [slow_deflections(times_ns, seen, noise)]
+        settled = settled_swings(
+            swings_of_blocks(blocks), blocks, DeflectionUnit.RAD, samples.pendulum, settings, drag=drag
+        )
         refused += settled.motion is None
         try:
             fit = settled.exact or fit_exact(turning_points(settled.swings), samples.pendulum, drag=case.drag)
@@ -148,9 +147,7 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
 
 def run(quick: bool = False, seeds: int = 40, only: tuple[str, ...] = ()) -> dict[str, Any]:
     found = []
-    for case in CASES:
-        if only and not any(word in case.name for word in only):
-            continue
+    for case in chosen(CASES, only, lambda case: case.name):
         one = measure(case, 4 if quick else seeds)
         found.append(one)
         listed = " ".join(f"{name} {value:.2f}" for name, value in one["rms_pull"].items())
@@ -163,9 +160,4 @@ def run(quick: bool = False, seeds: int = 40, only: tuple[str, ...] = ()) -> dic
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", metavar="CASE", help="parts of names of cases; all without")
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--seeds", type=int, default=40)
-    words = parser.parse_args()
-    run(words.quick, words.seeds, tuple(words.cases))
+    run_told(__doc__, run, 40)

@@ -10,9 +10,6 @@ fit's own standard uncertainties: in vacuum both are about 1, and a fit that lea
 certain. The paper's glass pair is the demonstration's contact.
 """
 
-import argparse
-import json
-import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,12 +22,13 @@ from processing.deflections import DeflectionUnit, slow_deflections
 from processing.errors import RigError
 from processing.fit import FitMethod, FitResult
 from processing.surroundings import Surroundings
-from processing.swing import SwingDetector, turning_points
+from processing.swing import swings_of_blocks, turning_points
 from rig.analysis import settled_swings
 from rig.analysis.contact_laws import fit_decay
 from rig.analysis.fitted_drag import evidence_of, known_drag
 from rig.instrument import complete, pendulum_on_ball
 from rig.settings import Configuration, load_configuration
+from tests.benchmarks.cases import chosen, run_told
 from tests.benchmarks.coverage import rms
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -65,8 +63,7 @@ def fits_of(case: Case, seed: int) -> tuple[dict[str, FitResult], SimulationSett
     noise_rad = NOISE_ARCSEC * ARCSEC_RAD
     seen = noisy(path, noise_rad, noise_rad, seed)
     samples = slow_deflections(seen.times_ns, seen.y_rad, np.full(len(seen.times_ns), noise_rad))
-    detector = SwingDetector()
-    swings = [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
+    swings = swings_of_blocks([samples])
     return {name: _fit(swings, samples, config, name) for name in DRAGS}, rig
 
 
@@ -143,23 +140,12 @@ def _shown(found: dict[str, Any]) -> None:
 def run(quick: bool = False, seeds: int = 12, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All of it; numbers as plain values."""
     result: dict[str, Any] = {"cases": []}
-    for case in CASES:
-        if only and not any(word in case.name for word in only):
-            continue
+    for case in chosen(CASES, only, lambda case: case.name):
         found = measure(case, 1 if quick else seeds)
         result["cases"].append(found)
         _shown(found)
     return result
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", metavar="CASE", help="parts of names of cases; all without")
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--seeds", type=int, default=12)
-    words = parser.parse_args()
-    json.dump(run(words.quick, words.seeds, tuple(words.cases)), sys.stderr, indent=1)
-
-
 if __name__ == "__main__":
-    main()
+    run_told(__doc__, run, 12)

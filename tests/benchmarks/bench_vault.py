@@ -6,11 +6,8 @@ ground is that of two real seismometers at one place: one drives the pendulum, t
 nobody states, is the witness.
 """
 
-import argparse
 import gzip
-import json
 import os
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from time import process_time
@@ -26,8 +23,9 @@ from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
 from processing.fit.known_drive import KnownDrive
 from processing.fit.witness import Witness, WitnessUse, fit_with_witness
-from processing.least_squares import covariance_of
 from processing.swing import TurningPoints
+from tests.benchmarks.bound import bound, true_columns
+from tests.benchmarks.cases import chosen, run_told
 from tests.benchmarks.coverage import coverage, rms
 from tests.processing.fit.decays import paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_path
@@ -138,7 +136,7 @@ def decay(ground: Ground, seed: int, last_arcsec: float) -> TurningPoints:
     return with_noise(time, np.abs(turn), parameters.period0_s, NOISE_ARCSEC, rng)
 
 
-def bound(points: TurningPoints, left: float, drive: KnownDrive | None = None) -> Floats:
+def least(points: TurningPoints, left: float, drive: KnownDrive | None = None) -> Floats:
     """Standard deviations of the Cramer-Rao bound at the truth, with what a witness leaves of the drive.
 
     With the `drive` that a witness tells, its response is unknown, as it is to the fit: gain and quadrature
@@ -146,13 +144,10 @@ def bound(points: TurningPoints, left: float, drive: KnownDrive | None = None) -
     """
     parameters, pendulum = paper_pair(FLAT)
     model = ExactModel(points, pendulum, evidence=Evidence(drive=drive))
-    known = dict(zip(model.names, truth(parameters, model.names), strict=False))
-    known |= {"initial_amplitude_rad": float(points.amplitude[0]), "start_time_s": float(points.time_s[0])}
-    columns = model.columns.from_physical(known)
+    columns = true_columns(model, parameters, points)
     step = left / density_of_step(1.0, float(np.diff(points.time_s).mean())) / model.reference
     jacobian = model.on_ground(columns, Noise(step=step, averaged=False))(columns)[1]
-    matrix = model.columns.physical(columns)[1]
-    return np.asarray(np.sqrt(np.diag(matrix @ covariance_of(jacobian) @ matrix.T)))
+    return bound(model, columns, jacobian)
 
 
 class Run(NamedTuple):
@@ -179,8 +174,8 @@ def one_run(case: Case, seed: int) -> Run:
     if case.left is None:
         return Run(alone, found.fit, found.use, None, None, cpu_s)
     drive = found.fit.evidence.drive
-    with_response = None if drive is None else bound(points, case.left, drive)
-    return Run(alone, found.fit, found.use, bound(points, case.left), with_response, cpu_s)
+    with_response = None if drive is None else least(points, case.left, drive)
+    return Run(alone, found.fit, found.use, least(points, case.left), with_response, cpu_s)
 
 
 def measure(case: Case, seeds: int) -> dict[str, Any]:
@@ -232,9 +227,7 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
 
 def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:
     result: dict[str, Any] = {"cases": []}
-    for case in cases():
-        if only and not any(word in case.name for word in only):
-            continue
+    for case in chosen(cases(), only, lambda case: case.name):
         found = measure(case, 3 if quick else seeds)
         result["cases"].append(found)
         print(
@@ -253,14 +246,5 @@ def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> di
     return result
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", metavar="CASE", help="parts of names of cases; all without")
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--seeds", type=int, default=100)
-    words = parser.parse_args()
-    json.dump(run(words.quick, words.seeds, tuple(words.cases)), sys.stderr, indent=1)
-
-
 if __name__ == "__main__":
-    main()
+    run_told(__doc__, run, 100)

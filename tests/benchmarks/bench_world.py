@@ -10,26 +10,25 @@ uncertainty is above `WELL_DETERMINED`. A cause is named by a change that is dat
 describe, residuals that are said to be no noise, or a drag that is seen; an even drift by the budget alone.
 """
 
-import argparse
-import json
-import sys
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from processing.contact.laws import PAPER
-from processing.deflections import DeflectionUnit, slow_deflections
+from processing.deflections import DeflectionUnit
 from processing.errors import RigError
 from processing.estimate import WELL_DETERMINED, Estimate
 from processing.fit import DragFinding, FitMethod, FitResult, drag_verdict, drifts_of
-from processing.swing import SwingDetector, TurningPoints, turning_points
+from processing.swing import TurningPoints, swings_of_blocks, turning_points
 from rig.analysis import settled_swings
 from rig.analysis.contact_laws import fit_decay
 from rig.analysis.fitted_drag import FittedDrag, evidence_of
 from rig.settings import FitSettings
+from tests.benchmarks.cases import chosen, run_told
 from tests.benchmarks.coverage import rms
 from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.frames import seen_in_frames
 
 NOISE_ARCSEC, FRAMES_PER_S = 0.005, 25.0
 DRAG_S, FLAT = 1.7e-3, "glass_k8"
@@ -69,12 +68,8 @@ class Fitted(NamedTuple):
 def fitted(world: World, q: float, seed: int) -> Fitted:
     """From frames to the reported fit."""
     path = changing_path(PARAMETERS, PENDULUM, world, q=q, seed=seed, frames_per_s=FRAMES_PER_S)[2]
-    noise = NOISE_ARCSEC * ARCSEC
-    times_ns = np.rint(np.arange(len(path)) * 1e9 / FRAMES_PER_S).astype(np.int64)
-    seen = path + noise * np.random.default_rng([seed, 78]).standard_normal(len(path))
-    samples = slow_deflections(times_ns, seen, np.full(len(path), noise))
-    detector = SwingDetector()
-    swings = [*detector.update(samples.times_ns, samples.y, samples.u_y), *detector.finish()]
+    samples = seen_in_frames(path, NOISE_ARCSEC * ARCSEC, [seed, 78], FRAMES_PER_S)
+    swings = swings_of_blocks([samples])
     drag, settings = FittedDrag(known_s=KNOWN_S), FitSettings()
     settled = settled_swings(swings, [samples], DeflectionUnit.RAD, PENDULUM, settings, drag=drag)
     points = turning_points(settled.swings)
@@ -144,9 +139,7 @@ def measure(name: str, q: float, seeds: int) -> dict[str, Any]:
 def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All of it; numbers as plain values."""
     result: dict[str, Any] = {"contact": [PAPER.name, FLAT], "cases": []}
-    for name in WORLDS:
-        if only and not any(word in name for word in only):
-            continue
+    for name in chosen(WORLDS, only, str):
         for q in GROUNDS:
             found = measure(name, q, 2 if quick else seeds)
             result["cases"].append(found)
@@ -161,14 +154,5 @@ def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> di
     return result
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", metavar="CASE", help="parts of names of cases; all without")
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--seeds", type=int, default=100)
-    words = parser.parse_args()
-    json.dump(run(words.quick, words.seeds, tuple(words.cases)), sys.stderr, indent=1)
-
-
 if __name__ == "__main__":
-    main()
+    run_told(__doc__, run, 100)
