@@ -5,11 +5,13 @@ from rig.settings.calibration import TimebaseSettings
 from rig.settings.commented_keys import commented_file
 from rig.settings.configuration import (
     Configuration,
-    FaultyConfiguration,
     FitSettings,
     PendulumSettings,
     ReferenceSettings,
     SessionSettings,
+)
+from rig.settings.configuration_file import (
+    FaultyConfiguration,
     apply_overrides,
     keys_with_faults,
     load_configuration,

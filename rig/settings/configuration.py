@@ -1,14 +1,7 @@
-"""Reads a TOML configuration into frozen models; every error is reported in a line of its own.
+"""The configuration as frozen models: a section each, and all of them together."""
 
-A file may begin with ``extends = "other.toml"`` (relative to itself) and then states only what
-differs. On the command line ``--set a.b.c=value`` replaces any key by its dotted path.
-"""
-
-import logging
-import tomllib
-from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 from pydantic import AwareDatetime, BaseModel, Field, model_validator
 
@@ -18,22 +11,14 @@ from acquisition.simulation.settings import SimulationSettings
 from calibration import Axes, Lever, Shutter, deflection_unit
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material
 from processing.deflections import DeflectionUnit
-from processing.errors import ConfigurationError
 from processing.spot import SensorModel
-from processing.units import unit_of_name
 from rig.control import ControllerSettings, EnvironmentSettings, LaserSettings, WitnessSettings
 from rig.settings.balance import BalanceSettings
 from rig.settings.calibration import CalibrationSettings, TimebaseSettings
 from rig.settings.camera import CameraSection
 from rig.settings.instrument import InstrumentSettings
-from rig.settings.migrations import SCHEMA, SCHEMA_KEY, migrated
 from rig.settings.phases import PhaseSettings, PreflightSettings, StartSettings
 from rig.settings.stop_conditions import StopCondition, stop_conditions
-from rig.settings.toml_file import read_toml
-from rig.settings.typed import quantity, states_unit
-from rig.settings.wording import KeyFault, dotted, validated
-
-logger = logging.getLogger(__name__)
 
 
 class Section(BaseModel, frozen=True, extra="forbid"):
@@ -273,157 +258,3 @@ class Configuration(Section, frozen=True):
     def deflection_unit(self) -> DeflectionUnit:
         """Unit of deflections and amplitudes: rad, or px without [lever]."""
         return deflection_unit(self.lever)
-
-
-def load_configuration(
-    path: Path, overrides: Iterable[str] = (), *, needs_camera: bool = True
-) -> Configuration:
-    """Read a configuration file and apply ``KEY=VALUE`` overrides.
-
-    Without `needs_camera`, for what is calculated from a table, ``camera.driver`` may be left out.
-
-    Raises ConfigurationError for a missing file, invalid TOML, an unknown key (naming the nearest known
-    one), or a value of the wrong type or out of range: a line for each, which names the file or --set.
-    """
-    tree = read_toml_tree(path)
-    overrides = tuple(overrides)
-    apply_overrides(tree, overrides)
-    if not needs_camera and "camera" not in tree:
-        tree["camera"] = {"driver": "files"}
-    return validate_configuration(tree, str(path), overrides)
-
-
-def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """Tables of a configuration file, merged over those of the file that it extends."""
-    tree = read_toml(path, "configuration file; rig init writes one")
-    if path.resolve() in seen:
-        raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
-    # one without a number is a person's, written after today's documents
-    tree, note = migrated({SCHEMA_KEY: SCHEMA} | tree, str(path))
-    if note:
-        logger.warning("%s", note)
-    base = tree.pop("extends", None)
-    if base is None:
-        return tree
-    if not isinstance(base, str):
-        raise ConfigurationError(f"{path}: extends = {base!r} must be the name of a file")
-    if not (path.parent / base).exists():
-        raise ConfigurationError(
-            f"{path}: extends = {base!r}: no such file in {path.parent.resolve()}, the folder of this one"
-        )
-    return _merged(read_toml_tree(path.parent / base, (*seen, path.resolve())), tree)
-
-
-def stored_configuration(config: Configuration) -> dict[str, Any]:
-    """The whole configuration as records and sessions keep it, with the number of its schema."""
-    return {SCHEMA_KEY: SCHEMA, **config.model_dump(mode="json")}
-
-
-class FaultyConfiguration(ConfigurationError):
-    """A line for each fault of a configuration; `of_overrides` are those of --set, by their keys."""
-
-    def __init__(self, lines: Sequence[str], of_overrides: Sequence[tuple[str, str]]) -> None:
-        super().__init__("\n".join(lines))
-        self.of_overrides = tuple(of_overrides)
-
-
-def validate_configuration(
-    tree: Mapping[str, Any], source: str, overrides: Iterable[str] = ()
-) -> Configuration:
-    """Validate nested dictionaries; a ConfigurationError has a line for each fault, unknown keys first.
-
-    A fault of a key that one of `overrides` states is reported as one of --set, any other as one of `source`.
-    """
-    # so that a missing section is reported as the key that it lacks
-    tree = {"camera": {}, **tree}
-    config, found_faults = validated(Configuration, tree)
-    if config is not None:
-        return config
-    stated = {f"{override.partition('=')[0].strip()}." for override in overrides}
-    with_u = stated | {".u_".join(key.rsplit(".", 2)[:2]) + "." for key in stated if key.count(".") > 1}
-    lines, of_overrides = [], []
-    for fault in found_faults:
-        is_stated, place = _is_of(fault, with_u), fault.place
-        beside = [key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")]
-        why = f" (--set {beside[0]} states this section)" if fault.is_missing and beside else ""
-        lines.append(f"{'--set ' if is_stated else f'{source}: '}{fault.line}{why}")
-        of_overrides += [(dotted(place), f"{fault.line}{why}")] if is_stated else []
-    raise FaultyConfiguration(lines, of_overrides)
-
-
-def keys_with_faults(
-    keys: Mapping[str, Any], whole: str = "", root: type[BaseModel] | None = None
-) -> list[str]:
-    """A line for each fault of these values, which are by dotted key; other keys may still be missing.
-
-    What holds between the keys of a section is checked of the section `whole` only. `root` is the model of
-    the file; None: the configuration.
-    """
-    tree: dict[str, Any] = {} if root else {"camera": {"driver": "files"}}
-    for key, value in keys.items():
-        *sections, name = key.split(".")
-        place = tree
-        for section in sections:
-            place = place.setdefault(section, {})
-        place[name] = value
-    _, found_faults = validated(root or Configuration, tree)
-    asked = {*keys, whole} - {""}
-    return [fault.line for fault in found_faults if dotted(fault.place) in asked]
-
-
-def _is_of(fault: KeyFault, stated: set[str]) -> bool:
-    """Whether a fault is that of a key that --set states, or inside or around it.
-
-    A fault between several keys has no place; they stand in its line.
-    """
-    if not fault.place:
-        return any(key.rstrip(".") in fault.line for key in stated)
-    place = dotted(fault.place)
-    return any(key.startswith(f"{place}.") or f"{place}.".startswith(key) for key in stated)
-
-
-def _merged(below: dict[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    result = dict(below)
-    for key, value in above.items():
-        under = result.get(key)
-        result[key] = _merged(under, value) if isinstance(under, dict) and isinstance(value, dict) else value
-    return result
-
-
-def apply_overrides(tree: dict[str, Any], overrides: Iterable[str]) -> None:
-    """Set ``KEY=VALUE`` (dotted path, TOML value or bare word) in nested dictionaries, in place.
-
-    A number may state its unit and its standard uncertainty: ``pendulum.ball_radius_m="6.05 mm ± 1 um"``.
-    """
-    stated = set()
-    for override in overrides:
-        key = override.partition("=")[0].strip()
-        if key in stated:
-            raise ConfigurationError(f"--set {override}: {key} is stated twice; leave one of them out")
-        stated.add(key)
-        _apply_override(tree, override)
-
-
-def _apply_override(tree: dict[str, Any], override: str) -> None:
-    key, equals, text = override.partition("=")
-    if not equals or not key.strip():
-        raise ConfigurationError(f"--set {override}: must read KEY=VALUE, for example --set session.runs=3")
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        value = text.strip()
-    parts = key.strip().split(".")
-    place = tree
-    for part in parts[:-1]:
-        place = place.setdefault(part, {})
-        if not isinstance(place, dict):
-            raise ConfigurationError(f"--set {override}: {part} is a value, not a table")
-    name = parts[-1]
-    place[name] = value
-    if isinstance(value, str) and states_unit(value) and (unit := unit_of_name(name)):
-        try:
-            place[name], u = quantity(value, unit)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"--set {key.strip()} = {error}") from None
-        if u is not None:
-            place[f"u_{name}"] = u

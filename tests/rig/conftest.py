@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rig.measure.session import measure_session
-from rig.settings.configuration import load_configuration
+from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, SMALL
 
 APPARATUS = (

@@ -31,7 +31,7 @@ from rig.archive.store import Archive
 from rig.balance import history
 from rig.calibrate.inputs import read_ladder, read_transfer
 from rig.measure.session_file import SessionFile
-from rig.settings.configuration import load_configuration
+from rig.settings import load_configuration
 from rig.settings.night_plan import load_plan
 from tests.acquisition.record.samples import write_sample
 

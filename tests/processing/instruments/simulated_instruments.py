@@ -32,7 +32,7 @@ from processing.instruments.plane import along_plane, swing_plane
 from processing.instruments.turning import refined
 from processing.swing import TurningPoints, swings_of, turning_points
 from rig.instrument import complete, pendulum_on_ball
-from rig.settings.configuration import load_configuration
+from rig.settings import load_configuration
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs" / "instruments"
 NOISE_RAD = 2e-5

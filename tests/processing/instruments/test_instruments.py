@@ -21,7 +21,7 @@ from processing.instruments.hardness import herbert_hardness
 from processing.instruments.plane import swing_plane
 from processing.instruments.turning import refined
 from processing.swing import TurningPoints, swings_of
-from rig.settings.configuration import load_configuration
+from rig.settings import load_configuration
 from tests.processing.instruments.simulated_instruments import (
     CONFIGS,
     MEASUREMENTS,

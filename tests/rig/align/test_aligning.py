@@ -19,7 +19,7 @@ from rig.devices.picture import figures
 from rig.instrument import camera_settings, make_camera
 from rig.presentation import palette
 from rig.presentation.keys import Keys
-from rig.settings.configuration import load_configuration
+from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS
 
 FULL_SCALE_DN = 255

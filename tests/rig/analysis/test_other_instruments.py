@@ -14,7 +14,7 @@ from rig.cli import app
 from rig.commands.fitting import fit_records
 from rig.measure.session import measure_session, simulate_record
 from rig.presentation import with_uncertainty
-from rig.settings.configuration import load_configuration
+from rig.settings import load_configuration
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 FAST_DECAY = ["simulation.contact.b=0.04", "view.mode=none", "view.file=false"]

@@ -11,7 +11,7 @@ import rig
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Response, WitnessUse, WitnessVerdict
-from rig.analysis.record_fit import analyse_record, session_results
+from rig.analysis import analyse_record, session_results
 from rig.analysis.results import RunResults, SessionResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.table_fit import TableColumns, analyse_table

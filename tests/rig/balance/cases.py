@@ -13,7 +13,7 @@ from processing.balance import Balance, BalanceEstimator, BalanceLimits, WeightR
 from processing.deflections import Deflections, DeflectionUnit
 from rig.instrument import complete
 from rig.instrument.balance import elastic_drop, nominal_effects
-from rig.settings.configuration import Configuration
+from rig.settings import Configuration
 
 CONFIG = complete(Configuration(camera={"driver": "simulated"}))
 LIMITS = BalanceLimits()

@@ -22,7 +22,7 @@ from processing.swing import swings_of
 from rig.analysis import settled_swings
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.instrument import complete, pendulum_on_ball
-from rig.settings.configuration import Configuration, validate_configuration
+from rig.settings import Configuration, validate_configuration
 from tests.calibration.simulated_rig import (
     Drawn,
     climb_tilts,

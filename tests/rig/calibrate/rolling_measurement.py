@@ -29,7 +29,7 @@ from processing.spot import Spot
 from processing.swing import TurningPoints, swings_of_blocks
 from rig.analysis import settled_swings
 from rig.instrument import Deflector, complete, pendulum_on_ball
-from rig.settings.configuration import Configuration, FitSettings
+from rig.settings import Configuration, FitSettings
 
 RATE_HZ = 50.0
 U_PX = 0.02

@@ -7,12 +7,11 @@ import pytest
 
 from calibration import read_calibration
 from processing.errors import ConfigurationError, DataError
-from rig.analysis import remarks
-from rig.analysis.record_fit import analyse_record
+from rig.analysis import analyse_record, remarks
 from rig.calibrate import Filing, calibrate_air, calibration_residuals, vanes_to_cut
 from rig.instrument import complete
 from rig.measure.session import simulate_record
-from rig.settings.configuration import validate_configuration
+from rig.settings import validate_configuration
 from rig.wizards import Draft, answered, calibration_wizard, progress
 
 DRAG_S = 1.7e-3

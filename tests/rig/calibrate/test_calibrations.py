@@ -12,7 +12,7 @@ from acquisition.record.whole_file import write_new
 from calibration import relate_clocks
 from calibration.store import read_calibration, write_calibration
 from processing.errors import ConfigurationError, RigError
-from rig.analysis.record_fit import analyse_record
+from rig.analysis import analyse_record
 from rig.calibrate import (
     calibrate_axes,
     calibrate_clock,
@@ -27,7 +27,7 @@ from rig.calibrate.filing import Filing
 from rig.instrument import complete
 from rig.instrument.calibration import calibration_attachments, fill_from_files, judge_calibration
 from rig.measure.session import simulate_record
-from rig.settings.configuration import Configuration, validate_configuration
+from rig.settings import Configuration, validate_configuration
 from tests.calibration.simulated_sensor import random_sensor, transfer_frames
 from tests.rig.command_line import rig
 

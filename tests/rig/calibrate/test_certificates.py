@@ -10,7 +10,7 @@ from calibration.store import read_calibration
 from processing.errors import ConfigurationError
 from rig.calibrate import Filing, calibrate_lever, calibrate_mass
 from rig.instrument.calibration import calibration_attachments, fill_from_files, judge_calibration
-from rig.settings.configuration import Configuration, validate_configuration
+from rig.settings import Configuration, validate_configuration
 from tests.rig.certificates import EXAMPLE, certificate, quantity, real, schema
 from tests.rig.command_line import rig
 

@@ -14,7 +14,7 @@ from rig.instrument.calibration import fill_from_files
 from rig.instrument.provenance import recorded_configuration
 from rig.measure.session import simulate_record
 from rig.replay.replay import Replay
-from rig.settings.configuration import validate_configuration
+from rig.settings import validate_configuration
 from tests.calibration.simulated_sensor import transfer_frames
 
 SEED = 1

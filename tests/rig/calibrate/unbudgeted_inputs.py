@@ -17,7 +17,7 @@ from processing.deflections import slow_deflections
 from processing.fit.exact import fit_exact
 from processing.swing import swings_of, turning_points
 from rig.analysis import settled_swings
-from rig.settings.configuration import FitSettings
+from rig.settings import FitSettings
 from tests.calibration.simulated_rig import climb_tilts, draw_rig, spots_of, swing_for_axes
 
 FINAL_ARCSEC = 4.0

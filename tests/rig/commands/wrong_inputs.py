@@ -9,7 +9,7 @@ import typer
 from pydantic.fields import FieldInfo
 
 from rig.cli import app
-from rig.settings.configuration import Configuration
+from rig.settings import Configuration
 from rig.settings.wording import section_fields, section_of
 
 _MEANT = "tin"

@@ -23,7 +23,7 @@ from rig.devices.frame_line import FrameLine
 from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import ClockWatch
 from rig.measure.session import simulate_record
-from rig.settings.configuration import load_configuration
+from rig.settings import load_configuration
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 

@@ -16,7 +16,7 @@ from processing.errors import DeviceError
 from rig.control import LaserNow, Light, LightRefused
 from rig.devices.session_devices import Devices
 from rig.measure.preflight import device_checks
-from rig.settings.configuration import Configuration, validate_configuration
+from rig.settings import Configuration, validate_configuration
 from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
 from tests.rig.control.test_ending import BEGUN_WITHIN_S, ENDED_WITHIN_S, command
 from tests.rig.control.wires import FirmwareBoard

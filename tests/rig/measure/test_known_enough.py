@@ -12,8 +12,7 @@ from rig.instrument import Snapshot
 from rig.measure.end_of_run import HELD_FITS, EndLimits, EndOfRun
 from rig.measure.run_panel import estimate_rows
 from rig.measure.session import measure_session
-from rig.settings import StopCondition
-from rig.settings.configuration import load_configuration
+from rig.settings import StopCondition, load_configuration
 from tests.rig.command_line import CONFIGS, SMALL, figures_are_not_drawn
 from tests.rig.view.rrd_contents import column
 

@@ -18,7 +18,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.simulation.true_path import true_turning_points
 from rig.instrument.provenance import frame_shape, recorded_configuration
 from rig.replay.replay import Replay
-from rig.settings.configuration import load_configuration
+from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 from tests.rig.view.rrd_contents import column
 

@@ -12,7 +12,7 @@ from processing.spot import Spot, SpotFlag, SpotTracker
 from rig.instrument import complete, sensor_model
 from rig.instrument.pipeline import Pipeline
 from rig.instrument.provenance import configuration_attachments
-from rig.settings.configuration import load_configuration
+from rig.settings import load_configuration
 
 CONFIG = Path(__file__).resolve().parents[3] / "configs" / "demo.toml"
 SHAPE = (1024, 1280)

@@ -14,9 +14,8 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
-from rig.analysis import Fit, InstrumentResults, RunResults
+from rig.analysis import Fit, InstrumentResults, RunResults, analyse_record
 from rig.analysis.instrument_results import FrictionLawResults
-from rig.analysis.record_fit import analyse_record
 from rig.instrument.provenance import recorded_configuration
 from rig.instrument.snapshot import Phase, Snapshot
 from rig.presentation.keys import KeyParser, Keys

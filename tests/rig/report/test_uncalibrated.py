@@ -12,11 +12,11 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
-from rig.analysis.record_fit import analyse_record, session_results
+from rig.analysis import analyse_record, session_results
 from rig.analysis.results_file import write_results
 from rig.instrument.provenance import CONFIGURATION_NAME
 from rig.report.session_report import make_report
-from rig.settings.configuration import Configuration
+from rig.settings import Configuration
 from tests.rig.command_line import rig
 
 EPOCH_NS = 1_700_000_000_000_000_000

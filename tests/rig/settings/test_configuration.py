@@ -6,7 +6,7 @@ import pytest
 
 from processing.errors import ConfigurationError
 from rig.instrument import check_materials, complete, pendulum_on_ball
-from rig.settings.configuration import Configuration, FaultyConfiguration, load_configuration
+from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 

@@ -2,7 +2,7 @@
 
 import re
 
-from rig.settings.configuration import load_configuration
+from rig.settings import load_configuration
 from tests.rig.settings.example_configuration import TARGET, keys, text
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
-from rig.settings.configuration import load_configuration
+from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS
 
 

@@ -15,7 +15,7 @@ from rig.analysis import read_results
 from rig.instrument import advice_for, complete
 from rig.instrument.provenance import recorded_configuration
 from rig.replay.replay import Replay
-from rig.settings.configuration import load_configuration
+from rig.settings import load_configuration
 from rig.view.analysis_curves import analysis_curves, report_text, run_analysis
 from rig.view.configured import start_view
 from rig.view.recorded import write_rrd
