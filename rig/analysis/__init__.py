@@ -1,5 +1,6 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json."""
 
+from rig.analysis.analysed_run import AnalysedRun, refuse_unread, session_results
 from rig.analysis.base_acceleration import base_motion
 from rig.analysis.compared_laws import chosen_laws, law_table, laws_of, moments_table
 from rig.analysis.contact_laws import surface_energies
@@ -29,15 +30,7 @@ from rig.analysis.less_reference import less_beam_motion
 from rig.analysis.limits import Limit, whole_result
 from rig.analysis.position_table import TableColumns
 from rig.analysis.positions_file import POSITIONS_NAME, read_positions, write_positions
-from rig.analysis.record_fit import (
-    AnalysedRun,
-    analyse_record,
-    analyse_run,
-    clock_rate_of,
-    refuse_unread,
-    session_results,
-    with_dropped_frames,
-)
+from rig.analysis.record_fit import analyse_record, analyse_run, with_dropped_frames
 from rig.analysis.recorded_witness import taken
 from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults, TableDecay, TableResults
 from rig.analysis.results_file import (
@@ -58,6 +51,7 @@ from rig.analysis.settled import loss_of, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import expected_drag, recorded_surroundings, stated_surroundings
+from rig.analysis.swings_fit import clock_rate_of
 from rig.analysis.table_fit import (
     AnalysedTable,
     FoundDecay,

@@ -12,8 +12,8 @@ from processing.contact.laws import DEFAULT_LAW, LAWS, Law
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, FitResult, LawComparison, compare_laws, fit_without_law
 from processing.swing import TurningPoints
+from rig.analysis.analysed_run import AnalysedRun
 from rig.analysis.law_results import ComparedLaws, LawFit, LawMoments, MomentsWithoutLaw
-from rig.analysis.record_fit import AnalysedRun
 from rig.analysis.waveform_results import with_waveform
 from rig.presentation import Cell, Table
 

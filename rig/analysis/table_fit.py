@@ -27,11 +27,11 @@ from rig.analysis.compared_laws import laws_of
 from rig.analysis.decay_values import decay_values
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.position_table import TableColumns
-from rig.analysis.record_fit import analyse_swings
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
 from rig.analysis.surroundings import stated_surroundings
+from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.trajectory import ANGLES, NOT_STATED, Trajectory
 from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
 from rig.analysis.witnessed_fits import of_source

@@ -11,8 +11,8 @@ from processing.angle import ARCSEC_RAD
 from processing.contact import PendulumOnBall
 from processing.fit import CONTRADICTED, LawComparison, predicted_harmonics, waveform_chances
 from processing.swing import ORDERS, HarmonicClass, harmonic_classes
+from rig.analysis.analysed_run import AnalysedRun
 from rig.analysis.law_results import ComparedLaws, Harmonics, WaveformClass
-from rig.analysis.record_fit import AnalysedRun
 from rig.presentation import Cell, Table
 
 _THIRD = ORDERS.index(3)

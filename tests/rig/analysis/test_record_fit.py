@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
-from rig.analysis.record_fit import AnalysedRun, analyse_record, session_results
+from rig.analysis import AnalysedRun, analyse_record, session_results
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_a_clock_that_is_slow_makes_the_period_longer(runs: list[AnalysedRun]) -
 
 
 def test_what_all_fits_warn_of_is_said_once_and_what_one_does_with_its_name(runs: list[AnalysedRun]) -> None:
-    from rig.analysis.record_fit import _fit_warnings
+    from rig.analysis.swings_fit import _fit_warnings
 
     fits = runs[0].fits
     names = list(fits)

@@ -1,0 +1,86 @@
+"""What an analysis holds of its runs, and what is written of one or more."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from processing.fit import (
+    FitResult,
+    RigQuantities,
+)
+from processing.swing import SwingHarmonics, TurningPoints
+from rig.analysis.contact_series import combined_series
+from rig.analysis.other_instruments import Reduction
+from rig.analysis.other_instruments_series import reduce_series
+from rig.analysis.results import RunResults, Series, SessionResults
+from rig.analysis.results_file import relative_record
+from rig.analysis.sealed_results import public_key_over, sealed_results
+from rig.settings import Watched
+
+
+@dataclass(frozen=True)
+class AnalysedRun:
+    """The results of one run, and what a series of runs needs beyond them.
+
+    `points` are the turning points that were fitted. `reduction` is there for a pendulum that is not
+    described by the contact's laws, `rig` where the contact radius is calculated after Hertz,
+    `earlier_schema` what `earlier_schema` of `rig.instrument` says of its configuration.
+    `watched` is the configuration of which keys were changed.
+    """
+
+    record: Path
+    results: RunResults
+    points: TurningPoints
+    fits: Mapping[str, FitResult]
+    rig: RigQuantities | None = None
+    reduction: Reduction | None = None
+    harmonics: SwingHarmonics | None = None
+    lost_spots: int = 0
+    earlier_schema: str = ""
+    watched: Watched | None = None
+
+
+def session_results(runs: Sequence[AnalysedRun], folder: Path, public_key: str = "") -> SessionResults:
+    """What is written of one or more runs; records are named relative to the folder of the file.
+
+    They are sealed where a record or the folder is blind, or for the `public_key` of a blind archive.
+
+    Raises ConfigurationError for a key that was changed and that nothing has used.
+    """
+    results = SessionResults(
+        runs=tuple(replace(run.results, record=relative_record(run.record, folder)) for run in runs),
+        series=_series(runs),
+    )
+    refuse_unread(runs)
+    public_key = public_key_over(*(run.record for run in runs), folder) or public_key
+    return sealed_results(results, public_key) if public_key else results
+
+
+def refuse_unread(runs: Sequence[AnalysedRun]) -> None:
+    """Raise ConfigurationError for a changed key that the fits of none of the runs have used."""
+    changed = [run.watched for run in runs if run.watched is not None]
+    # where nothing could be fitted, that is what is to be said
+    if changed and not any(run.results.problem for run in runs):
+        changed[0].refuse_unread(changed)
+
+
+def _series(runs: Sequence[AnalysedRun]) -> Series | None:
+    """Parameters of a series; None for fewer than two fitted runs.
+
+    Of other instruments, what their runs say together: places on the sample, the reference.
+    """
+    reductions = [run.reduction for run in runs if run.reduction is not None]
+    if reductions:
+        found = reduce_series(reductions)
+        return None if found is None else Series(runs=len(reductions), instrument=found)
+    fitted = [run for run in runs if run.fits]
+    pendulum = fitted[0].results.pendulum if fitted else None
+    if len(fitted) < 2 or pendulum is None:
+        return None
+    return combined_series(
+        {name: [run.fits[name] for run in fitted] for name in fitted[0].fits},
+        [run.points for run in fitted],
+        pendulum,
+        fitted[0].rig,
+        printed_curvature=bool(fitted[0].results.settings.get("printed_055")),
+    )

@@ -1,0 +1,193 @@
+"""From half-cycles to results: fits, verdicts, what other kinds of pendulum report."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.record.digest import known_sha256_of_any
+from acquisition.record.proof import measured_sha256_of
+from processing.deflections import Deflections, DeflectionUnit, joined
+from processing.errors import RecordError
+from processing.fit import (
+    FitMethod,
+    FitResult,
+    InputQuantity,
+    delay_of_rows,
+    points_in_true_time,
+)
+from processing.periods import mean_period
+from processing.surroundings import Surroundings
+from processing.swing import Swing, TurningPoints
+from rig.analysis.analysed_run import AnalysedRun
+from rig.analysis.contact_laws import DecayFits, fit_decay
+from rig.analysis.contact_verdicts import evaluate, fit_results, rig_quantities
+from rig.analysis.decay_values import values_of_points
+from rig.analysis.drifts import believed_drifts
+from rig.analysis.fitted_drag import OPEN_DRAG, evidence_of, known_drag
+from rig.analysis.other_instruments import reduce_run
+from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.results import RunResults
+from rig.analysis.settled import settled_swings
+from rig.analysis.stored_position_errors import PositionErrors
+from rig.analysis.stored_turning_points import StoredTurningPoints
+from rig.analysis.swing_direction import why_no_half_cycles
+from rig.analysis.witnessed_fits import WitnessAt, WitnessedWith
+from rig.instrument import (
+    pendulum_on_ball,
+)
+from rig.settings import Configuration
+
+
+def analyse_swings(
+    path: Path,
+    swings: Sequence[Swing],
+    config: Configuration,
+    deflections: PassingDeflections,
+    air: Surroundings,
+    u_clock: float = 0.0,
+    witness: WitnessAt | None = None,
+    *,
+    u_common_rad: float = 0.0,
+) -> AnalysedRun:
+    """Reduce the half-cycles of one run, or of one decay of a table, as its kind of pendulum asks.
+
+    `path` is the file that they come from, `deflections` and `air` what it holds beside them, `u_clock` what
+    the second of its times is uncertain by, relative; `witness` tells of the ground. `u_common_rad` is the
+    standard uncertainty of an error that all amplitudes share.
+    """
+    unit = deflections.unit
+    if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
+        return _reduced(path, swings, config, joined(deflections, unit), air)
+    pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
+    drag, of_air = OPEN_DRAG, None
+    detected = points_in_true_time(swings, clock_rate)
+    if pendulum is not None and len(detected) > 1:
+        drag, of_air = known_drag(config, air, pendulum, mean_period(detected))
+    settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
+    points = points_in_true_time(settled.swings, clock_rate)
+    if unit is DeflectionUnit.RAD:
+        evidence = evidence_of(drag, settled.harmonics)
+        believed = believed_drifts(config, air) if config.fit.drifts else None
+        decay = fit_decay(
+            points,
+            pendulum,
+            config.fit,
+            settled.exact,
+            drag=drag.fitted,
+            evidence=evidence,
+            drifts=believed,
+            witness=_witness_beside(settled.swings, witness),
+        )
+        points = points if decay.points is None else decay.points
+    else:
+        decay = DecayFits(
+            {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
+        )
+    ratio = deflections.fast_ratio()
+    across = why_no_half_cycles(path.name, ratio, len(points), config.axes)
+    errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
+    u_second = u_clock if config.timebase is None else max(config.timebase.u_camera_rate, u_clock)
+    results = replace(
+        _head(path, points, unit),
+        measured_again_on=settled.motion,
+        position_errors=errors,
+        fits={name: fit_results(fit, config.pendulum) for name, fit in decay.fits.items()},
+        surface_energy_j_per_m2=decay.surface_energy,
+        problem=across or decay.problem,
+        warnings=tuple(dict.fromkeys([*_fit_warnings(decay.fits), *filter(None, [settled.doubt])])),
+        settings=config.fit.model_dump(),
+        turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
+        witness=decay.witness,
+        **values_of_points(points, unit.shown_size, u_second),
+    )
+    rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
+    rig = rig_quantities(config, ratio, rest_rad, u_clock)
+    believed = believed_drifts(config, air)
+    if rig is not None:
+        rig = replace(rig, common_amplitude_rad=InputQuantity(0.0, u_common_rad))
+    if rig is not None and not config.fit.drifts:
+        rig = replace(rig, ageing=believed.ageing, period_drift=believed.period)
+    if decay.fits and pendulum is not None:
+        seed = int(results.sha256[:12], 16)
+        exact = decay.fits[FitMethod.EXACT]
+        results = evaluate(results, points, pendulum, exact, rig, seed)
+        if results.drag is not None:
+            results = replace(results, drag=replace(results.drag, of_air=of_air))
+    if errors is not None:
+        results = replace(results, notes=(*results.notes, errors.text))
+    if settled.harmonics is not None and config.lever is not None and len(points) > 1:
+        of_rows = delay_of_rows(settled.harmonics, mean_period(points))
+        if of_rows.seen:
+            rad_per_px = config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)
+            results = replace(results, warnings=(*results.warnings, of_rows.text(rad_per_px)))
+    return AnalysedRun(path, results, points, decay.fits, rig, harmonics=settled.harmonics)
+
+
+def _witness_beside(swings: Sequence[Swing], witness: WitnessAt | None) -> WitnessedWith | None:
+    """A witness on the clock of the turning points of these swings."""
+    first_ns = next((swing.turn_time_ns for swing in swings if not swing.flags), None)
+    return None if witness is None or first_ns is None else WitnessedWith(*witness(first_ns))
+
+
+def _reduced(
+    path: Path, swings: Sequence[Swing], config: Configuration, deflections: Deflections, air: Surroundings
+) -> AnalysedRun:
+    """A run of a pendulum that is not described by the contact's laws."""
+    u_scale = config.lever.u_scale_relative if config.lever is not None else 0.0
+    reduction = reduce_run(config.instrument, swings, deflections, air, u_scale)
+    points = reduction.points
+    results = replace(
+        _head(path, points, deflections.unit),
+        problem=reduction.problem,
+        settings=config.instrument.model_dump(mode="json"),
+        instrument=reduction.values,
+        turning_points=StoredTurningPoints.of(points, reduction.swings, deflections.unit, 1.0),
+    )
+    return AnalysedRun(path, results, points, {}, reduction=reduction)
+
+
+def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> RunResults:
+    """Which file the results are of, how many half-cycles were used, and over which amplitudes."""
+    found = points.amplitude / unit.shown_size
+    initial, final = (float(found[0]), float(found[-1])) if len(found) else (math.nan, math.nan)
+    in_arcsec = unit is DeflectionUnit.RAD
+    return RunResults(
+        record=path.name,
+        sha256=_sha256_if_readable(path),
+        record_bytes=path.stat().st_size,
+        half_cycles=len(points),
+        amplitude_unit=unit.shown,
+        initial_amplitude=initial,
+        final_amplitude=final,
+        initial_amplitude_arcsec=initial if in_arcsec else math.nan,
+        final_amplitude_arcsec=final if in_arcsec else math.nan,
+    )
+
+
+def _sha256_if_readable(path: Path) -> str:
+    """By which results know their record; empty where its disk cannot give all of it."""
+    try:
+        # a film may be a folder of images
+        return known_sha256_of_any(path) if path.is_dir() else measured_sha256_of(path, known=True)
+    except RecordError:
+        return ""
+
+
+def clock_rate_of(config: Configuration) -> float:
+    """True seconds in one of the camera's clock, as its calibration has it."""
+    return config.timebase.camera_rate if config.timebase is not None else 1.0
+
+
+def _fit_warnings(fits: Mapping[str, FitResult]) -> list[str]:
+    """What every fit says once; what only one of them says with its name."""
+    found: dict[str, list[str]] = {}
+    for name, fit in fits.items():
+        for warning in fit.warnings:
+            found.setdefault(warning, []).append(name)
+    return [
+        warning if len(names) == len(fits) else f"{names[0]} fit: {warning}"
+        for warning, names in found.items()
+    ]
