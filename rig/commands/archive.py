@@ -10,7 +10,7 @@ import typer
 from processing.errors import ConfigurationError
 from rig.commands.arguments import JsonLines, Set, Where
 from rig.commands.inputs import there
-from rig.commands.outputs import new_file, new_folder
+from rig.commands.outputs import new_file, new_folder, output_option
 
 Archive = Annotated[
     str,
@@ -64,9 +64,7 @@ def list_(
         str, typer.Option(help="Columns to show, separated by commas; docs/reference/archive.md names all.")
     ] = "",
     format_: Annotated[Literal["table", "csv", "json", "parquet"], typer.Option("--format")] = "table",
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="File to write.", callback=new_file())
-    ] = None,
+    output: Annotated[Path | None, output_option("File to write.", new_file())] = None,
     refits: Refits = False,
     json: JsonLines = False,
     archive: Archive = PLACE,
@@ -104,14 +102,7 @@ def plot(
     x: Annotated[str, typer.Argument(help="Column: humidity, began_utc, ...", show_default=False)],
     y: Annotated[str, typer.Argument(help="Column: c, period0_s, ...", show_default=False)],
     output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            help="SVG or PNG to write.",
-            show_default=False,
-            callback=new_file(".svg", ".png"),
-        ),
+        Path, output_option("SVG or PNG to write.", new_file(".svg", ".png"), show_default=False)
     ],
     by: Annotated[str, typer.Option(help="Column whose values have a colour each.")] = "",
     where: Where = "",
@@ -224,10 +215,7 @@ def compare(
     column: Annotated[str, typer.Argument(help="Column: c, b, ...", show_default=False)],
     by: Annotated[str, typer.Option(help="Column whose values are the rigs or laboratories.")] = "host",
     where: Where = "",
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="SVG or PNG to write.", callback=new_file(".svg", ".png")),
-    ] = None,
+    output: Annotated[Path | None, output_option("SVG or PNG to write.", new_file(".svg", ".png"))] = None,
     refits: Refits = False,
     archive: Archive = PLACE,
 ) -> None:
@@ -290,12 +278,7 @@ def view(
 
 
 def publish(
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--output", help="Folder, or file .eln, to make.", show_default=False, callback=new_folder
-        ),
-    ],
+    output: Annotated[Path, output_option("Folder, or file .eln, to make.", new_folder, show_default=False)],
     title: Annotated[str, typer.Option(help="Title of the publication.", show_default=False)],
     author: Annotated[
         list[str],

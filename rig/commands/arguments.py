@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from rig.commands.inputs import recorded, there
-from rig.commands.outputs import folder_without, new_file
+from rig.commands.outputs import folder_without, new_file, output_option
 
 Config = Annotated[
     Path, typer.Argument(help="Configuration (TOML file).", show_default=False, callback=there)
@@ -35,22 +35,11 @@ MODES: dict[str | None, Literal["none", "spawn", "web"]] = {None: "none", "windo
 """Values of view.mode."""
 ResultsFolder = Annotated[
     Path | None,
-    typer.Option(
-        "-o",
-        "--output",
-        help="Folder for results.json; must not hold one yet.",
-        callback=folder_without("results.json"),
-    ),
+    output_option("Folder for results.json; must not hold one yet.", folder_without("results.json")),
 ]
 NewRecord = Annotated[
     Path,
-    typer.Option(
-        "-o",
-        "--output",
-        help="Record to write (MCAP file).",
-        show_default=False,
-        callback=new_file(".mcap", makes_folders=True),
-    ),
+    output_option("Record to write (MCAP file).", new_file(".mcap", makes_folders=True), show_default=False),
 ]
 JsonLines = Annotated[bool, typer.Option("--json", help="Write one JSON object per line to stdout.")]
 CampaignFile = Annotated[

@@ -10,7 +10,7 @@ import typer
 
 from rig.commands.inputs import one_record, recorded, there
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import folder_without
+from rig.commands.outputs import folder_without, output_option
 
 if TYPE_CHECKING:
     from rig.calibrate import Filing
@@ -40,10 +40,7 @@ Rig = Annotated[
         callback=there,
     ),
 ]
-Folder = Annotated[
-    Path,
-    typer.Option("-o", "--output", help="Folder for the calibration file.", callback=folder_without()),
-]
+Folder = Annotated[Path, output_option("Folder for the calibration file.", folder_without())]
 Days = Annotated[
     float, typer.Option("--valid-days", help="Number of days for which the calibration is valid.")
 ]

@@ -9,7 +9,7 @@ import typer
 
 from rig.commands.arguments import MODES, Config, NewRecord, Set, View
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import new_file, new_folder, old_folder
+from rig.commands.outputs import new_file, new_folder, old_folder, output_option
 
 if TYPE_CHECKING:
     from acquisition.camera import Camera, CameraInfo, CameraSettings
@@ -124,9 +124,7 @@ def set_features(
 
 def snap(
     config: Config,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="PNG file to write.", callback=new_file(".png"))
-    ] = Path("snap.png"),
+    output: Annotated[Path, output_option("PNG file to write.", new_file(".png"))] = Path("snap.png"),
     average: Average = 1,
     set_: Set = None,
 ) -> None:
@@ -203,10 +201,7 @@ def record(
 
 def frames(
     config: Config,
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", help="Folder to make, for the PNG files.", callback=new_folder),
-    ],
+    output: Annotated[Path, output_option("Folder to make, for the PNG files.", new_folder)],
     number: Annotated[int, typer.Option("-n", "--number", help="Number of frames.", min=1, max=64)] = 2,
     set_: Set = None,
 ) -> None:
@@ -260,9 +255,7 @@ def focus(
 
 def align(
     config: Config,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder for pictures (key s).", callback=old_folder)
-    ] = Path("."),
+    output: Annotated[Path, output_option("Folder for pictures (key s).", old_folder)] = Path("."),
     seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at q.", min=0)] = 0.0,
     rrd: Annotated[
         Path | None,
@@ -350,9 +343,7 @@ def expose(
 
 def dump(
     config: Config,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="ZIP file to write.", callback=new_file(".zip"))
-    ] = Path("camera.zip"),
+    output: Annotated[Path, output_option("ZIP file to write.", new_file(".zip"))] = Path("camera.zip"),
     set_: Set = None,
 ) -> None:
     """Write how a USB3 Vision camera behaves into one file.

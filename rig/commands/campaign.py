@@ -9,7 +9,7 @@ from processing.errors import ConfigurationError
 from rig.commands.arguments import BySample, CampaignFile, InArchive, Where
 from rig.commands.inputs import with_results
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import folder_without
+from rig.commands.outputs import folder_without, output_option
 
 
 def register(app: typer.Typer) -> None:
@@ -28,11 +28,9 @@ def campaign(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Folder for campaign.json, page, figures and tables.",
-            callback=folder_without("campaign.json", "campaign.html"),
+        output_option(
+            "Folder for campaign.json, page, figures and tables.",
+            folder_without("campaign.json", "campaign.html"),
         ),
     ] = None,
     config: CampaignFile = None,

@@ -11,7 +11,7 @@ from processing.errors import ConfigurationError
 from rig.commands.arguments import Set
 from rig.commands.inputs import there
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import folder_without
+from rig.commands.outputs import folder_without, output_option
 
 if TYPE_CHECKING:
     from rig.analysis import AnalysedTable
@@ -31,11 +31,9 @@ def video(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Folder for results.json, report.html and positions.csv.",
-            callback=folder_without("results.json", "report.html", "positions.csv"),
+        output_option(
+            "Folder for results.json, report.html and positions.csv.",
+            folder_without("results.json", "report.html", "positions.csv"),
         ),
     ] = None,
     config: Annotated[

@@ -9,7 +9,7 @@ import typer
 from processing.errors import ConfigurationError
 from rig.commands.inputs import there
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import folder_without
+from rig.commands.outputs import folder_without, output_option
 
 
 def register(app: typer.Typer) -> None:
@@ -100,12 +100,8 @@ def service(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Folder of the unit; default: of the user's own.",
-            show_default=False,
-            callback=folder_without(),
+        output_option(
+            "Folder of the unit; default: of the user's own.", folder_without(), show_default=False
         ),
     ] = None,
     port: Annotated[int, typer.Option(help="Of the desk.", min=1, max=65535)] = 8642,

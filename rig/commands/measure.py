@@ -10,7 +10,7 @@ from processing.errors import ConfigurationError
 from rig.commands.arguments import MODES, Config, JsonLines, NewRecord, Record, ResultsFolder, Set, View
 from rig.commands.inputs import one_record, recorded, records_in, there
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import folder_without, new_file
+from rig.commands.outputs import folder_without, new_file, output_option
 
 Rrd = Annotated[
     Path | None,
@@ -18,11 +18,8 @@ Rrd = Annotated[
 ]
 RunsFolder = Annotated[
     Path | None,
-    typer.Option(
-        "-o",
-        "--output",
-        help="Folder for the files written; must not hold a run yet.",
-        callback=folder_without("run-*.mcap", "results.json"),
+    output_option(
+        "Folder for the files written; must not hold a run yet.", folder_without("run-*.mcap", "results.json")
     ),
 ]
 

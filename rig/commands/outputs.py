@@ -1,15 +1,24 @@
 """Where commands may write: what is there already, or cannot be written, is refused before the work.
 
-Each function is the callback of an option; it returns the path as it is, or raises ConfigurationError.
+Each function but `output_option` is, or makes, the callback of an option; that returns the path as it is, or
+raises ConfigurationError.
 """
 
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import typer
 
 from processing.errors import ConfigurationError
 
 Check = Callable[[Path | None], Path | None]
+
+
+def output_option(help_: str, check: Check | None = None, *, show_default: bool = True) -> Any:
+    """The option that says where a command writes."""
+    return typer.Option("-o", "--output", help=help_, show_default=show_default, callback=check)
 
 
 def new_file(*suffixes: str, makes_folders: bool = False) -> Check:

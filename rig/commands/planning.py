@@ -9,7 +9,7 @@ from processing.errors import ConfigurationError
 from rig.commands.arguments import CampaignFile, InArchive, Set, Where
 from rig.commands.inputs import is_of_table, one_record, recorded_or_fitted, there, with_results
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import folder_without
+from rig.commands.outputs import folder_without, output_option
 
 
 def register(app: typer.Typer) -> None:
@@ -39,12 +39,7 @@ def plan(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Folder for the picture, or the plan.",
-            callback=folder_without("plan.*", "plan-*.toml"),
-        ),
+        output_option("Folder for the picture, or the plan.", folder_without("plan.*", "plan-*.toml")),
     ] = None,
     set_: Set = None,
     runs: Annotated[

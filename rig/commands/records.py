@@ -8,7 +8,7 @@ import typer
 from rig.commands.arguments import Record
 from rig.commands.inputs import one_record, records_in, there
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import new_file
+from rig.commands.outputs import new_file, output_option
 
 
 def register(app: typer.Typer) -> None:
@@ -54,13 +54,7 @@ def check(
 def recover(
     record: Record,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="File to write; default: NAME-recovered.mcap.",
-            callback=new_file(".mcap"),
-        ),
+        Path | None, output_option("File to write; default: NAME-recovered.mcap.", new_file(".mcap"))
     ] = None,
 ) -> None:
     """Save what is readable of a record that was cut short.

@@ -8,7 +8,7 @@ import typer
 from processing.errors import ConfigurationError
 from rig.commands.inputs import with_results
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import folder_without, new_file, new_page
+from rig.commands.outputs import folder_without, new_file, new_page, output_option
 
 
 def register(app: typer.Typer) -> None:
@@ -26,12 +26,7 @@ def report(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="HTML file to write; default: report.html in the folder, overwritten.",
-            callback=new_page,
-        ),
+        output_option("HTML file to write; default: report.html in the folder, overwritten.", new_page),
     ] = None,
 ) -> None:
     """Write a report: HTML page, figures, tables.
@@ -53,11 +48,8 @@ def report(
 def paper(
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Folder for paper.html with figures and tables.",
-            callback=folder_without("paper.html", "paper"),
+        output_option(
+            "Folder for paper.html with figures and tables.", folder_without("paper.html", "paper")
         ),
     ] = None,
     b_exponent: Annotated[
@@ -79,10 +71,7 @@ def export(
             callback=with_results,
         ),
     ],
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", help="Folder to write; with hdf5, dcc: file.", show_default=False),
-    ],
+    output: Annotated[Path, output_option("Folder to write; with hdf5, dcc: file.", show_default=False)],
     format_: Annotated[
         Literal["csv", "parquet", "hdf5", "dcc", "latex"],
         typer.Option(
@@ -109,10 +98,7 @@ def compare(
     folders: Annotated[
         list[Path], typer.Argument(help="Folders of sessions.", show_default=False, callback=with_results)
     ],
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="HTML file to write, with a figure.", callback=new_page),
-    ] = None,
+    output: Annotated[Path | None, output_option("HTML file to write, with a figure.", new_page)] = None,
     against: Annotated[
         str, typer.Option(help="Also over temperature, humidity, pressure, dwell or age of every run.")
     ] = "",
