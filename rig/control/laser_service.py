@@ -1,5 +1,6 @@
 """Operates a laser with its own port in a thread, so that it delays neither frames nor heartbeats."""
 
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -77,9 +78,11 @@ class LaserService(DeviceThread):
         return self._submit(lambda laser: self._light(laser, offs), timeout_s=5.0)
 
     def off(self) -> "Future[None]":
-        """Switch the laser off, before all waiting commands; those to light are no longer valid."""
+        """Switch the laser off, before all waiting commands; those to light are no longer valid. It is never
+        too late.
+        """
         self._offs += 1
-        return self._submit(self._darken, urgent=True)
+        return self._submit(self._darken, math.inf, urgent=True)
 
     def set_power_w(self, power_w: float) -> "Future[None]":
         """Set the optical power."""

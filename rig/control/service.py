@@ -89,6 +89,7 @@ class ControlService(DeviceThread):
         self._permit = permit or LightPermit()
         self._refused = ""
         self._offs = 0
+        self._lit_after_offs = -1
         self._environment_period_s = environment_period_s
         self._sensor_silent = False
         self._snapshot = ControlSnapshot()
@@ -133,9 +134,12 @@ class ControlService(DeviceThread):
         return self.submit(lambda controller: self._light(controller, offs))
 
     def laser_off(self) -> "Future[None]":
-        """Switch the laser off, before all waiting commands; done once the board has said how it stands."""
+        """Switch the laser off, before all waiting commands; done once the board has said how it stands.
+
+        It is never too late. Where it fails it is given again for as long as the board says that it is lit.
+        """
         self._offs += 1
-        return self.submit(self._darken, urgent=True)
+        return self.submit(self._darken, math.inf, urgent=True)
 
     def set_laser_power_w(self, power_w: float) -> "Future[None]":
         """Set the laser's power within its limits."""
@@ -166,9 +170,9 @@ class ControlService(DeviceThread):
         return self.submit(lambda c: c.brake(on))
 
     def safe(self) -> "Future[None]":
-        """Put every output into its safe state, before all waiting commands."""
+        """Put every output into its safe state, before all waiting commands; never too late."""
         self._offs += 1
-        return self.submit(Controller.safe, urgent=True)
+        return self.submit(Controller.safe, math.inf, urgent=True)
 
     def acknowledge(self) -> "Future[None]":
         """Clear the latch that the board last told, after a person said so; no other than that is cleared."""
@@ -184,6 +188,7 @@ class ControlService(DeviceThread):
                 self._open()
             self._keep_to_the_permit()
             self._beat()
+            self._keep_dark()
         except DeviceError as error:
             self._note_failure(error)
             return self._settings.heartbeat_s if self._is_open else _REOPEN_S
@@ -192,6 +197,7 @@ class ControlService(DeviceThread):
     def _open(self) -> None:
         identity = self._controller.open()
         self._is_open = True
+        self._lit_after_offs = -1
         self._heard_s = time.monotonic()
         self._counts_before = (
             self._snapshot.junk_lines,
@@ -214,8 +220,11 @@ class ControlService(DeviceThread):
         outdated = "it was switched off meanwhile" if self._offs != offs else ""
         if refusal := self._permit.refusal or outdated:
             raise LightRefused(f"{controller.name}: the laser stays off: {refusal}")
+        # until the board has said that it is lit, whoever asked is told that it is not
+        self._lit_after_offs = -1
         controller.laser_on()
         self._beat()
+        self._lit_after_offs = offs
 
     def _darken(self, controller: Controller) -> None:
         controller.laser_off()
@@ -234,6 +243,15 @@ class ControlService(DeviceThread):
             self._say(f"laser off: {refusal}")
         # set only now: a command that failed is given again at the next turn
         self._refused = refusal
+
+    def _keep_dark(self) -> None:
+        """Switch the laser off that is lit though it was told off since, or nobody was told that it is lit:
+        the command, or the answer, was lost.
+        """
+        status = self._snapshot.status
+        if status is not None and status.laser_on and self._lit_after_offs != self._offs:
+            self._say("laser off: it is still lit, a command or its answer was lost")
+            self._darken(self._controller)
 
     def _beat(self) -> None:
         controller = self._controller

@@ -634,6 +634,20 @@ class TestService:
         turn(service)
         assert not instrument.on
 
+    def test_an_off_is_never_too_late(
+        self, ports: Ports, service: LaserService, instrument: FakeCobolt
+    ) -> None:
+        """A computer that stood still must not forget it."""
+        turn(service)
+        service.enable()
+        turn(service)
+        assert instrument.on
+        off = service.off()
+        ports.clock.sleep(60.0)
+        turn(service)
+        off.result(0)
+        assert not instrument.on
+
     @pytest.mark.parametrize("own", [True, False])
     def test_its_own_interlock_needs_an_acknowledgement(
         self, ports: Ports, instrument: FakeCobolt, permit: LightPermit, own: bool

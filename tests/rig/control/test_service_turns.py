@@ -118,6 +118,52 @@ def test_an_off_outdates_a_light_that_still_waits(
     assert board.count("laser", 1) == 0
 
 
+def test_an_off_that_was_lost_on_the_line_is_given_until_it_is_dark(
+    service: ControlService, board: SteppedBoard
+) -> None:
+    """Nothing is latched and nobody asks again: between two measurements a hand is in the beam's way."""
+    lit(service, board)
+    board.to_board = lambda data: b""
+    off = service.laser_off()
+    turn(service)
+    with pytest.raises(DeviceError):
+        off.result(0)
+    board.to_board = bytes
+    live(service, board, 1.0)
+    assert service.snapshot.state is ControlState.OPEN
+    assert board.outputs()["laser"][0] == 0
+
+
+def test_light_whose_answer_was_lost_was_refused_and_is_dark(
+    service: ControlService, board: SteppedBoard
+) -> None:
+    turn(service)
+    on = service.laser_on()
+    board.to_host = lambda data: b"" if b"OK*" in data else data
+    turn(service)
+    with pytest.raises(DeviceError):
+        on.result(0)
+    assert board.count("laser", 1) == 1
+    board.to_host = bytes
+    live(service, board, 1.0)
+    assert board.outputs()["laser"][0] == 0
+
+
+@pytest.mark.parametrize("darken", [ControlService.laser_off, ControlService.safe])
+def test_an_off_is_never_too_late(
+    board: SteppedBoard, permit: LightPermit, darken: Callable[[ControlService], object]
+) -> None:
+    """A computer that stood still for less than the board's watchdog time must not forget it."""
+    settings = ControllerSettings(kind="serial", port="stepped", watchdog_s=5.0, timeout_s=0.1)
+    service = ControlService(Controller(settings, 0.001, board.open_line), settings, permit=permit)
+    lit(service, board)
+    darken(service)
+    board.turn(4.0)
+    turn(service)
+    assert board.outputs()["laser"][0] == 0
+    assert service.snapshot.state is ControlState.OPEN
+
+
 def test_it_is_open_after_the_first_turn(service: ControlService, board: SteppedBoard, clock: Clock) -> None:
     assert service.snapshot.state is ControlState.OPENING
     assert turn(service) == HEARTBEAT_S
