@@ -125,8 +125,10 @@ class Aligner:
         return "the live picture has ended" if devices is None else devices.acknowledge(number, who)
 
     def relight(self) -> None:
-        """Somebody asks for light again."""
-        self._relighting = True
+        """Somebody asks for light again, now: a trip that comes before the picture follows outdates it."""
+        if (devices := self._devices) is not None:
+            devices.ask_for_light()
+            self._relighting = True
 
     @property
     def running(self) -> bool:
@@ -145,7 +147,7 @@ class Aligner:
         if self._relighting:
             self._relighting = self._left = False
             self._seen_s = time.monotonic()
-            self.note = _lit(devices, asked=True)
+            self.note = _lit(devices)
         if not self._left and devices.permit.begun and time.monotonic() - self._seen_s > _UNSEEN_S:
             self._left = True
             devices.darken(_LEFT)
@@ -213,9 +215,9 @@ class Aligner:
             devices.darken("the live picture is closed")
 
 
-def _lit(devices: Devices, *, asked: bool = False) -> str:
+def _lit(devices: Devices) -> str:
     """Light; what was done, or why the picture lives in the dark until somebody acknowledges and asks."""
     try:
-        return devices.light(asked=asked)
+        return devices.light()
     except LightRefused as refused:
         return str(refused)

@@ -5,6 +5,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 import rig
+from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.frame import Frame
 from processing.errors import DeviceError, RigError
 from rig.balance.look import LooksView, look
 from rig.control import LightRefused, Stage, TripCause
@@ -216,6 +219,41 @@ def test_after_a_trip_the_live_picture_lives_in_the_dark(
     finally:
         aligner.close()
     assert aligner.problem == ""
+
+
+def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
+    config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit
+) -> None:
+    """The picture hangs meanwhile; then the trip is acknowledged, which lights nothing."""
+    runs = Event()
+    runs.set()
+    usual = SimulatedCamera.read
+
+    def read(camera: SimulatedCamera, timeout_s: float) -> Frame | None:
+        runs.wait(20.0)
+        return usual(camera, timeout_s)
+
+    monkeypatch.setattr(SimulatedCamera, "read", read)
+    aligner = Aligner(config)
+    aligner.start()
+    try:
+        until(lambda: len(lit.at) == 1 and aligner.number > 0)
+        runs.clear()
+        aligner.relight()
+        aligner.light_off("the desk")
+        until(lambda: (now := aligner.safety) is not None and now.light == "off")
+        assert (now := aligner.safety) is not None
+        assert now.trip is not None
+        aligner.acknowledge(now.trip.number, "the desk")
+        runs.set()
+        seen = aligner.number
+        until(lambda: aligner.number > seen + 3)
+        assert len(lit.at) == 1
+        aligner.relight()
+        until(lambda: len(lit.at) == 2)
+    finally:
+        runs.set()
+        aligner.close()
 
 
 def test_every_path_is_walked() -> None:
