@@ -115,7 +115,8 @@ class LaserService(DeviceThread):
 
     def _light(self, laser: Laser, offs: int) -> None:
         def refusal() -> str:
-            return self._permit.refusal or ("it was switched off meanwhile" if self._offs != offs else "")
+            outdated = "it was switched off meanwhile" if self._offs != offs else ""
+            return self._permit.refusal_to_light or outdated
 
         if why := refusal():
             raise LightRefused(f"the laser stays off: {why}")

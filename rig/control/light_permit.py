@@ -47,10 +47,14 @@ class LightRefused(DeviceError):
     """The laser stays dark: a trip is latched, or something else refuses the light."""
 
 
+TO_BE_ASKED: Final = "the trip is acknowledged; the laser stays off until a person asks for light"
+
+
 class LightPermit:
     """Whether lasers may be lit: the rig's latch, and a dead man's switch; a stage that stalls refuses it.
 
-    The threads of the devices ask for `refusal` before each heartbeat. The stages report their progress;
+    The threads of the devices ask for `refusal` before each heartbeat, and for `refusal_to_light` at the last
+    moment before they light. The stages report their progress;
     camera and processing are watched from `begin` on, the recorder from its first report until `ended`.
     All methods may be called from any thread; all but `trip`, which writes the rig's file, only set plain
     values. `tripped` is told of each trip, and whether it happened now, in the thread that saw it.
@@ -68,6 +72,7 @@ class LightPermit:
         self._moved_s: dict[Stage, float] = {}
         self._begun = False
         self._withdrawn = ""
+        self._asked_before_trip = False
         self.spot = SpotSeen(clock_s)
 
     def begin(self) -> None:
@@ -111,10 +116,13 @@ class LightPermit:
             self._latch(cause, why, now=False)
 
     def _latch(self, cause: TripCause, why: str, now: bool) -> None:
+        self._asked_before_trip = True
         try:
             self._state.latch(cause, why, self._begun)
         except DeviceError as error:
             _log.error("%s", error)
+        # somebody may have asked meanwhile, who has not seen it
+        self._asked_before_trip = True
         if (trip := self.latched) is not None:
             self._tripped(trip, now)
 
@@ -122,6 +130,16 @@ class LightPermit:
     def latched(self) -> LatchedTrip | None:
         """The trip that waits for its acknowledgement."""
         return self._state.trip
+
+    @property
+    def waits_for_asking(self) -> bool:
+        """Whether a trip was not followed by a person's asking for light, acknowledged or not."""
+        return self._asked_before_trip
+
+    def ask(self) -> None:
+        """A person asks for light, which a trip that comes later outdates; nothing while one is latched."""
+        if self.latched is None:
+            self._asked_before_trip = False
 
     @property
     def begun(self) -> bool:
@@ -133,6 +151,13 @@ class LightPermit:
         """Why no laser may be lit; empty while it may."""
         trip = self.latched
         return self._withdrawn or ("" if trip is None else trip.text) or self.stalled
+
+    @property
+    def refusal_to_light(self) -> str:
+        """Why no laser may be lit now; a trip that came since light was asked for needs more than its
+        acknowledgement.
+        """
+        return self.refusal or (TO_BE_ASKED if self._asked_before_trip else "")
 
     @property
     def paused_s(self) -> float:

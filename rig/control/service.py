@@ -218,7 +218,7 @@ class ControlService(DeviceThread):
 
     def _light(self, controller: Controller, offs: int) -> None:
         outdated = "it was switched off meanwhile" if self._offs != offs else ""
-        if refusal := self._permit.refusal or outdated:
+        if refusal := self._permit.refusal_to_light or outdated:
             raise LightRefused(f"{controller.name}: the laser stays off: {refusal}")
         # until the board has said that it is lit, whoever asked is told that it is not
         self._lit_after_offs = -1

@@ -11,6 +11,7 @@ from acquisition.camera import Camera
 from processing.errors import DeviceError, RigError
 from rig.control import (
     STALE_S,
+    TO_BE_ASKED,
     ControlService,
     ControlState,
     DevicesNow,
@@ -54,7 +55,7 @@ class LitDevices:
         self._log = AuditLog(folder, config.session.operator, task, self.state)
         self._task = task
         self._lighting = threading.Lock()
-        self._was_lit = self._is_lit = self._disagreed = self._asked_before_trip = False
+        self._was_lit = self._is_lit = self._disagreed = False
         self.permit = LightPermit(state=self.state, tripped=self._tripped)
 
     def light(self, *, asked: bool = False) -> str:
@@ -72,18 +73,18 @@ class LitDevices:
                 f"the laser stays off: {trip.text}; look that nobody is in the beam's way, then acknowledge "
                 f"it: rig light acknowledge CONFIG {trip.number}, or at the desk"
             )
-        # by a run and by an order at once, the second finds it lit
-        with self._lighting:
-            return self._lit(asked)
-
-    def _lit(self, asked: bool) -> str:
-        kind = self._config.laser.kind
+        # before it waits for its turn: what trips meanwhile came after the asking
         if asked:
             self.ask_for_light()
+        # by a run and by an order at once, the second finds it lit
+        with self._lighting:
+            return self._lit()
+
+    def _lit(self) -> str:
+        kind = self._config.laser.kind
         if self.waits_for_asking:
-            why = "the trip is acknowledged; the laser stays off until a person asks for light"
-            self.audit(Audited.REFUSED, why)
-            raise LightRefused(why)
+            self.audit(Audited.REFUSED, TO_BE_ASKED)
+            raise LightRefused(TO_BE_ASKED)
         if why := self.darkness():
             self.went_dark(why)
             if not goes_dark_by_itself(self._config.laser):
@@ -111,12 +112,11 @@ class LitDevices:
     @property
     def waits_for_asking(self) -> bool:
         """Whether a trip since these devices were opened was not followed by a person's asking for light."""
-        return self._asked_before_trip
+        return self.permit.waits_for_asking
 
     def ask_for_light(self) -> None:
         """A person asks for light again; a trip that comes later outdates it."""
-        if self.permit.latched is None:
-            self._asked_before_trip = False
+        self.permit.ask()
 
     def light_off(self, who: str) -> str:
         """Dark at once and until it is acknowledged, because a person (`who`, where) wants it so.
@@ -201,7 +201,6 @@ class LitDevices:
         if now:
             self.audit(Audited.TRIP, trip.why, cause=trip.cause, lit=trip.lit)
         self.audit(Audited.LATCH, trip.why, number=trip.number, cause=trip.cause, lit=trip.lit)
-        self._asked_before_trip = True
         self.went_dark(trip.text)
 
     def went_dark(self, why: str) -> None:

@@ -58,6 +58,9 @@ def test_reset_board_is_opened_again_and_stays_dark(board: FirmwareBoard) -> Non
             service.laser_on().result(5.0)
         assert board.outputs()["laser"][0] == 0
         state.acknowledge(1)
+        with pytest.raises(LightRefused, match="until a person asks for light"):
+            service.laser_on().result(5.0)
+        permit.ask()
         service.laser_on().result(5.0)
         assert board.outputs()["laser"][0] == 1
         assert any("reset" in text or "session" in text for text in service.take_events())

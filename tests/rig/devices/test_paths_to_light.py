@@ -5,7 +5,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from threading import Event
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.frame import Frame
 from processing.errors import DeviceError, RigError
 from rig.balance.look import LooksView, look
-from rig.control import LightRefused, Stage, TripCause
+from rig.control import ControlService, LightRefused, Stage, TripCause
 from rig.control.light_permit import LONGEST_PAUSE_S
 from rig.control.simulated import SimulatedBoard
 from rig.desk.aligner import Aligner
@@ -242,7 +242,8 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
         aligner.relight()
         aligner.light_off("the desk")
         until(lambda: (now := aligner.safety) is not None and now.light == "off")
-        assert (now := aligner.safety) is not None
+        now = aligner.safety
+        assert now is not None
         assert now.trip is not None
         aligner.acknowledge(now.trip.number, "the desk")
         runs.set()
@@ -254,6 +255,48 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
     finally:
         runs.set()
         aligner.close()
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_lighting_that_still_waits_for_a_device_is_outdated_by_light_off(
+    config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit, asked: bool
+) -> None:
+    """A device is waited for by seconds; who acknowledges meanwhile has not asked for light."""
+    began, answers = Event(), Event()
+    usual = ControlService.set_laser_power_w
+
+    def slow(service: ControlService, power_w: float) -> object:
+        began.set()
+        answers.wait(20.0)
+        return usual(service, power_w)
+
+    monkeypatch.setattr(ControlService, "set_laser_power_w", slow)
+    said: list[str] = []
+
+    def ask() -> None:
+        try:
+            said.append(devices.light(asked=asked))
+        except DeviceError as error:
+            said.append(str(error))
+
+    with Devices(config) as devices:
+        first, second = Thread(target=ask), Thread(target=ask)
+        first.start()
+        assert began.wait(10.0)
+        # that of a desk, while the run's is under way
+        second.start()
+        until(lambda: devices.permit.begun)
+        devices.light_off("the desk")
+        until(lambda: devices.safety().light == "off")
+        trip = devices.permit.latched
+        assert trip is not None
+        devices.acknowledge(trip.number, "the desk")
+        answers.set()
+        first.join(20.0)
+        second.join(20.0)
+        assert lit.at == []
+        assert all("until a person asks for light" in text for text in said), said
+        assert devices.light(asked=True) == "laser on, 0.9 mW"
 
 
 def test_every_path_is_walked() -> None:
