@@ -1,10 +1,26 @@
 """Humid air: density and viscosity from what a laboratory's sensor reads."""
 
-from math import exp
-from typing import NamedTuple
+from math import exp, isfinite
+from typing import Final, NamedTuple
 
 _ZERO_C_K = 273.15
 _DRY_J_PER_KG_K, _VAPOUR_J_PER_KG_K = 287.05, 461.5
+
+POSSIBLE: Final = {
+    "temperature_c": (-100.0, 200.0),
+    "humidity_percent": (-10.0, 120.0),
+    "pressure_pa": (1e4, 2e5),
+}
+"""What a sensor of a laboratory's air can say, in damp air beyond its scale too.
+
+Beyond this it, or its wire, is broken, which many tell by -127 or -999.
+"""
+
+
+def is_possible(name: str, value: float) -> bool:
+    """Whether a reading of this name is one of air."""
+    lowest, highest = POSSIBLE[name]
+    return isfinite(value) and lowest < value < highest
 
 
 class Air(NamedTuple):

@@ -4,9 +4,10 @@ import contextlib
 import math
 import secrets
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 
+from processing.air import is_possible
 from processing.errors import DeviceError
 from rig.control.link import CommandRefused, ControllerReset, Link
 from rig.control.protocol import BoardEvent
@@ -92,6 +93,13 @@ class AirReading:
     temperature_c: float = math.nan
     humidity_percent: float = math.nan
     pressure_pa: float = math.nan
+
+    @property
+    def possible(self) -> "AirReading":
+        """The same without what no air has: NaN for what a broken sensor or wire says."""
+        return AirReading(
+            **{name: value if is_possible(name, value) else math.nan for name, value in asdict(self).items()}
+        )
 
 
 class Controller:
@@ -190,8 +198,8 @@ class Controller:
         self._ask(f"SYST:TRIP:ACK {number}")
 
     def environment(self) -> AirReading:
-        """Reading of the controller's own sensor; NaN without one."""
-        return AirReading(*_floats(self._ask("ENV?"), 3))
+        """Reading of the controller's own sensor; NaN without one, and for what no air has."""
+        return AirReading(*_floats(self._ask("ENV?"), 3)).possible
 
     def set_laser_power_w(self, power_w: float) -> None:
         """Set the power; raises PowerLimit above the configured or the stored limit."""

@@ -5,7 +5,7 @@ import math
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 from processing.errors import DeviceError
 from processing.ticks import seconds
@@ -33,9 +33,10 @@ class EnvironmentReading:
 
 
 def parse_environment(pattern: re.Pattern[str], line: str) -> AirReading | None:
-    """Values of the pattern's named groups in a line; None without a match or if a number is not finite.
+    """Values of the pattern's named groups in a line; None without a match, if a number is not finite, or if
+    none is one of air.
 
-    ``pressure_hpa`` is converted to Pa. A quantity that is not in the line is NaN.
+    ``pressure_hpa`` is converted to Pa. A quantity that is not in the line, or that no air has, is NaN.
     """
     match = pattern.search(line)
     if match is None:
@@ -47,9 +48,10 @@ def parse_environment(pattern: re.Pattern[str], line: str) -> AirReading | None:
     if not found or not all(math.isfinite(value) for value in found.values()):
         return None
     pressure_pa = found.get("pressure_pa", found.get("pressure_hpa", math.nan) * 100.0)
-    return AirReading(
+    reading = AirReading(
         found.get("temperature_c", math.nan), found.get("humidity_percent", math.nan), pressure_pa
-    )
+    ).possible
+    return None if all(map(math.isnan, asdict(reading).values())) else reading
 
 
 class EnvironmentService(DeviceThread):

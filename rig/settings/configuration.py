@@ -9,6 +9,7 @@ from acquisition.cameras.drivers import find_driver
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from calibration import Axes, Lever, Shutter, deflection_unit
+from processing.air import POSSIBLE
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel
@@ -57,12 +58,15 @@ class SessionSettings(Section, frozen=True):
     )
 
 
+_TEMPERATURE_C, _PRESSURE_PA = POSSIBLE["temperature_c"], POSSIBLE["pressure_pa"]
+
+
 class EnvironmentConditions(Section, frozen=True):
     """Conditions in the laboratory as stated by the user; stored in the record."""
 
-    temperature_c: float | None = Field(default=None, gt=-100, lt=200)
+    temperature_c: float | None = Field(default=None, gt=_TEMPERATURE_C[0], lt=_TEMPERATURE_C[1])
     humidity_percent: float | None = Field(default=None, ge=0, le=100)
-    pressure_pa: float | None = Field(default=None, gt=1e4, lt=2e5)
+    pressure_pa: float | None = Field(default=None, gt=_PRESSURE_PA[0], lt=_PRESSURE_PA[1])
 
 
 class PendulumSettings(Section, frozen=True):

@@ -99,6 +99,29 @@ def test_lines_of_another_kind_are_counted_and_shown(sensor: Sensor) -> None:
     assert service.latest.unread_lines == 3
 
 
+@pytest.mark.parametrize(
+    ("line", "read"),
+    [
+        (b"T=-999 H=40 P=1013\n", AirReading(math.nan, 40.0, 101300.0)),
+        (b"T=-127.00 P=1013\n", AirReading(math.nan, math.nan, 101300.0)),
+        (b"T=20 H=999.9 P=0\n", AirReading(20.0)),
+    ],
+)
+def test_what_a_broken_sensor_says_is_no_reading(sensor: Sensor, line: bytes, read: AirReading) -> None:
+    service = EnvironmentService(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
+    turn(service)
+    sensor.lines[0].say(line)
+    turn(service)
+    found = service.latest.environment
+    assert (found.temperature_c, found.humidity_percent, found.pressure_pa) == pytest.approx(
+        (read.temperature_c, read.humidity_percent, read.pressure_pa), nan_ok=True
+    )
+    assert service.latest.unread_lines == 0
+    sensor.lines[0].say(b"T=-999 P=0\n")
+    turn(service)
+    assert service.latest.unread_lines == 1
+
+
 def test_one_that_must_be_asked_is_asked_once_a_period(sensor: Sensor, clock: Clock) -> None:
     settings = EnvironmentSettings(kind="serial", port="x", request="READ?", period_s=2.0)
     service = EnvironmentService(settings)
