@@ -5,12 +5,10 @@ unloaded and loaded; its device is given another number, because another program
 The argument is the file of vivid's module; names of scenarios may follow.
 """
 
-import json
 import os
 import subprocess
 import sys
 import time
-import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,7 +20,7 @@ from acquisition.cameras.v4l2.devices import list_devices
 from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.frame import Frame
 from rig.devices.frame_stream import FrameStream
-from tests.kernel.boot import MARK
+from tests.kernel.scenarios import run_scenarios
 
 DRIVER = Path("/sys/bus/platform/drivers/vivid")
 ASKED = CameraSettings(width_px=320, height_px=180, frame_rate_hz=30.0)
@@ -145,7 +143,6 @@ def other_number() -> dict[str, Any]:
 
 
 def main() -> None:
-    results: dict[str, Any] = {}
     scenarios = {
         "cable": cable,
         "cable_opencv": cable_opencv,
@@ -153,15 +150,7 @@ def main() -> None:
         "module": module,
         "other_number": other_number,
     }
-    for name in sys.argv[2:] or list(scenarios):
-        begin_s = time.monotonic()
-        try:
-            results[name] = scenarios[name]()
-        except BaseException:
-            results[name] = {"error": traceback.format_exc()}
-        results[name]["seconds"] = time.monotonic() - begin_s
-        print(name, results[name], flush=True)
-    print("\n" + MARK + json.dumps(results), flush=True)
+    run_scenarios(scenarios, sys.argv[2:])
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from tests.acquisition.cameras.aravis.namespace import Missing, python_path
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 from tests.acquisition.cameras.usb3vision.usbip import UsbIpServer
-from tests.kernel.boot import MARK
+from tests.kernel.scenarios import run_scenarios
 
 VHCI = Path("/sys/devices/platform/vhci_hcd.0")
 SUPER_SPEED_PORT, SUPER_SPEED = 8, 5
@@ -207,7 +206,6 @@ def aravis_driver() -> dict[str, Any]:
 
 
 def main() -> None:
-    results: dict[str, Any] = {"imported_s": time.clock_gettime(time.CLOCK_BOOTTIME)}
     scenarios: dict[str, Callable[[], dict[str, Any]]] = {
         "queued": lambda: frames_are_right("auto", 60),
         "blocking": lambda: frames_are_right("blocking", 30),
@@ -219,17 +217,7 @@ def main() -> None:
         "aravis": aravis,
         "aravis_driver": aravis_driver,
     }
-    wanted = sys.argv[1:] or list(scenarios)
-    for name in wanted:
-        begin_s = time.monotonic()
-        try:
-            results[name] = scenarios[name]()
-        except BaseException:
-            kernel = subprocess.run(["dmesg"], capture_output=True, text=True, check=False).stdout
-            results[name] = {"error": traceback.format_exc(), "kernel": kernel[-3000:]}
-        results[name]["seconds"] = time.monotonic() - begin_s
-        print(name, results[name], flush=True)
-    print("\n" + MARK + json.dumps(results), flush=True)
+    run_scenarios(scenarios, sys.argv[1:])
 
 
 if __name__ == "__main__":

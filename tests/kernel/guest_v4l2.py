@@ -1,13 +1,11 @@
 """Runs in the guest: conformance suite and faults with the kernel's vivid driver."""
 
 import fcntl
-import json
 import os
 import struct
 import sys
 import tempfile
 import time
-import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -23,7 +21,7 @@ from acquisition.cameras.v4l2.devices import list_devices
 from acquisition.cameras.v4l2.settings import V4l2Settings
 from processing.errors import DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance
-from tests.kernel.boot import MARK
+from tests.kernel.scenarios import run_scenarios
 
 SET_INPUT = 3 << 30 | 4 << 16 | ord("V") << 8 | 39  # VIDIOC_S_INPUT
 WEBCAM, HDMI = 0, 3
@@ -324,7 +322,6 @@ def devices() -> dict[str, Any]:
 
 
 def main() -> None:
-    results: dict[str, Any] = {}
     scenarios: dict[str, Callable[[], dict[str, Any]]] = {
         "devices": devices,
         "kernel": lambda: suite("TestKernelReading"),
@@ -340,15 +337,7 @@ def main() -> None:
         "mosaic": mosaic,
         "unplugged": lambda: unplugged("kernel"),
     }
-    for name in sys.argv[1:] or list(scenarios):
-        begin_s = time.monotonic()
-        try:
-            results[name] = scenarios[name]()
-        except BaseException:
-            results[name] = {"error": traceback.format_exc()}
-        results[name]["seconds"] = time.monotonic() - begin_s
-        print(name, results[name], flush=True)
-    print("\n" + MARK + json.dumps(results), flush=True)
+    run_scenarios(scenarios, sys.argv[1:])
 
 
 if __name__ == "__main__":

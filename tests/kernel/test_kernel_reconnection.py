@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from tests.kernel.boot import Missing, find_kernel, module_files, run_in_guest
+from tests.kernel.scenarios import scenario
 
 pytestmark = pytest.mark.kernel
 
@@ -24,12 +25,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         return run_in_guest(f"tests.kernel.guest_reconnection {vivid}", folder, TIME_LIMIT_S)
     except Missing as missing:
         pytest.skip(str(missing))
-
-
-def scenario(results: dict[str, Any], name: str) -> dict[str, Any]:
-    result: dict[str, Any] = results[name]
-    assert "error" not in result, result["error"]
-    return result
 
 
 @pytest.mark.parametrize("name", ["cable", "cable_opencv", "settings", "module", "other_number"])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.kernel.boot import Missing, run_in_guest
+from tests.kernel.scenarios import scenario
 
 pytestmark = pytest.mark.kernel
 
@@ -22,12 +23,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         return run_in_guest("tests.kernel.guest_v4l2", tmp_path_factory.mktemp("guest"), TIME_LIMIT_S)
     except Missing as missing:
         pytest.skip(str(missing))
-
-
-def scenario(results: dict[str, Any], name: str) -> dict[str, Any]:
-    result: dict[str, Any] = results[name]
-    assert "error" not in result, result["error"]
-    return result
 
 
 @pytest.mark.parametrize("reading", ["kernel", "opencv"])

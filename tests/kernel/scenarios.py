@@ -1,0 +1,32 @@
+"""What happens in a guest, scenario by scenario, as a test outside is told it."""
+
+import json
+import subprocess
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from tests.kernel.boot import MARK
+
+
+def run_scenarios(scenarios: Mapping[str, Callable[[], dict[str, Any]]], wanted: Sequence[str]) -> None:
+    """In the guest: all of them, or those that are wanted; one that fails keeps none from the others."""
+    results: dict[str, Any] = {}
+    for name in wanted or list(scenarios):
+        begin_s = time.monotonic()
+        try:
+            results[name] = scenarios[name]()
+        except BaseException:
+            kernel = subprocess.run(["dmesg"], capture_output=True, text=True, check=False).stdout
+            results[name] = {"error": traceback.format_exc() + kernel[-3000:]}
+        results[name]["seconds"] = time.monotonic() - begin_s
+        print(name, results[name], flush=True)
+    print("\n" + MARK + json.dumps(results), flush=True)
+
+
+def scenario(results: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Outside: what one of them has seen; a failure in the guest is one here."""
+    result: dict[str, Any] = results[name]
+    assert "error" not in result, result["error"]
+    return result
