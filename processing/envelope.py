@@ -85,9 +85,7 @@ def fit_envelope(times_s: Floats, values: Floats, *, decibel: bool) -> EnvelopeD
     try:
         damping = fit_damping(t, y, np.full(len(y), noise), decibel=decibel, floor=True)
     except DataError:
-        raise DataError(
-            "the envelope does not fall: it is no ring-down, or too short a part of one"
-        ) from None
+        raise DataError(_NO_FALL) from None
     tau_s, u_tau_s = damping.exponential
     quarters = damping.amplitudes(5)
     ends_s = damping.time_constant_s(quarters[[1, 3]])[0]

@@ -4,6 +4,7 @@ from processing.campaign.compressed import Bound, CompressedRun, Side
 from processing.campaign.coordinates import POSITIVE, USUAL_SIZE, parameters, to_coordinates
 from processing.campaign.design import CampaignModel, Level, span_of
 from processing.campaign.evidence import (
+    ALIKE,
     ChangePoint,
     FormEvidence,
     Forms,

@@ -84,14 +84,6 @@ class _Run(NamedTuple):
     size: float
 
 
-class _Together(NamedTuple):
-    """Residuals of all runs, and their derivatives by what the runs share and by what is each run's own."""
-
-    residuals: list[Floats]
-    by_shared: list[Floats]
-    by_own: list[Floats]
-
-
 class _Shared:
     """The parameters of all runs in the solver's units, in which each is of the size of 1.
 

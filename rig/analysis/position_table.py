@@ -273,13 +273,6 @@ class _Reading:
         )
 
 
-def read_trajectory(
-    path: Path, time: str | None, positions: list[str], unit: str, time_unit: str = ""
-) -> Trajectory:
-    """Read a table; see `TableColumns`."""
-    return TableColumns(time, tuple(positions), unit, time_unit).read(path)
-
-
 def read_columns(path: Path, time: str | None, columns: list[str]) -> Trajectory:
     """Time and any number of columns of a table, all but the time without names; see `TableColumns`."""
     asked = TableColumns(time, tuple(columns))

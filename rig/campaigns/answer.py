@@ -1,6 +1,6 @@
 """From found runs and what is stated to the answer of a campaign."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,7 +36,6 @@ from rig.campaigns.results import (
     CampaignEffect,
     CampaignResults,
     CampaignRun,
-    CampaignValue,
     SamplerFindings,
     likelihood_tree,
 )
@@ -252,8 +251,3 @@ def _warnings(found: CampaignPosterior, alone: CampaignPosterior, sampled: Sampl
             "or state a larger size"
         )
     return tuple(said)
-
-
-def values_in(results: CampaignResults, name: str) -> Mapping[str, CampaignValue]:
-    """One quantity by contact."""
-    return {contact: of[name] for contact, of in results.contacts.items() if name in of}

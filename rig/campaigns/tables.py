@@ -5,7 +5,7 @@ from math import isfinite
 from typing import Final, NamedTuple
 
 from processing.angle import ARCSEC_RAD
-from processing.campaign import POSITIVE
+from processing.campaign import ALIKE, POSITIVE
 from processing.estimate import Estimate
 from rig.campaigns.results import CampaignEffect, CampaignResults
 from rig.presentation import SOURCES, Cell, Table, plain, quantity, with_uncertainty
@@ -96,7 +96,7 @@ def effects_table(results: CampaignResults) -> Table | None:
 def _judged(one: CampaignEffect) -> str:
     if one.seen:
         return "seen"
-    if isfinite(one.equivalent) and one.equivalent >= 0.95:
+    if isfinite(one.equivalent) and one.equivalent >= ALIKE:
         return f"none within ± {one.margin:g}"
     return "not seen"
 

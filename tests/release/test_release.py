@@ -35,12 +35,7 @@ def clone(path: Path) -> Path:
     text = changelog.read_text(encoding="utf-8").splitlines(keepends=True)
     rows = [row for row, line in enumerate(text) if line.endswith(", not yet released\n")]
     changelog.write_text(
-        "".join(
-            [
-                "# Changes\n\n## 9.8.7, not yet released\n\n- **Light**: brighter.\n\n",
-                *text[max(rows, default=0) + 1 :],
-            ]
-        ),
+        NEW_PART + "".join(text[max(rows, default=0) + 1 :]),
         encoding="utf-8",
     )
     git(path, "commit", "--quiet", "--all", "--message", "a change")

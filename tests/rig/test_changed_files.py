@@ -22,7 +22,7 @@ from acquisition.simulation.ground import read_ground_file
 from calibration.store import read_calibration
 from processing.errors import RigError
 from rig.analysis import encoded, read_results
-from rig.analysis.position_table import read_trajectory
+from rig.analysis.position_table import TableColumns
 from rig.archive import list_runs
 from rig.archive.columns import COLUMNS
 from rig.archive.facts import Fact
@@ -118,7 +118,7 @@ def read_session(path: Path) -> None:
 
 
 def read_table(path: Path) -> None:
-    found = read_trajectory(path, None, [], "arcsec")
+    found = TableColumns(None, (), "arcsec").read(path)
     assert np.all(np.diff(found.times_ns) >= 0)
 
 
@@ -246,7 +246,7 @@ def test_an_archive(wanted: list[tuple[str, float, bytes]]) -> None:
         load_configuration,
         read_calibration,
         read_results,
-        lambda p: read_trajectory(p, None, [], ""),
+        lambda p: TableColumns(None, (), "").read(p),
     ],
 )
 def test_a_name_that_is_none(use: Callable[[Path], Any]) -> None:

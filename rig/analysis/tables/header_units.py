@@ -58,19 +58,7 @@ def known_unit(text: str) -> str:
     except ConfigurationError:
         lower = unit.lower()
         # some instruments write everything in capitals; none of these is another unit then
-        if lower != unit and lower in (
-            "s",
-            "sec",
-            "ms",
-            "us",
-            "ns",
-            "deg",
-            "rad",
-            "px",
-            "seconds",
-            "mm",
-            "arcsec",
-        ):
+        if lower != unit and lower in _CAPITALS:
             return known_unit(lower)
         return ""
     return _SPELLED.get(unit, unit)

@@ -52,9 +52,7 @@ def _date_styles(archive: zipfile.ZipFile) -> set[int]:
         int(item.attrib["numFmtId"])
         for item in tree.iter(f"{_MAIN}numFmt")
         # text in quotes and brackets shows no part of a date
-        if re.search(
-            r"[ymdhs]", re.sub(r'"[^"]*"|\[[^\]]*\]|\\.', "", item.attrib.get("formatCode", "").lower())
-        )
+        if re.search("[ymdhs]", _NO_DATE.sub("", item.attrib.get("formatCode", "").lower()))
     }
     cells = tree.find(f"{_MAIN}cellXfs")
     shown = [int(item.attrib.get("numFmtId", 0)) for item in (cells if cells is not None else [])]

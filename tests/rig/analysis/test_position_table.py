@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError, DataError
-from rig.analysis.position_table import read_trajectory
+from rig.analysis.position_table import TableColumns
 from tests.rig.analysis.table_cases import judged, table_matrix
 
 
@@ -21,8 +21,8 @@ def test_columns_by_name_and_number_give_the_same(tmp_path: Path, separator: str
         separator.join([f"{0.1 * i:.3f}", f"{i}", f"{-i}"]) for i in range(5)
     ]
     path = write(tmp_path / "table.csv", "\n".join(lines))
-    by_name = read_trajectory(path, "t", ["y", "x"], "arcsec")
-    by_number = read_trajectory(path, "1", ["3", "2"], "arcsec")
+    by_name = TableColumns("t", ("y", "x"), "arcsec").read(path)
+    by_number = TableColumns("1", ("3", "2"), "arcsec").read(path)
     assert by_name.names == ("y", "x")
     np.testing.assert_array_equal(by_name.positions[0], [0, -1, -2, -3, -4])
     np.testing.assert_array_equal(by_name.positions[0], by_number.positions[0])
@@ -31,20 +31,20 @@ def test_columns_by_name_and_number_give_the_same(tmp_path: Path, separator: str
 
 def test_a_unit_that_is_no_angle_is_carried_as_it_is(tmp_path: Path) -> None:
     path = write(tmp_path / "v.txt", "0 1\n1 2\n2 1\n")
-    trajectory = read_trajectory(path, None, [], "V")
+    trajectory = TableColumns(None, (), "V").read(path)
     assert trajectory.unit == "V"
     assert trajectory.scale_rad is None
 
 
 def test_real_table_with_two_header_lines(shared_data: Path) -> None:
-    trajectory = read_trajectory(shared_data / "ringdown" / "seismometer-11mm.txt", None, [], "V")
+    trajectory = TableColumns(None, (), "V").read(shared_data / "ringdown" / "seismometer-11mm.txt")
     assert len(trajectory.times_ns) == 1873
     assert trajectory.names == ("Voltage ( V )",)
 
 
 def test_real_table_compressed_and_with_words_in_it(shared_data: Path) -> None:
     path = shared_data / "ringdown" / "torsion-balance-laser-spot.csv.gz"
-    trajectory = read_trajectory(path, "Time_Sec", ["X", "Y"], "px")
+    trajectory = TableColumns("Time_Sec", ("X", "Y"), "px").read(path)
     assert len(trajectory.times_ns) == 58406
     assert len(trajectory.positions) == 2
 
@@ -59,34 +59,34 @@ def test_real_table_compressed_and_with_words_in_it(shared_data: Path) -> None:
 )
 def test_a_bad_table_is_said_in_one_line(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(DataError, match=message) as caught:
-        read_trajectory(write(tmp_path / "bad.csv", text), None, [], "")
+        TableColumns(None, (), "").read(write(tmp_path / "bad.csv", text))
     assert "\n" not in str(caught.value)
 
 
 def test_missing_file_and_missing_column(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no such file"):
-        read_trajectory(tmp_path / "none.csv", None, [], "")
+        TableColumns(None, (), "").read(tmp_path / "none.csv")
     path = write(tmp_path / "t.csv", "time,volts\n0,1\n1,2\n")
     with pytest.raises(ConfigurationError, match=r"no column 'angle'; columns: time, volts"):
-        read_trajectory(path, "time", ["angle"], "")
+        TableColumns("time", ("angle",), "").read(path)
 
 
 def test_a_time_has_the_unit_of_its_name_which_an_option_may_not_contradict(tmp_path: Path) -> None:
     for name, unit in {"time_ms": "ms", "t [ms]": "ms", "t/us": "us", "Zeit": "s", "items": "s"}.items():
         (tmp_path / "table.csv").write_text(f"{name},x\n0,1\n50,2\n100,3\n")
-        found = read_trajectory(tmp_path / "table.csv", None, [], "mm")
+        found = TableColumns(None, (), "mm").read(tmp_path / "table.csv")
         assert found.time_unit == unit
         assert found.times_ns[1] == 50 * {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}[unit]
     (tmp_path / "table.csv").write_text("time_ms,x\n0,1\n50,2\n")
-    assert read_trajectory(tmp_path / "table.csv", None, [], "mm", "msec").times_ns[1] == 50_000_000
+    assert TableColumns(None, (), "mm", "msec").read(tmp_path / "table.csv").times_ns[1] == 50_000_000
     with pytest.raises(ConfigurationError, match="'time_ms' says ms, --time-unit says s"):
-        read_trajectory(tmp_path / "table.csv", None, [], "mm", "s")
+        TableColumns(None, (), "mm", "s").read(tmp_path / "table.csv")
 
 
 def test_commas_for_both_are_said(tmp_path: Path) -> None:
     (tmp_path / "table.csv").write_text("time,x\n0,05,9,98\n0,10,9,7\n0,15,9,2\n")
     with pytest.raises(DataError, match="decimal commas as well as separators"):
-        read_trajectory(tmp_path / "table.csv", None, [], "mm")
+        TableColumns(None, (), "mm").read(tmp_path / "table.csv")
 
 
 CASES = {case.name: case for case in table_matrix()}
@@ -116,6 +116,6 @@ def test_rows_left_out_are_placed(tmp_path: Path) -> None:
 def test_a_time_without_header_that_is_first_is_not_taken_from_a_sequence(tmp_path: Path) -> None:
     """The program's own tables begin with a number of each frame."""
     path = write(tmp_path / "run-1-spots.csv", "sequence,time_s,x_px\n0,0.0,5\n1,0.1,6\n2,0.2,7\n")
-    found = read_trajectory(path, None, [], "")
+    found = TableColumns(None, (), "").read(path)
     assert (found.time_name, found.names, found.unit) == ("time_s", ("x_px",), "px")
     assert found.times_ns.tolist() == [0, 100_000_000, 200_000_000]

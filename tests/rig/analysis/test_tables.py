@@ -9,7 +9,7 @@ import pytest
 
 from processing.envelope import fit_envelope
 from processing.errors import DataError
-from rig.analysis.position_table import TableColumns, read_trajectory
+from rig.analysis.position_table import TableColumns
 from rig.analysis.table_fit import analyse_envelope, analyse_table
 from tests.rig.command_line import rig
 
@@ -85,7 +85,7 @@ def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path
 )
 def test_decimal_commas(tmp_path: Path, text: str) -> None:
     (tmp_path / "t.csv").write_text(text)
-    found = read_trajectory(tmp_path / "t.csv", None, [], "mm")
+    found = TableColumns(None, (), "mm").read(tmp_path / "t.csv")
     assert found.times_ns.tolist() == [0, 20_000_000, 40_000_000]
     assert found.positions[0].tolist() == [1.5, -2.5, 3.0]
 
@@ -93,7 +93,7 @@ def test_decimal_commas(tmp_path: Path, text: str) -> None:
 def test_absolute_times_keep_every_nanosecond(tmp_path: Path) -> None:
     start = 1_763_800_000_123_456_789
     (tmp_path / "t.csv").write_text("".join(f"{start + 1001 * i},{i % 2}\n" for i in range(9)))
-    found = read_trajectory(tmp_path / "t.csv", None, [], "V", "ns")
+    found = TableColumns(None, (), "V", "ns").read(tmp_path / "t.csv")
     assert found.times_ns.tolist() == [1001 * i for i in range(9)]
 
 
@@ -110,7 +110,7 @@ def test_absolute_times_keep_every_nanosecond(tmp_path: Path) -> None:
 def test_columns_that_are_no_times(tmp_path: Path, times: list[str], unit: str, words: str) -> None:
     (tmp_path / "t.csv").write_text("".join(f"{time} {i}\n" for i, time in enumerate(times)))
     with pytest.raises(DataError, match=words) as error:
-        read_trajectory(tmp_path / "t.csv", None, [], "V", unit)
+        TableColumns(None, (), "V", unit).read(tmp_path / "t.csv")
     assert "\n" not in str(error.value)
 
 
