@@ -30,7 +30,7 @@ class SimulatedWitness:
     def __init__(self, settings: SimulationSettings) -> None:
         if settings.ground.model == "none":
             raise ConfigurationError(
-                "witness.kind = 'simulated' feels the simulated ground: set simulation.ground.model"
+                "a simulated witness feels the simulated ground: set simulation.ground.model"
             )
         self._settings = settings
         self._run = -1

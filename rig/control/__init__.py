@@ -1,6 +1,7 @@
 """Serial devices of the rig: controller, laser driver, environment sensor."""
 
 from rig.control.beside import darken_beside
+from rig.control.board_witness import BoardWitness
 from rig.control.controller import Controller, Trip
 from rig.control.device_nodes import udev_board, udev_matches
 from rig.control.environment import EnvironmentService
@@ -19,6 +20,6 @@ from rig.control.safety_state import (
 from rig.control.seedlink import SeedLinkStation
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings, EnvironmentSettings, WitnessSettings
-from rig.control.simulated import SimulatedOutputs, simulated_controller
+from rig.control.simulated import ACCELEROMETER, SimulatedOutputs, simulated_controller
 from rig.control.states import STALE_S, DevicesNow, LaserNow, Light, Loop, SafetyNow
-from rig.control.witness import WitnessLines, WitnessSample, WitnessSamples
+from rig.control.witness import WitnessBuffer, WitnessLines, WitnessSample, WitnessSamples

@@ -9,13 +9,14 @@ from enum import StrEnum
 
 from processing.air import is_possible
 from processing.errors import DeviceError
+from rig.control.board_witness import BoardSamples, BoardSensor, samples_of, sensor_of
 from rig.control.link import CommandRefused, ControllerReset, Link
 from rig.control.protocol import BoardEvent
 from rig.control.serial_port import PortLost, SerialLine, SerialPort
 from rig.control.settings import ControllerSettings
 
 _MAKER = "optical-pendulum-rig"
-FIRMWARE = "1.2"
+FIRMWARE = "1.3"
 """The firmware whose lines are understood: `VERSION` of firmware/core.py."""
 _UNKNOWN_COMMAND = -113
 
@@ -200,6 +201,14 @@ class Controller:
     def environment(self) -> AirReading:
         """Reading of the controller's own sensor; NaN without one, and for what no air has."""
         return AirReading(*_floats(self._ask("ENV?"), 3)).possible
+
+    def start_witness(self) -> BoardSensor:
+        """Keep samples of the board's accelerometer from now on, until the session ends."""
+        return sensor_of(self._ask("WITN:STAR"))
+
+    def witness_samples(self) -> BoardSamples:
+        """The oldest samples that wait on the board, which forgets them."""
+        return samples_of(self._ask("WITN:DATA?"))
 
     def set_laser_power_w(self, power_w: float) -> None:
         """Set the power; raises PowerLimit above the configured or the stored limit."""

@@ -66,9 +66,10 @@ class WitnessSettings(BaseModel, frozen=True, extra="forbid"):
     semicolons or spaces; text around them is passed over. A column `time_s` is the instrument's own clock.
     A `file` is read as another program appends lines to it. Of a `seedlink` server the columns are streams,
     NET.STA.LOC.CHA, of one rate; their packets hold UTC, so that this computer's clock should be kept by NTP.
+    `controller` is the accelerometer on the controller's board: the columns are its first axes.
     """
 
-    kind: Literal["none", "simulated", "serial", "file", "seedlink"] = "none"
+    kind: Literal["none", "simulated", "serial", "file", "seedlink", "controller"] = "none"
     port: str = ""
     baud: int = Field(default=115200, gt=0)
     file: Path | None = Field(default=None, description="to which another program appends lines")
@@ -89,6 +90,8 @@ class WitnessSettings(BaseModel, frozen=True, extra="forbid"):
             raise ValueError("port is missing; name the witness's serial port, or see `rig devices`")
         if self.kind == "file" and self.file is None:
             raise ValueError("file is missing; name the file to which its lines are appended")
+        if self.kind == "controller" and OWN_TIME in self.columns:
+            raise ValueError(f"columns: the controller's board has its own clock; leave {OWN_TIME} out")
         if self.kind == "seedlink":
             if not re.fullmatch(r"[\w.-]+(:\d{1,5})?", self.server):
                 raise ValueError(f"server = {self.server!r} should be host:port, as geofon.gfz.de:18000")

@@ -92,17 +92,13 @@ class FileTail:
             raise PortLost(f"{self._path}: cannot be read: {error.strerror or error}") from error
 
 
-class WitnessSamples(DeviceThread):
-    """Takes samples in a thread from `start` to `close`; reopens what was unplugged or is not reached."""
+class WitnessBuffer:
+    """Samples that have come and wait to be taken, and how long ago the last one came."""
 
     def __init__(self, settings: WitnessSettings) -> None:
         self._settings = settings
         self._samples: deque[WitnessSample] = deque(maxlen=_MOST_WAITING)
-        self._last_error = ""
         self.last_ns = -1
-        self.unread_lines = 0
-        self.last_line = ""
-        super().__init__("rig-witness")
 
     @property
     def age_s(self) -> float:
@@ -121,6 +117,17 @@ class WitnessSamples(DeviceThread):
     def _keep(self, sample: WitnessSample) -> None:
         self._samples.append(sample)
         self.last_ns = time.monotonic_ns()
+
+
+class WitnessSamples(WitnessBuffer, DeviceThread):
+    """Takes samples in a thread from `start` to `close`; reopens what was unplugged or is not reached."""
+
+    def __init__(self, settings: WitnessSettings) -> None:
+        WitnessBuffer.__init__(self, settings)
+        self._last_error = ""
+        self.unread_lines = 0
+        self.last_line = ""
+        DeviceThread.__init__(self, "rig-witness")
 
     def _say_once(self, error: str) -> None:
         """An event for an error, unless it is that of the last attempt."""

@@ -14,7 +14,15 @@ from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.witness import SimulatedWitness
 from processing.errors import ConfigurationError, MissingPackage, RigError
 from processing.ticks import nanoseconds, seconds
-from rig.control import SeedLinkStation, WitnessLines, WitnessSamples, WitnessSettings
+from rig.control import (
+    BoardWitness,
+    ControlService,
+    SeedLinkStation,
+    WitnessBuffer,
+    WitnessLines,
+    WitnessSamples,
+    WitnessSettings,
+)
 from rig.presentation import Verdict
 from rig.settings import Configuration
 
@@ -50,8 +58,25 @@ class GroundWitness(Protocol):
         ...
 
 
-def ground_witness(config: Configuration) -> GroundWitness | None:
-    """The configured one; None without.
+def board_witness(config: Configuration) -> BoardWitness | None:
+    """What takes the samples of the controller's accelerometer, for its service; None unless configured.
+
+    Raises ConfigurationError without a controller.
+    """
+    if config.witness.kind != "controller":
+        return None
+    if config.controller.kind == "none":
+        raise ConfigurationError(
+            "witness.kind = 'controller' is the accelerometer on the controller's board: set controller.kind "
+            "to serial or simulated"
+        )
+    return BoardWitness(config.witness)
+
+
+def ground_witness(
+    config: Configuration, board: tuple[BoardWitness, ControlService] | None = None
+) -> GroundWitness | None:
+    """The configured one; None without. `board` has that of the controller, and who operates it.
 
     Raises ConfigurationError for one that does not go with the camera.
     """
@@ -70,6 +95,9 @@ def ground_witness(config: Configuration) -> GroundWitness | None:
             f"witness.kind = {settings.kind!r} samples as time passes, and the frames come on demand: set "
             "simulation.real_time = true, or 'simulated'"
         )
+    if settings.kind == "controller":
+        assert board is not None
+        return _OnBoard(*board)
     if settings.kind == "seedlink" and find_spec("obspy") is None:
         raise MissingPackage("witness.kind = 'seedlink'", "obspy")
     return _Connected(settings)
@@ -78,6 +106,8 @@ def ground_witness(config: Configuration) -> GroundWitness | None:
 def check_witness(config: Configuration) -> Verdict:
     """For `rig doctor`: wait for the first sample, as long as one may be silent."""
     kind = config.witness.kind
+    if kind == "controller":
+        return Verdict("witness", True, "on the controller's board, see there", made=False)
     if kind == "none":
         return Verdict("witness", True, "none is configured", made=False)
     try:
@@ -115,8 +145,52 @@ class _Samples(ABC):
         """Samples that have come since the last call."""
 
 
-class _Connected(_Samples):
-    """An instrument of this computer; the frame that is processed relates the two clocks."""
+class _Arriving(_Samples):
+    """Samples on this computer's clock; the frame that is processed relates it to the frames'."""
+
+    _service: WitnessBuffer
+
+    def beside(self, camera: Camera) -> None:
+        """Any camera's frames say when they arrived."""
+
+    def _new(self, frame: Frame) -> list[RecordedWitness]:
+        shift_ns = frame.time_ns - frame.host_time_ns
+        return [
+            RecordedWitness(one.host_time_ns + shift_ns, one.host_time_ns, one.own_time_s, *one.value)
+            for one in self._service.take_samples()
+        ]
+
+
+class _OnBoard(_Arriving):
+    """The accelerometer on the controller's board, whose service takes its samples."""
+
+    def __init__(self, board: BoardWitness, control: ControlService) -> None:
+        super().__init__()
+        self._service: BoardWitness = board
+        self._control = control
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None: ...
+
+    def take_events(self) -> tuple[str, ...]:
+        return self._service.take_events()
+
+    @property
+    def problem(self) -> str:
+        if not self._service.silent:
+            return ""
+        snapshot = self._control.snapshot
+        if snapshot.status is None:
+            return f"the controller is {snapshot.state}: {snapshot.last_error}".rstrip(": ")
+        if not self._service.alive:
+            return "the accelerometer on the controller's board does not answer"
+        return f"no sample for {self._service.age_s:.0f} s"
+
+
+class _Connected(_Arriving):
+    """An instrument of this computer."""
 
     def __init__(self, settings: WitnessSettings) -> None:
         super().__init__()
@@ -130,16 +204,6 @@ class _Connected(_Samples):
 
     def __exit__(self, *_error: object) -> None:
         self._service.close()
-
-    def beside(self, camera: Camera) -> None:
-        """Any camera's frames say when they arrived."""
-
-    def _new(self, frame: Frame) -> list[RecordedWitness]:
-        shift_ns = frame.time_ns - frame.host_time_ns
-        return [
-            RecordedWitness(one.host_time_ns + shift_ns, one.host_time_ns, one.own_time_s, *one.value)
-            for one in self._service.take_samples()
-        ]
 
     def take_events(self) -> tuple[str, ...]:
         return self._service.take_events()
