@@ -10,7 +10,7 @@ from rig.archive.chosen import remark, show_runs, view_runs
 from rig.archive.cluster import client_of
 from rig.archive.listing import Format, list_runs
 from rig.archive.plot import plot_runs
-from rig.archive.remote import is_remote, opened
+from rig.archive.remote import brought, is_remote, opened
 
 if TYPE_CHECKING:
     from rig.archive.checking import check_archive

@@ -49,6 +49,18 @@ def opened(archive: str, *, believed: bool = True) -> Iterator[Path]:
         send(copy)
 
 
+def brought(archive: str) -> Path:
+    """The folder in which an archive can be read: its own, or the copy, once what is new there is fetched.
+
+    Sends nothing, for who only looks. Raises as `opened` does.
+    """
+    if not is_remote(archive):
+        return Path(archive)
+    copy = Copy(archive)
+    fetch(copy)
+    return copy.folder
+
+
 def write_new(archive: str, name: str, data: bytes) -> None:
     """Write one file of a remote archive, whole or not at all; one that is there already stays as it is."""
     Bucket(archive).create(name, data)

@@ -8,7 +8,6 @@ from nicegui import ui
 
 from rig.alarms import AlarmKey, AlarmList, AlarmRow, AlarmState
 from rig.desk.tab import DELIBERATE, Tab
-from rig.presentation import palette
 
 SHELF_S = 600.0
 _PAST_SHOWN = 8
@@ -99,14 +98,15 @@ def _clock(at_s: float) -> str:
     return time.strftime("%H:%M:%S", time.localtime(at_s))
 
 
-STYLE = f"""
-.alarm-remedy {{ background: #fff; color: #000; font-size: 18px; padding: 4px 14px; width: 100%; }}
-.alarms {{ background: var(--card); color: var(--ink); }}
-.alarms .q-item {{ min-height: 26px; padding: 2px 12px; }}
-.alarm-row {{ display: grid; gap: 4px 12px; width: 100%; padding: 4px 0; border-top: 1px solid var(--dim);
-  grid-template-columns: minmax(0, 1fr) minmax(0, 1.2fr) minmax(0, 1.6fr) auto; border-left: 6px solid; }}
-.alarm-row {{ padding-left: 8px; border-left-color: var(--dim); }}
-.alarm-row.active {{ border-left-color: {palette.VERMILLION}; }}
-.alarm-row.cleared {{ border-left-color: {palette.YELLOW}; border-left-style: dashed; }}
-@media (max-width: 900px) {{ .alarm-row {{ grid-template-columns: minmax(0, 1fr); }} }}
+STYLE = """
+.alarm-remedy { background: var(--bar-ink); color: var(--bar); font-size: 18px;
+  padding: 4px 14px; width: 100%; }
+.alarms { background: var(--card); color: var(--ink); }
+.alarms .q-item { min-height: 26px; padding: 2px 12px; }
+.alarm-row { display: grid; gap: 4px 12px; width: 100%; padding: 4px 0; border-top: 1px solid var(--dim);
+  grid-template-columns: minmax(0, 1fr) minmax(0, 1.2fr) minmax(0, 1.6fr) auto; border-left: 6px solid; }
+.alarm-row { padding-left: 8px; border-left-color: var(--dim); }
+.alarm-row.active { border-left-color: var(--alarm); }
+.alarm-row.cleared { border-left-color: var(--warn); border-left-style: dashed; }
+@media (max-width: 900px) { .alarm-row { grid-template-columns: minmax(0, 1fr); } }
 """

@@ -13,6 +13,8 @@ End = tuple[float, float, float]
 Ends = tuple[End, End]
 """Of x and of y: the lowest, the highest, and the step between labels, of which both are multiples."""
 _TEXT = {"color": "var(--dim)", "fontSize": 12}
+_NAME_PERCENT, _BELOW_PERCENT = 10.0, 18.0
+"""Of a chart with several rows: what the name above a row takes, and labels and name below the last one."""
 _LINES = {"lineStyle": {"color": "var(--edge)", "opacity": 0.35}}
 
 
@@ -66,14 +68,14 @@ def chart_options(
     for row in range(rows):
         last = row == rows - 1
         key = next(curve.key for curve in curves if curve.row == row)
-        # labels below the last one only
-        part = 86.0 / rows
+        # labels below the last one only; above each row there is room for its name
+        part = (100.0 - _BELOW_PERCENT) / rows
         grids.append(
             {
                 "left": 58,
                 "right": 18,
-                "top": 22 if alone else f"{6 + row * part:.1f}%",
-                **({"bottom": 42} if alone else {"height": f"{part - 7:.1f}%"}),
+                "top": 22 if alone else f"{_NAME_PERCENT + row * part:.1f}%",
+                **({"bottom": 42} if alone else {"height": f"{part - _NAME_PERCENT:.1f}%"}),
             }
         )
         x_axes.append(
@@ -120,7 +122,7 @@ def chart_options(
         }
     # a square has no room beside its axis's name
     names = list(dict.fromkeys(curve.name for curve in curves if curve.name))
-    named = ends is None and len(names) > 1
+    named = ends is None and len(names) > 1 and not nothing
     every = list(range(rows))
     return {
         "animation": False,

@@ -99,7 +99,9 @@ def trajectory(
     way = [(a, b) if a is not None and b is not None else (None, None) for a, b in zip(x, y, strict=True)]
     known = [(a, b) for a, b in way if a is not None and b is not None]
     ends = None
-    if known:
+    if not known:
+        way = []
+    else:
         if stretched:
             ends = _span([a for a, _ in known]), _span([b for _, b in known])
         else:

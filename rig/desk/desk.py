@@ -10,12 +10,12 @@ from pathlib import Path
 
 from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
-from rig.archive import is_remote
 from rig.channel import CHANNEL_NAME, Line
 from rig.control import SafetyState, darken_beside, rig_state_path
 from rig.desk.acting import Acting
 from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
+from rig.desk.archived import Archived
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Job, start_session
@@ -48,7 +48,7 @@ class Desk:
 
     def __init__(self, source: Path, overrides: tuple[str, ...] = (), archive: str = "") -> None:
         self.source = source
-        self._archive = archive
+        self.archived = Archived(archive)
         self._overrides = overrides
         self.kept: dict[str, object] = {}
         self.config = load_configuration(source, overrides)
@@ -68,12 +68,6 @@ class Desk:
         self._pressing = threading.Lock()
         self._pressed: deque[str] = deque(maxlen=_PRESSES_KEPT)
         self._lock = threading.Lock()
-
-    @property
-    def archive(self) -> Path | None:
-        """The folder of the archive; None where there is none, or it lies on a server."""
-        place = self._archive
-        return Path(place) if place and not is_remote(place) and Path(place).is_dir() else None
 
     # -- the configuration ------------------------------------------------------
 

@@ -73,6 +73,12 @@ class Following:
         return self.folder is not None
 
     @property
+    def frames_age_s(self) -> float:
+        """How old the last frame is that the running session has looked at; 0 before its first one."""
+        told_s = self.news.get("frames_age_s")
+        return 0.0 if told_s is None else float(told_s) + time.monotonic() - self.heard_s
+
+    @property
     def devices(self) -> DevicesNow:
         """Laser and controller of the running session."""
         return _DEVICES.validate_python(self.news.get("devices") or {})

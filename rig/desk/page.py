@@ -85,6 +85,8 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
         alarms = AlarmBar(desk.alarming.alarms, tab, ask_leave)
         acknowledge = ui.button("Acknowledge …", on_click=tab.act(ask_leave))
         acknowledge.props('color="negative" size="lg"').classes("full-width")
+        waits = ui.label("The laser is dark, and waits for a person. Look that nobody is in the beam's way.")
+        waits.classes("alarm-remedy")
         again = ui.button("Light again", on_click=tab.act(light)).props(f'size="lg" {DELIBERATE}')
         again.classes("full-width")
         instruction = ui.label().classes("instruction").props('role="alert"')
@@ -140,7 +142,8 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
         if safety.trip is not None:
             acknowledge.set_text(f"Acknowledge trip {safety.trip.number} …")
         acknowledge.set_visibility(safety.trip is not None)
-        again.set_visibility(desk.waits_for_light)
+        for one in (waits, again):
+            one.set_visibility(desk.waits_for_light)
         asked_for = str(run_state.get("instruction") or "")
         instruction.set_text(asked_for.upper())
         instruction.set_visibility(bool(asked_for))

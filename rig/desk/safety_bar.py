@@ -24,21 +24,22 @@ BAR = """
 
 STYLE = f"""
 #safety {{ position: fixed; left: 0; right: 0; bottom: 0; z-index: 20000; display: flex; flex-wrap: wrap;
-  gap: 4px 14px; align-items: center; padding: 5px 10px; background: #000; color: #fff;
-  border-top: 2px solid #fff; font-size: 16px; }}
-#safety button {{ font: inherit; font-weight: 700; padding: 8px 18px; border: 2px solid #fff;
-  border-radius: 4px; background: #333; color: #fff; cursor: pointer; }}
-#safety #light-off {{ background: #c00000; color: #fff; font-size: 20px; }}
+  gap: 4px 14px; align-items: center; padding: 5px 10px; background: var(--bar); color: var(--bar-ink);
+  border-top: 2px solid var(--bar-ink); font-size: 16px; }}
+#safety button {{ font: inherit; font-weight: 700; padding: 8px 18px; border: 2px solid var(--bar-ink);
+  border-radius: 4px; background: var(--bar-button); color: var(--bar-ink); cursor: pointer; }}
+#safety #light-off {{ background: var(--off); color: var(--off-ink); font-size: 20px; }}
 #safety #silence {{ margin-left: auto; }}
 #safety .lamp::before {{ content: ''; display: inline-block; width: 14px; height: 14px; border-radius: 7px;
-  margin-right: 6px; background: #888; }}
+  margin-right: 6px; background: var(--edge); }}
 #safety .go::before {{ background: {palette.BLUISH_GREEN}; }}
 #safety .caution::before {{ background: {palette.YELLOW}; }}
 #safety .no::before {{ background: {palette.VERMILLION}; }}
-#safety .unknown {{ color: #bbb; font-style: italic; }}
-#safety .unknown::before {{ background: transparent; border: 2px dashed #bbb; box-sizing: border-box; }}
+#safety .unknown {{ color: var(--bar-dim); font-style: italic; }}
+#safety .unknown::before {{ background: transparent; border: 2px dashed var(--bar-dim);
+  box-sizing: border-box; }}
 .nicegui-content {{ padding-bottom: 64px; }}
-html.night {{ scrollbar-color: #500 #000; }}
+html.night {{ scrollbar-color: var(--edge) var(--ground); }}
 .q-notifications__list--bottom {{ bottom: 64px !important; }}
 @media (max-width: 600px) {{ .nicegui-content {{ padding-bottom: 120px; }}
   #safety {{ font-size: 14px; gap: 3px 10px; }} #safety #light-off {{ width: 100%; }}
@@ -53,7 +54,9 @@ def script(off_port: int) -> str:
 
 _SCRIPT = """
 (() => {
-  let told = {}, heard = null, silenced = '', cry = '', own = null, beep = null, answer = '';
+  let told = {}, heard = null, silenced = '', cry = '', own = null, beep = null, answer = '',
+    answeredAt = 0;
+  const ANSWER_MS = 60000;
   const at = id => document.getElementById(id);
   function draw() {
     if (!at('safety')) return;
@@ -75,6 +78,8 @@ _SCRIPT = """
     const late = dead || (heardOf && oldest > STALE_S);
     at('lamp-age').className = 'lamp ' + (late ? 'unknown' : heardOf ? 'go' : 'dim');
     at('silence').hidden = !loud() || silenced === loud();
+    // what was answered long ago says nothing of now
+    if (performance.now() - answeredAt > ANSWER_MS) answer = '';
     at('off-said').textContent = answer;
   }
   window.rigSafety = (now, alarm) => {
@@ -91,8 +96,8 @@ _SCRIPT = """
   }
   window.rigCry = what => { if (what !== own) { own = what; hear(); draw(); } };
   window.rigLightOff = () => {
-    const pressed = new Date().toLocaleTimeString();
-    answer = 'LIGHT OFF is sent'; draw();
+    const pressed = new Date().toLocaleTimeString('en-GB');
+    answer = 'LIGHT OFF is sent'; answeredAt = performance.now(); draw();
     const press = '?' + Math.random().toString(36).slice(2) + Date.now();
     const other = location.protocol + '//' + location.hostname + ':OFF_PORTDARK' + press;
     const ask = address => fetch(address, {method: 'POST', credentials: 'include', keepalive: true})

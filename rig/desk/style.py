@@ -10,12 +10,16 @@ body { background: var(--ground); color: var(--ink); font-size: 16px; }
 h1, h2, h3 { font: inherit; margin: 0; }
 h1 { white-space: nowrap; }
 /* the height of the head, and what is left between alarms, panels' names and the safety bar */
-:root { --head: 40px; --room: calc(100vh - 190px); }
+:root { --head: 40px; --room: calc(100vh - 190px);
+  /* what is read at a laptop's screen is larger on a larger one */
+  --small: clamp(14px, 1.05vw, 20px); }
 .unseen { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
 .q-header { background: var(--card) !important; color: var(--ink); min-height: var(--head);
   padding: 2px 12px !important; align-items: center !important; gap: 8px; }
 .q-page, .q-tab-panels, .q-tab-panel { background: var(--ground) !important; color: var(--ink); }
 .q-tab-panel { padding: 6px 10px; gap: 8px; }
+/* the page scrolls, and no panel in it once more */
+.q-panel.scroll, .q-tab-panel { overflow: visible; }
 .q-tab-panel > * { gap: 8px; }
 .nicegui-content { padding: 0; gap: 4px; }
 .box { background: var(--card); border-radius: 6px; padding: 10px 12px; gap: 6px; min-width: 0; }
@@ -53,13 +57,12 @@ h1 { white-space: nowrap; }
 .chart .tools { display: flex; align-items: center; gap: 6px; flex-wrap: wrap; }
 .chart .tools button { font: inherit; font-size: 13px; color: var(--line); background: none; cursor: pointer;
   border: 1px solid var(--edge); border-radius: 4px; padding: 2px 8px; min-height: 24px; }
-html.dead .q-tab-panels, html.dead .cries, html.dead .q-header { opacity: .35; }
 .cries { position: sticky; top: var(--head); z-index: 1000; width: 100%; }
 .errors > div { display: flex; align-items: center; gap: 12px; padding: 4px 12px; background: var(--raised);
   color: var(--ink); border-left: 6px solid var(--no); border-bottom: 1px solid var(--edge); }
 .errors > div > :first-child { flex: 1 1 auto; overflow-wrap: anywhere; }
 .why-none { font-size: 20px; text-align: center; width: 80%; color: #fff; }
-.rows { border-collapse: collapse; width: 100%; font-size: 14px; line-height: 1.3;
+.rows { border-collapse: collapse; width: 100%; font-size: var(--small); line-height: 1.3;
   font-variant-numeric: tabular-nums; }
 .rows td, .rows th { padding: 2px 8px 2px 0; vertical-align: top; text-align: left; font-weight: 400; }
 .rows .judged { white-space: nowrap; width: 1%; }
@@ -74,7 +77,7 @@ a { color: var(--line); }
   padding: 8px 14px; width: 100%; }
 @keyframes flash { from { box-shadow: inset 0 0 0 5px var(--ink) } to { box-shadow: none } }
 @media (prefers-reduced-motion: reduce) { .alarm { animation: none; } }
-.events { font-size: 14px; overflow-y: auto; width: 100%; flex: 1 1 120px; min-height: 90px; }
+.events { font-size: var(--small); overflow-y: auto; width: 100%; flex: 1 1 120px; min-height: 90px; }
 svg text { fill: var(--dim); font-size: 12px; }
 .camera { width: 100%; }
 .picture { background: #000; } .picture img { touch-action: none; }
@@ -128,14 +131,9 @@ svg text { fill: var(--dim); font-size: 12px; }
 }
 
 /* the bar at the foot: in the dark it is as red as the rest */
-#safety { background: var(--bar); color: var(--bar-ink); border-color: var(--bar-ink); }
-#safety .lamp { color: var(--bar-ink); }
-#safety button { background: var(--bar-button); color: var(--bar-ink); border-color: var(--bar-ink); }
-#safety #light-off { background: var(--off); color: var(--off-ink); }
-#safety .unknown { color: var(--bar-dim); }
-html.night #safety .lamp::before { background: #f00; }
+html.night #safety .lamp::before { background: var(--bar-ink); }
 html.night #safety .go::before, html.night #safety .dim::before, html.night #safety .unknown::before {
-  background: transparent; border: 2px solid #f00; box-sizing: border-box; }
+  background: transparent; border: 2px solid var(--bar-ink); box-sizing: border-box; }
 
 /* a room's own arrangement, from a laptop's screen on; narrower ones have all below each other */
 @media (min-width: 1000px) {

@@ -13,12 +13,13 @@ BAR = """
 <div id="watchdog" role="alert" aria-live="assertive" hidden></div>
 """
 STYLE = """
-#watchdog { position: fixed; top: 0; left: 0; right: 0; z-index: 19999; background: #fff; color: #000;
-  font-size: 20px; font-weight: 700; padding: 8px 14px; border-bottom: 6px solid #c00000; }
+#watchdog { position: fixed; top: 0; left: 0; right: 0; z-index: 19999;
+  background: var(--bar-ink); color: var(--bar); font-size: 20px; font-weight: 700; padding: 8px 14px;
+  border-bottom: 6px solid var(--off); }
 #watchdog[hidden] { display: none; }
 #watchdog small { display: block; font-size: 16px; font-weight: 400; }
-html.dead .q-tab-panels, html.dead .cries, html.dead .q-header, html.old .live {
-  filter: grayscale(1) brightness(.45); }
+html.dead .q-tab-panels, html.dead .cries, html.dead .q-header, html.old .live, .blind .camera,
+.blind .huge, .blind .chart.square { filter: grayscale(1) opacity(.5); }
 html.dead .cries .alarm { animation: none; }
 """
 

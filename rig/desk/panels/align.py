@@ -183,7 +183,9 @@ def build(desk: Desk, tab: Tab) -> None:
             histogram.show([[]], empty="no picture yet")
             return
         best = max((one for _, one in sharpness), default=0.0)
-        lamps.set_content(_lamps(look.lamps(best)))
+        # of a frame that is dark on purpose there is nothing to be judged: why it is stands below
+        dark = now is not None and bool(now.darkness)
+        lamps.set_content("" if dark else _lamps(look.lamps(best)))
         figures.set_content(tables.table(look.rows(), "figures of the picture"))
         counts, edges = np.histogram(look.image, _BARS, (0, look.full_scale_dn + 1))
         middles = 0.5 * (edges[1:] + edges[:-1])

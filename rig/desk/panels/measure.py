@@ -85,7 +85,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 LivePicture(tab, _SIZE, lambda: desk.following.running, lambda: no_frame_yet(desk.following))
         with ui.column().classes("box"):
             way = charts.Chart("trajectory", "deflection_x", charts.WAY, square=True)
-            way.element.style("width: min(100%, max(260px, 34vh))")
+            way.element.style("width: min(100%, max(240px, 32vh))")
             with way.beside:
                 stretching = ui.button("stretch X", on_click=stretch).props("dense outline no-caps")
             RunCharts(desk, tab)
@@ -114,9 +114,19 @@ def build(desk: Desk, tab: Tab) -> None:
         run_state = news.get("state") or {}
         unit = str(news.get("unit") or "")
         measuring = run_state.get("phase") == Phase.MEASURING
-        before_it.set_text("" if measuring else f"nothing is recorded yet: {doing(run_state) or 'preparing'}")
+        frames_age_s = desk.following.frames_age_s
+        blind = frames_age_s > STALE_S
+        before_it.set_text(
+            f"no frame for {frames_age_s:.0f} s: what is shown is of then"
+            if blind
+            else ""
+            if measuring
+            else f"nothing is recorded yet: {doing(run_state) or 'preparing'}"
+        )
+        during.classes(add="blind") if blind else during.classes(remove="blind")
         value = run_state.get("amplitude")
-        amplitude.set_text("–" if value is None else f"{float(value):.2f}")
+        amplitude.set_text("?" if value is None else f"{float(value):.2f}")
+        amplitude.classes(add="dim") if value is None else amplitude.classes(remove="dim")
         unit_of.set_text(unit)
         left.set_text(_left(run_state))
         progress.set_value(_done(news))

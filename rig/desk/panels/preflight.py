@@ -83,8 +83,8 @@ def build(desk: Desk, tab: Tab) -> None:
         verdict.set_text("" if not found else "NO-GO" if against else "GO")
         verdict.set_visibility(bool(found))
         verdict.classes(remove="go no", add="no" if against else "go")
-        words.set_text("" if found else said)
-        words.set_visibility(not found)
+        done = "" if desk.following.running else _next(len(against))
+        words.set_text(done if found else said)
         failing.set_content(lights(shown_first))
         passing.set_content(lights(passed))
         folded.set_text(f"{len(passed)} of {len(found)} checks passed")
@@ -92,6 +92,14 @@ def build(desk: Desk, tab: Tab) -> None:
 
     tab.every(0.3, refresh)
     refresh()
+
+
+def _next(against: int) -> str:
+    """What is to be done after the checks."""
+    if not against:
+        return "Nothing stands against a run: start it in Measure."
+    what = "This stands" if against == 1 else f"These {against} stand"
+    return f"{what} against a run: mend as is said below, then run preflight again."
 
 
 def lights(verdicts: Sequence[Mapping[str, Any]]) -> str:

@@ -32,13 +32,16 @@ def test_every_theme_has_every_colour_and_every_colour_that_is_used_has_a_name()
     names = set(THEMES[theme.DARK])
     assert all(set(colours) == names for colours in THEMES.values())
     text = "".join(path.read_text("utf-8") for path in DESK.rglob("*.py"))
-    sizes = set(re.findall(r"--(head|room|aspect):", text))
+    sizes = set(re.findall(r"--(head|room|aspect|small):", text))
     assert set(re.findall(r"var\(--([\w-]+)\)", text)) - {"name"} <= names | sizes
 
 
-def test_panels_have_no_colours_of_their_own() -> None:
-    for path in (DESK / "panels").glob("*.py"):
-        assert re.findall(r"#[0-9a-fA-F]{6}\b", path.read_text("utf-8")) == [], path.name
+def test_panels_and_bars_have_no_colours_of_their_own() -> None:
+    """A bar that had some, after the theme's, was white on red in the night: unread through red light."""
+    bars = [DESK / f"{name}.py" for name in ("safety_bar", "alarm_bar", "watchdog")]
+    for path in (*(DESK / "panels").glob("*.py"), *bars):
+        found = re.findall(r"(?:: |solid )(#[0-9a-fA-F]{3,6})\b", path.read_text("utf-8"))
+        assert found == [], path.name
     assert "#0e1113" in style.STYLE
 
 

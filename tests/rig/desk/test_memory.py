@@ -1,0 +1,153 @@
+"""A desk that is open for hours holds no more than after two: counted in objects, not in memory."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+
+from processing.deflections import Deflections, DeflectionUnit
+from processing.estimate import Estimate
+from processing.swing import Swing
+from rig.channel import Channel, SessionNews
+from rig.instrument import Block, FittedDecay, Snapshot
+from rig.settings import Configuration
+from tests.rig.desk.desk_page import Page
+from tests.rig.view.headless_browser import HeadlessBrowser
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+ROOT = Path(__file__).resolve().parents[3]
+HALF_S, RATE_HZ = 1.2, 5.0
+FULL_AFTER_S, UNTIL_S, STEP_S = 7200.0, 43_200.0, 3600.0
+"""After two hours all that is decimated is full; the run goes on to twelve."""
+LOOKS = 40
+"""How often the desk has looked before it is counted: what is only on its way is then of the same size."""
+MORE = 1500
+"""Objects by which two counts may differ: what was on its way just then. A count has some 240,000."""
+COUNTING = "window.looks = 0; const before = rigSafety; rigSafety = (...told) => { looks++; before(...told) }"
+
+
+class ToldRun:
+    """A run that lasts as long as it is told to."""
+
+    def __init__(self, folder: Path) -> None:
+        self.news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+        self.news.begin_run("run 1", 255, None)
+        self.channel = Channel(folder, self.news, {})
+        self._random = np.random.default_rng(38)
+        self._until_s, self._swings = 0.0, 0
+
+    def go_on_until(self, until_s: float) -> None:
+        """More frames, half-cycles, fits and events."""
+        while self._until_s < until_s:
+            end_s = min(until_s, self._until_s + 60.0)
+            self._minute(end_s)
+            self._until_s = end_s
+
+    def _minute(self, end_s: float) -> None:
+        time_s = np.arange(self._until_s, end_s, 1 / RATE_HZ)
+        noise, none = self._random.normal(size=(2, len(time_s))), np.zeros_like(time_s)
+        y = 100.0 * np.exp(-time_s / 2e4) * np.cos(math.pi * time_s / HALF_S)
+        times_ns = (time_s * 1e9).astype(np.int64)
+        moved = Deflections(times_ns, noise[0], y + noise[1], none, none, DeflectionUnit.PX)
+        swings = []
+        while self._swings * HALF_S < end_s:
+            at_s, self._swings = self._swings * HALF_S, self._swings + 1
+            size = 100.0 * math.exp(-at_s / 2e4)
+            swings.append(Swing(self._swings, int(at_s * 1e9), 0.0, size, 0.1, HALF_S, 1e-4, 0.0, 1, 0))
+        self.news.block(0, [], Block([], moved, swings, []))
+        self.news.before_record([], [], moved)
+        of = range(0, self._swings, -(-self._swings // 300))
+        at_ns, few = [int(k * HALF_S * 1e9) for k in of], self._random.normal(size=len(of)).tolist()
+        told = Snapshot(
+            elapsed_s=end_s,
+            estimated_from=self._swings,
+            half_cycles=self._swings,
+            estimates={key: Estimate(float(self._random.normal(1.0, 0.1)), 0.1) for key in ("b", "p", "c")},
+            decay=FittedDecay(at_ns, few, few, at_ns, few, few),
+        )
+        self.news.snapshot(told)
+        self.news.note("gap", f"{self._swings} frames are missing", "warning", end_s)
+        estimates = {
+            key: {"value": one.value, "standard_uncertainty": one.standard_uncertainty}
+            for key, one in told.estimates.items()
+        }
+        state = {"phase": "measuring", "elapsed_s": end_s, "amplitude": float(y[-1]), "estimates": estimates}
+        self.news.state(state, [("elapsed", f"told {end_s:.0f} s"), ("half-cycles", str(self._swings))])
+
+
+class CountedDesk:
+    """A desk in a process of its own that counts its objects."""
+
+    def __init__(self, config: Path) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tests.rig.desk.counted_desk", str(config)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
+        self.address = self._line()
+
+    def count(self) -> dict[str, int]:
+        """How many objects of each kind there are."""
+        assert self.process.stdin is not None
+        print(file=self.process.stdin, flush=True)
+        found: dict[str, int] = json.loads(self._line())
+        return found
+
+    def _line(self) -> str:
+        assert self.process.stdout is not None
+        return self.process.stdout.readline().strip()
+
+
+@pytest.fixture
+def told_desk(desk_configuration: Callable[[str], Path]) -> Iterator[tuple[CountedDesk, ToldRun]]:
+    """A desk and a run that it follows."""
+    config = desk_configuration("")
+    folder = config.parent / "runs" / "told"
+    folder.mkdir(parents=True)
+    run = ToldRun(folder)
+    run.go_on_until(60.0)
+    with run.channel:
+        desk = CountedDesk(config)
+        yield desk, run
+        desk.process.kill()
+        desk.process.communicate()
+
+
+def test_a_desk_holds_no_more_after_twelve_hours_of_a_run_than_after_two(
+    told_desk: tuple[CountedDesk, ToldRun], browser: HeadlessBrowser
+) -> None:
+    desk, run = told_desk
+    with browser.another() as tab:
+        page = Page(tab)
+        page.open(desk.address)
+        page.key("4")
+        page.ask(COUNTING)
+
+        def counted(until_s: float) -> dict[str, int]:
+            run.go_on_until(until_s)
+            page.wait_text(f"told {until_s:.0f} s")
+            page.ask("looks = 0")
+            page.wait(f"looks > {LOOKS}", 120.0)
+            return min((desk.count() for _ in range(3)), key=lambda one: one["all"])
+
+        counted(FULL_AFTER_S - STEP_S)
+        first = counted(FULL_AFTER_S)
+        last = first
+        for until_s in np.arange(FULL_AFTER_S + STEP_S, UNTIL_S + 1.0, STEP_S):
+            last = counted(float(until_s))
+        assert last["all"] - first["all"] < MORE, {
+            key: count - first.get(key, 0) for key, count in last.items() if count - first.get(key, 0) > 20
+        }
+        assert (last["clients"], last["elements"]) == (1, first["elements"])
