@@ -172,7 +172,7 @@ def test_a_changed_key_that_nothing_uses_is_refused(measured_series: Path, tmp_p
     noise = ("--set", "sensor.read_noise_e=40")
     assert "what the tracker takes needs --retrack" in said("replay", record, *noise, cwd=tmp_path)
     assert "--set camera.exposure_us: has no effect here" in said(
-        "replay", record, "--retrack", "--set", "camera.exposure_us=5", cwd=tmp_path
+        "replay", record, "--retrack", "--to", "5", "--set", "camera.exposure_us=5", cwd=tmp_path
     )
     assert "--set lever.arm_m: has no effect here" in said(
         "fit", record, "--set", "lever.arm_m=2", "-o", "fit", cwd=tmp_path
