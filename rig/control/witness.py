@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import os
 import re
 import time
 from collections import deque
@@ -47,6 +48,7 @@ class FileTail:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._file: BinaryIO | None = None
+        self._is_within_line = False
         self._open()
 
     @property
@@ -64,12 +66,16 @@ class FileTail:
         while True:
             try:
                 assert self._file is not None
-                if self._path.stat().st_size < self._file.tell():
-                    self._open()
                 data = self._file.read()
+                if not data and self._is_another():
+                    self._open()
+                    # what was left of a line does not go on in another file
+                    data = b"\n" * self._is_within_line + self._file.read()
             except OSError as error:
                 raise PortLost(f"{self._path}: {error.strerror or error}") from error
             left_s = deadline_s - time.monotonic()
+            if data:
+                self._is_within_line = not data.endswith(b"\n")
             if data or left_s <= 0:
                 return data
             time.sleep(min(_POLL_S, left_s))
@@ -83,6 +89,12 @@ class FileTail:
         """Close the file; may be called more than once."""
         if self._file is not None:
             self._file.close()
+
+    def _is_another(self) -> bool:
+        """Whether the file of this name was cut, or is not the one that is read."""
+        assert self._file is not None
+        now, opened = self._path.stat(), os.fstat(self._file.fileno())
+        return not os.path.samestat(now, opened) or now.st_size < self._file.tell()
 
     def _open(self) -> None:
         self.close()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from rig.control import WitnessLines, WitnessSettings
-from rig.control.witness import sample_of
+from rig.control.witness import FileTail, sample_of
 from rig.settings import keys_with_faults
 
 LIMIT_S = 60.0
@@ -99,6 +99,22 @@ def test_a_file_is_read_as_it_grows_and_again_when_it_is_replaced(tmp_path: Path
         assert set(values) == {3.0}
         path.write_text("")
         until(grown("4\n", 4.0))
+
+
+def test_a_longer_file_in_its_place_is_read_from_its_begin(tmp_path: Path) -> None:
+    path = tmp_path / "station.txt"
+    path.write_bytes(b"1\n")
+    tail = FileTail(path)
+    tail.discard_input()
+    # its last line is never ended, and does not go on in the next file
+    path.write_bytes(b"1\n2\n3")
+    assert tail.read(0.0) == b"2\n3"
+    path.rename(tmp_path / "station-1.txt")
+    path.write_bytes(b"40\n50\n60\n")
+    assert tail.read(0.0) == b"\n40\n50\n60\n"
+    path.write_bytes(b"7\n")
+    assert tail.read(0.0) == b"7\n"
+    tail.close()
 
 
 @pytest.mark.parametrize(
