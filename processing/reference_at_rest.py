@@ -23,7 +23,7 @@ class ReferenceAtRest(NamedTuple):
     before_px
         Standard deviation of the pendulum's spot.
     factor
-        By which it falls with the reference taken off at the stated gain; uncertainty by parts of the piece.
+        By which it falls with the reference taken off at the stated gain, or that of the piece; uncertainty by parts of the piece.
     gain
         That the piece itself shows.
     share
@@ -43,7 +43,7 @@ def reference_at_rest(
     reference_px: Floats,
     u_px: Floats,
     *,
-    gain: float,
+    gain: float | None,
     period_s: float,
 ) -> ReferenceAtRest:
     """Compare the spots of a pendulum at rest and of its reference (n,), NaN where lost.
@@ -63,7 +63,7 @@ def reference_at_rest(
     if not common.share > 0:
         return ReferenceAtRest(float(np.nanstd(spot)), Estimate(1.0, 0.0), Estimate(np.nan, np.inf), 0.0)
     fitted = fitted_gain(spot, u_spot_px, replace(common, value=motion), use)
-    left = spot[use] - gain * motion[use]
+    left = spot[use] - (fitted.value if gain is None else gain) * motion[use]
     parts = np.array_split(np.arange(len(left)), _BLOCKS)
     powers = np.array([[np.mean(spot[use][part] ** 2), np.mean(left[part] ** 2)] for part in parts])
     factor = _ratio(powers)

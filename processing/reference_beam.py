@@ -5,7 +5,7 @@ reference's own noise must not come in: of its motion only that is taken which i
 noise, by Wiener's filter, and only if the pendulum's spot is quieter for it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import inf
 
@@ -36,6 +36,7 @@ class ReferenceVerdict(StrEnum):
     USED = "used"
     NO_GAIN = "refused: the pendulum's spot is not quieter for it"
     QUIET = "refused: it shows no motion over its own noise"
+    UNKNOWN_GAIN = "refused: its gain is not stated, and the run does not show it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +158,11 @@ def _gain(position: Floats, motion: Floats) -> float:
     return float(centred @ position / (centred @ centred))
 
 
+def refused(position_px: Floats, u_px: Floats, gain: Estimate, verdict: ReferenceVerdict) -> LessReference:
+    """The pendulum's spot as it was, and why."""
+    return LessReference(position_px, u_px, np.zeros(len(position_px), dtype=np.bool_), gain, verdict)
+
+
 def less_reference(
     position_px: Floats, u_px: Floats, common: CommonMotion, gain: Estimate, quiet: Flags
 ) -> LessReference:
@@ -171,12 +177,11 @@ def less_reference(
     quiet
         Frames in which the pendulum rests. Without any, a stated gain is believed.
     """
-    as_it_was = np.zeros(len(position_px), dtype=np.bool_)
     if not common.share > 0:
-        return LessReference(position_px, u_px, as_it_was, gain, ReferenceVerdict.QUIET)
+        return refused(position_px, u_px, gain, ReferenceVerdict.QUIET)
     fall = _fall(position_px, common, gain.value, quiet)
     if fall is not None and not fall > _PAYS:
-        return LessReference(position_px, u_px, as_it_was, gain, ReferenceVerdict.NO_GAIN, fall)
+        return replace(refused(position_px, u_px, gain, ReferenceVerdict.NO_GAIN), gain_of_prediction=fall)
     size = float(np.sqrt(np.mean(common.value[common.known] ** 2)))
     of_common = np.where(common.known, common.u, size)
     variance = u_px**2 + (gain.value * of_common) ** 2

@@ -7,14 +7,25 @@ import numpy as np
 
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import REFERENCE
+from processing.arrays import Floats, Ints
 from processing.deflections import Deflections
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.reference_beam import LessReference, ReferenceVerdict, common_motion, less_reference
+from processing.reference_beam import (
+    LessReference,
+    ReferenceVerdict,
+    common_motion,
+    less_reference,
+    refused,
+)
+from processing.reference_gain import gain_in_swings
 from processing.spot import SPOT_DTYPE, Spot
 from rig.instrument import optics_of
+from rig.presentation import with_uncertainty
 from rig.settings import Configuration
 
+_SEEN = 4.0
+"""Standard uncertainties by which a gain that is not stated has to differ from none."""
 _FIELDS = ("sequence", "flags", "x_px", "y_px", "u_x_px", "u_y_px")
 
 
@@ -37,7 +48,8 @@ class WithoutBeamMotion:
     def __init__(self, reader: RecordReader, config: Configuration) -> None:
         assert config.reference is not None
         reference, spots = reader.table(REFERENCE.topic), reader.spots()
-        stated = Estimate(config.reference.gain, config.reference.u_gain)
+        gain = config.reference.gain
+        self._stated = None if gain is None else Estimate(gain, config.reference.u_gain)
         _, ours, theirs = np.intersect1d(
             spots["sequence"], reference["sequence"], assume_unique=True, return_indices=True
         )
@@ -49,7 +61,13 @@ class WithoutBeamMotion:
             place, u = np.full(len(spots), np.nan), np.full(len(spots), np.nan)
             place[ours], u[ours] = reference[name][theirs], reference[f"u_{name}"][theirs]
             common = common_motion(spots["time_ns"], place, u)
-            less = less_reference(spots[name], spots[f"u_{name}"], common, stated, quiet)
+            ours_px, u_ours_px = spots[name], spots[f"u_{name}"]
+            stated = self._stated or _fitted(spots["time_ns"], ours_px, u_ours_px, place, u)
+            if stated is None or not stated.value > _SEEN * stated.standard_uncertainty:
+                unknown = stated or Estimate(np.nan, np.inf)
+                less = refused(ours_px, u_ours_px, unknown, ReferenceVerdict.UNKNOWN_GAIN)
+            else:
+                less = less_reference(ours_px, u_ours_px, common, stated, quiet)
             self.found = {**self.found, name: less}
             moved[name], moved[f"u_{name}"] = less.position_px, less.u_px
         deflector = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
@@ -69,9 +87,14 @@ class WithoutBeamMotion:
     def text(self) -> str:
         """What became of it, in a line."""
         lost = int(np.count_nonzero(next(iter(self.found.values())).fallen_back))
-        said = ", ".join(f"{name[0]} {one.verdict}" for name, one in self.found.items())
+        said = ", ".join(f"{name[0]} {one.verdict}{self._gain(one)}" for name, one in self.found.items())
         fallen = f"; {lost} frames without it stand as they were" if lost else ""
         return f"reference spot: {said}{fallen}"
+
+    def _gain(self, one: LessReference) -> str:
+        if self._stated is not None or not np.isfinite(one.gain.value):
+            return ""
+        return f" with a gain of {with_uncertainty(*one.gain)} from the run itself"
 
     def __call__(self, deflections: Deflections) -> Deflections:
         """Deflections of some of the record's frames without the beam's motion."""
@@ -88,6 +111,15 @@ class WithoutBeamMotion:
             u_x=np.sqrt(deflections.u_x**2 + of_x),
             u_y=np.sqrt(deflections.u_y**2 + of_y),
         )
+
+
+def _fitted(
+    times_ns: Ints, spot_px: Floats, u_spot_px: Floats, reference_px: Floats, u_px: Floats
+) -> Estimate | None:
+    try:
+        return gain_in_swings(times_ns, spot_px, u_spot_px, reference_px, u_px)
+    except DataError:
+        return None
 
 
 def _spots(table: np.ndarray) -> list[Spot]:

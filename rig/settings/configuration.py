@@ -114,14 +114,21 @@ class ReferenceSettings(Section, frozen=True):
     from_row_px: int = Field(
         ge=8, description="first row of the frame that the reference spot has for itself"
     )
-    gain: float = Field(
-        default=1.0,
+    gain: float | None = Field(
+        default=None,
         gt=0,
         lt=100,
         description="how many times as far as the reference the beam's motion moves the pendulum's spot: 1 "
-        "where both have the same way from the laser",
+        "where both have the same way from the laser; without it, it is found from each run, along either "
+        "axis of the sensor, and live numbers are as seen",
     )
     u_gain: float = Field(default=0.0, ge=0, lt=100)
+
+    @model_validator(mode="after")
+    def _of_a_gain(self) -> Self:
+        if self.u_gain and self.gain is None:
+            raise ValueError(f"u_gain = {self.u_gain:g}: has no effect without gain; state both, or neither")
+        return self
 
 
 class RecordSettings(Section, frozen=True):

@@ -16,6 +16,7 @@ from processing.fit import Witness
 from processing.ground_at_rest import ground_at_rest
 from processing.reference_at_rest import ReferenceAtRest, reference_at_rest
 from processing.reference_beam import common_motion
+from processing.reference_gain import gain_in_swings
 from processing.spot import Spot, SpotFlag
 from processing.swing_at_rest import swing_at_rest
 from processing.ticks import seconds
@@ -92,8 +93,14 @@ def _less_beam(look: TrialFrames, stated: ReferenceSettings | None) -> Floats:
     use = at.found & np.all(np.isfinite(ours), axis=0)
     columns = np.column_stack([*ours[:2, use], np.ones(np.count_nonzero(use))])
     per_px = np.linalg.lstsq(columns, at.y[use], rcond=None)[0]
-    moved = [common_motion(at.times_ns, theirs[axis], theirs[2 + axis]).value for axis in (0, 1)]
-    return np.asarray(at.y - stated.gain * (per_px[0] * moved[0] + per_px[1] * moved[1]))
+    less = np.zeros(len(at.y))
+    for axis in (0, 1):
+        gain = stated.gain
+        if gain is None:
+            fitted = gain_in_swings(at.times_ns, ours[axis], ours[2 + axis], theirs[axis], theirs[2 + axis])
+            gain = fitted.value if fitted.value > _WRONG_GAIN * fitted.standard_uncertainty else 0.0
+        less += gain * per_px[axis] * common_motion(at.times_ns, theirs[axis], theirs[2 + axis]).value
+    return np.asarray(at.y - less)
 
 
 def _alive(reason: str, kind: str) -> Verdict:
@@ -177,6 +184,8 @@ def _takes_off(axes: Sequence[_Axis], stated: ReferenceSettings, seen: str, limi
             continue
         useless = useless and not found.factor.value - 3 * found.factor.standard_uncertainty > 1
         said.append(f"{name}: {plain(found.before_px, 2)} px fall by {with_uncertainty(*found.factor)}")
+        if stated.gain is None:
+            continue
         off = abs(found.gain.value - stated.gain)
         if off > _WRONG_GAIN * np.hypot(found.gain.standard_uncertainty, stated.u_gain):
             wrong.append(f"{name} shows a gain of {with_uncertainty(*found.gain)}")

@@ -26,7 +26,7 @@ from rig.instrument import (
 from rig.measure import measure_session
 from rig.measure.recent_frames import RecentFrames
 from rig.replay import analyse_replayed
-from rig.settings import load_configuration
+from rig.settings import ReferenceSettings, load_configuration
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
 
 ROW = 646
@@ -105,6 +105,28 @@ def test_fits_and_replays_take_it_off_and_say_so(recorded: Path) -> None:
     assert tracked.fits["exact"].estimate("b").value == pytest.approx(
         found.value, abs=1e-3 * found.standard_uncertainty
     )
+
+
+def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None:
+    with RecordReader(recorded) as reader:
+        config = recorded_configuration(reader)
+        assert config.reference is not None
+        unstated = config.reference.model_copy(update={"gain": None, "u_gain": 0.0})
+        less = less_beam_motion(reader, config.model_copy(update={"reference": unstated}))
+        assert less is not None
+        for one in less.found.values():
+            assert one.gain.value == pytest.approx(1.5, abs=4 * one.gain.standard_uncertainty)
+            assert one.gain.standard_uncertainty < 0.1
+        assert " y used with a gain of 1." in less.text
+        assert less.text.endswith("from the run itself")
+        after = scatter(detected_again(less(one) for one in reader.deflection_blocks()))
+        before = scatter(reader.swings())
+    assert after[0] < 0.3 * before[0]
+
+
+def test_an_uncertainty_of_a_gain_that_is_not_stated_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"u_gain = 0\.1: has no effect without gain"):
+        ReferenceSettings(from_row_px=600, u_gain=0.1)
 
 
 def test_rows_of_the_reference_are_those_of_the_measurement(recorded: Path) -> None:

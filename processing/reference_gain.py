@@ -1,0 +1,104 @@
+"""How far the beam's motion moves the pendulum's spot per motion of the reference's, from a run that swings.
+
+The pendulum fills its own frequency, the harmonics and what lies near; the beam's motion is everywhere. Both
+are compared in short stretches, frequency by frequency, each weighted by what the other does not explain of
+the pendulum's spot: where that swings it weighs nothing.
+"""
+
+import numpy as np
+
+from processing.arrays import Floats, Ints
+from processing.errors import DataError
+from processing.estimate import Estimate
+from processing.ticks import seconds
+
+_STRETCHES = 10
+_LONGEST_S = 64.0
+_FEWEST = 64
+"""Frames of a stretch."""
+_LOST = 0.1
+"""Share of lost frames from which on a stretch is left out."""
+_WINDOW = (0.35875, 0.48829, 0.14128, 0.01168)
+"""Blackman and Harris: sidelobes of -92 dB, below which swings of 1e4 times the beam's motion do not reach."""
+_STEPS = 4
+"""Of a stretch to the next one: the window uses little more than its middle."""
+_TURNS = 4
+_BLOCKS = 10
+
+
+def gain_in_swings(
+    times_ns: Ints, spot_px: Floats, u_spot_px: Floats, reference_px: Floats, u_px: Floats
+) -> Estimate:
+    """The gain along one axis of the sensor; positions (n,) are NaN where a spot was lost.
+
+    The reference's own noise, which would pull the gain towards 0, is taken off its power. The uncertainty is
+    from the scatter between parts of the run.
+
+    Raises DataError for too short a run, and for a reference that shows no motion over its noise.
+    """
+    time_s = seconds(times_ns - times_ns[0])
+    found = np.isfinite(spot_px) & np.isfinite(u_spot_px) & np.isfinite(reference_px) & np.isfinite(u_px)
+    if np.count_nonzero(found) < _FEWEST * _STRETCHES:
+        raise DataError(
+            f"{np.count_nonzero(found)} frames have both spots; {_FEWEST * _STRETCHES} are needed for the gain "
+            "of the reference: state reference.gain"
+        )
+    step_s = float(np.median(np.diff(time_s)))
+    even_s = step_s * np.arange(round(time_s[-1] / step_s) + 1)
+    spot, reference = (np.interp(even_s, time_s[found], one[found]) for one in (spot_px, reference_px))
+    there = np.interp(even_s, time_s, found.astype(np.float64))
+    length = min(len(even_s) // _STRETCHES, max(_FEWEST, round(_LONGEST_S / step_s)))
+    starts = [
+        k for k in range(0, len(even_s) - length + 1, length // _STEPS) if _whole(there[k : k + length])
+    ]
+    if len(starts) < _BLOCKS:
+        raise DataError("too few stretches of the run have both spots: state reference.gain")
+    window = _window(length)
+    spectra = [_spectra(np.stack([one[k : k + length] for k in starts]), window) for one in (spot, reference)]
+    noise = float(np.mean(u_px[found] ** 2)) * float(np.sum(window**2))
+    ours, theirs = spectra
+    cross, power = np.real(np.conj(theirs) * ours), np.abs(theirs) ** 2 - noise
+    gain = 0.0
+    for _ in range(_TURNS):
+        weight = 1 / _of_others(np.abs(ours - gain * theirs) ** 2)
+        top, bottom = np.sum(cross * weight, axis=1), np.sum(power * weight, axis=1)
+        gain = _ratio(top, bottom)
+    # neighbours overlap, so that parts are of several
+    parts = np.array_split(np.arange(len(starts)), _BLOCKS)
+    without = np.array([_ratio(np.delete(top, part), np.delete(bottom, part)) for part in parts])
+    if not (np.sum(bottom) > 0 and np.all(np.isfinite(without))):
+        raise DataError("the reference shows no motion over its own noise, so that its gain is unknown")
+    spread = without - without.mean()
+    return Estimate(gain, float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum(spread**2))))
+
+
+def _whole(there: Floats) -> bool:
+    return float(np.mean(there)) > 1 - _LOST
+
+
+def _window(length: int) -> Floats:
+    phase = 2 * np.pi * np.arange(length) / length
+    return np.asarray(sum((-1) ** k * a * np.cos(k * phase) for k, a in enumerate(_WINDOW)))
+
+
+def _spectra(stretches: Floats, window: Floats) -> np.ndarray:
+    """(stretches, frequencies) less mean and drift of each, without the frequencies that they leak to."""
+    line = np.linspace(-1.0, 1.0, stretches.shape[1])
+    level = stretches.mean(axis=1, keepdims=True)
+    slope = (stretches - level) @ line[:, None] / float(line @ line)
+    return np.asarray(np.fft.rfft((stretches - level - slope * line) * window)[:, 1:])
+
+
+def _of_others(values: Floats) -> Floats:
+    """Means (stretches, frequencies) over the other stretches that do not overlap.
+
+    Its own noise would weigh a frequency most where the reference has the least of it by chance.
+    """
+    places = np.arange(len(values))
+    apart = np.abs(places[:, None] - places) >= _STEPS
+    return np.asarray(apart @ values / apart.sum(axis=1, keepdims=True))
+
+
+def _ratio(top: Floats, bottom: Floats) -> float:
+    below = float(np.sum(bottom))
+    return float(np.sum(top)) / below if below > 0 else float("nan")
