@@ -23,7 +23,8 @@ class ReferenceAtRest(NamedTuple):
     before_px
         Standard deviation of the pendulum's spot.
     factor
-        By which it falls with the reference taken off at the stated gain, or that of the piece; uncertainty by parts of the piece.
+        By which it falls with the reference taken off at the stated gain, or at that of the piece;
+        uncertainty by parts of the piece.
     gain
         That the piece itself shows.
     share

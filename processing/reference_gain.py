@@ -19,7 +19,7 @@ _FEWEST = 64
 _LOST = 0.1
 """Share of lost frames from which on a stretch is left out."""
 _WINDOW = (0.35875, 0.48829, 0.14128, 0.01168)
-"""Blackman and Harris: sidelobes of -92 dB, below which swings of 1e4 times the beam's motion do not reach."""
+"""Blackman and Harris: sidelobes of -92 dB; swings 1e4 times the beam's motion stay below it."""
 _STEPS = 4
 """Of a stretch to the next one: the window uses little more than its middle."""
 _TURNS = 4
@@ -40,8 +40,8 @@ def gain_in_swings(
     found = np.isfinite(spot_px) & np.isfinite(u_spot_px) & np.isfinite(reference_px) & np.isfinite(u_px)
     if np.count_nonzero(found) < _FEWEST * _STRETCHES:
         raise DataError(
-            f"{np.count_nonzero(found)} frames have both spots; {_FEWEST * _STRETCHES} are needed for the gain "
-            "of the reference: state reference.gain"
+            f"{np.count_nonzero(found)} frames have both spots; {_FEWEST * _STRETCHES} are needed for the "
+            "gain of the reference: state reference.gain"
         )
     step_s = float(np.median(np.diff(time_s)))
     even_s = step_s * np.arange(round(time_s[-1] / step_s) + 1)
