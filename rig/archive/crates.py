@@ -68,13 +68,14 @@ def describe(crate: Any, folder: Path, statement: Statement, simulated: int, run
     if address := re.search(r"https?://\S+", statement.citation):
         article = {"@type": "ScholarlyArticle", "name": statement.citation}
         crate.root_dataset["citation"] = crate.add(ContextEntity(crate, address[0], article))
-    # which program wrote the description: notebooks refuse a file .eln that does not say it
-    program = {
-        "@type": "Organization",
-        "name": "optical-pendulum-rig",
-        "description": f"The program that wrote this crate, version {versions()['optical-pendulum-rig']}",
-    }
-    crate.metadata["sdPublisher"] = crate.add(ContextEntity(crate, "#optical-pendulum-rig", program))
+    if crate.version == ELN_CRATE:
+        # notebooks refuse a file .eln that does not say which program wrote it, as an organisation
+        program = {
+            "@type": "Organization",
+            "name": "optical-pendulum-rig",
+            "description": f"The program that wrote this crate, version {versions()['optical-pendulum-rig']}",
+        }
+        crate.metadata["sdPublisher"] = crate.add(ContextEntity(crate, "#optical-pendulum-rig", program))
     sessions = []
     for session in sorted(path for path in folder.iterdir() if path.is_dir()):
         files = [
