@@ -13,8 +13,8 @@ from rig.settings import Configuration
 from rig.settings.wording import section_fields, section_of
 
 _MEANT = "tin"
-_TABLES = {"config", "file", "ladder", "frames", "lever", "plan"}
-"""Arguments that name a TOML file."""
+_STATED = {"config", "file", "ladder", "frames", "lever", "plan", "vanes", "certificate"}
+"""Arguments that name what somebody has stated, in TOML or a certificate: like a configuration, no record."""
 
 
 class WrongKey(NamedTuple):
@@ -75,6 +75,7 @@ def wrong_words(folder: Path) -> Iterator[WrongWords]:
                 item.opts[0].startswith("-")
                 and (wanted in (int, float) or get_args(wanted))
                 and wanted != list[str]
+                and item.name != "of"  # folders that need not be there yet
             ):
                 yield WrongWords("type", (*name, *given, *rest, item.opts[0], "many,3"), 2)
             if item.min is not None:
@@ -83,13 +84,13 @@ def wrong_words(folder: Path) -> Iterator[WrongWords]:
         if first is not None and first.type_descriptor.annotation in (Path, list[Path], Path | None):
             more = given[1:]
             for file, status in (("none/x.mcap", 2), ("noise", _status_of_noise(name, first.name))):
-                words = [file] if name != ("compare",) else [file, "empty"]
+                words = [file] if name != ("compare",) else [file, file]
                 yield WrongWords("unreadable", (*name, *words, *more, *rest), status)
 
 
 def _status_of_noise(name: tuple[str, ...], argument: str | None) -> int:
     """Of a command that is given bytes: most begin to read them; some see before that nothing is in them."""
-    return 2 if argument in _TABLES or name == ("archive", "add") else 1
+    return 2 if argument in _STATED or name == ("archive", "add") else 1
 
 
 def _keys(above: str, model: type) -> Iterator[tuple[str, FieldInfo, type | None]]:
