@@ -16,7 +16,8 @@ from typing import Any
 from hypothesis import HealthCheck, seed, settings
 from hypothesis.stateful import run_state_machine_as_test
 
-from tests.rig.archive import histories, killed_commands
+from tests.rig.archive import histories
+from tests.rig.archive.killed_commands import kills
 from tests.rig.archive.test_check import check_flips, files, make_archive
 
 _STEPS = 12
@@ -32,8 +33,8 @@ def run(quick: bool = False) -> dict[str, Any]:
             print(f"  {key}: {value}", flush=True)
 
     tell(**_histories(int(os.environ.get("RIG_BENCH_HISTORIES", "10" if quick else "1000"))))
-    tell(**_flips(int(os.environ.get("RIG_BENCH_FLIPS", "12" if quick else "1000"))))
-    tell(**killed_commands.kills(int(os.environ.get("RIG_BENCH_KILLS", "16" if quick else "200"))))
+    tell(**flips(int(os.environ.get("RIG_BENCH_FLIPS", "12" if quick else "1000"))))
+    tell(**kills(int(os.environ.get("RIG_BENCH_KILLS", "16" if quick else "200"))))
     return results
 
 
@@ -65,7 +66,8 @@ def _histories(count: int) -> dict[str, Any]:
     }
 
 
-def _flips(count: int) -> dict[str, Any]:
+def flips(count: int) -> dict[str, Any]:
+    """Bits changed in all kinds of files: how many the archive believed."""
     with tempfile.TemporaryDirectory() as name, contextlib.redirect_stdout(io.StringIO()):
         folder = Path(name)
         os.environ["XDG_DATA_HOME"] = f"{name}/data"

@@ -53,6 +53,11 @@ def end_to_end(rate_hz: float, seeds: int) -> dict[str, Any]:
     return _table(f"end to end, {rate_hz:g} frames/s", rows)
 
 
+def measurements(seeds: int) -> dict[str, Any]:
+    """Measurements at each frame rate."""
+    return {f"{rate:g}": end_to_end(rate, seeds) for rate in FRAME_RATES_HZ}
+
+
 def ladders(seeds: int) -> dict[str, Any]:
     """Ladders of tilts that something may have bent: coverage of the scale at zero."""
     found = {}
@@ -79,12 +84,12 @@ def not_in_the_budget() -> dict[str, Any]:
 def run(quick: bool = False) -> dict[str, Any]:
     """600 and 200 seeds (40 and 12 quick)."""
     quantities = _table("quantity", [deviations(seed) for seed in range(40 if quick else 600)])
-    measurements = {f"{rate:g}": end_to_end(rate, 12 if quick else 200) for rate in FRAME_RATES_HZ}
+    of_measurements = measurements(12 if quick else 200)
     of_ladders = ladders(40 if quick else 400)
     return {
         "quantities": quantities,
         "ladders": of_ladders,
-        "end_to_end": measurements,
+        "end_to_end": of_measurements,
         "not_in_the_budget": not_in_the_budget(),
     }
 

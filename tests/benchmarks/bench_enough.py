@@ -270,20 +270,27 @@ def words(values: Mapping[str, float]) -> str:
     return "  ".join(f"{name} {value:.2f}" for name, value in values.items())
 
 
+def stoppings(seeds: int) -> list[dict[str, Any]]:
+    """Runs that end by their conditions."""
+    out = []
+    for case in STOPPING:
+        found = stopping(case, seeds)
+        out.append(found)
+        print(
+            f"{case.flat}, {', '.join(case.when)}: {found['seeds']} runs ended after "
+            f"{found['half_cycles']} half-cycles (5, 50, 95 %)"
+        )
+        print("  within 1 u   ", words(found["one_u"]))
+        print("  fixed length ", words(found["one_u_at_a_fixed_length"]))
+        print("  mean error/u ", words(found["mean_error_over_u"]), flush=True)
+    return out
+
+
 def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All of it; numbers as plain values."""
     out: dict[str, Any] = {"stopping": [], "plans": [], "frames": []}
     if not only or "stopping" in only:
-        for case in STOPPING:
-            found = stopping(case, 4 if quick else seeds)
-            out["stopping"].append(found)
-            print(
-                f"{case.flat}, {', '.join(case.when)}: {found['seeds']} runs ended after "
-                f"{found['half_cycles']} half-cycles (5, 50, 95 %)"
-            )
-            print("  within 1 u   ", words(found["one_u"]))
-            print("  fixed length ", words(found["one_u_at_a_fixed_length"]))
-            print("  mean error/u ", words(found["mean_error_over_u"]), flush=True)
+        out["stopping"] = stoppings(4 if quick else seeds)
     if not only or "plans" in only:
         for pair in PLANNED:
             found = plans(pair, 4 if quick else max(seeds // 2, 4))

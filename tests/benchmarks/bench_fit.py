@@ -5,7 +5,7 @@ Run as ``python -m tests.benchmarks.bench_fit [--quick]`` from the repository.
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from statistics import median
 from time import perf_counter
 from typing import Any
@@ -187,26 +187,27 @@ def random_decays(count: int) -> dict[str, Any]:
     return {"fits": fits, "failed": failed, "misfit": int(misfit), "slowest_s": slowest}
 
 
+def coverages(seeds: int, flats: Sequence[str] = PAIRS) -> list[dict[str, Any]]:
+    """Coverage with and without drag, at two noises."""
+    found = []
+    for flat in flats:
+        for drag_s in (0.0, 1e-3):
+            for noise in (0.0005, 0.005):
+                case = coverage(flat, drag_s, noise, seeds)
+                found.append(case)
+                one_sigma = [shares[0] for shares in case["interval"].values()]
+                print(
+                    f"{flat:9s} drag {drag_s:g} s, {noise:g} arcsec: 1 sigma {case['one_sigma_all']:.3f} "
+                    f"({min(one_sigma):.3f} to {max(one_sigma):.3f}), 95 % {case['ninety_five_all']:.3f}, "
+                    f"chi2/dof {case['mean_chi2_per_dof']:.3f}, {case['failed']} failed",
+                    flush=True,
+                )
+    return found
+
+
 def run(quick: bool = False) -> dict[str, Any]:
     """All of it; numbers as plain values."""
-    seeds = 20 if quick else 200
-    cases = [
-        (flat, drag_s, noise)
-        for flat in (PAIRS[:1] if quick else PAIRS)
-        for drag_s in (0.0, 1e-3)
-        for noise in (0.0005, 0.005)
-    ]
-    result: dict[str, Any] = {"coverage": []}
-    for flat, drag_s, noise in cases:
-        case = coverage(flat, drag_s, noise, seeds)
-        result["coverage"].append(case)
-        one_sigma = [shares[0] for shares in case["interval"].values()]
-        print(
-            f"{flat:9s} drag {drag_s:g} s, {noise:g} arcsec: 1 sigma {case['one_sigma_all']:.3f} "
-            f"({min(one_sigma):.3f} to {max(one_sigma):.3f}), 95 % {case['ninety_five_all']:.3f}, "
-            f"chi2/dof {case['mean_chi2_per_dof']:.3f}, {case['failed']} failed",
-            flush=True,
-        )
+    result: dict[str, Any] = {"coverage": coverages(20 if quick else 200, PAIRS[:1] if quick else PAIRS)}
     result["bias_percent"] = biases()
     result["closed_form_times_faster_than_quad"] = closed_form_against_quad(3 if quick else 9)
     result["speed"] = speed(quick)

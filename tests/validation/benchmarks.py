@@ -16,7 +16,7 @@ PACKAGES = {"nexus": ("nexusformat", ".[bench]"), "spot_beams": ("cv2", ".")}
 
 
 @cache
-def _ran(name: str, part: str = "", argument: int = False) -> dict[str, Any]:
+def _ran(name: str, part: str = "", argument: int = False, seeds: int = 0, only: tuple[str, ...] = ()) -> Any:
     module, place = PACKAGES.get(name, ("numpy", "."))
     if importlib.util.find_spec(module) is None:
         raise Missing(f'{module}: pip install "{place}"')
@@ -24,8 +24,9 @@ def _ran(name: str, part: str = "", argument: int = False) -> dict[str, Any]:
     # tables of a benchmark are for its own reader; what is printed here is the rows
     with contextlib.redirect_stdout(sys.stderr):
         if part:
-            return dict(getattr(benchmark, part)(argument))
-        return dict(benchmark.run(quick=False))
+            return getattr(benchmark, part)(argument)
+        chosen = {"seeds": seeds} if seeds else {}
+        return benchmark.run(quick=False, **chosen, **({"only": only} if only else {}))
 
 
 def numbers_at(found: Any, key: str) -> Iterator[float]:
@@ -53,9 +54,9 @@ def _numbers(value: Any) -> Iterator[float]:
 
 
 def _measured(
-    name: str, part: str, argument: int, keys: tuple[str, ...], within: str, factor: float
+    name: str, part: str, argument: int, seeds: int, keys: tuple[str, ...], within: str, factor: float
 ) -> dict[str, Found]:
-    found: Any = _ran(name, part, argument)
+    found = _ran(name, part, argument, seeds)
     for key in within.split("/") if within else ():
         found = found[key]
     values = tuple(factor * value for key in keys for value in numbers_at(found, key))
@@ -80,14 +81,54 @@ def _seeds(found: Any) -> str:
 
 
 def benchmark(
-    name: str, *keys: str, part: str = "", argument: int = False, within: str = "", factor: float = 1.0
+    name: str,
+    *keys: str,
+    part: str = "",
+    argument: int = False,
+    seeds: int = 0,
+    within: str = "",
+    factor: float = 1.0,
 ) -> Measurement:
     """Numbers of `tests.benchmarks.bench_NAME`: all that its results have at `keys`.
 
     `part` names a function of it that is called in place of all, with `argument`, ``quick`` by default;
-    `within` the entries of the results, joined by slashes, that are meant.
+    `seeds` is how many of each case are taken, where it is not the benchmark's own number; `within` the
+    entries of the results, joined by slashes, that are meant.
     """
-    return partial(_measured, name, part, argument, keys, within, factor)
+    return partial(_measured, name, part, argument, seeds, keys, within, factor)
+
+
+def pooled_shares(cases: Any, key: str) -> tuple[dict[str, float], list[int]]:
+    """Share of all seeds of all cases that have `key`, by parameter; and how many seeds each case had.
+
+    No two cases of a benchmark share a seed, so that their seeds count together.
+    """
+    held: dict[str, float] = {}
+    counts = []
+    for case in cases:
+        shares = case[key]
+        listed = shares if isinstance(shares, list) else [shares]
+        by_name = shares if isinstance(shares, dict) else {str(k): share for k, share in enumerate(listed)}
+        done = case["seeds"] - case.get("failed", 0)
+        counts.append(done)
+        for name, share in by_name.items():
+            held[name] = held.get(name, 0.0) + share * done
+    return {name: number / sum(counts) for name, number in held.items()}, counts
+
+
+def _pooled(name: str, key: str, seeds: int, only: tuple[str, ...]) -> dict[str, Found]:
+    shares, counts = pooled_shares(_ran(name, seeds=seeds, only=only)["cases"], key)
+    number = f"{counts[0]}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
+    detail = f"{len(counts)} cases of {number} seeds, together {sum(counts)}"
+    return {"number": Found(tuple(100.0 * share for share in shares.values()), detail)}
+
+
+def pooled(name: str, key: str, *, seeds: int, only: tuple[str, ...] = ()) -> Measurement:
+    """Shares in per cent of all cases together, by parameter: with few seeds of each, one says little.
+
+    `only` are words of names of cases; without them all are meant.
+    """
+    return partial(_pooled, name, key, seeds, only)
 
 
 def peers() -> dict[str, Found]:

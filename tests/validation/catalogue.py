@@ -3,7 +3,7 @@
 # claims and means are sentences of the page: they are broken where the page breaks them
 # ruff: noqa: E501
 
-from tests.validation.benchmarks import benchmark, peers
+from tests.validation.benchmarks import benchmark, peers, pooled
 from tests.validation.outside import (
     emva1288,
     genicam_nodes,
@@ -16,14 +16,12 @@ from tests.validation.outside import (
     peterson,
 )
 from tests.validation.outside.suites import failures_of
-from tests.validation.row import Limit, NotTested, Row
+from tests.validation.row import Limit, NotTested, Row, limit_of_share
 
 _NUMBERS, _FORMATS = "Numbers against published ones", "Formats and devices against their standards"
 _COVERAGE = "Do intervals hold what they say?"
 _SPOT, _HARM, _SPEED = "The spot, and other programs beside it", "Damage, kills, light", "Speed"
 _PRINTED, _TOLERANCE = "of the last printed digit", "of the numerical tolerance"
-_IN_70 = Limit(58.0, 78.0)
-"""68 %, and three standard deviations of a share of 200 cases."""
 _CERTIFIED = (
     "NIST's Statistical Reference Datasets, nonlinear, 27 sets from two starts, certified to 11 digits"
 )
@@ -120,22 +118,22 @@ ROWS: tuple[Row, ...] = (
         failures_of("tests/processing/test_units.py"), "failures", "failures", Limit(0, 0)),
     # coverage
     Row("coverage-rest", _COVERAGE, "Fits on ground at rest, with and without drag",
-        "decays of the tests' own integration, three pairs, two noises, 200 seeds; all parameters of a case together",
-        benchmark("fit", "one_sigma_all", factor=100), "number", "%", Limit(63, 73), share=True),
-    Row("coverage-ground", _COVERAGE, "Fits on moving ground", "decays integrated with white, simulated and recorded ground",
-        benchmark("ground", "one_u", within="cases", factor=100), "number", "%", _IN_70, share=True),
-    Row("coverage-air", _COVERAGE, "Contact and air apart", "decays with drag of which nothing is known beforehand",
-        benchmark("air", "one_u", within="cases", factor=100), "number", "%", Limit(54, 82), share=True),
+        "decays of the tests' own integration, three pairs, two noises, 50 seeds; all parameters of a case together",
+        benchmark("fit", "one_sigma_all", part="coverages", argument=50, factor=100), "number", "%", limit_of_share(50), share=True),
+    Row("coverage-ground", _COVERAGE, "Fits on moving ground", "decays integrated with white, simulated and recorded ground; by parameter, cases together",
+        pooled("ground", "one_u", seeds=40, only=("q=", "basement", "recorded")), "number", "%", limit_of_share(356), share=True),
+    Row("coverage-air", _COVERAGE, "Contact and air apart", "decays with drag of which nothing is known beforehand; by parameter, cases together",
+        pooled("air", "one_u", seeds=20, only=("drag",)), "number", "%", limit_of_share(400), share=True),
     Row("coverage-witness", _COVERAGE, "Fits with a witness of the ground",
-        "decays driven by one real seismometer, seen by another", benchmark("vault", "one_u", factor=100), "number", "%",
-        Limit(54, 82), share=True),
-    Row("coverage-stopped", _COVERAGE, "Runs that end by `session.stop_when`", "a driven pendulum of the tests' own integration",
-        benchmark("enough", "one_u", factor=100), "number", "%", _IN_70, share=True),
+        "decays driven by one real seismometer, seen by another, or by white noise; by parameter, cases together",
+        pooled("vault", "one_u", seeds=40), "number", "%", limit_of_share(400), share=True),
+    Row("coverage-stopped", _COVERAGE, "Runs that end by `session.stop_when`", "a driven pendulum of the tests' own integration, 50 seeds",
+        benchmark("enough", "one_u", part="stoppings", argument=50, factor=100), "number", "%", limit_of_share(50), share=True),
     Row("coverage-gaps", _COVERAGE, "Turning points of few, rough and missing samples",
         "the tests' own integration, sampled in many ways; r.m.s. error over u of all parameters",
         benchmark("remeasure", "rms_of_all"), "number", "", Limit(0.8, 1.2)),
-    Row("coverage-no-law", _COVERAGE, "Moments without a law", "the paper's law in decays of the tests' own, and in the basement",
-        benchmark("without_law", "friction", "elastic", factor=100), "number", "%", _IN_70, share=True),
+    Row("coverage-no-law", _COVERAGE, "Moments without a law", "the paper's law in decays of the tests' own, and in the basement; ten angles of a decay together",
+        benchmark("without_law", "friction", "elastic", seeds=50, factor=100), "number", "%", limit_of_share(50), share=True),
     Row("coverage-instruments", _COVERAGE, "Other pendulums and their quantities",
         "every kind simulated, 50 seeds; each quantity, and all of a kind together", benchmark("instruments", "coverage", factor=100),
         "number", "%", Limit(48, 88), share=True),
@@ -145,15 +143,15 @@ ROWS: tuple[Row, ...] = (
         "sums of steps in time with a known rate", benchmark("clock", "within_1u", factor=100), "number", "%",
         Limit(50, 100), share=True),
     Row("coverage-ladders", _COVERAGE, "The scale of a ladder of tilts, straight or bent", "400 seeds of ladders that are known",
-        benchmark("calibration", "one_u", within="ladders", factor=100), "number", "%", Limit(61, 90),
+        benchmark("calibration", "one_u", part="ladders", argument=400, factor=100), "number", "%", Limit(61, 90),
         known="scale of a ladder", share=True),
     Row("coverage-calibrated", _COVERAGE, "Measurements with their own calibrations",
-        "records of calibration and measurement of 200 random simulated rigs, at 25 and 60 frames/s",
-        benchmark("calibration", "within_1u", within="end_to_end", factor=100), "number", "%", _IN_70,
+        "records of calibration and measurement of 50 random simulated rigs, at 25 and 60 frames/s",
+        benchmark("calibration", "within_1u", part="measurements", argument=50, factor=100), "number", "%", limit_of_share(50),
         known="calibration made, then", share=True),
     Row("coverage-worlds", _COVERAGE, "b where no law of the program describes the contact",
-        "eight worlds integrated by the tests, 100 seeds; within 3 u, or withheld",
-        benchmark("world", "right_or_withheld", factor=100), "number", "%", Limit(low=95), known="eight worlds"),
+        "eight worlds integrated by the tests, on two grounds; within 3 u, or withheld",
+        pooled("world", "right_or_withheld", seeds=20), "number", "%", Limit(low=95), known="eight worlds"),
     Row("coverage-campaign", _COVERAGE, "Bands of a campaign of many runs",
         "200 campaigns that share no formula with the analysis", benchmark("campaign", "humidity", "ageing", "step", part="coverage", argument=200, factor=100),
         "number", "%", Limit(63, 73), known="many runs, one answer", share=True),
@@ -205,9 +203,9 @@ ROWS: tuple[Row, ...] = (
         benchmark("power_cut", "ext4: wrong after recovery", "exfat: wrong after recovery"), "number", "wrong records",
         Limit(0, 0)),
     Row("archive-believed", _HARM, "An archive believes no flipped bit", "1,008 flips in all its kinds of files",
-        benchmark("archive_trust", "flips: believed"), "number", "believed", Limit(0, 0), known="archive: random histories"),
+        benchmark("archive_trust", "flips: believed", part="flips", argument=1000), "number", "believed", Limit(0, 0), known="archive: random histories"),
     Row("archive-kills", _HARM, "Commands that are killed at any call lose and invent nothing",
-        "child processes killed at their n-th system call", benchmark("archive_trust", "kills: wrong"), "number", "wrong",
+        "child processes killed at their n-th system call", benchmark("archive_trust", "kills: wrong", part="kills", argument=200), "number", "wrong",
         Limit(0, 0), known="archive: random histories"),
     Row("inputs-wrong", _HARM, "Wrong input is refused in one line", "every key and word made wrong, from the models themselves",
         benchmark("wrong_inputs", "faults"), "number", "not refused", Limit(0, 0)),

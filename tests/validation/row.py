@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import inf
+from math import inf, sqrt
 from typing import NamedTuple
 
 
@@ -40,6 +40,13 @@ class Limit:
         if self.high == inf:
             return f"≥ {self.low:g}"
         return f"{self.low:g} to {self.high:g}"
+
+
+def limit_of_share(cases: int, percent: float = 68.27) -> Limit:
+    """Where the share that so many independent cases give must be: three binomial standard deviations."""
+    share = percent / 100.0
+    three = 300.0 * sqrt(share * (1.0 - share) / cases)
+    return Limit(round(max(0.0, percent - three), 1), round(min(100.0, percent + three), 1))
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ import pytest
 from tests.acquisition.record.samples import write_sample
 from tests.validation import __main__ as program
 from tests.validation import figure, page
-from tests.validation.benchmarks import numbers_at
+from tests.validation.benchmarks import numbers_at, pooled_shares
 from tests.validation.catalogue import NOT_TESTED, ROWS
 from tests.validation.kept import Kept, kept_now, read_kept, write_kept
 from tests.validation.known import known_number
 from tests.validation.outside import mcap_records
 from tests.validation.outside.printed import tolerances_off, units_off
-from tests.validation.row import Found, Limit, Missing, Row
+from tests.validation.row import Found, Limit, Missing, Row, limit_of_share
 
 QUICK = [row for row in ROWS if row.quick]
 SHORT = {"nist-starts"}
@@ -189,3 +189,16 @@ def test_numbers_are_found_below_their_names() -> None:
     found = {"cases": [{"one_u": {"b": 0.7, "c": 0.6}}, {"one_u": [0.5], "other": 3}], "one_u": True}
     assert list(numbers_at(found, "one_u")) == [0.7, 0.6, 0.5]
     assert list(numbers_at(found, "other")) == [3.0]
+
+
+def test_seeds_of_all_cases_count_together() -> None:
+    few, many = {"one_u": {"b": 1.0}, "seeds": 4, "failed": 2}, {"one_u": {"b": 0.5}, "seeds": 6}
+    assert pooled_shares([few, many], "one_u") == ({"b": 0.625}, [2, 6])
+    assert pooled_shares([{"right": 0.5, "seeds": 2}], "right") == ({"0": 0.5}, [2])
+    assert pooled_shares([{"one_u": [0.5, 1.0], "seeds": 2}], "one_u")[0] == {"0": 0.5, "1": 1.0}
+
+
+def test_the_limit_of_a_share_follows_from_the_number_of_cases() -> None:
+    """Three binomial standard deviations: of 200 cases 9.9 %, and no share is above 100 %."""
+    assert limit_of_share(200) == Limit(58.4, 78.1)
+    assert limit_of_share(4) == Limit(0.0, 100.0)
