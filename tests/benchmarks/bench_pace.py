@@ -111,6 +111,11 @@ def run(quick: bool = False, real_time_class: bool = False) -> dict[str, Any]:
     return results
 
 
+def slowest(seconds: int) -> dict[str, list[dict[str, float]]]:
+    """The first of the cases alone, twice in every way."""
+    return {way: [measured(CASES[0], seconds, way) for _ in range(2)] for way in WAYS}
+
+
 @contextmanager
 def round_robin() -> Iterator[None]:
     """While a run is made, all threads of this process have the class of real time, as those they start."""

@@ -131,15 +131,20 @@ def disturbed(name: str, cold: bool, part: float) -> dict[str, Any]:
     }
 
 
-def run(quick: bool = False) -> dict[str, Any]:
-    """All points; numbers as plain values."""
-    frames = 400 if quick else 10_000
+def points_of(frames: int) -> list[dict[str, Any]]:
+    """Undisturbed frames of every width, brightness and depth; and with pixels that differ."""
     points = [
         point(sigma, peak, bits, frames) for bits in (8, 12) for sigma in (3, 6, 12) for peak in (20, 80, 200)
     ]
-    points += [
+    return points + [
         point(6, peak, 8, frames, prnu=0.01, told=told) for told in (False, True) for peak in (20, 80, 200)
     ]
+
+
+def run(quick: bool = False) -> dict[str, Any]:
+    """All points; numbers as plain values."""
+    frames = 400 if quick else 10_000
+    points = points_of(frames)
     rows = [disturbed(name, cold, 0.05 if quick else 1.0) for name in DISTURBED for cold in (False, True)]
     console = Console()
     table = Table(title=f"spot: {frames} frames a point")

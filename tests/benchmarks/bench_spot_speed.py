@@ -97,6 +97,12 @@ def _search(tracker: SpotTracker) -> Callable[[NDArray[Any]], object]:
     return search
 
 
+def against_sums(rounds: int) -> list[dict[str, float]]:
+    """All widths, without and with hot pixels."""
+    cv2.setNumThreads(1)
+    return [against_sum(sigma, hot, rounds) for sigma in SIGMAS for hot in (0, 200)]
+
+
 def against_sum(sigma: float, hot_pixels: int, rounds: int) -> dict[str, float]:
     """Ratios to the time cv2.sumElems needs for as many frames of the same ring.
 
@@ -353,7 +359,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     """All of it; numbers as plain values."""
     cv2.setNumThreads(1)
     rounds = 20 if quick else 200
-    ratios = [against_sum(sigma, hot, rounds) for sigma in SIGMAS for hot in (0, 200)]
+    ratios = against_sums(rounds)
     jumps = [jumped(sigma, step_px, rounds) for sigma in SIGMAS for step_px in (8, 100)]
     tilts = [tilted(sigmas, angle, rounds) for sigmas, angle in TILTED]
     calls = [on_windows(sigma, 40 if quick else 120) for sigma in SIGMAS]
