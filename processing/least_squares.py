@@ -7,15 +7,12 @@ against the certified ones of NIST's Statistical Reference Datasets.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from processing.arrays import Floats
 from processing.errors import DataError
-
-if TYPE_CHECKING:
-    from scipy.optimize import OptimizeResult
 
 Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
 Model = Callable[[Floats], tuple[Floats, Floats]]
@@ -25,11 +22,8 @@ step."""
 _ROUND = 60
 """Number of evaluations after which the progress is checked."""
 _FLAT = 0.01
-"""The search ends if a round reduces the cost by less than this, in units of chi2/2 per residual, and the
-linear model does not promise `_WORTHWHILE` either."""
-_WORTHWHILE = 0.5
-"""Reduction in the same units that one standard uncertainty is worth: a search that creeps along a bent
-valley reduces little a round while much is left below."""
+"""The search ends if a round reduces the cost by less than this, in units of chi2/2 per residual; the
+remaining distance to the minimum is a small fraction of a standard uncertainty."""
 _LOSS_SCALE = 1.5
 """Standard uncertainties above about which a robust loss reduces the influence of a residual."""
 _SINGULAR = 1e-13
@@ -136,10 +130,7 @@ def solve(
         values, message = np.asarray(result.x, dtype=np.float64), str(result.message)
         if result.status > 0:
             converged = True
-        elif (
-            cost - float(result.cost) < _FLAT * (unit := float(result.cost) / len(result.fun))
-            and _promised(result) < _WORTHWHILE * unit
-        ):
+        elif cost - float(result.cost) < _FLAT * float(result.cost) / len(result.fun):
             converged, message = True, "a valley too flat for further steps to matter"
         cost = float(result.cost)
     residuals, jacobian = model(values)
@@ -189,18 +180,6 @@ def _influence(z: Floats, loss: Loss) -> tuple[Floats, Floats]:
     if loss == "soft_l1":
         return z / np.sqrt(1 + z**2), (1 + z**2) ** -1.5
     return z / (1 + z**2), (1 - z**2) / (1 + z**2) ** 2
-
-
-def _promised(result: "OptimizeResult") -> float:
-    """Reduction of the cost by a step to the linear model's minimum, of the values that are at no bound."""
-    free = np.asarray(result.active_mask) == 0
-    jacobian = np.asarray(result.jac)[:, free]
-    norm = np.linalg.norm(jacobian, axis=0)
-    scale = np.where(norm > 0, norm, 1.0)
-    _, singular, vt = np.linalg.svd(jacobian / scale, full_matrices=False)
-    kept = singular > _SINGULAR * singular[:1]
-    along = (vt[kept] @ (np.asarray(result.grad)[free] / scale)) / singular[kept]
-    return float(along @ along) / 2.0
 
 
 def propagate(jacobian: Floats, covariance: Floats) -> Floats:
