@@ -15,6 +15,8 @@ from rig.analysis.tables.numbers import Writing, is_moment, is_value, unit_behin
 
 _COMMENTS: Final = ("#", "%", "//", "!")
 _SEPARATORS: Final = {"tabs": "\t", "semicolons": ";", "bars": "|", "commas": ","}
+# A sentence has commas and blanks, too, and may stand above the rows.
+_IN_NO_SENTENCE: Final = ("tabs", "semicolons")
 _LOOKED_AT: Final = 2000
 _BLANKS: Final = re.compile(r"[ \t]+")
 _ANY: Final = re.compile(r"\s*[;,|\t ]\s*")
@@ -129,7 +131,7 @@ def _cells(
     body = [(n, cells) for n, cells in numbered[first:] if len(cells) == width and n not in again]
     left_out = [n for n, cells in numbered[first:] if len(cells) != width and n not in again]
     columns = [list(column) for column in zip(*(cells for _, cells in body), strict=True)]
-    names, units = _header(header or comments, width)
+    names, units = _header(header or comments, width, separator)
     # of columns that are empty throughout, a separator at the end of every line makes one
     kept = [k for k in range(width) if any(columns[k])]
     columns, names = [columns[k] for k in kept], [names[k] for k in kept] if names else []
@@ -155,8 +157,13 @@ def _blocks(lines: Sequence[int], left_out: Sequence[int]) -> list[int]:
     return found
 
 
-def _header(lines: list[list[str]], width: int) -> tuple[list[str], list[str]]:
+def _header(lines: list[list[str]], width: int, separator: str) -> tuple[list[str], list[str]]:
     """Names, and units that have a line of their own below them; both empty where there are none."""
+    if lines and len(lines[-1]) > width > 1 and separator in _IN_NO_SENTENCE:
+        # LabVIEW names a column of comments, which the rows do not have
+        *above, last = lines
+        if all(any(map(str.isalpha, cell)) for cell in last[:width]):
+            lines = [*above, last[:width]]
     # a line of numbers is no header, nor is one of several words that of a single column
     fitting = [
         cells

@@ -119,3 +119,15 @@ def test_a_time_without_header_that_is_first_is_not_taken_from_a_sequence(tmp_pa
     found = TableColumns(None, (), "").read(path)
     assert (found.time_name, found.names, found.unit) == ("time_s", ("x_px",), "px")
     assert found.times_ns.tolist() == [0, 100_000_000, 200_000_000]
+
+
+def test_labview_names_a_column_of_comments_that_its_rows_do_not_have(tmp_path: Path) -> None:
+    """The line of names of a .lvm file has one cell more than its rows; the mark above it is no name."""
+    head = (
+        "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\t\nChannels\t1\t\nX0\t0,0\t\n"
+        "***End_of_Header***\t\t\nX_Value\tPosition [mm]\tComment\n"
+    )
+    rows = "".join(f"0,{k}000\t{k},5000\n" for k in range(10))
+    found = read_trajectory(write(tmp_path / "swing.lvm", head + rows), None, [], "")
+    assert (found.time_name, found.names, found.unit) == ("X_Value", ("Position [mm]",), "mm")
+    assert len(found.times_ns) == 10
