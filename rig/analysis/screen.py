@@ -62,7 +62,7 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
     for line in lines:
         print_line(f"  {line}")
     if run.problem:
-        print_line(f"  no fit: {run.problem}")
+        print_line(f"  contact laws not fitted: {run.problem}")
     if run.fits and not short:
         whole = whole_table(run)
         tables = [whole] if whole.rows else []

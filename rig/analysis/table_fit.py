@@ -257,7 +257,7 @@ def _changes(summary: DecaySummary) -> list[str]:
                 else ""
             )
             said.append(
-                f"the {name} is not constant (chi2/dof of a constant one {mean.chi2_per_dof:.3g}){ends}; the "
+                f"the {name} is not constant (chi2/dof {mean.chi2_per_dof:.3g} if it were){ends}; the "
                 "uncertainty of its mean allows for it"
             )
     return said
@@ -273,7 +273,7 @@ def _why_no_laws(trajectory: Trajectory, config: Configuration | None) -> str:
             return f"the unit of the position is not stated; --unit takes {', '.join(ANGLES)}, or any word"
         near = get_close_matches(trajectory.unit, ANGLES, n=1)
         hint = f"did you mean {near[0]}?" if near else f"--unit takes {', '.join(ANGLES)}"
-        return f"the unit {trajectory.unit!r} is no angle, which the contact's laws need; {hint}"
+        return f"the laws need an angle, but the unit is {trajectory.unit!r}; {hint}"
     if config is None:
-        return "no pendulum is known; --config FILE with [pendulum] gives mass and ball"
+        return "the pendulum is not described; --config FILE with [pendulum] gives mass and ball"
     return ""

@@ -206,8 +206,8 @@ def _print_decay(number: int, decay: FoundDecay) -> None:
         lines += damping_lines(results.damping, results.amplitude_unit or "")
     if summary.period_s.chi2_per_dof < _TOO_QUIET and summary.decrement.chi2_per_dof < _TOO_QUIET:
         lines.append(
-            "the half-cycles scatter far less than the noise of a sample says, which few samples a swing "
-            "make too large: the uncertainties are upper limits"
+            "the half-cycles scatter far less than the estimated noise of a sample implies (with few samples "
+            "a swing that estimate is too large): the uncertainties are upper limits"
         )
     head = (
         f"decay {number}, {results.began_s:.4g} to {results.ended_s:.4g} s: {summary.half_cycles} "
@@ -227,7 +227,7 @@ def _reasons(decay: FoundDecay) -> str:
 def _mean_text(mean: DecayMean, unit: str, u: float) -> str:
     """A mean with its uncertainty `u`, or the range over which it changes."""
     if not mean.changes:
-        constant = f"chi2/dof of a constant one {mean.chi2_per_dof:.3g}"
+        constant = f"constant with chi2/dof {mean.chi2_per_dof:.3g}"
         return f"{with_uncertainty(mean.value, u)}{unit} ({constant})"
     if math.isnan(mean.first):
         return f"about {mean.value:.3g}{unit}, not constant"

@@ -279,7 +279,7 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
         "differences", "Differences",
         ("first", "second", "parameter", "difference", "standard_uncertainty", "p_value", "verdict"), rows,
         ("", "", "difference", "chance", "verdict"), shown,
-        f"{len(shown)} of {len(rows)} comparisons differ; the others are in the CSV. Welch's t test: the "
-        "chance is that of a difference at least as large between series that are alike, and all rows share "
-        "the level of 5 %. What moves all series together (mass, radius, scale) is left out.",
+        f"{len(shown)} of {len(rows)} comparisons differ; the others are in the CSV. Welch's t test; "
+        "chance: the probability of a difference at least as large between identical series, the 5 % level "
+        "being shared by all rows. Errors common to all series (mass, radius, scale) are left out.",
     )  # fmt: skip

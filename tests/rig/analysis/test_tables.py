@@ -71,7 +71,7 @@ def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path
     assert decay.results.period_s.standard_uncertainty > 0.3 * (period.first - period.last)
     printed = rig("fit", path, "--position", "2", "--position", "3", "--unit", "rad").stdout
     assert re.search(r"period 1\.66\d+ ± \S+ s at the start, 1\.63\d+ ± \S+ s at the end", printed)
-    assert "chi2/dof of a constant one 1.5" in printed
+    assert "constant with chi2/dof 1.5" in printed
 
 
 @pytest.mark.parametrize(
@@ -161,9 +161,9 @@ def test_the_page_on_tables_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize(
     ("unit", "problem"),
     [
-        ("rad", "no pendulum is known; --config FILE"),
+        ("rad", "the pendulum is not described; --config FILE"),
         ("", "the unit of the position is not stated"),
-        ("mm", "the unit 'mm' is no angle"),
+        ("mm", "the laws need an angle, but the unit is 'mm'"),
         ("radd", "did you mean rad?"),
     ],
 )

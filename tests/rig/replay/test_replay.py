@@ -138,7 +138,7 @@ def test_a_record_without_a_calibration_is_replayed_in_px(
     assert replay_record(path, None, retrack=False, overrides=[]) == 0
     said = capsys.readouterr().out
     assert "equal bit for bit" in said
-    assert "no fit: the record has no calibration" in said
+    assert "contact laws not fitted: the record has no calibration" in said
     assert re.search(r"run 1: \d+ half-cycles, \d+\.\d\d to \d+\.\d\d px, 999 frames, 1 dropped", said)
 
 
