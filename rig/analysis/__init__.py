@@ -28,6 +28,7 @@ from rig.analysis.law_curves import ModelCurve, model_curves
 from rig.analysis.law_results import ComparedLaws, MomentsWithoutLaw
 from rig.analysis.less_reference import less_beam_motion
 from rig.analysis.limits import Limit, whole_result
+from rig.analysis.motion_direction import along_and_across
 from rig.analysis.position_table import TableColumns
 from rig.analysis.positions_file import POSITIONS_NAME, read_positions, write_positions
 from rig.analysis.record_fit import analyse_record, analyse_run, with_dropped_frames
@@ -55,7 +56,6 @@ from rig.analysis.swings_fit import clock_rate_of
 from rig.analysis.table_fit import (
     AnalysedTable,
     FoundDecay,
-    along_and_across,
     analyse_table,
     analyse_trajectory,
 )

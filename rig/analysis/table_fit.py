@@ -25,6 +25,7 @@ from processing.ticks import seconds
 from rig.analysis.amplitude_damping import amplitude_damping
 from rig.analysis.compared_laws import laws_of
 from rig.analysis.decay_values import decay_values
+from rig.analysis.motion_direction import along_and_across, direction_warning
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.position_table import TableColumns
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
@@ -155,25 +156,6 @@ def analyse_envelope(
     )
 
 
-def along_and_across(
-    positions: tuple[NDArray[np.float64], ...],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Positions (n,) along the motion and across it: of two the components of the largest and the smallest
-    variance; a single one unchanged, and NaN.
-
-    Raises DataError if there is no sample with both positions.
-    """
-    if len(positions) == 1:
-        return positions[0], np.full(len(positions[0]), np.nan)
-    both = np.column_stack(positions)
-    good = np.isfinite(both).all(axis=1)
-    if not good.any():
-        raise DataError("no row of the table has both positions; name other columns with --position")
-    centred = both - both[good].mean(axis=0)
-    _, _, axes = np.linalg.svd(centred[good], full_matrices=False)
-    return centred @ axes[0], centred @ axes[1]
-
-
 def _analyse(
     path: Path,
     swings: Sequence[Swing],
@@ -222,7 +204,11 @@ def _analyse(
             "amplitude_unit": trajectory.unit,
             "initial_amplitude": summary.initial_amplitude / scale,
             "final_amplitude": summary.final_amplitude / scale,
-            "warnings": (*run.warnings, *_changes(summary)),
+            "warnings": (
+                *run.warnings,
+                *filter(None, [direction_warning(trajectory.positions, inside)]),
+                *_changes(summary),
+            ),
         }
     )
     if run.turning_points is None:
