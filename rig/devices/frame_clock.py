@@ -8,6 +8,7 @@ makes no sense any more is given up, and the computer's carries the times on.
 """
 
 import math
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 from acquisition.frame import Frame
@@ -20,6 +21,8 @@ _ALIKE = 3
 """Frames that agree on a step, until it is believed."""
 _MOST_WAITING = 12
 """Frames in doubt, after which it is decided, unless their reader is behind; each holds an image."""
+_LONGEST_WAIT, _MOST_WAITING_BYTES = 2000, 64 * 1024 * 1024
+"""Of a reader that is behind: frames that it takes late do not say when they came."""
 _SMOOTHING = 0.1
 _OF_ARRIVALS = 0.02
 """Part of a deviation by which the usual delay, and its scatter, follow each frame."""
@@ -98,7 +101,7 @@ class FrameClock:
         self._waiting.append((frame, off_ns))
         agreed = [one for one in self._waiting if abs(one[1] - off_ns) < self._allowed_ns]
         waiting = len(self._waiting)
-        decides = waiting >= _MOST_WAITING and (self._reader_is_up or waiting >= 4 * _MOST_WAITING)
+        decides = waiting >= _MOST_WAITING and (self._reader_is_up or self._is_full)
         if len(agreed) >= _ALIKE and last is not None:
             step = self._step_of(agreed, last, decides=decides)
             return Seen([]) if step is None else self._stepped([one for one, _ in agreed], step)
@@ -115,9 +118,16 @@ class FrameClock:
 
     @property
     def _reader_is_up(self) -> bool:
-        """Whether the newest frame was waited for; a reader that hung takes many at once."""
-        before, newest = self._waiting[-2][0], self._waiting[-1][0]
-        return newest.host_time_ns - before.host_time_ns > 0.5 * self._interval_ns
+        """Whether the newest frames were waited for; a reader that hung, even twice, takes many at once."""
+        came_ns = [frame.host_time_ns for frame, _ in self._waiting[-1 - _ALIKE :]]
+        return all(later - sooner > 0.5 * self._interval_ns for sooner, later in pairwise(came_ns))
+
+    @property
+    def _is_full(self) -> bool:
+        """Whether no more frames may wait for their reader."""
+        waiting = len(self._waiting)
+        size = waiting * self._waiting[-1][0].image.nbytes
+        return waiting >= _LONGEST_WAIT or (waiting >= 4 * _MOST_WAITING and size >= _MOST_WAITING_BYTES)
 
     @property
     def _allowed_ns(self) -> float:
@@ -141,11 +151,35 @@ class FrameClock:
         return None if passed_ns > 0 and by_either else off_ns
 
     def _confirmed(self, frame: Frame) -> Seen:
-        """One of the clocks confirms the time: those that waited were alone."""
-        note = self._about_rejected() if self._waiting else ""
-        self.rejected += len(self._waiting)
+        """One of the clocks confirms the time: those that waited were alone, or in one line with it."""
+        in_line = self._in_line_with(frame)
+        alone = len(self._waiting) - len(in_line)
+        note = self._about_rejected(alone) if alone else ""
+        self.rejected += alone
         self._waiting.clear()
-        return Seen([self._joined(frame)], note)
+        return Seen([self._joined(one) for one in [*in_line, frame]], note)
+
+    def _in_line_with(self, frame: Frame) -> list[Frame]:
+        """Those that wait and differ from the rate as much as this one, which the computer confirms: frames
+        without numbers are missing before them, and they were read too late for it to confirm them.
+        """
+        last = self._last
+        if last is None or not self._regular:
+            return []
+        off_ns = self._off_by_rate_ns(frame, last)
+        found, after_ns = list[Frame](), last.device_time_ns
+        for one, waits_off_ns in self._waiting:
+            time_ns = one.device_time_ns + self._offset_ns
+            if abs(waits_off_ns - off_ns) < self._allowed_ns and after_ns < time_ns < frame.device_time_ns:
+                found.append(one._replace(device_time_ns=time_ns))
+                after_ns = time_ns
+        return found
+
+    def _off_by_rate_ns(self, frame: Frame, last: Frame) -> float:
+        """How far a time lies from what the camera's rate lets expect."""
+        return (
+            frame.device_time_ns - last.device_time_ns - (frame.sequence - last.sequence) * self._interval_ns
+        )
 
     def _joined(self, frame: Frame) -> Frame:
         last, self._last = self._last, frame
@@ -193,6 +227,12 @@ class FrameClock:
         if abs(by_rate_ns - by_host_ns) < max(3 * _LEAST_NS, 6 * self._scatter_ns):
             u_ns = self._deviation_ns * (1.0 + _SMOOTHING * numbers) + 1.0
             return ClockStep(round(by_rate_ns), math.ceil(u_ns))
+        if decides and not self._reader_is_up:
+            # read late by nobody knows how much, and frames without numbers may be missing
+            return ClockStep(round(by_rate_ns), math.ceil(abs(by_rate_ns - by_host_ns)))
+        if decides and abs(by_host_ns) < max(3 * _LEAST_NS, 6 * self._scatter_ns):
+            # the camera lost frames that have no number, and its clock is right
+            return ClockStep(0, 0)
         return ClockStep(round(by_host_ns), round(self._scatter_ns)) if decides else None
 
     def _stepped(self, agreed: list[Frame], step: ClockStep) -> Seen:
@@ -208,6 +248,8 @@ class FrameClock:
                 frames.append(self._joined(one._replace(device_time_ns=time_ns)))
             else:
                 self.rejected += 1
+        if not step.step_ns:
+            return Seen(frames)
         again = step.step_ns < 0 and any(abs(step.step_ns - ns) < _BY_HOST_NS for ns in self._steps_ns)
         self._steps_ns.append(step.step_ns)
         if again:
@@ -257,10 +299,10 @@ class FrameClock:
         self._last = frame._replace(device_time_ns=round(time_ns))
         return self._last
 
-    def _about_rejected(self) -> str:
+    def _about_rejected(self, alone: int) -> str:
         frame, off_ns = self._waiting[0]
         off = "no time" if math.isinf(off_ns) else f"{S_PER_NS * off_ns:+.3g} s from what both clocks say"
         return (
-            f"{len(self._waiting)} frames left out from frame {frame.sequence} on: the camera's time "
+            f"{alone} frames left out from frame {frame.sequence} on: the camera's time "
             f"{frame.device_time_ns} ns is {off}"
         )

@@ -160,6 +160,34 @@ def test_a_step_while_the_reader_hangs_is_as_exact_as_the_camera_s_rate() -> Non
     assert off_ns(frames) < 20e3
 
 
+def test_what_is_missing_without_numbers_while_the_reader_hangs_for_long_is_no_step() -> None:
+    """No clock erred: until the reader is up, those that it takes late say nothing of when they came."""
+    true = [n * INTERVAL_NS + 5 * INTERVAL_NS * (n >= 120) for n in range(400)]
+    host = arrivals(true)
+    for n in range(110, 260):
+        host[n] = host[260] - 10_000 * (260 - n)
+    frames, _, notes = carried([10**9 + t for t in true], host)
+    assert [one.sequence for one in frames] == list(range(400))
+    off = [one.device_time_ns - 10**9 - t for one, t in zip(frames, true, strict=True)]
+    assert max(map(abs, off)) < 3e6
+    assert notes == []
+
+
+def test_a_step_that_must_be_decided_before_the_reader_is_up_says_how_little_is_known_of_it() -> None:
+    """No room is left for frames that wait; whichever clock was right, the uncertainty covers it."""
+    clock = FrameClock()
+    image = np.zeros((1024, 2048), np.uint8)
+    true = [n * INTERVAL_NS + 5 * INTERVAL_NS * (n >= 120) for n in range(200)]
+    host = arrivals(true)
+    for n in range(110, 200):
+        host[n] = host[199] + 10_000 * (n - 199)
+    seen = [clock.take(Frame(image, n, t, host[n])) for n, t in enumerate(true)]
+    frames = [frame for one in seen for frame in one.frames]
+    (step,) = (one.step for one in seen if one.step is not None)
+    assert len(frames) > 190
+    assert all(abs(one.device_time_ns - true[one.sequence]) <= step.u_ns for one in frames[120:])
+
+
 @pytest.mark.parametrize("shows", ["frozen", "nothing", "anything"])
 def test_a_clock_that_makes_no_sense_any_more_is_given_up_and_the_computer_s_carries_on(shows: str) -> None:
     rng = np.random.default_rng(8)
