@@ -10,13 +10,20 @@ from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.repaired import repaired
 from processing.errors import RecordError
-from rig.analysis import read_results, results_path
+from rig.analysis import SessionResults, read_results, results_path
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
 from rig.measure.notices import announced
-from rig.measure.session import Manner, make_runs, make_session, report, session_folder
-from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
+from rig.measure.session import (
+    Manner,
+    against_results,
+    make_runs,
+    make_session,
+    report,
+    session_folder,
+)
+from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile, read_session
 from rig.measure.waiting import Sleep, Waiting, check_conditions
 from rig.presentation import failures, say
 from rig.settings import (
@@ -67,7 +74,7 @@ def measure_plan(
         if end.failure and not waiting.over:
             say(f"series {series.name}: {end.failure}; the plan ends here", error=True)
             return 1
-        if series is not plan.series[-1]:
+        if series is not plan.series[-1] and end.made:
             sleep(series.pause_s)
     return worst
 
@@ -81,10 +88,13 @@ def _of_place(config: Configuration, place: int) -> Configuration:
 
 
 class SeriesEnd(NamedTuple):
-    """How a series ended: its exit status, and why its last run failed or was stopped, if it was."""
+    """How a series ended: its exit status, why its last run failed or was stopped, if it was, and whether any
+    was made.
+    """
 
     status: int
     failure: str
+    made: bool
 
 
 def measure_series(
@@ -101,13 +111,14 @@ def measure_series(
 
     `patience` and `planned` are those of `Manner`.
     """
+    before = read_session(folder).next_number if (folder / STATE_NAME).exists() else 0
     with announced(config.session, folder) as outcome:
         manner = Manner(outcome.notices, force, json_lines, patience, planned)
         outcome.status = _Series(series, config, folder, manner).made_and_repeated()
     with closing(SessionFile.opened(folder)) as file:
-        last = file.state.entries[-1]
+        last, made = file.state.entries[-1], file.state.next_number != before
     bad = last.state in {RunState.FAILED, RunState.STOPPED}
-    return SeriesEnd(outcome.status, last.reason if bad else "")
+    return SeriesEnd(outcome.status, last.reason if bad else "", made)
 
 
 class SourcedConfiguration(NamedTuple):
@@ -136,8 +147,8 @@ class _Series(NamedTuple):
 
     def made_and_repeated(self) -> int:
         """Measure it and repeat its bad runs; returns its exit status."""
-        repeats = self.planned.repeat_bad
         status = self._gone_on() if (self.folder / STATE_NAME).exists() else self._made()
+        repeats = self.planned.repeat_bad - _repeated(self.folder)
         while status and (bad := _set_bad_aside(self.folder, repeats)):
             repeats -= bad
             say(f"series {self.planned.name}: {bad} of its runs are repeated; their conditions were not met")
@@ -154,6 +165,14 @@ class _Series(NamedTuple):
             return _go_on(file, self.config, self.manner)
 
 
+def _repeated(folder: Path) -> int:
+    """How many runs were set aside; a rejected start has a record of another name."""
+    return sum(
+        entry.state is RunState.REJECTED and entry.record == f"run-{entry.number}.mcap"
+        for entry in read_session(folder).entries
+    )
+
+
 def _set_bad_aside(folder: Path, most: int) -> int:
     """Note runs whose conditions were not met as rejected, so that others are made; returns how many.
 
@@ -166,7 +185,7 @@ def _set_bad_aside(folder: Path, most: int) -> int:
             judged = {run.record: failures(run.conditions) for run in read_results(folder, sealed=True).runs}
         except RecordError:
             return 0
-        bad = [entry for entry in file.state.complete if judged.get(entry.record)][:most]
+        bad = [entry for entry in file.state.complete if judged.get(entry.record)][: max(most, 0)]
         for entry in bad:
             file.note(entry.number, entry.record, RunState.REJECTED, judged[entry.record])
     return len(bad)
@@ -215,29 +234,36 @@ def _go_on(file: SessionFile, config: Configuration, manner: Manner) -> int:
             _notice_cut(record)
     missing = file.state.runs_wanted - len(file.state.complete)
     say(f"{folder}: {len(file.state.complete)} of {file.state.runs_wanted} runs are complete")
-    if missing <= 0 and _has_results(folder):
+    if missing <= 0 and (results := _whole_results(file)) is not None:
         say("no run is missing")
-        return 0
+        against = against_results(results, config)
+        for why in against:
+            say(why)
+        manner.notices.against.extend(against)
+        return 1 if against else 0
     with Devices(config, folder, "rig run --resume") as devices:
         made = make_runs(config, Path(file.state.source), file, devices, manner)
     return report(config, folder, made, manner)
 
 
-def _has_results(folder: Path) -> bool:
-    """Whether there are whole results; a report that is missing beside them is made."""
+def _whole_results(file: SessionFile) -> SessionResults | None:
+    """The results, where they are whole and have every complete run; a report that is missing is made."""
     from rig.report import make_report
 
-    path = results_path(folder)
+    path = results_path(file.folder)
     try:
         results = read_results(path, sealed=True)
     except RecordError as error:
         say(str(error))
-        return False
+        return None
+    if {entry.record for entry in file.state.complete} - {run.record for run in results.runs}:
+        # the program was ended before it fitted what it had made
+        return None
     if any(run.sealed for run in results.runs):
-        return True
+        return results
     if not path.with_name(path.name.replace("results", "report", 1)).with_suffix(".html").exists():
         say(f"report {make_report(path)}")
-    return True
+    return results
 
 
 def _notice_cut(record: Path) -> None:

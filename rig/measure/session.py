@@ -10,6 +10,7 @@ from typing import NamedTuple
 from processing.errors import ConfigurationError, DeviceError, RigError
 from rig.analysis import (
     AnalysedRun,
+    SessionResults,
     analyse_record,
     free_path,
     print_results,
@@ -198,12 +199,9 @@ def report(config: Configuration, folder: Path, made: Made, manner: Manner) -> i
         return 1
     path = free_path(folder)
     results = session_results(runs, folder)
-    for run, said in zip(runs, results.runs, strict=True):
-        # without a calibration nothing can be fitted, which does not count as a failure
-        problem = said.problem if config.lever is not None else ""
-        for why in filter(None, (problem, failures(said.conditions))):
-            failed = True
-            manner.notices.against.append(f"{run.record.name}: {why}")
+    against = against_results(results, config)
+    failed = failed or bool(against)
+    manner.notices.against.extend(against)
     write_results(path, results)
     paths = _paths(folder, runs, path)
     if any(run.sealed is not None for run in results.runs):
@@ -224,6 +222,16 @@ def report(config: Configuration, folder: Path, made: Made, manner: Manner) -> i
                 "rig init --example basement writes the same rig in an ordinary basement"
             )
     return 1 if failed else 0
+
+
+def against_results(results: SessionResults, config: Configuration) -> list[str]:
+    """What speaks against runs, each with the name of its record: no fit, conditions that were not met."""
+    found = []
+    for run in results.runs:
+        # without a calibration nothing can be fitted, which does not count as a failure
+        problem = run.problem if config.lever is not None else ""
+        found += [f"{run.record}: {why}" for why in (problem, failures(run.conditions)) if why]
+    return found
 
 
 def simulate_record(config: Configuration, source: Path, record: Path) -> int:

@@ -15,8 +15,11 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
+from rig.analysis import read_results
+from rig.measure import measure_session, resume_session
+from rig.measure import night as night_module
 from rig.measure.night import measure_plan
-from rig.settings import load_plan
+from rig.settings import load_configuration, load_plan
 from tests.rig.command_line import CONFIGS, SMALL, figures_are_not_drawn, rig
 from tests.rig.measure.test_preparation import BY_HAND
 
@@ -122,6 +125,44 @@ def test_a_failure_ends_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[s
         assert measure_plan(tmp_path / "plan.toml", tmp_path / "out") == 1
     assert not (tmp_path / "out" / "two").exists()
     assert "no frame within 5 s; the plan ends here" in capsys.readouterr().err
+
+
+def test_a_night_that_goes_on_judges_what_was_made_before(tmp_path: Path) -> None:
+    """One that was ended before it repeated a bad run repeats it, once; then it is still not as planned."""
+    written(tmp_path / "a.toml", SMALL | {"session.max_duration_s": "8", "faults.laser_fades_at_s": "4"})
+    series = '[[series]]\nname = "{}"\nconfig = "a.toml"\npause_s = 60\n'
+    plan, out, paused = tmp_path / "plan.toml", tmp_path / "out", list[float]()
+    plan.write_text(series.format("one"))
+    with figures_are_not_drawn():
+        assert measure_plan(plan, out, sleep=paused.append) == 1
+        assert measure_plan(plan, out, sleep=paused.append) == 1
+        assert [one["state"] for one in entries(out / "one")] == ["complete"]
+        plan.write_text(series.format("one") + "repeat_bad = 1\n" + series.format("two"))
+        assert measure_plan(plan, out, sleep=paused.append) == 1
+        assert [one["state"] for one in entries(out / "one")] == ["rejected", "complete"]
+        assert paused == [60.0]
+        # nothing was made of the first one: nothing to pause after
+        assert measure_plan(plan, out, sleep=paused.append) == 1
+    assert paused == [60.0]
+
+
+def test_a_run_that_was_made_after_the_last_results_is_fitted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The program was killed while it fitted; results of other runs were there from before."""
+    written(tmp_path / "a.toml", SMALL | {"session.max_duration_s": "8", "session.runs": "2"})
+    out = tmp_path / "out"
+    with figures_are_not_drawn():
+        measure_session(load_configuration(tmp_path / "a.toml"), tmp_path / "a.toml", out)
+        state = json.loads((out / "session.json").read_text())
+        state["runs_wanted"] = 3
+        (out / "session.json").write_text(json.dumps(state))
+        with monkeypatch.context() as killed:
+            killed.setattr(night_module, "report", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+            with pytest.raises(KeyboardInterrupt):
+                resume_session(out)
+        resume_session(out)
+    assert [run.record for run in read_results(out).runs] == ["run-1.mcap", "run-2.mcap", "run-3.mcap"]
 
 
 def test_series_of_the_simulated_rig_are_different_runs(tmp_path: Path) -> None:
