@@ -22,6 +22,7 @@ from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, step_of_density
 from processing.fit.result import FitResult
 from processing.least_squares import covariance_of
+from processing.fit.witnessed_columns import LEAST_LEFT
 from processing.swing import HALVES, TurningPoints
 
 _LOST = 10.0
@@ -77,8 +78,11 @@ class Conditions:
         return Evidence(Waveform(middle, nothing, covariance, 1.0), self.known_drag_s)
 
     def on_ground(self, rad_per_s2_rthz: float) -> "Conditions":
-        """The same measurement on another ground."""
-        return replace(self, ground_rad_per_s2_rthz=rad_per_s2_rthz)
+        """The same measurement on another ground; the noise of a witness stays what it is, not its ratio."""
+        noise = self.witness_noise
+        if noise is not None and rad_per_s2_rthz > 0:
+            noise = max(LEAST_LEFT, noise * self.ground_rad_per_s2_rthz / rad_per_s2_rthz)
+        return replace(self, ground_rad_per_s2_rthz=rad_per_s2_rthz, witness_noise=noise)
 
     def with_witness(self, noise: float) -> "Conditions":
         """The same ground, seen by a witness as well."""

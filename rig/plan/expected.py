@@ -13,7 +13,7 @@ from processing.angle import ARCSEC_RAD
 from processing.contact import DEFAULT_LAW, DRAG, PendulumOnBall
 from processing.deflections import slow_deflections
 from processing.errors import ConfigurationError, DataError
-from processing.fit import Conditions, FitMethod, sine_covariance
+from processing.fit import LEAST_LEFT, Conditions, FitMethod, sine_covariance
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import HarmonicsWatch, swings_of_blocks, turning_points
@@ -26,6 +26,8 @@ _HALF_CYCLES = 100
 _FRAMES = 9
 _AMPLITUDE_RAD = 3e-4
 _FULL_SCALE_DN = 255.0
+_ADXL355_M_PER_S2_PER_SQRT_HZ = 25e-6 * 9.80665
+"""Noise of the accelerometer on the controller's board, by its data sheet."""
 
 
 class Expected(NamedTuple):
@@ -64,6 +66,7 @@ def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> 
         _drive(config, pendulum),
         of_sine=of_sine,
         known_drag_s=drag.known_s,
+        witness_noise=_witness_noise(config),
     )
     return Expected(values, pendulum, conditions, config.session.max_duration_s)
 
@@ -247,26 +250,66 @@ def _slow_density(config: Configuration, at_hz: NDArray[np.float64]) -> NDArray[
     inside = (at_hz >= said.air_from_hz) & (at_hz <= said.air_to_hz)
     air_rad2 = (said.air_arcsec * ARCSEC_RAD) ** 2 / math.log(said.air_to_hz / said.air_from_hz)
     walk_rad = said.pointing_walk_px_per_sqrt_s * _rad_per_px(config)
-    return np.where(inside, air_rad2 / at_hz, 0.0) + 2 * walk_rad**2 / (2 * math.pi * at_hz) ** 2
+    air, walk = np.where(inside, air_rad2 / at_hz, 0.0), 2 * walk_rad**2 / (2 * math.pi * at_hz) ** 2
+    shared, noise = _without_reference(config)
+    common = shared * air + (walk if shared else 0.0)
+    # Wiener's filter leaves the smaller of motion and noise
+    left = common if math.isinf(noise) else common * noise / np.maximum(common + noise, np.finfo(float).tiny)
+    return np.asarray(air + walk - common + left)
 
 
-def _drive(config: Configuration, pendulum: PendulumOnBall) -> float:
-    """Angular acceleration of the pendulum by the ground at its own frequency, in rad/s^2/sqrt(Hz)."""
-    truth, at_hz = config.simulation.ground, 1 / config.simulation.contact.period0_s
-    at = np.array([at_hz])
+def _without_reference(config: Configuration) -> tuple[float, float]:
+    """Share of the air's power that both spots have, and density of the reference's own noise in rad^2/Hz.
+
+    No share without a reference, or where the simulated rig draws none.
+    """
+    truth, stated = config.simulation.reference, config.reference
+    if stated is None or not truth.relative > 0:
+        return 0.0, math.inf
+    optics, sensor = config.simulation.optics, sensor_model(config, _FULL_SCALE_DN)
+    peak_dn = truth.relative * optics.peak_dn / 255 * sensor.full_scale_dn
+    u_px = truth.gain * _tracked_u_px(sensor, peak_dn, optics.sigma_y_px)
+    return truth.air_common**2, 2 * (u_px * _rad_per_px(config)) ** 2 / _frame_rate_hz(config)
+
+
+def _witness_noise(config: Configuration) -> float | None:
+    """Noise of the configured witness over the ground that it sees, at the swing's frequency.
+
+    Of one whose noise nobody has stated, what two real instruments at one place differ by; `--witness` says
+    more.
+    """
+    kind = config.witness.kind
+    if kind == "none":
+        return None
+    noise = _ADXL355_M_PER_S2_PER_SQRT_HZ if kind == "controller" else 0.0
+    if kind == "simulated":
+        noise = config.simulation.witness.noise_m_per_s2_per_sqrt_hz
+    level = _ground_level(config)
+    return max(LEAST_LEFT, noise / level) if level > 0 else LEAST_LEFT
+
+
+def _ground_level(config: Configuration) -> float:
+    """Acceleration of the ground at the pendulum's frequency, in m/s^2/sqrt(Hz); 0 where none is known."""
+    truth, at = config.simulation.ground, np.array([1 / config.simulation.contact.period0_s])
     low, high = float(nlnm_db(at)[0]), float(nhnm_db(at)[0])
-    if truth.model == "file":
-        raise ConfigurationError("simulation.ground.model = 'file': state what it drives with --ground")
-    level = 0.0
     if truth.model == "white":
-        level = truth.white_m_per_s2_per_sqrt_hz
-    elif truth.model == "peterson":
+        return truth.white_m_per_s2_per_sqrt_hz
+    if truth.model == "peterson":
         above_db = (
             truth.between_noise_models * (high - low)
             if truth.above_low_noise_db is None
             else truth.above_low_noise_db
         )
-        level = float(density_of_db(np.array([low + above_db]))[0])
+        return float(density_of_db(np.array([low + above_db]))[0])
+    return 0.0
+
+
+def _drive(config: Configuration, pendulum: PendulumOnBall) -> float:
+    """Angular acceleration of the pendulum by the ground at its own frequency, in rad/s^2/sqrt(Hz)."""
+    truth, at_hz = config.simulation.ground, 1 / config.simulation.contact.period0_s
+    if truth.model == "file":
+        raise ConfigurationError("simulation.ground.model = 'file': state what it drives with --ground")
+    level = _ground_level(config)
     height_m = truth.mass_centre_height_m
     if config.pendulum is not None and config.pendulum.mass_centre_height_m is not None:
         height_m = config.pendulum.mass_centre_height_m

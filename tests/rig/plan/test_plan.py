@@ -8,11 +8,11 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
-from processing.fit import Conditions
+from processing.fit import LEAST_LEFT, Conditions
 from rig.analysis import SessionResults, read_results
 from rig.commands.planning import plan
 from rig.instrument import complete, recorded_configuration
-from rig.plan.expected import expected_of
+from rig.plan.expected import expected_of, planned_expectation
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS
 
@@ -131,3 +131,33 @@ def test_what_a_plan_needs_of_a_configuration_is_named(overrides: list[str], mes
 def conditions_of(*overrides: str) -> Conditions:
     """Of the demonstration, changed."""
     return expected_of(complete(load_configuration(CONFIGS / "demo.toml", overrides))).conditions
+
+
+VAULT = CONFIGS / "vault.toml"
+
+
+def test_a_plan_of_a_configuration_has_its_own_witness_and_reference() -> None:
+    both, bare = (
+        planned_expectation(VAULT, overrides, None, None).conditions
+        for overrides in ((), ("witness.kind='none'",))
+    )
+    assert bare.witness_noise is None
+    assert both.witness_noise == pytest.approx(LEAST_LEFT, rel=0.2)
+    assert both.unknown_rad_per_s2_rthz < 0.03 * bare.unknown_rad_per_s2_rthz
+    # the air that the reference takes off does not bend the swing
+    plain = ("simulation.reference.relative=0", "simulation.disturbances.air_arcsec=0.1")
+    airy = planned_expectation(CONFIGS / "basement.toml", plain, None, None).conditions
+    less = planned_expectation(VAULT, ("simulation.disturbances.air_arcsec=0.1",), None, None).conditions
+    assert less.u_amplitude_rad < 0.6 * airy.u_amplitude_rad
+
+
+def test_a_witness_that_hears_itself_more_than_the_ground_is_planned_so() -> None:
+    on_board = ("witness.kind='controller'", "controller.kind='simulated'", "simulation.real_time=true")
+    found = planned_expectation(VAULT, on_board, None, None).conditions
+    assert found.witness_noise is not None
+    assert found.witness_noise > 10
+    louder = found.on_ground(100 * found.ground_rad_per_s2_rthz)
+    assert louder.witness_noise == pytest.approx(0.01 * found.witness_noise)
+    assert louder.on_ground(1e9).witness_noise == LEAST_LEFT
+    unknown = planned_expectation(VAULT, ("witness.kind='serial'", "witness.port='/dev/any'"), None, None)
+    assert unknown.conditions.witness_noise == LEAST_LEFT
