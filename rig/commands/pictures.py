@@ -35,6 +35,7 @@ def snap(
 
     from acquisition.record import whole_file
     from processing.errors import ConfigurationError, RecordError
+    from rig.align import SeenReference
     from rig.devices import picture as camera_picture
     from rig.instrument import beam_quality, complete, optics_of
     from rig.presentation import answer, print_line
@@ -62,11 +63,18 @@ def snap(
             print_line(line)
         figures = camera_picture.figures(image, info.full_scale_dn)
         print_line(_figures_line(figures))
-        tracker = optics_of(loaded, info.full_scale_dn).tracker()
-        spot = tracker.track(image)
+        optics = optics_of(loaded, info.full_scale_dn)
+        tracker, reference = optics.tracker(), optics.reference()
+        # each spot is judged in the part of the frame that is its own
+        row = len(image) if reference is None else min(len(image), reference[1])
+        spot = tracker.track(image[:row])
         limits = loaded.preflight
-        beam = beam_quality([image], [spot], tracker.model, info.full_scale_dn, limits)
+        beam = beam_quality([image[:row]], [spot], tracker.model, info.full_scale_dn, limits)
         print_line(beam.line)
+        if reference is not None and row < len(image):
+            other = reference[0].track(image[row:])
+            other = other._replace(y_px=other.y_px + row)
+            print_line(SeenReference.in_image(other, row, image, info.full_scale_dn).lamp.line)
         answer(picture=figures, beam=beam, written=[output])
         typer.echo(str(output))
 

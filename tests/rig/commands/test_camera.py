@@ -258,3 +258,17 @@ def test_the_commands_of_the_guide_run_as_they_stand(tmp_path: Path, monkeypatch
         done = CliRunner().invoke(app, words)
         assert done.exit_code == 0, f"{words}: {done.output} {done.exception}"
     assert (tmp_path / "one-frame.png").is_file()
+
+
+def test_a_snap_judges_each_spot_in_its_own_part(tmp_path: Path) -> None:
+    vault = str(Path(DEMO).parent / "vault.toml")
+    told = []
+    for relative in ("1", "0"):
+        more = ["-o", str(tmp_path / f"{relative}.png"), "--set", f"simulation.reference.relative={relative}"]
+        told.append(CliRunner().invoke(app, ["camera", "snap", vault, *more]).output)
+    both, alone = told
+    assert re.search(r"reference: go, 1\d\d\.\d, 68\d\.\d px", both)
+    assert "reference: NO-GO, none found" in alone
+    # what is said of the pendulum's beam does not depend on the other's
+    (beam,) = re.findall(r"chi2/dof [\d.]+", both)
+    assert re.findall(r"chi2/dof [\d.]+", alone) == [beam]
