@@ -20,6 +20,10 @@ _LINE = 20
 _STEP_S = 0.3
 """Lateness that rises or falls by more at once, and stays so, is a clock that was set."""
 _FAR, _MOST_LOOKS = 2000, 100
+_RUN, _FALLS = 200, 0.2
+"""Samples after a step that are looked at; lateness falls by so much of the time while a backlog is read."""
+_WAITED, _MOST_TURNS = 5.0, 30
+"""What is later by so many times the distance between the earliest and the usual arrivals had waited."""
 CLOCK_SET = "clock set while it was recorded,"
 
 
@@ -69,7 +73,7 @@ def taken(arrived_ns: Ints, own_s: Floats) -> Taken:
     steps_s: dict[int, float] = {}
     if np.all(np.isfinite(own_s)) and np.all(np.diff(own_s) > 0):
         over, begins = own_s - own_s[0], [0, len(since_s)]
-        steps_s = _steps_of(since_s - over)
+        steps_s = _steps_of(since_s - over, over)
         for place, step_s in steps_s.items():
             # a clock that was set is right from then on
             since_s[:place] += step_s
@@ -82,15 +86,34 @@ def taken(arrived_ns: Ints, own_s: Floats) -> Taken:
     for begin, end in pairwise(begins):
         if end - begin >= _LINE:
             part = slice(begin, end)
-            taken_s[part] = np.polyval(np.polyfit(over[part], since_s[part], 1), over[part])
+            taken_s[part] = _line_of(over[part], since_s[part])
     times_ns = np.asarray(arrived_ns[0] + np.rint(1e9 * taken_s).astype(np.int64))
     return Taken(times_ns, tuple(steps_s.values()))
 
 
-def _steps_of(late_s: Floats) -> dict[int, float]:
+def _line_of(over: Floats, since_s: Floats) -> Floats:
+    """The line through arrivals without those that waited, maybe for minutes: nothing arrives early.
+
+    All of them make it where none was later than their usual scatter.
+    """
+    line = np.polyval(np.polyfit(over, since_s, 1), over)
+    kept = np.ones(len(over), dtype=np.bool_)
+    for _ in range(_MOST_TURNS):
+        late_s = since_s - line
+        low, usual = np.quantile(late_s, (0.05, 0.25))
+        now = late_s <= usual + max(_STEP_S, _WAITED * (usual - low))
+        if np.count_nonzero(now) < _LINE or np.array_equal(now, kept):
+            break
+        kept = now
+        line = np.polyval(np.polyfit(over[kept], since_s[kept], 1), over)
+    return np.asarray(line)
+
+
+def _steps_of(late_s: Floats, own_s: Floats) -> dict[int, float]:
     """Steps (s) of lateness (n,) by the sample that they come with.
 
-    A step stays: lateness that falls back, as of lines that waited for a thread, is none.
+    A step stays: lateness that falls back, as of lines that waited for a thread, is none, however long it
+    takes: what waited comes faster than it was taken.
     """
     late_s, found = late_s.copy(), dict[int, float]()
     if len(late_s) < 2 * _LINE:
@@ -111,7 +134,19 @@ def _steps_of(late_s: Floats) -> dict[int, float]:
             float(np.median(late_s[place : place + reach]) - np.median(late_s[max(0, place - reach) : place]))
             for reach in (_LINE, _FAR)
         )
-        if abs(near) > _STEP_S and abs(far - near) < 0.5 * abs(near):
+        if (
+            abs(near) > _STEP_S
+            and abs(far - near) < 0.5 * abs(near)
+            and not (near > 0 and _falls(late_s[place:], own_s[place:]))
+        ):
             late_s[:place] += near
             found[place] = near
     return dict(sorted(found.items()))
+
+
+def _falls(late_s: Floats, own_s: Floats) -> bool:
+    """Whether lateness falls by more than a fifth of the time that passes, from a sample on."""
+    reach = min(_RUN, len(late_s) // 2)
+    first, later = slice(0, reach), slice(reach, 2 * reach)
+    fell = float(np.median(late_s[first]) - np.median(late_s[later]))
+    return fell > _FALLS * float(np.median(own_s[later]) - np.median(own_s[first]))

@@ -57,3 +57,23 @@ def test_lateness_that_comes_and_goes_and_a_clock_that_drifts_are_no_step() -> N
     assert said == ()
     steady = 0.05 + 2e-4 * np.arange(COUNT) / RATE_HZ
     assert error == pytest.approx(steady, abs=0.02)
+
+
+@pytest.mark.parametrize(("count", "speed"), [(1200, np.inf), (2500, np.inf), (6000, np.inf), (2500, 4.0)])
+def test_a_stall_of_arrivals_is_no_clock_that_was_set(count: int, speed: float) -> None:
+    """A host that hung for minutes reads at once, or some times as fast, what waited meanwhile."""
+    late = 1e-3 * np.random.default_rng(4).standard_normal(COUNT)
+    waited = np.maximum(count / RATE_HZ - np.arange(COUNT - 3000) / RATE_HZ * (1 - 1 / speed), 0.0)
+    late[3000:] += waited
+    error, said = off(late)
+    assert said == ()
+    assert error == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_clock_that_was_set_after_a_stall_is_still_seen() -> None:
+    late = 1e-3 * np.random.default_rng(5).standard_normal(COUNT)
+    late[2000:3500] += np.arange(1500)[::-1] / RATE_HZ
+    late[:6000] -= 3.0
+    error, said = off(late)
+    assert said == pytest.approx((3.0,), abs=0.01)
+    assert error == pytest.approx(0.0, abs=0.01)
