@@ -57,6 +57,7 @@ _UNSEEN_S = 30.0
 """For so long the laser stays lit while no browser fetches the picture."""
 _LEFT = f"nobody has looked at the picture for {_UNSEEN_S:g} s"
 _FOCUS_POINTS = 600
+_LEAST_REGION_PX = 8
 EXPOSE = "expose"
 """A wish for the exposure at which the peak is right."""
 Wish = CameraSettings | str | Callable[[CameraSettings], CameraSettings]
@@ -97,6 +98,21 @@ class Aligner:
         times before the camera has followed once.
         """
         self._wishes.put(wish)
+
+    def wish_region(self, left_px: int, top_px: int, width_px: int, height_px: int) -> None:
+        """Ask for a part of what the camera shows now, which may be a part of the sensor already."""
+        if (look := self.look) is None:
+            return
+        rows, columns = look.image.shape
+        x0, y0 = self.applied.offset_x_px or 0, self.applied.offset_y_px or 0
+        self.wish(
+            CameraSettings(
+                width_px=max(_LEAST_REGION_PX, min(width_px, columns)),
+                height_px=max(_LEAST_REGION_PX, min(height_px, rows)),
+                offset_x_px=x0 + max(0, left_px),
+                offset_y_px=y0 + max(0, top_px),
+            )
+        )
 
     def close(self) -> None:
         """Stop and close the camera; waits until it is free."""

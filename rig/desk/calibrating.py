@@ -40,7 +40,8 @@ class Calibrating:
     def __init__(self, desk: "Desk") -> None:
         self._desk = desk
         self._recording: dict[str, tuple[Path, Job]] = {}
-        self._begun: dict[str, tuple[float, float | None]] = {}
+        self._wanted_s: dict[str, float | None] = {}
+        self._begun_s: dict[str, float] = {}
         self.made: dict[str, Filed] = {}
         self.problems: dict[str, str] = {}
 
@@ -84,7 +85,8 @@ class Calibrating:
         else:
             words = ["camera frames", "-o", str(path), "-n", str(wanted.frames)]
             values = {} if wanted.exposure_us is None else {"camera.exposure_us": wanted.exposure_us}
-        self._begun[kind] = time.monotonic(), wanted.seconds if wanted.kind == "record" else None
+        self._wanted_s[kind] = wanted.seconds if wanted.kind == "record" else None
+        self._begun_s.pop(kind, None)
         self._recording[kind] = path, self._desk.start(*words, values=values)
 
     def stop(self, kind: str) -> None:
@@ -93,7 +95,7 @@ class Calibrating:
             self._recording[kind][1].end()
 
     def recording(self, kind: str) -> str:
-        """What is being recorded, with the last words of the command; empty if nothing is.
+        """What is being recorded; empty if nothing is.
 
         What was recorded becomes the answer here.
         """
@@ -101,7 +103,7 @@ class Calibrating:
             return ""
         path, job = self._recording[kind]
         if job.status is None:
-            return f"records {path} … {job.said[-1] if job.said else ''}"
+            return f"{path} is recorded"
         del self._recording[kind]
         if job.status == 0 and not job.ending:
             try:
@@ -115,9 +117,22 @@ class Calibrating:
         return ""
 
     def recorded_part(self, kind: str) -> float | None:
-        """Part of the time that has passed of what is recorded; None where nothing says how long it takes."""
-        begun_s, wanted_s = self._begun.get(kind, (0.0, None))
-        return None if not wanted_s else min((time.monotonic() - begun_s) / wanted_s, 1.0)
+        """Part of the time that has passed of what is recorded; None where nothing says how long it takes.
+
+        It counts from when the file is there: until then the camera is opened.
+        """
+        wanted_s = self._wanted_s.get(kind)
+        if not wanted_s or kind not in self._recording:
+            return None
+        if kind not in self._begun_s and not self._recording[kind][0].exists():
+            return 0.0
+        begun_s = self._begun_s.setdefault(kind, time.monotonic())
+        return min((time.monotonic() - begun_s) / wanted_s, 1.0)
+
+    def last_words(self, kind: str) -> str:
+        """What the command that records has said last; empty if nothing is recorded."""
+        said = self._recording[kind][1].said if kind in self._recording else ()
+        return said[-1] if said else ""
 
     @property
     def watched(self) -> Path | None:

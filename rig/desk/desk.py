@@ -2,32 +2,31 @@
 
 import subprocess
 import threading
-from collections import deque
-from collections.abc import Collection, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 
+from acquisition.camera import CameraSettings
 from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
-from rig.channel import CHANNEL_NAME, Line
-from rig.control import SafetyState, darken_beside, rig_state_path
+from rig.control import SafetyState, rig_state_path
 from rig.desk.acting import Acting
 from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
 from rig.desk.archived import Archived
+from rig.desk.balancing import Balancing
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Job, start_session
 from rig.desk.kept import Kept
+from rig.desk.lighting import Lighting
 from rig.desk.safety import Safety
 from rig.desk.sessions import LookingAgain, SessionIndex
-from rig.devices import Devices
 from rig.measure import HandOver, hand_over, session_folder
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
-_PRESSES_KEPT = 64
+_REGION = ("width_px", "height_px", "offset_x_px", "offset_y_px")
 _HANDED_OVER = ("session.json", "results.json", "report.html")
 
 
@@ -43,7 +42,8 @@ class Desk:
     """The desk of one configuration file; `overrides` are as of --set, and hold for all that it starts.
 
     `kept` are settings that were made at the desk (exposure, region), by key: they hold as long as it does.
-    `place` is what is kept on disk, `acting` who may act.
+    `place` is what is kept on disk, `acting` who may act, `lighting` takes light and gives it,
+    `rig` is the rig's own safety state.
     """
 
     def __init__(self, source: Path, overrides: tuple[str, ...] = (), archive: str = "") -> None:
@@ -53,9 +53,10 @@ class Desk:
         self.kept: dict[str, object] = {}
         self.config = load_configuration(source, overrides)
         self.calibrating = Calibrating(self)
+        self.balancing = Balancing(self)
         self.following = Following(self.config.session.output, lambda: self.calibrating.watched)
-        self._rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
-        self.safety = Safety(self._rig, self.following, lambda: self.aligner)
+        self.rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
+        self.safety = Safety(self.rig, self.following, lambda: self.aligner)
         self.aligner: Aligner | None = None
         self.jobs: dict[str, Job] = {}
         self.looking_again = LookingAgain()
@@ -65,8 +66,7 @@ class Desk:
         self.place = Kept(source)
         self.acting = Acting()
         self.alarming = Alarming(self)
-        self._pressing = threading.Lock()
-        self._pressed: deque[str] = deque(maxlen=_PRESSES_KEPT)
+        self.lighting = Lighting(self)
         self._lock = threading.Lock()
 
     # -- the configuration ------------------------------------------------------
@@ -153,86 +153,26 @@ class Desk:
         self.aligner = Aligner(self.checked(), self.safety.unfiled)
         self.aligner.start()
 
+    def align_whole_sensor(self) -> None:
+        """Open the camera again without the region that was kept. May wait."""
+        for name in _REGION:
+            self.kept.pop(f"camera.{name}", None)
+        self.begin_aligning()
+
+    def keep_camera(self, applied: CameraSettings) -> None:
+        """What was set at the camera holds for what this desk starts; raises RigError if it cannot."""
+        values = applied.model_dump(exclude_none=True)
+        own = {
+            f"camera.{name}": values[name] for name in ("exposure_us", "gain_db", *_REGION) if name in values
+        }
+        self.checked(own)
+        self.kept.update(own)
+
     def end_aligning(self) -> None:
         """Give the camera free."""
         if self.aligner is not None:
             self.aligner.close()
             self.aligner = None
-
-    # -- light ------------------------------------------------------------------
-
-    def light_off(self, press: str = "") -> list[str]:
-        """Everything dark, whoever has lit it; returns what failed. Waits for no device, session or command.
-
-        Ports are told off directly, too: a frozen session hears its order only when it goes on, and then
-        stays dark. The same `press` comes by two ways: the later one must not darken what a person has
-        acknowledged and lit again meanwhile.
-        """
-        with self._pressing:
-            if press and press in self._pressed:
-                return []
-            self._pressed.append(press)
-        who = "the desk"
-        if (aligner := self.aligner) is not None:
-            aligner.light_off(who)
-        problems = darken_beside(self.config.laser, self.config.controller)
-        folders = {folder.absolute() for folder in (self.following.folder,) if folder is not None}
-        if (begun := self._session) is not None and begun[0].poll() is None:
-            folders.add(begun[1].absolute())
-            if self.following.last_folder != begun[1] and not (begun[1] / CHANNEL_NAME).exists():
-                # it hears no order yet; one that was seen before, and is gone, is being fitted
-                begun[0].terminate()
-        for folder in folders:
-            threading.Thread(target=_order_dark, args=(folder, who), name="light off", daemon=True).start()
-        # in a thread of its own: a disk that hangs holds nothing else up
-        threading.Thread(target=self._holder_dark, args=(folders, who), name="light off", daemon=True).start()
-        for job in tuple(self.jobs.values()):
-            if job.running:
-                job.end()
-        return problems
-
-    def _holder_dark(self, told: Collection[Path], who: str) -> None:
-        """Also the program that has the rig and works in another folder."""
-        folder = self._rig.folder_of_holder
-        if folder is not None and folder not in told:
-            _order_dark(folder, who)
-
-    def acknowledge(self, number: int, who: str = "the desk") -> str:
-        """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be. May wait.
-
-        Lights nothing.
-        """
-        if (aligner := self.aligner) is not None and aligner.running:
-            return aligner.acknowledge(number, who)
-        if self.following.running:
-            return self.following.order(f"acknowledge {number} {who}")
-        for name, job in self.jobs.items():
-            if job.running:
-                raise ConfigurationError(f"rig {name} has the devices; end it, then acknowledge")
-        with Devices(self.config, self.config.session.output, who, self.safety.unfiled) as devices:
-            devices.wait_until_heard()
-            return devices.acknowledge(number, who)
-
-    def light(self) -> str:
-        """Light again what waits in the dark; raises RigError if nothing does. May wait."""
-        if (aligner := self.aligner) is not None and aligner.running:
-            aligner.relight()
-            return "light is asked for"
-        return self.following.order("light")
-
-    @property
-    def waits_for_light(self) -> bool:
-        """Whether something that was lit is dark, and may be lit again."""
-        now = self.safety.now
-        if now.trip is not None:
-            return False
-        if (aligner := self.aligner) is not None:
-            return aligner.running and bool(aligner.darkness)
-        news = self.following.news
-        if self.following.running and now.to_be_asked:
-            # between two runs, too
-            return True
-        return bool(news.get("darkness") and (news.get("state") or {}).get("alarm"))
 
     # -- the session ------------------------------------------------------------
 
@@ -298,11 +238,6 @@ class Desk:
         self.looking_again.close()
         self.sessions.stop()
         self.place.close()
-
-
-def _order_dark(folder: Path, who: str) -> None:
-    with suppress(RigError), Line(folder) as line:
-        line.order(f"dark {who}")
 
 
 def _as_set(key: str, value: object) -> str:

@@ -69,10 +69,10 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
     async def acknowledged() -> None:
         leave.close()
         if (trip := asked) is not None:
-            ui.notify(await run.io_bound(desk.acknowledge, trip.number, tab.operator))
+            ui.notify(await run.io_bound(desk.lighting.acknowledge, trip.number, tab.operator))
 
     async def light() -> None:
-        ui.notify(await run.io_bound(desk.light))
+        ui.notify(await run.io_bound(desk.lighting.again))
 
     with ui.dialog().props('aria-label="acknowledge a trip"') as leave, ui.card():
         trip_text = ui.label().classes("middle")
@@ -143,7 +143,7 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
             acknowledge.set_text(f"Acknowledge trip {safety.trip.number} …")
         acknowledge.set_visibility(safety.trip is not None)
         for one in (waits, again):
-            one.set_visibility(desk.waits_for_light)
+            one.set_visibility(desk.lighting.waits)
         asked_for = str(run_state.get("instruction") or "")
         instruction.set_text(asked_for.upper())
         instruction.set_visibility(bool(asked_for))
@@ -229,6 +229,9 @@ SCRIPT = """
 window.rigTheme = function (name) {
   for (const one of ['day', 'night']) document.documentElement.classList.toggle(one, one === name);
   localStorage.setItem('theme', name);
+  // a report that is open is a page of its own
+  for (const one of document.querySelectorAll('iframe[src*="theme="]'))
+    one.src = one.src.replace(/theme=.*/, 'theme=' + name);
   window.dispatchEvent(new Event('rig-theme'));
 };
 window.rigOther = name => window.rigTheme(document.documentElement.classList.contains(name) ? 'dark' : name);

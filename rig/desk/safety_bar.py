@@ -30,6 +30,8 @@ STYLE = f"""
   border-radius: 4px; background: var(--bar-button); color: var(--bar-ink); cursor: pointer; }}
 #safety #light-off {{ background: var(--off); color: var(--off-ink); font-size: 20px; }}
 #safety #silence {{ margin-left: auto; }}
+/* a lamp has the colour, its words do not */
+#safety .lamp {{ color: var(--bar-ink); font-weight: 400; }}
 #safety .lamp::before {{ content: ''; display: inline-block; width: 14px; height: 14px; border-radius: 7px;
   margin-right: 6px; background: var(--edge); }}
 #safety .go::before {{ background: {palette.BLUISH_GREEN}; }}

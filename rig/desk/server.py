@@ -147,7 +147,7 @@ def _serve(
     people = People(desk.place.key, desk.place.watch_key, entrance.passwords)
     listening = _listening(entrance, desk.place.port)
     number = int(listening.getsockname()[1])
-    switch = OffSwitch(desk.light_off, lambda *told: guard.admits(*told), entrance.listen, tls)
+    switch = OffSwitch(desk.lighting.off, lambda *told: guard.admits(*told), entrance.listen, tls)
     door = Door(number, switch.port, tls is not None, remote, behind)
     app = _application(desk, people, door)
     title = f"rig desk {desk.source.name}"
@@ -197,7 +197,7 @@ def _application(desk: Desk, people: People, door: Door) -> FastAPI:
     async def dark(request: Request) -> Response:
         # a thread of its own: those of a pool may all be waiting
         press = urllib.parse.unquote(request.url.query)
-        threading.Thread(target=desk.light_off, args=(press,), name="light off", daemon=True).start()
+        threading.Thread(target=desk.lighting.off, args=(press,), name="light off", daemon=True).start()
         return Response(status_code=http.HTTPStatus.OK)
 
     @app.get("/picture")

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from processing.errors import ConfigurationError, RigError
 from rig.desk.jobs import Job
 from rig.measure import STATE_NAME, RunState, read_session, state_of
+from rig.wizards import next_free
 
 SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
@@ -26,6 +27,7 @@ _LEAST_WAIT_S, _WAIT_OF_WORK = 1.0, 15.0
 _TOLD_AFTER = 500
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _SPARKS = 12
+_LAST_LINES = 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,6 +213,49 @@ class LookingAgain:
             if before is not None and before.running:
                 raise ConfigurationError(f"rig {other} still runs; wait, or end it")
         self.jobs[name] = Job([name, *words])
+
+    def report(self, folder: Path) -> None:
+        """Make the report of a session."""
+        self.start("report", [str(folder)])
+
+    def view(self, folders: Sequence[Path]) -> None:
+        """Show runs in Rerun."""
+        self.start("view", [*map(str, folders), "--view", "web"])
+
+    def replay(self, folder: Path) -> None:
+        """Show the last run of a session in Rerun as it went, ten times as fast."""
+        records = sorted(folder.glob("run-*.mcap"))
+        if not records:
+            raise ConfigurationError(f"{folder}: holds no record")
+        self.start("replay", [str(records[-1]), "--speed", "10", "--view", "web"])
+
+    def fit(self, folder: Path) -> None:
+        """Fit the runs of a session again, into a folder of their own."""
+        self.start("fit", [str(folder), "-o", str(next_free(folder, "fit"))])
+
+    def compare(self, folders: Sequence[Path], output: Path) -> None:
+        """Compare sessions, in a page in `output`."""
+        page = next_free(output, "comparison", ".html")
+        self.start("compare", [*map(str, folders), "-o", str(page)])
+
+    def end(self) -> None:
+        """End what runs."""
+        for job in self.jobs.values():
+            if job.running:
+                job.end()
+
+    @property
+    def running(self) -> bool:
+        """Whether one of them runs."""
+        return any(job.running for job in self.jobs.values())
+
+    def said(self) -> list[str]:
+        """How each command stands, and its last lines."""
+        lines: list[str] = []
+        for name, job in self.jobs.items():
+            state = "runs" if job.running else "done" if job.status == 0 else "failed"
+            lines += [f"rig {name}: {state}", *list(job.said)[-_LAST_LINES:]]
+        return lines
 
     def close(self) -> None:
         """End all."""

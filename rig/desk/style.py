@@ -111,7 +111,7 @@ svg text { fill: var(--dim); font-size: 12px; }
 .q-table__card, .q-table { background: var(--card) !important; color: var(--ink) !important; }
 .q-table th { color: var(--dim); opacity: 1 !important; }
 .q-table__bottom, .q-table__control { color: var(--ink) !important; }
-.q-table tbody td, .q-table th { border-color: var(--edge) !important; }
+.q-table tbody td, .q-table th { border-color: var(--edge) !important; font-size: var(--small); }
 .q-tooltip { background: var(--raised); color: var(--ink); border: 1px solid var(--edge); font-size: 14px; }
 .q-linear-progress { color: var(--line) !important; }
 .q-spinner { color: var(--line); }
@@ -160,7 +160,8 @@ html.night #safety .go::before, html.night #safety .dim::before, html.night #saf
   .at-once .whole > .nicegui-echart { width: min(100cqw, 100cqh); }
 }
 @media (max-width: 999px) {
-  .q-tab { padding: 0 10px; } .told { flex-wrap: wrap !important; } .drawn { flex: 1 1 100%; }
+  .q-tab { padding: 0 10px; } .rows th { white-space: normal; }
+  .told { flex-wrap: wrap !important; } .drawn { flex: 1 1 100%; }
 }
 @media (max-width: 600px) {
   :root { --head: 76px; }

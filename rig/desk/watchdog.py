@@ -20,7 +20,10 @@ STYLE = """
 #watchdog small { display: block; font-size: 16px; font-weight: 400; }
 html.dead .q-tab-panels, html.dead .cries, html.dead .q-header, html.old .live, .blind .camera,
 .blind .huge, .blind .chart.square { filter: grayscale(1) opacity(.5); }
-html.dead .cries .alarm { animation: none; }
+/* the watchdog says it, and more */
+.nicegui-error-popup { display: none !important; }
+/* what cried then may be over */
+html.dead .cries { visibility: hidden; }
 """
 
 

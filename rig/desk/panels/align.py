@@ -83,24 +83,14 @@ def build(desk: Desk, tab: Tab) -> None:
         wish(CameraSettings.model_validate({name: value}))
 
     async def whole() -> None:
-        for name in ("width_px", "height_px", "offset_x_px", "offset_y_px"):
-            desk.kept.pop(f"camera.{name}", None)
         picture.element.content = ""
-        await run.io_bound(desk.begin_aligning)
+        await run.io_bound(desk.align_whole_sensor)
 
     async def start() -> None:
         await run.io_bound(desk.begin_aligning)
 
     async def stop() -> None:
         await run.io_bound(desk.end_aligning)
-
-    def keep() -> None:
-        """What was set at the camera holds for what this desk starts."""
-        applied = aligner().applied.model_dump(exclude_none=True)
-        names = ("exposure_us", "gain_db", "width_px", "height_px", "offset_x_px", "offset_y_px")
-        own = {f"camera.{name}": applied[name] for name in names if name in applied}
-        desk.checked(own)
-        desk.kept.update(own)
 
     def zoom() -> None:
         picture.zoom_on()
@@ -118,7 +108,9 @@ def build(desk: Desk, tab: Tab) -> None:
                 )
                 # it begins the picture anew, and with it the light
                 ui.button("Whole sensor", on_click=tab.act(whole)).props(f"outline {DELIBERATE}")
-                ui.button("Keep for runs", on_click=tab.act(keep)).props("outline")
+                ui.button(
+                    "Keep for runs", on_click=tab.act(lambda: desk.keep_camera(aligner().applied))
+                ).props("outline")
             kept = ui.label().classes("dim")
         # on a low screen it scrolls by itself: picture and buttons stay
         with (
@@ -236,7 +228,7 @@ def _why_none(desk: Desk) -> str:
 
 
 def _ask_region(desk: Desk, left: float, top: float, width: float, height: float) -> None:
-    """Ask the camera for the rectangle, in px of the picture, beside the region it has."""
+    """Ask the camera for the rectangle, which is in px of the picture."""
     aligner = desk.aligner
     look = None if aligner is None else aligner.look
     if aligner is None or look is None:
@@ -246,15 +238,7 @@ def _ask_region(desk: Desk, left: float, top: float, width: float, height: float
     # the frame is in the middle of the picture
     left -= 0.5 * (_SIZE[0] - columns * scale)
     top -= 0.5 * (_SIZE[1] - rows * scale)
-    x0, y0 = aligner.applied.offset_x_px or 0, aligner.applied.offset_y_px or 0
-    aligner.wish(
-        CameraSettings(
-            width_px=max(8, min(round(width / scale), columns)),
-            height_px=max(8, min(round(height / scale), rows)),
-            offset_x_px=x0 + max(0, round(left / scale)),
-            offset_y_px=y0 + max(0, round(top / scale)),
-        )
-    )
+    aligner.wish_region(*(round(one / scale) for one in (left, top, width, height)))
 
 
 def _kept(desk: Desk) -> str:

@@ -24,7 +24,7 @@ class ArchivedRuns:
         self._asked_s = 0.0
         with ui.column().classes("full-width box") as self.frame:
             self._table = ui.table(columns=[], rows=[], pagination=0).classes("full-width")
-            self._table.props('dense flat hide-pagination aria-label="runs of the archive"')
+            self._table.props('dense flat hide-pagination hide-no-data aria-label="runs of the archive"')
             with ui.row().classes("items-center"):
                 self._newer = ui.button("Newer runs", on_click=lambda: self._turn(-1)).props("outline dense")
                 self._place = ui.label().props('role="status"')

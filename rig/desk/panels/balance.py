@@ -7,21 +7,12 @@ from typing import Any
 
 from nicegui import run, ui
 
-from processing.errors import ConfigurationError, RigError
-from rig.balance import (
-    HEAD,
-    BalanceDialogue,
-    BalanceStage,
-    Learned,
-    balance_dialogue,
-    history_path,
-    learned,
-)
+from processing.errors import RigError
+from rig.balance import HEAD, BalanceStage
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
-from rig.desk.jobs import Job
 from rig.desk.tab import DELIBERATE, Tab
-from rig.instrument import WEIGHTS, complete
+from rig.instrument import WEIGHTS
 from rig.presentation import with_uncertainty
 
 _STATE = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}
@@ -29,48 +20,21 @@ _STATE = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}
 
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
-    wide = False
-
-    def job() -> Job | None:
-        found = desk.jobs.get("balance")
-        return found if found is not None and found.running else None
+    balancing, wide = desk.balancing, False
 
     async def measure() -> None:
-        running = job()
-        if running is None:
-            words = ["--seed", "1"] if desk.config.simulated else []
-            await run.io_bound(desk.start, "balance", "--json", *words)
-        elif _asks(running):
-            running.answer("")
+        await run.io_bound(balancing.measure)
 
     def turned() -> None:
-        running = job()
-        if running is None or not _asks(running):
-            raise ConfigurationError("first measure: a turn is stated between two measurements")
-        running.answer(f"{weight.value} {(turns.value or '').strip()}")
+        balancing.turned(str(weight.value), str(turns.value or ""))
 
     async def forget() -> None:
-        running = job()
-        if running is not None:
-            if not _asks(running):
-                raise ConfigurationError("wait for the end of the measurement")
-            running.answer("f")
-        else:
-            await run.io_bound(desk.start, "balance", "--forget-last")
+        await run.io_bound(balancing.forget)
         await history()
-
-    def end() -> None:
-        running = job()
-        if running is not None:
-            if _asks(running):
-                running.answer("q")
-                running.ending = True
-            else:
-                running.end()
 
     async def history() -> None:
         try:
-            found = await run.io_bound(_learned, desk)
+            found = await run.io_bound(balancing.learned)
         except RigError as error:
             tab.tell(str(error))
             return
@@ -101,7 +65,7 @@ def build(desk: Desk, tab: Tab) -> None:
                     # the next measurement follows, which lights
                     stating = ui.button("Turned", on_click=tab.act(turned))
                     stating.props(f'color="positive" {DELIBERATE}')
-                    ending = ui.button("End", on_click=tab.act(end)).props("outline")
+                    ending = ui.button("End", on_click=tab.act(balancing.end)).props("outline")
                 wrong = ui.label().classes("no").props('role="alert"')
             pendulum = ui.html(sanitize=False).classes("drawn")
         with ui.element("div").classes("grid halves"):
@@ -120,28 +84,17 @@ def build(desk: Desk, tab: Tab) -> None:
                 past = ui.html(sanitize=False).classes("full-width")
 
     def refresh() -> None:
-        job_now = desk.jobs.get("balance")
-        news = desk.following.news
-        unit = "arcsec"
-        if job_now is None:
-            path = news.get("path") or {"x": [], "y": []}
-            unit = str(news.get("unit") or unit)
-            next_step = (news.get("balance") or {}).get("next_step")
-            words = next_step or "Measure: let it swing, not too far"
-            shown = BalanceDialogue(BalanceStage.IDLE, words, x=path["x"], y=path["y"])
-        else:
-            lines, said = list(job_now.lines), list(job_now.said)
-            shown = balance_dialogue(lines, said, running=job_now.running, failed=bool(job_now.status))
+        shown = balancing.shown
         begin.set_enabled(shown.stage is not BalanceStage.MEASURING)
         begin.set_text("Measure again" if shown.asks else "Measure")
         stating.set_enabled(shown.asks)
-        ending.set_visibility(job_now is not None and job_now.running)
+        ending.set_visibility(balancing.running)
         advice.set_text(shown.advice)
         detail.set_text(shown.detail)
         wrong.set_text(shown.problem)
         pendulum.set_content(drawing(shown.turn))
         faults.set_content(tables.bars(_bars(shown.faults, shown.before), "faults of the balance"))
-        charts.trajectory(way, shown.x, shown.y, unit, stretched=wide)
+        charts.trajectory(way, shown.x, shown.y, balancing.unit, stretched=wide)
 
     tab.every(0.3, refresh)
     refresh()
@@ -197,11 +150,6 @@ def _arrow(x: float, y: float, sense: float) -> str:
     )
 
 
-def _asks(job: Job) -> bool:
-    """Whether the command waits for an answer."""
-    return bool(job.lines) and job.lines[-1]["kind"] == "ask"
-
-
 def _bars(faults: Sequence[Mapping[str, Any]], before: Sequence[Mapping[str, Any]]) -> list[tables.Bar]:
     """A bar for each fault; what is not known is grey, and never go."""
     rows = []
@@ -220,8 +168,3 @@ def _number(fault: Mapping[str, Any]) -> str:
         return "not known"
     shown = with_uncertainty(fault["value"], fault["u_value"], signed=True)
     return f"{shown} {fault['unit']}".rstrip()
-
-
-def _learned(desk: Desk) -> Learned:
-    config = complete(desk.checked())
-    return learned(config, history_path(config, None))

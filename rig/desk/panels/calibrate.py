@@ -77,6 +77,7 @@ def build(desk: Desk, tab: Tab) -> None:
             steps = ui.html(sanitize=False)
             asked = ui.column().classes("full-width")
             going = ui.label().classes("middle").props('role="status" aria-live="polite"')
+            words = ui.label().classes("dim")
             part = ui.linear_progress(show_value=False).props('aria-label="part of the recording done"')
             stopping = ui.button("Cancel the recording", on_click=tab.act(stop)).props('color="negative"')
             wrong = ui.label().classes("no").props('role="alert"')
@@ -143,6 +144,7 @@ def build(desk: Desk, tab: Tab) -> None:
             wrong.set_text(str(error))
             return
         going.set_text(busy)
+        words.set_text(calibrating.last_words(kind))
         stopping.set_visibility(bool(busy))
         done = calibrating.recorded_part(kind)
         part.set_visibility(bool(busy) and done is not None)
@@ -221,7 +223,7 @@ def _steps(found: Progress, busy: bool, made: bool) -> str:
     answered = len(found.asked)
     asking = found.question is not None
     steps = (
-        (f"answers ({answered} given)", asking and not busy),
+        (f"answers ({answered} given)", asking and not busy and not (made and not answered)),
         ("recording", busy),
         ("file it", not asking and not busy),
         ("use it", made and asking and not answered),

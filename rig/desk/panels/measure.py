@@ -157,7 +157,7 @@ def build(desk: Desk, tab: Tab) -> None:
 def _left(run_state: Mapping[str, Any]) -> str:
     seconds, u, at_most = (run_state.get(key) for key in ("remaining_s", "u_remaining_s", "at_most_s"))
     if seconds is None:
-        return "too early to say" + ("" if at_most is None else f", at most {_minutes(at_most)}")
+        return "too early to say" if at_most is None else f"at most {_minutes(at_most)}"
     return _minutes(seconds) + (f" ± {float(u):.0f} s" if u else "")
 
 

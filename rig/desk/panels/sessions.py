@@ -11,11 +11,9 @@ from rig.desk.desk import Desk
 from rig.desk.panels.archived_runs import ArchivedRuns
 from rig.desk.sessions import SERVED, SessionRow, sparkline
 from rig.desk.tab import DELIBERATE, Tab
-from rig.wizards import next_free
 
 KEYS = (("o", "sessions: open the report"), ("v", "sessions: show in Rerun"))
 _COLUMNS = ("begun", "folder", "sample", "operator", "conditions", "runs", "state", "decay")
-_LAST_LINES = 14
 _ON_A_PAGE = 15
 _MARK = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${NAME}`" />'
 
@@ -42,7 +40,7 @@ def build(desk: Desk, tab: Tab) -> None:
         (folder,) = chosen()
         page = marked[str(folder)].report
         if page is None:
-            again.start("report", [str(folder)])
+            again.report(folder)
             ui.notify("the report is being made; open it when it is done")
         else:
             # in the theme that the page has at this moment
@@ -54,22 +52,18 @@ def build(desk: Desk, tab: Tab) -> None:
             drawer.open()
 
     def view() -> None:
-        again.start("view", [*map(str, chosen(most=20)), "--view", "web"])
+        again.view(chosen(most=20))
 
     def replay() -> None:
         (folder,) = chosen()
-        records = sorted(folder.glob("run-*.mcap"))
-        if not records:
-            raise ConfigurationError(f"{folder}: holds no record")
-        again.start("replay", [str(records[-1]), "--speed", "10", "--view", "web"])
+        again.replay(folder)
 
     def fit() -> None:
         (folder,) = chosen()
-        again.start("fit", [str(folder), "-o", str(next_free(folder, "fit"))])
+        again.fit(folder)
 
     def compare() -> None:
-        page = next_free(output, "comparison", ".html")
-        again.start("compare", [*map(str, chosen(2, 20)), "-o", str(page)])
+        again.compare(chosen(2, 20), output)
 
     def ask_resume() -> None:
         nonlocal asked
@@ -88,11 +82,6 @@ def build(desk: Desk, tab: Tab) -> None:
             await run.io_bound(desk.resume_session, folder)
             ui.notify(f"{folder} goes on; see Measure")
 
-    def end() -> None:
-        for job in again.jobs.values():
-            if job.running:
-                job.end()
-
     with ui.dialog().props('aria-label="go on with a session"') as begin, ui.card():
         what = ui.label().classes("middle")
         ui.label("The laser will be lit. Look that nobody is in the beam's way.")
@@ -110,6 +99,7 @@ def build(desk: Desk, tab: Tab) -> None:
         find = (
             ui.input("find").props('dense outlined clearable type="search" data-key="find"').classes("find")
         )
+        actions = []
         for name, do, words in (
             ("Report", report, "open the report, key o"),
             ("Rerun", view, "show the marked sessions in Rerun, key v"),
@@ -119,10 +109,9 @@ def build(desk: Desk, tab: Tab) -> None:
             ("Resume …", ask_resume, "make the runs that are missing"),
         ):
             # what is read aloud begins with what is seen
-            ui.button(name, on_click=tab.act(do)).props(f'outline aria-label="{name}: {words}"').tooltip(
-                words
-            )
-        ending = ui.button("End it", on_click=tab.act(end)).props("flat")
+            button = ui.button(name, on_click=tab.act(do)).props(f'outline aria-label="{name}: {words}"')
+            actions.append(button.tooltip(words))
+        ending = ui.button("End it", on_click=tab.act(again.end)).props("flat")
         which = ui.toggle(["sessions", "archive"], value="sessions")
         which.props('dense no-caps aria-label="which list"')
     archived = ArchivedRuns(desk, tab, lambda: str(find.value or ""), lambda: which.value == "archive")
@@ -174,7 +163,8 @@ def build(desk: Desk, tab: Tab) -> None:
         await refresh()
 
     async def choose() -> None:
-        listed_here.set_visibility(which.value == "sessions")
+        for one in (listed_here, *actions):
+            one.set_visibility(which.value == "sessions")
         archived.frame.set_visibility(which.value == "archive")
         await archived.refresh()
 
@@ -207,12 +197,8 @@ def build(desk: Desk, tab: Tab) -> None:
         place.set_text(f"{first + 1} to {last} of {of}" if page.rows else f"no session in {output} is found")
         earlier.set_enabled(first > 0)
         later.set_enabled(last < page.found)
-        said = []
-        for name, job in again.jobs.items():
-            state = "runs" if job.running else "done" if job.status == 0 else "failed"
-            said += [f"rig {name}: {state}", *list(job.said)[-_LAST_LINES:]]
-        words_of.set_text("\n".join(said))
-        ending.set_visibility(any(job.running for job in again.jobs.values()))
+        words_of.set_text("\n".join(again.said()))
+        ending.set_visibility(again.running)
         now = [
             (f"open what rig {name} shows", address)
             for name in again.jobs

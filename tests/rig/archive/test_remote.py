@@ -16,7 +16,7 @@ import pytest
 
 from rig.archive import add_sessions
 from rig.archive.proved import with_frame
-from rig.archive.remote import opened, write_new
+from rig.archive.remote import brought, opened, write_new
 from tests.rig.command_line import Done, rig
 
 REASON = "no server of S3 here: pip install 'optical-pendulum-rig[test-remote]'"
@@ -414,3 +414,26 @@ def test_an_empty_remote_archive_is_named_as_it_was_given(
     assert done.returncode == 2
     assert f"rig archive add --archive {url} DIR" in done.stderr
     assert str(tmp_path) not in done.stderr
+
+
+def test_the_desk_lists_an_archive_on_a_server_and_sends_nothing(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+    from rig.desk.archived import Archived
+
+    archived = Archived(url)
+    assert archived.is_there
+    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    assert on(monkeypatch, tmp_path / "one", url, "add", tmp_path / "runs").returncode == 0
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "two"))
+    found = archived.find("series", 0, 15)
+    assert (found.found, len(found.rows)) == (2, 2)
+    assert archived.find("nobody", 0, 15).found == 0
+    # what lies in the copy only is not the desk's to send
+    before = set(bucket().find("laboratory"))
+    (brought(url) / "remarks").mkdir(exist_ok=True)
+    (brought(url) / "remarks" / "late.json").write_text('{"utc": "2026-11-22T00:00:00Z", "runs": []}')
+    Archived(url).find("", 0, 15)
+    assert set(bucket().find("laboratory")) == before
+    assert Archived("").is_there is Archived(str(tmp_path / "none")).is_there is False

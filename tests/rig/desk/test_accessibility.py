@@ -61,6 +61,12 @@ def violations(page: Page, axe: str) -> list[Any]:
 def test_no_panel_at_rest_has_a_violation(shown: Shown, axe: str, theme: str) -> None:
     _, page = shown
     page.ask(f"window.rigTheme({theme!r})")
+    # axe does not see through the red filter: what the page is drawn with are the theme's own colours
+    inks = {"#light-off": "off-ink", "#safety .lamp": "bar-ink"}
+    for place, ink in inks.items():
+        red, green, blue = (int(THEMES[theme][ink][k : k + 2], 16) for k in (1, 3, 5))
+        drawn = page.ask(f"getComputedStyle(document.querySelector({place!r})).color")
+        assert drawn == f"rgb({red}, {green}, {blue})", place
     wrong = {}
     for key, name in PANELS.items():
         page.key(key)
@@ -147,6 +153,10 @@ def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
     # it slides in
     page.wait("document.querySelector('#report').getBoundingClientRect().right <= innerWidth + 1")
     judge("the report in its drawer")
+    other = next(one for one in THEMES if one != theme)
+    for now in (other, theme):
+        page.ask(f"window.rigTheme({now!r})")
+        page.wait(f"document.querySelector('#report iframe').src.endsWith('theme={now}')")
     page.ask("document.querySelector('.q-dialog button').click()")
     page.wait("document.querySelector('.q-dialog') === null")
     mark(page, folder.name)

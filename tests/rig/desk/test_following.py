@@ -138,10 +138,10 @@ def test_a_press_of_light_off_that_comes_by_two_ways_darkens_once(tmp_path: Path
     with Channel(folder, told, {"dark": lambda by: dark.append(by) or "dark"}):  # type: ignore[func-returns-value]
         desk.following.start()
         for press in ("one", "one", "two"):
-            assert desk.light_off(press) == []
+            assert desk.lighting.off(press) == []
         until(lambda: len(dark) == 2)
-        desk.light_off("one")
-        desk.light_off("three")
+        desk.lighting.off("one")
+        desk.lighting.off("three")
         until(lambda: len(dark) == 3)
         assert dark == ["the desk"] * 3
     desk.close()

@@ -1,0 +1,102 @@
+"""What panels ask of the desk: settings of the camera to keep, answers to the balance, looking again."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+
+from acquisition.camera import CameraSettings
+from processing.errors import ConfigurationError, RigError
+from rig.balance import BalanceStage
+from rig.desk import jobs
+from rig.desk.desk import Desk
+from rig.desk.sessions import LookingAgain
+from rig.rerun import start_python
+from tests.rig.command_line import CONFIGS
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    found = Desk(CONFIGS / "demo.toml", (f'session.output="{tmp_path.as_posix()}"',))
+    yield found
+    found.close()
+
+
+def test_what_the_camera_has_set_is_kept_and_what_cannot_be_is_not(desk: Desk) -> None:
+    desk.keep_camera(CameraSettings(exposure_us=125.0, width_px=64, offset_x_px=8))
+    kept = {"camera.exposure_us": 125.0, "camera.width_px": 64, "camera.offset_x_px": 8}
+    assert desk.kept == kept
+    assert desk.checked().camera.width_px == 64
+    with pytest.raises(RigError, match="exposure_us"):
+        desk.keep_camera(CameraSettings.model_construct(exposure_us=-1.0))
+    assert desk.kept == kept
+
+
+def test_a_turn_is_stated_between_two_measurements_only(desk: Desk) -> None:
+    assert desk.balancing.shown.stage is BalanceStage.IDLE
+    with pytest.raises(ConfigurationError, match="first measure"):
+        desk.balancing.turned("x", "0.5")
+    desk.balancing.end()
+    # what a session that runs says of the balance is shown, too
+    desk.following.news = {
+        "balance": {"next_step": "turn weight y"},
+        "unit": "px",
+        "path": {"x": [1.0], "y": [2.0]},
+    }
+    assert (desk.balancing.shown.advice, desk.balancing.shown.x, desk.balancing.unit) == (
+        "turn weight y",
+        [1.0],
+        "px",
+    )
+
+
+ECHO = """
+import json, sys
+print(json.dumps({"kind": "way"}), flush=True)
+for line in sys.stdin:
+    print(json.dumps({"kind": "ask", "heard": line.rstrip()}), flush=True)
+"""
+"""Stands for `rig balance --json`: measures until it hears something, asks, and says what it was told."""
+
+
+def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_for(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", ECHO, **how))
+    job = desk.jobs["balance"] = jobs.Job(["balance"])
+    until(lambda: bool(job.lines))
+    with pytest.raises(ConfigurationError, match="first measure"):
+        desk.balancing.turned("x", "0.5")
+    with pytest.raises(ConfigurationError, match="wait for the end"):
+        desk.balancing.forget()
+    job.answer("the measurement is over")
+    until(lambda: job.count == 2)
+    for count, do in enumerate(
+        (
+            lambda: desk.balancing.turned("x", " +0.5 "),
+            desk.balancing.measure,
+            desk.balancing.forget,
+            desk.balancing.end,
+        ),
+        start=3,
+    ):
+        do()
+        until(lambda count=count: job.count == count)
+    assert [line["heard"] for line in list(job.lines)[2:]] == ["x +0.5", "", "f", "q"]
+    assert job.ending
+    job.end()
+
+
+def until(state: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + 30.0
+    while not state():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+
+
+def test_a_session_without_records_is_not_replayed(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="holds no record"):
+        LookingAgain().replay(tmp_path)
