@@ -94,7 +94,7 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     AlarmKey.INTERLOCK: Alarm(
         "interlock open",
         "a door, a cover or the connector of the loop is open",
-        "close it; the laser stays dark until somebody acknowledges and asks for light",
+        "close it, then Acknowledge trip and Light again: until then the laser stays dark",
         _DANGER,
     ),
     AlarmKey.LASER_DARK: Alarm(
@@ -119,7 +119,7 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     AlarmKey.CAMERA: Alarm(
         "no frames from the camera",
         "unplugged, without power, or without its trigger",
-        "see cable, power and trigger; it is opened again by itself for a minute",
+        "see cable, power and trigger: for a minute it is opened again by itself, and the run goes on",
         _URGENT,
     ),
     AlarmKey.SPOT: Alarm(
@@ -156,14 +156,16 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     AlarmKey.SESSION_DIED: Alarm(
         "session died",
         "its process was killed, or has crashed",
-        "see that the laser is dark; Sessions, Resume makes the missing runs, rig recover repairs the record",
+        "see that the laser is dark; then Resume, under Sessions, makes the missing runs; "
+        "rig recover repairs the record",
         _URGENT,
         latched=True,
     ),
     AlarmKey.SESSION_FROZEN: Alarm(
         "session does not answer",
         "its process is stopped, or waits for a disk or a device",
-        "LIGHT OFF works also now; let the process go on, or end it: its record can be recovered",
+        "wait half a minute; LIGHT OFF works also now. If it stays silent end its process: "
+        "the record can be recovered",
         _URGENT,
     ),
     AlarmKey.SESSION_FAILED: Alarm(

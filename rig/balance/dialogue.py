@@ -6,6 +6,7 @@ from enum import StrEnum
 from typing import Any
 
 _WAY_LINES = 40
+_PLAY = "the second turn takes the play out of the screw"
 
 
 class BalanceStage(StrEnum):
@@ -89,7 +90,7 @@ def _advice(
             f"{abs(part):.2f} turns {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn["parts"]
         )
         return f"Turn weight {turn['weight']}: {parts}", "; ".join(
-            filter(None, (why, hint, str(turn["why"])))
+            filter(None, (why, hint, str(turn["why"]), _PLAY if len(turn["parts"]) > 1 else ""))
         )
     if last.get("kind") == "rejected":
         return "Measure again", "; ".join(filter(None, (why, hint)))

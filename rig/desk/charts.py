@@ -108,7 +108,7 @@ def trajectory(
             largest = _STEPS * _step(1.02 / _STEPS * max(max(abs(a), abs(b)) for a, b in known))
             end = -largest, largest, largest / _STEPS
             ends = end, end
-    chart.show([way, known[-1:]], unit, ends=ends, empty="no trajectory yet")
+    chart.show([way, known[-1:]], unit, ends=ends, empty="no trajectory")
 
 
 WAY = (

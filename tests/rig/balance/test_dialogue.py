@@ -38,7 +38,7 @@ def test_the_advice_is_short_and_says_why_beside() -> None:
     turn = {"weight": "x", "parts": [0.5, -0.25], "why": "it leans", "swing_arcsec": None}
     shown = balance_dialogue([found(False, turn), ASK], [], running=True, failed=False)
     assert shown.advice == "Turn weight x: 0.50 turns clockwise, then 0.25 turns anticlockwise"
-    assert shown.detail == "it leans"
+    assert shown.detail == "it leans; the second turn takes the play out of the screw"
     assert shown.turn == turn
 
 
