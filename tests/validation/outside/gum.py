@@ -1,6 +1,10 @@
 """Examples H.1 to H.6 of the GUM (JCGM 100:2008, annex H) through the program's propagation of uncertainty.
 
-Data and answers are the printed ones. What is judged: `sensitivities`, `budget_of` and `propagate`
+Data and answers are the printed ones. Compared with a second source, and no difference found, have been the
+data and answers of H.1 to H.3, by what the documentation of GTC prints of them (Measurement Standards
+Laboratory of New Zealand; fewer digits, and 16.5 effective degrees of freedom in H.1, where it combines other
+parts), and the data of H.2 to H.4, by the data sets of R's package `propagate`. The answers of H.4 and all of
+H.5 and H.6 have been compared with none. What is judged: `sensitivities`, `budget_of` and `propagate`
 (derivatives, combination, effective degrees of freedom, covariances), `solve` (a line), `combine` (runs of a
 series, here days).
 """
