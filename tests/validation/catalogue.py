@@ -225,7 +225,7 @@ ROWS: tuple[Row, ...] = (
         "processes ended by a signal, 100 rounds", benchmark("kernel_stress", "crashed"), "number", "crashes", Limit(0, 0),
         known="kernels called first"),
     # speed
-    Row("speed-follow", _SPEED, "Following a spot costs less than adding up the frame", "`cv2.sumElems` in turns, ratio",
+    Row("speed-follow", _SPEED, "Following a spot costs less than adding up the frame", "`cv2.sumElems` in turns, ratio; spots of 3, 6 and 12 px, each without and with 200 hot pixels",
         benchmark("spot_speed", "following, ratio", part="against_sums", argument=200), "number", "", Limit(high=0.4),
         known="following it, 1280×1024"),
     Row("speed-pace", _SPEED, "500 frames/s are recorded without a loss", "a camera from memory in real time: alone, with desk and viewer, in another process, 30 s twice",
