@@ -192,13 +192,13 @@ ROWS: tuple[Row, ...] = (
         benchmark("swing", "amplitude_rms_over_crlb", "time_rms_over_crlb", part="accuracy", argument=40), "number", "of the bound",
         Limit(high=1.06), known="half-cycles while"),
     # damage, kills, light
-    Row("damage-lost", _HARM, "A damaged record loses one chunk at most", "1,000 flipped bits, 1,000 cuts, both, by a count that "
+    Row("damage-lost", _HARM, "A damaged record loses one chunk at most", "300 flipped bits, 300 cuts, both, by a count that "
         "knows what was written",
         benchmark("damage", *(f"{kind}: most frames lost" for kind in (
-            "flipped", "cut", "flipped and without footer", "flipped and cut")), part="damages", argument=1000), "number", "frames", Limit(high=32)),
+            "flipped", "cut", "flipped and without footer", "flipped and cut")), part="damages", argument=300), "number", "frames", Limit(high=32)),
     Row("damage-wrong", _HARM, "and nothing that was never written is read", "the same",
         benchmark("damage", *(f"{kind}: with frames that were never written" for kind in (
-            "flipped", "cut", "flipped and without footer", "flipped and cut")), part="damages", argument=1000), "number", "files", Limit(0, 0)),
+            "flipped", "cut", "flipped and without footer", "flipped and cut")), part="damages", argument=300), "number", "files", Limit(0, 0)),
     Row("power-cut", _HARM, "A record survives a cut of power", "a virtual machine that is switched off, two file systems",
         benchmark("power_cut", "ext4: wrong after recovery", "exfat: wrong after recovery"), "number", "wrong records",
         Limit(0, 0)),
