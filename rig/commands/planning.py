@@ -91,11 +91,11 @@ def plan(
         float | None, typer.Option(min=0.1, help="With --for: rig time that the runs may take.")
     ] = None,
 ) -> None:
-    """Show what runs to come will tell of the contact.
+    """Predict how well further runs would determine the contact.
 
-    Uncertainties over first and last amplitudes, number of runs and rig time, from a run of this rig, a table
-    or film that was fitted, or a configuration; then which two runs, one after the other, tell a contact
-    that ages, which one decay cannot.
+    Uncertainties against first and last amplitude, number of runs and rig time, from a run of this rig, a
+    fitted table or film, or a configuration; then which two successive runs reveal ageing of the contact,
+    which a single decay cannot.
 
     \b
     Examples:

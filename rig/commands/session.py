@@ -128,7 +128,7 @@ def desk_password(
     name: Annotated[str, typer.Argument(help="Of the person.")],
     watch: Annotated[bool, typer.Option("--watch", help="May watch, and press LIGHT OFF, no more.")] = False,
 ) -> None:
-    """Let a person enter the desk from elsewhere.
+    """Set a password for using the desk from elsewhere.
 
     Asks for a password, and adds its digest to a file.
 

@@ -74,7 +74,7 @@ def ageing_table(planned: AgeingPlan) -> Table:
     symbol = quantity("b").symbol
     return Table(
         "plan_ageing",
-        "What tells a contact that ages",
+        "Runs that reveal ageing of the contact",
         (
             "first_arcsec", "last_arcsec", "second_first_arcsec", "waiting_s", "elapsed_s", "u_b_steady",
             "u_b", "u_ageing_per_s",
@@ -82,10 +82,9 @@ def ageing_table(planned: AgeingPlan) -> Table:
         rows,
         (
             "amplitudes, arcsec", "waiting, min", "elapsed, min", f"u({symbol}), no ageing",
-            f"u({symbol}), any ageing", "u(ageing)",
+            f"u({symbol}), unknown ageing", "u(ageing)",
         ),
         shown,
-        "For friction that changes linearly with time, at a rate known from these runs alone, each of which "
-        f"has its own period. {symbol} refers to the middle of the time. A change of the air cannot be told "
-        "from ageing.",
+        "For friction that changes linearly with time at an unknown rate; the period of each run is free. "
+        f"{symbol} refers to the middle of the elapsed time. A change of the air looks like ageing.",
     )  # fmt: skip

@@ -21,6 +21,8 @@ def plan_figure(plan: Plan) -> ReportFigure:
         runs = sorted((run for run in plan.runs if run.first_rad == first), key=lambda run: run.duration_s)
         for colour, name in zip(palette.SEQUENCE, names, strict=False):
             u_percent = np.array([100 * plan.relative(run)[name] for run in runs])
+            if not np.all(np.isfinite(u_percent)):
+                continue
             label = quantity(name).symbol if first == starts[0] else None
             last = np.array([run.last_rad for run in runs]) / ARCSEC_RAD
             by_amplitude.plot(last, u_percent, line, color=colour, marker=".", label=label)
@@ -44,7 +46,7 @@ def plan_figure(plan: Plan) -> ReportFigure:
     by_time.legend(styles, from_words)
     figure.subplots_adjust(left=0.09, right=0.985, bottom=0.14, top=0.97, wspace=0.05)
     more = ", ".join(str(count) for count in plan.counts[1:])
-    words = f"Standard uncertainty over value of every parameter after {plan.counts[0]} run" + (
+    words = f"Relative standard uncertainty of every parameter after {plan.counts[0]} run" + (
         f"; on the right, faint: {more} runs." if more else "."
     )
-    return ReportFigure("plan", "What a run will tell", words, figure)
+    return ReportFigure("plan", "Expected uncertainties", words, figure)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from acquisition.record import whole_file
 from processing.angle import ARCSEC_RAD
-from processing.contact import PendulumOnBall
+from processing.contact import DRAG, PendulumOnBall
 from processing.errors import DataError
 from processing.fit import Conditions, FitMethod, PlannedRun, planned_run
 from rig.analysis import AnalysedRun
@@ -30,11 +30,16 @@ class Plan:
     longest_s: float = math.inf
     pendulum: PendulumOnBall | None = None
 
+    @property
+    def scales(self) -> dict[str, float]:
+        """The values to which uncertainties are related; 0 for a drag that no run would tell from none."""
+        unseen = all(run.u.get(DRAG.key, 0.0) > abs(self.values.get(DRAG.key, 0.0)) for run in self.runs)
+        return {name: 0.0 if name == DRAG.key and unseen else value for name, value in self.values.items()}
+
     def relative(self, run: PlannedRun) -> dict[str, float]:
-        """Uncertainty over value, by parameter."""
-        return {
-            name: u / abs(self.values[name]) if self.values[name] else math.inf for name, u in run.u.items()
-        }
+        """Uncertainty over value, by parameter; infinite where there is no value to relate it to."""
+        scales = self.scales
+        return {name: u / abs(scales[name]) if scales[name] else math.inf for name, u in run.u.items()}
 
 
 def plan_runs(
@@ -104,6 +109,7 @@ def _share(u: float, value: float, unit: str) -> str:
 def plan_table(plan: Plan) -> Table:
     """A row for every run or series: time of all runs, and the relative uncertainty of every parameter."""
     names = list(plan.runs[0].u)
+    scales = plan.scales
     rows: list[list[Cell]] = []
     shown = []
     for run, count in product(plan.runs, plan.counts):
@@ -115,7 +121,7 @@ def plan_table(plan: Plan) -> Table:
         drowned += "" if run.duration_s <= plan.longest_s else " *"
         shown.append(
             [f"{first:g} to {last:g}{drowned}", f"{count}", f"{all_s / 60:.1f}"]
-            + [_share(times * run.u[name], plan.values[name], quantity(name).unit) for name in names]
+            + [_share(times * run.u[name], scales[name], quantity(name).unit) for name in names]
         )
     too_long = ""
     if any(run.duration_s > plan.longest_s for run in plan.runs):
@@ -128,7 +134,7 @@ def plan_table(plan: Plan) -> Table:
     )
     return Table(
         "plan",
-        "What runs will tell",
+        "Expected uncertainties",
         (
             *("first_arcsec", "last_arcsec", "duration_s", "half_cycles", "runs", "rig_time_s"),
             *(f"u_{name}" for name in names),
@@ -136,9 +142,9 @@ def plan_table(plan: Plan) -> Table:
         rows,
         ("amplitudes, arcsec", "runs", "min", *(f"u({quantity(name).symbol})" for name in names)),
         shown,
-        "Relative standard uncertainties from the swings alone; times of all runs together. One amplitude is "
-        f"measured to {plain(conditions.u_amplitude_rad / ARCSEC_RAD, 2)} arcsec; the drive of the "
-        f"ground is {plain(conditions.ground_rad_per_s2_rthz, 2)} rad/s²/√Hz{witnessed}.{too_long}",
+        "Standard uncertainties from the swings alone, in per cent of the value; total time of all runs. One "
+        f"amplitude is measured to {plain(conditions.u_amplitude_rad / ARCSEC_RAD, 2)} arcsec; the drive of "
+        f"the ground is {plain(conditions.ground_rad_per_s2_rthz, 2)} rad/s²/√Hz{witnessed}.{too_long}",
     )
 
 

@@ -8,11 +8,13 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
-from processing.fit import LEAST_LEFT, Conditions
+from processing.fit import LEAST_LEFT, Conditions, PlannedRun
 from rig.analysis import SessionResults, read_results
 from rig.commands.planning import plan
 from rig.instrument import complete, recorded_configuration
 from rig.plan.expected import expected_of, planned_expectation
+from rig.plan.figure import plan_figure
+from rig.plan.plan import Plan, plan_table
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS
 
@@ -28,7 +30,7 @@ def test_a_run_is_planned_from_a_record(
     said = " ".join(capsys.readouterr().out.split())
     assert "124 to 15" in said
     assert "u(γ)" in said
-    assert "What tells a contact that ages" in said
+    assert "Runs that reveal ageing of the contact" in said
     assert said.count("<- proposed") == 1
     names, *series = (line.split(",") for line in (folder / "plan.ageing.csv").read_text().splitlines())
     alone, *pairs = (dict(zip(names, row, strict=True)) for row in series)
@@ -44,6 +46,20 @@ def test_a_run_is_planned_from_a_record(
     assert (folder / "plan.png").stat().st_size > 10_000
     with pytest.raises(FileExistsError, match=r"plan\.csv"):
         plan(record, [124.0], [15.0], None, folder, None)
+
+
+def test_a_drag_that_no_run_would_see_is_no_scale_of_its_uncertainty() -> None:
+    """Of a rig in vacuum the fitted drag is nearly 0: thousands of per cent of it say nothing."""
+    conditions = expected_of(complete(load_configuration(CONFIGS / "demo.toml"))).conditions
+    run = PlannedRun(6e-4, 1e-5, 600.0, 290, {"b": 1e-5, "drag_s": 2e-6})
+    vacuum = Plan(conditions, {"b": 4e-3, "drag_s": -3e-8}, (run,))
+    ((*_, b, drag),) = plan_table(vacuum).shown
+    assert b == "0.25 %"
+    assert drag == "2.0 × 10⁻⁶ s"
+    (axes, _) = plan_figure(vacuum).figure.axes
+    assert [line.get_label() for line in axes.get_lines()] == ["b"]
+    air = Plan(conditions, {"b": 4e-3, "drag_s": 2e-3}, (run,))
+    assert plan_table(air).shown[0][-1] == "0.1 %"
 
 
 def test_amplitudes_that_make_no_run_are_named(measured_series: Path) -> None:
