@@ -15,11 +15,13 @@ SENSOR = "sensor={gain_e_per_dn=1, read_noise_e=1, full_scale_dn=1023}"
 
 
 def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
-    """What a command that refuses says; it prints nothing else."""
+    """What a command that refuses says; nothing else, but on a slow machine how far a replay has come."""
     done = rig(*words, cwd=cwd)
     assert (done.returncode, done.stdout) == (status, "")
-    assert done.stderr.startswith("rig: ")
-    return done.stderr
+    lines = done.stderr.splitlines(keepends=True)
+    refusal = "".join(line for line in lines if not line.startswith("replaying "))
+    assert refusal.startswith("rig: ")
+    return refusal
 
 
 @pytest.mark.parametrize(
@@ -172,7 +174,7 @@ def test_a_changed_key_that_nothing_uses_is_refused(measured_series: Path, tmp_p
     noise = ("--set", "sensor.read_noise_e=40")
     assert "what the tracker takes needs --retrack" in said("replay", record, *noise, cwd=tmp_path)
     assert "--set camera.exposure_us: has no effect here" in said(
-        "replay", record, "--retrack", "--to", "5", "--set", "camera.exposure_us=5", cwd=tmp_path
+        "replay", record, "--retrack", "--set", "camera.exposure_us=5", cwd=tmp_path
     )
     assert "--set lever.arm_m: has no effect here" in said(
         "fit", record, "--set", "lever.arm_m=2", "-o", "fit", cwd=tmp_path
