@@ -1,6 +1,7 @@
 """Which tab of the browser may act: one at a time, asked for, and kept over a reload."""
 
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -39,6 +40,7 @@ class Acting:
         self._gone_s: float | None = clock() if last else None
         self._wanted: tuple[str, str, float] | None = None
         self._refused: set[str] = set()
+        self._connections: Counter[str] = Counter()
 
     @property
     def now(self) -> Actor | None:
@@ -56,6 +58,7 @@ class Acting:
 
     def arrived(self, tab: str, name: str) -> None:
         """A tab is connected; it acts if none does, or if it did when it was lost."""
+        self._connections[tab] += 1
         if self._tab == tab:
             self._gone_s, self._name = None, name or self._name
         elif not self._tab or (self._gone_s is not None and self._clock() - self._gone_s > KEPT_S):
@@ -67,7 +70,11 @@ class Acting:
             self._name = name
 
     def left(self, tab: str) -> None:
-        """The connection to a tab is lost."""
+        """A connection to a tab is lost; it may have another one, which came before this was missed."""
+        self._connections[tab] -= 1
+        if self._connections[tab] > 0:
+            return
+        del self._connections[tab]
         if self._tab == tab and self._gone_s is None:
             self._gone_s = self._clock()
         if self._wanted is not None and self._wanted[0] == tab:

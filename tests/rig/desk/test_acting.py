@@ -48,6 +48,29 @@ def test_the_first_tab_acts_and_a_reload_hands_nothing_over(acting: Acting, cloc
     assert (acting.now.name, acting.now.here) == ("Ada", True)
 
 
+def test_a_connection_that_is_found_lost_after_its_tab_is_back_takes_nothing_away(
+    acting: Acting, clock: Clock
+) -> None:
+    """A network that fails for seconds: the new connection is heard of before the old one is missed."""
+    acting.arrived("first", "")
+    acting.left("first")
+    assert acting.now is not None
+    assert acting.now.here
+    clock.now_s += KEPT_S + 1
+    acting.arrived("third", "Eve")
+    assert acting.acts("first")
+    # nor its question
+    assert not acting.ask("second", "Bob")
+    acting.arrived("second", "Bob")
+    acting.left("second")
+    assert acting.waits("second")
+    acting.left("second")
+    assert not acting.waits("second")
+    acting.left("first")
+    assert acting.now is not None
+    assert not acting.now.here
+
+
 def test_a_tab_that_does_not_come_back_is_replaced_by_the_next_that_is_opened(
     acting: Acting, clock: Clock
 ) -> None:
