@@ -25,6 +25,7 @@ from rig.instrument.configured_camera import (
 )
 from rig.instrument.fitted_decay import FittedDecay
 from rig.instrument.kernels import prepare_kernels
+from rig.instrument.less_beam import LESS_BEAM, LessBeam
 from rig.instrument.pendulum import balls, check_materials, material, pendulum_on_ball
 from rig.instrument.pipeline import Block, BothSpots, Deflector, Optics, Pipeline, optics_of, sensor_model
 from rig.instrument.provenance import (

@@ -13,6 +13,7 @@ from acquisition.frame import Frame
 from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections, displacements
 from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections, DeflectionUnit, joined
+from processing.estimate import Estimate
 from processing.spot import SensorModel, Spot, SpotTracker
 from processing.swing import Swing, SwingDetector
 from rig.instrument.configured_camera import shutter_of
@@ -238,6 +239,8 @@ class Optics:
     axes: Axes
     shutter: Shutter = GLOBAL
     reference_row: int | None = None
+    reference_gain: Estimate | None = None
+    """As it is stated."""
 
     def tracker(self) -> SpotTracker:
         """A new tracker."""
@@ -284,6 +287,9 @@ def optics_of(config: Configuration, full_scale_dn: float) -> Optics:
         config.axes or Axes(),
         shutter_of(config),
         None if config.reference is None else config.reference.from_row_px,
+        None
+        if config.reference is None or config.reference.gain is None
+        else Estimate(config.reference.gain, config.reference.u_gain),
     )
 
 

@@ -15,7 +15,7 @@ from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
 from rig.devices import ClockRate
-from rig.instrument import Block, CameraClock, Phase, Pipeline, Snapshot, Wall
+from rig.instrument import Block, CameraClock, LessBeam, Phase, Pipeline, Snapshot, Wall
 from rig.measure.camera_state import TemperatureWatch, features_json
 from rig.measure.clock_anchors import ClockAnchors
 from rig.measure.end_of_run import EndOfRun, StopRequest
@@ -28,6 +28,7 @@ from rig.posterior import Posterior
 
 _LOST_IMAGE_INTERVAL_S = 1.0
 _LIVE_FIT = "the live fit"
+_LESS_BEAM = "the live subtraction of the reference spot"
 _ANCHORS = "the reading of the computer's clocks"
 _CLOCK_RATE = "the reading of the camera's clock"
 _TEMPERATURE = "the camera's temperature"
@@ -183,6 +184,13 @@ class Recording:
         pipeline = parts.optics.pipeline(
             (first.image.shape[0], first.image.shape[1]), beside=stream.policy != "wait", wall=self._wall
         )
+        gain = parts.optics.reference_gain
+        shape = (first.image.shape[0], first.image.shape[1])
+        less = (
+            None
+            if gain is None
+            else LessBeam(parts.optics.deflector(shape), gain, beside=stream.policy != "wait")
+        )
         end = EndOfRun(parts.end)
         steps = StepEvents(parts.optics.unit)
         # frames made on demand have a clock of their own, which no other one says anything about
@@ -216,8 +224,13 @@ class Recording:
                 continue
             frames = counts.numbered(taken)
             block = pipeline.process(frames)
+            # what is shown, and what a run is judged and ended by; the record is as seen
+            shown, said = block, []
+            if less is not None:
+                shown = self._wall.past(_LESS_BEAM, block, less.shown, [one.time_ns for one in frames], block)
+                said = [Event(frames[-1].time_ns, EventKind.BEAM, text) for text in less.take_news()]
             if parts.posterior is not None:
-                self._wall.past(_LIVE_FIT, None, parts.posterior.take, block.swings, block.deflections)
+                self._wall.past(_LIVE_FIT, None, parts.posterior.take, shown.swings, shown.deflections)
             entry = counts.entry(frames, block, pipeline)
             self._last = taken[-1]
             notes = self._notes(counts)
@@ -229,7 +242,7 @@ class Recording:
             if rate is not None:
                 self._clock = self._wall.past(_CLOCK_RATE, self._clock, rate.take, frames, camera_steps)
             stepped: list[Event] = self._wall.past("the watch for steps", [], steps.take, block)
-            new = [*entry.events, *stepped, *clock_steps, *self._device_events(counts.last_ns)]
+            new = [*entry.events, *said, *stepped, *clock_steps, *self._device_events(counts.last_ns)]
             self._recorder.put(
                 replace(
                     entry,
@@ -247,18 +260,18 @@ class Recording:
             )
             # frames made on demand have no age
             age_s = math.nan if stream.policy == "wait" else seconds(taken_ns - taken[0].host_time_ns)
-            if block.swings or stream.policy == "wait" or taken_ns - published_ns > _PUBLISHED_NS:
+            if shown.swings or stream.policy == "wait" or taken_ns - published_ns > _PUBLISHED_NS:
                 published_ns = taken_ns
-                self._publish(Phase.MEASURING, counts, block.swings, age_s)
-            status.tell(counts.start_ns, frames, block, [*new, *(note.event for note in notes)])
+                self._publish(Phase.MEASURING, counts, shown.swings, age_s)
+            status.tell(counts.start_ns, frames, shown, [*new, *(note.event for note in notes)])
             if self._recorder.error is not None:
                 raise self._recorder.error
             self._end_in_darkness()
             if self._judge is not None:
-                rejected = self._judge.rejection(block.swings, block.balances, counts.elapsed_s)
+                rejected = self._judge.rejection(shown.swings, block.balances, counts.elapsed_s)
                 if rejected:
                     break
-            reason = end.reason(block.swings, counts.elapsed_s, self._known.estimates)
+            reason = end.reason(shown.swings, counts.elapsed_s, self._known.estimates)
             if reason is not None:
                 self._stop.because(reason)
                 break
@@ -294,8 +307,10 @@ class Recording:
                 notes=self._notes(counts),
             )
         )
+        if less is not None:
+            swings = self._wall.past(_LESS_BEAM, swings, less.finish)
         self._publish(Phase.CLOSING, counts, swings, math.nan)
-        status.tell(counts.start_ns, [], empty, last)
+        status.tell(counts.start_ns, [], empty._replace(swings=swings), last)
         return rejected
 
     def _notes(self, counts: FrameCounts) -> list[RecordedNote]:

@@ -11,11 +11,14 @@ from acquisition.record.topics import REFERENCE, SPOT
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
-from processing.spot import Spot
+from processing.spot import Spot, SpotFlag
 from processing.swing import Swing, swings_of_blocks
 from rig.analysis import analyse_record, less_beam_motion, read_results
 from rig.devices import FrameStream
 from rig.instrument import (
+    LESS_BEAM,
+    Block,
+    LessBeam,
     camera_settings,
     complete,
     frame_policy,
@@ -26,7 +29,7 @@ from rig.instrument import (
 from rig.measure import measure_session
 from rig.measure.recent_frames import RecentFrames
 from rig.replay import analyse_replayed
-from rig.settings import ReferenceSettings, load_configuration
+from rig.settings import Configuration, ReferenceSettings, load_configuration
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
 
 ROW = 646
@@ -107,6 +110,79 @@ def test_fits_and_replays_take_it_off_and_say_so(recorded: Path) -> None:
     )
 
 
+def blocks_of(reader: RecordReader, config: Configuration, lost: range = range(0)) -> list[Block]:
+    """Blocks of 50 frames as a pipeline made them, the reference lost in some frames."""
+    spots, references = reader.table(SPOT.topic), reader.table(REFERENCE.topic)
+    deflector = optics_of(config, full_scale_dn=255.0).deflector((720, 160))
+
+    def rows(table: np.ndarray) -> list[Spot]:
+        names = [name for name in Spot._fields if name in (table.dtype.names or ())]
+        blank = Spot(*[0] * len(Spot._fields))
+        return [blank._replace(**dict(zip(names, row, strict=True))) for row in table[names].tolist()]
+
+    own = rows(spots)
+    other = [
+        one._replace(flags=one.flags | SpotFlag.LOST) if k in lost else one
+        for k, one in enumerate(rows(references))
+    ]
+    found = []
+    for k in range(0, len(own), 50):
+        times_ns = spots["time_ns"][k : k + 50]
+        found.append(Block(own[k : k + 50], deflector(times_ns, own[k : k + 50]), [], [], other[k : k + 50]))
+    return found
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_live_half_cycles_are_less_the_beams_motion_so_far(recorded: Path, beside: bool) -> None:
+    with RecordReader(recorded) as reader:
+        config, raw = recorded_configuration(reader), scatter(reader.swings())
+        blocks = blocks_of(reader, config)
+    optics = optics_of(config, full_scale_dn=255.0)
+    assert optics.reference_gain is not None
+    less = LessBeam(optics.deflector((720, 160)), optics.reference_gain, beside=beside)
+    shown = [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks]
+    swings = [swing for block in shown for swing in block.swings] + less.finish()
+    assert scatter(swings)[0] < 0.5 * raw[0]
+    # the picture's spot is where it is seen
+    assert all(one.spots is block.spots for one, block in zip(shown, blocks, strict=True))
+    assert less.take_news() == [LESS_BEAM]
+
+
+def test_a_reference_that_is_lost_is_said_and_moves_nothing_at_once(recorded: Path) -> None:
+    with RecordReader(recorded) as reader:
+        config = recorded_configuration(reader)
+        blocks = blocks_of(reader, config, lost=range(1000, 1200))
+    optics = optics_of(config, full_scale_dn=255.0)
+    assert optics.reference_gain is not None
+    less = LessBeam(optics.deflector((720, 160)), optics.reference_gain, beside=False)
+    shown = [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks]
+    assert [one.split(":")[0] for one in less.take_news()[1:]] == [
+        "reference spot lost",
+        "reference spot found",
+    ]
+    taken = np.concatenate(
+        [one.deflections.y - block.deflections.y for one, block in zip(shown, blocks, strict=True)]
+    )
+    assert np.ptp(taken[1000:1200]) < 1e-3 * np.std(taken)
+    u = np.concatenate([one.deflections.u_y for one in shown])
+    assert u[1199] > 2 * u[999]
+
+
+def test_a_session_says_that_live_numbers_are_less_and_records_what_was_seen(recorded: Path) -> None:
+    with RecordReader(recorded) as reader:
+        config = recorded_configuration(reader)
+        said = [event.text for event in reader.events()]
+        spots = reader.table(SPOT.topic)
+        (first, *_) = reader.deflection_blocks()
+    assert said.count(LESS_BEAM) == 1
+    deflector = optics_of(config, full_scale_dn=255.0).deflector((720, 160))
+    count = len(first.times_ns)
+    rows = [
+        Spot(*row, *[0] * (len(Spot._fields) - 4)) for row in spots[list(Spot._fields[:4])][:count].tolist()
+    ]
+    assert first.y == pytest.approx(deflector(spots["time_ns"][:count], rows).y, rel=1e-9)
+
+
 def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None:
     with RecordReader(recorded) as reader:
         config = recorded_configuration(reader)
@@ -119,7 +195,7 @@ def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None
             assert one.gain.standard_uncertainty < 0.1
         assert " y used with a gain of 1." in less.text
         assert less.text.endswith("from the run itself")
-        after = scatter(detected_again(less(one) for one in reader.deflection_blocks()))
+        after = scatter(swings_of_blocks(less(one) for one in reader.deflection_blocks()))
         before = scatter(reader.swings())
     assert after[0] < 0.3 * before[0]
 
