@@ -140,7 +140,7 @@ ROWS: tuple[Row, ...] = (
     Row("coverage-damping", _COVERAGE, "Time constants at every amplitude", "decays with known damping, 400 seeds",
         benchmark("damping", "covered, %"), "number", "%", Limit(61, 75), share=True),
     Row("coverage-clock", _COVERAGE, "Rates of clocks and drifts of beams in noise that wanders",
-        "sums of steps in time with a known rate", benchmark("clock", "within_1u", factor=100), "number", "%",
+        "sums of steps in time with a known rate, 200 and 60 seeds; short is the line through a random walk that the arrivals hide ([calibration](calibration.md))", benchmark("clock", "within_1u", factor=100), "number", "%",
         Limit(50, 100), share=True),
     Row("coverage-ladders", _COVERAGE, "The scale of a ladder of tilts, straight or bent", "400 seeds of ladders that are known; short are those with a cubic part too small to be seen ([calibration](calibration.md))",
         benchmark("calibration", "one_u", part="ladders", argument=400, factor=100), "number", "%", Limit(61, 90),
