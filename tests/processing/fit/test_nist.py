@@ -7,8 +7,12 @@ from numpy.typing import NDArray
 from processing.least_squares import solve
 from tests.processing.fit.nist import NAMES, dataset, digits, fitted
 
-OTHER_MINIMUM = ("MGH17", 1)
-"""Its far start leads to another minimum, as it does with other solvers."""
+ON_A_PLATEAU = ("MGH17", 1)
+"""From its far start the search creeps along a bent valley and ends where 60 evaluations gain little, though
+some 900 reach the minimum. The linear model promises 10 there, in units of what a residual adds to chi2/2. On
+plateaus of runs that determine little (`test_identifiability`) it promises 2 to 2.5, and all evaluations gain
+none of it: a search that went on for what is promised would end those fits without a result.
+"""
 ROUNDED = "Lanczos1"
 """Its residuals are the rounding of the data: nothing that follows from their sum has more digits."""
 
@@ -20,7 +24,7 @@ def test_certified_values_and_standard_errors(name: str, start: int) -> None:
     data = dataset(name)
     solution = fitted(data, start)
     assert solution.converged, solution.message
-    if (name, start) == OTHER_MINIMUM:
+    if (name, start) == ON_A_PLATEAU:
         assert solution.chi2 > 1.2 * data.residual_sum
         return
     assert digits(solution.values, data.certified) > 6

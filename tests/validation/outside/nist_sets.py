@@ -15,7 +15,7 @@ ROUNDED = "Lanczos1"
 
 @cache
 def certified() -> dict[str, Found]:
-    """Digits of values, standard errors and sums of squares; fits that end in another minimum are counted."""
+    """Digits of values, standard errors and sums of squares; fits that end elsewhere are counted."""
     values, errors, sums, elsewhere = {}, {}, {}, []
     for name in NAMES:
         data = dataset(name)
@@ -41,5 +41,5 @@ def certified() -> dict[str, Found]:
         "values": least(values),
         "errors": least(errors),
         "sums": least(sums),
-        "reached": Found((float(len(values)),), f"to another minimum: {', '.join(elsewhere) or 'none'}"),
+        "reached": Found((float(len(values)),), f"ended elsewhere: {', '.join(elsewhere) or 'none'}"),
     }
