@@ -30,8 +30,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     results: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        record = _made(folder / "run.mcap", DEMO_SPOTS)
-        results |= _fit(record, folder, 2 if quick else 5)
+        results |= fits(2 if quick else 5)
         spots = DAY_SPOTS // 24 if quick else DAY_SPOTS
         record = _made(folder / "day.mcap", spots)
         results["day, spots"] = spots
@@ -45,6 +44,13 @@ def run(quick: bool = False) -> dict[str, Any]:
         table.add_row(key, f"{value:,.4g}" if isinstance(value, float) else str(value))
     Console().print(table)
     return results
+
+
+def fits(rounds: int) -> dict[str, Any]:
+    """Fits of the demonstration's length alone."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        return _fit(_made(folder / "run.mcap", DEMO_SPOTS), folder, rounds)
 
 
 def _made(path: Path, spots: int) -> Path:
