@@ -40,6 +40,8 @@ _LOWEST = 1e-5
 _PER_OCTAVE, _GRID_PER_OCTAVE, _BEYOND = 40, 24, 1.08
 _TIMES = (1.0, 0.3, 3.0)
 """Of the stated starts, from which the fit begins one after the other."""
+_COMPARED = 24
+"""Angles at which a friction is compared with the paper's, to find where its fit begins."""
 _STEP = 1e-4
 """Of a parameter, for derivatives."""
 
@@ -228,6 +230,32 @@ class StatedLaw:
         return _law(self, points, pendulum, like)
 
 
+def _as_the_papers(
+    friction: Moment, start: Mapping[str, float], like: Mapping[str, float], points: TurningPoints
+) -> list[dict[str, float]]:
+    """The parameters by which a friction is nearest to the paper's as fitted, found from its own start; none
+    where the search for them fails.
+    """
+    from scipy.optimize import least_squares  # here, as it would slow down every command
+
+    if not {"b", "p", "c"} <= like.keys():
+        return []
+    phi_rad = np.geomspace(float(points.amplitude.min()), float(points.amplitude.max()), _COMPARED)
+    papers = like["c"] + like["b"] * phi_rad ** like["p"]
+    scale = np.array([abs(value) or 1.0 for value in start.values()])
+
+    def off(own: Floats) -> Floats:
+        found = friction(phi_rad, **dict(zip(start, (own * scale).tolist(), strict=True)))
+        return np.asarray(np.broadcast_to(np.asarray(found, dtype=np.float64) / papers - 1, phi_rad.shape))
+
+    with np.errstate(all="ignore"):
+        try:
+            found = least_squares(off, np.array(list(start.values())) / scale, x_scale="jac")
+        except ValueError:  # a friction that is not finite on the way
+            return []
+    return [dict(zip(start, (found.x * scale).tolist(), strict=True))]
+
+
 def _law(
     stated: StatedLaw, points: TurningPoints, pendulum: PendulumOnBall, like: Mapping[str, float]
 ) -> Law:
@@ -277,10 +305,12 @@ def _law(
         scalings[gamma] = Scaling(0.0, -1.0, n)
         scaled[gamma] *= reference ** start[n]
 
+    stated_start = {key: start[key] for key in own}
+    as_papers = _as_the_papers(friction, stated_start, like, points)
+
     def likely(_: StartValues, __: float) -> list[dict[str, float]]:
-        return [
-            {**scaled, **{key: times * start[key] for key in own}, PERIOD: like[PERIOD]} for times in _TIMES
-        ]
+        stated = [{key: times * value for key, value in stated_start.items()} for times in _TIMES]
+        return [{**scaled, **each, PERIOD: like[PERIOD]} for each in [*as_papers, *stated]]
 
     known = {each.key: each for each in PAPER.parameters}
     parameters = (

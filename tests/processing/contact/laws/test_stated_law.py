@@ -28,6 +28,24 @@ def test_the_papers_law_as_a_function_is_fitted_as_the_papers(drag: bool) -> Non
         assert ours.standard_uncertainty == pytest.approx(theirs.standard_uncertainty, rel=near)
 
 
+def test_a_start_that_is_ten_times_off_finds_the_law_too() -> None:
+    """The size of a coefficient of a power of an angle in rad is hard to guess."""
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=20)
+    paper = fit_exact(points, pendulum)
+    like = dict(zip(paper.names, paper.values.tolist(), strict=True))
+
+    def guessed(phi_rad, c=1e-8, k=0.03, m=0.9):  # type: ignore[no-untyped-def]
+        return c + k * phi_rad**m
+
+    own = fit_exact(points, pendulum, law=StatedLaw(guessed).of(points, pendulum, like))
+    for ours, theirs in (("c", "c"), ("k", "b"), ("m", "p")):
+        expected = paper.estimate(theirs)
+        assert own.estimate(ours).value == pytest.approx(
+            expected.value, abs=0.02 * expected.standard_uncertainty
+        )
+
+
 def test_an_elastic_moment_of_ones_own_is_that_of_a_shorter_period() -> None:
     """One in proportion to the angle is gravity's: with half a per cent of it taken, T0 is as much longer."""
     parameters, pendulum = paper_pair("glass_k8")
