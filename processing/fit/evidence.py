@@ -97,19 +97,17 @@ def waveform_of(pieces: SwingHarmonics) -> Waveform | None:
     order = np.argsort(-pieces.amplitude)
     amplitude, sine = pieces.amplitude[order], pieces.sine[order][:, _ODD]
     stated = pieces.covariance_sine[order][:, _ODD][:, :, _ODD]
-    for _ in range(3):
-        if len(amplitude) < _FEWEST:
-            return None
+    while len(amplitude) >= _FEWEST:
         whitening = np.linalg.inv(np.linalg.cholesky(stated))
         whole = _whole_scatter(amplitude, sine, whitening)
         left = np.einsum("nab,nb->na", whitening, _left(amplitude, sine))
         kept = np.all(np.abs(left) < _GATE * np.sqrt(np.diag(whole)), axis=1)
         if np.all(kept):
-            break
+            root = np.linalg.inv(whitening)
+            enlarged = root @ whole @ np.swapaxes(root, 1, 2)
+            return Waveform(amplitude, sine, enlarged, float(np.sqrt(np.trace(whole) / len(_ODD))))
         amplitude, sine, stated = amplitude[kept], sine[kept], stated[kept]
-    root = np.linalg.inv(whitening)
-    enlarged = root @ whole @ np.swapaxes(root, 1, 2)
-    return Waveform(amplitude, sine, enlarged, float(np.sqrt(np.trace(whole) / len(_ODD))))
+    return None
 
 
 def _left(amplitude: Floats, sine: Floats) -> Floats:

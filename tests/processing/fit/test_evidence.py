@@ -85,6 +85,17 @@ def test_a_disturbed_piece_is_left_out(basement: tuple[TurningPoints, SwingHarmo
     assert len(found.amplitude_rad) == len(harmonics) - 1
 
 
+def test_disturbed_pieces_that_hide_each_other_are_left_out_one_after_the_other() -> None:
+    """Each bends the curve over all so much that the next one is seen only without it."""
+    count, size = 60, np.linspace(0.5, 2.0, 8)
+    amplitude = np.geomspace(120.0, 80.0, count)
+    seen = 0.1 * amplitude[:, None] + size * np.random.default_rng(5).standard_normal((count, 8))
+    for place, knock in ((3, 1e2), (30, 1e4), (50, 1e6), (57, 1e8)):
+        seen[place] += knock
+    found = waveform(SwingHarmonics(amplitude, -1j * seen, np.tile(np.diag(size**2), (count, 1, 1))))
+    assert len(found.amplitude_rad) == len(found.covariance) == count - 4
+
+
 def test_few_pieces_are_no_waveform(basement: tuple[TurningPoints, SwingHarmonics]) -> None:
     _, whole = basement
     assert (
