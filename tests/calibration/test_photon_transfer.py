@@ -96,6 +96,16 @@ def test_hot_pixels_and_prnu_are_found() -> None:
     assert found.prnu == pytest.approx(0.02, abs=4 * found.u_prnu)
 
 
+def test_two_dark_frames_serve_and_a_level_that_wanders_is_no_noise() -> None:
+    truth = random_sensor(np.random.default_rng(8))
+    pairs, (first, second, *_), _ = transfer_frames(truth, 8)
+    steady, wandering = (
+        photon_transfer(pairs, [first, second + offset], 2**truth.bit_depth - 1) for offset in (0, 3)
+    )
+    assert steady.read_noise_e == pytest.approx(truth.read_noise_e, rel=0.1)
+    assert wandering.read_noise_e == pytest.approx(steady.read_noise_e, rel=0.05)
+
+
 def test_the_knee_of_a_small_full_well_is_found() -> None:
     truth = SensorTruth(
         width_px=64, height_px=64, bit_depth=12, gain_e_per_dn=2.4, full_well_e=6000.0, black_level_dn=60.0

@@ -41,6 +41,13 @@ def test_the_row_time_is_that_of_the_run(row_time_us: float, delay_s: float, pul
     assert found.rows_px[-1] > 380
 
 
+def test_the_ramp_is_by_how_much_the_darkest_row_is_darker() -> None:
+    run = pulsed_run(1e-5, 0.0, EXPOSURE_S)
+    open_s = EXPOSURE_S - 1e-5 * run[1]
+    found = fit_row_time_of_pulses(*run, ROWS, EXPOSURE_S, EXPOSURE_S, 0.0)
+    assert found.ramp == pytest.approx(1 - open_s.min() / open_s.max(), rel=0.01)
+
+
 def test_a_pulse_that_all_rows_see_says_nothing() -> None:
     run = pulsed_run(1e-5, 5e-3, 1e-3)
     with pytest.raises(DataError, match=r"equally bright in all rows .* laser\.pulse_delay_us to 0"):
