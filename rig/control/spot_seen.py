@@ -19,6 +19,8 @@ _OF_THEM = 8
 _HOT_PIXELS = 3
 _SETTLED_S: Final = 1.0
 """After the laser was told off frames on their way still show it."""
+_BEFORE_S: Final = 1.5
+"""A spot that was seen no later before the laser was told off may have left the sensor instead."""
 
 
 class SpotSeen:
@@ -33,6 +35,7 @@ class SpotSeen:
         self._contrast_dn = 0.0
         self._noise_dn = 0.0
         self._lit_dn = 0.0
+        self._looked_s = self._seen_lit_s = -np.inf
         self._lit: bool | None = None
         self._since_s = 0.0
         self.exposure_s = 0.0
@@ -61,6 +64,10 @@ class SpotSeen:
                 self._lit_dn = 0.0
         if lit and self._is_settled and self._contrast_dn > _LEAST_NOISES * self._noise_dn:
             self._lit_dn = max(self._lit_dn, self._contrast_dn)
+        if lit:
+            self._looked_s = self._sampled_s
+            if self.seen:
+                self._seen_lit_s = self._sampled_s
 
     @property
     def age_s(self) -> float:
@@ -81,8 +88,9 @@ class SpotSeen:
 
     @property
     def agrees(self) -> bool:
-        """Whether the laser says that it is off, and later frames show it dark."""
-        return self._lit is False and self._is_settled and self.seen is False
+        """Whether the laser says that it is off, and later frames show no spot that was there until then."""
+        was_seen = self._looked_s - self._seen_lit_s <= _BEFORE_S
+        return self._lit is False and self._is_settled and was_seen and self.seen is False
 
     @property
     def _is_settled(self) -> bool:

@@ -48,6 +48,30 @@ def test_a_spot_that_stays_disagrees_and_one_that_goes_agrees(lit_dn: float, lef
     assert (spot.seen, spot.disagrees, spot.agrees) == (stays, stays, not stays)
 
 
+def test_a_spot_that_left_the_sensor_while_it_was_lit_confirms_no_darkness() -> None:
+    """A pendulum that was knocked: what the camera did not see before, it does not see go out."""
+    clock = Clock()
+    spot = SpotSeen(clock)
+    watched(clock, spot, True, 200.0)
+    watched(clock, spot, True, 0.0)
+    # a record takes its time to be closed
+    clock.now_s += 20.0
+    watched(clock, spot, False, 0.0)
+    assert (spot.seen, spot.disagrees, spot.agrees) == (False, False, False)
+    # one that comes back is still light that should be off
+    watched(clock, spot, False, 200.0)
+    assert spot.disagrees
+    # and one that swings out of it and back again was seen
+    for _ in range(3):
+        watched(clock, spot, True, 200.0)
+        clock.now_s += 0.5
+        spot.frame(frame(0.0))
+        spot.told(True)
+    clock.now_s += 20.0
+    watched(clock, spot, False, 0.0)
+    assert spot.agrees
+
+
 def test_frames_on_their_way_do_not_disagree() -> None:
     clock = Clock()
     spot = SpotSeen(clock)
