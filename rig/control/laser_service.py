@@ -121,7 +121,12 @@ class LaserService(DeviceThread):
         if why := refusal():
             raise LightRefused(f"the laser stays off: {why}")
         self._asked = True
-        laser.enable(refusal)
+        try:
+            laser.enable(refusal)
+        except BaseException:
+            # who asked is told that it is dark: what lights it later was not asked for
+            self._asked = False
+            raise
 
     def _darken(self, laser: Laser) -> None:
         self._asked = False

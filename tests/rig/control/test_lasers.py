@@ -634,6 +634,23 @@ class TestService:
         turn(service)
         assert not instrument.on
 
+    def test_one_that_refused_to_light_and_is_lit_at_its_panel_later_is_darkened(
+        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    ) -> None:
+        turn(service)
+        instrument.fault = 4
+        lit = service.enable()
+        turn(service)
+        with pytest.raises(DeviceError):
+            lit.result(0)
+        assert not instrument.on
+        instrument.fault = 0
+        turn(service)
+        instrument.light(True)
+        turn(service)
+        assert not instrument.on
+        assert "it lights although this program did not" in permit.refusal
+
     def test_an_off_is_never_too_late(
         self, ports: Ports, service: LaserService, instrument: FakeCobolt
     ) -> None:
