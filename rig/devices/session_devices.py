@@ -154,7 +154,7 @@ class Devices(LitDevices):
             info = camera.open()
             if self.witness is not None:
                 self.witness.beside(camera)
-            if self._accelerometer is not None:
+            if self._accelerometer is not None and isinstance(camera, SimulatedCamera):
                 self._accelerometer.beside(camera)
             asked = camera_settings(config)
             applied = camera.configure(asked)
