@@ -16,6 +16,7 @@ h1 { white-space: nowrap; }
 .unseen { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
 .q-header { background: var(--card) !important; color: var(--ink); min-height: var(--head);
   padding: 2px 12px !important; align-items: center !important; gap: 8px; }
+.q-header .state { min-width: 0; } .q-header .who { flex: 0 0 auto; white-space: nowrap; }
 .q-page, .q-tab-panels, .q-tab-panel { background: var(--ground) !important; color: var(--ink); }
 .q-tab-panel { padding: 6px 10px; gap: 8px; }
 /* the page scrolls, and no panel in it once more */

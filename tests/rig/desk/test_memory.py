@@ -31,7 +31,18 @@ LOOKS = 40
 """How often the desk has looked before it is counted: what is only on its way is then of the same size."""
 MORE = 1500
 """Objects by which two counts may differ: what was on its way just then. A count has some 240,000."""
-COUNTING = "window.looks = 0; const before = rigSafety; rigSafety = (...told) => { looks++; before(...told) }"
+LOOKED = """
+(() => {
+  if (!window.counting) {
+    const before = window.rigSafety;
+    window.counting = true;
+    window.looks = 0;
+    window.rigSafety = (...told) => { window.looks += 1; before(...told); };
+  }
+  return window.looks > LOOKS;
+})()
+"""
+"""Counts from anew in a page that was loaded again, which a busy machine may make necessary."""
 
 
 class ToldRun:
@@ -133,14 +144,13 @@ def test_a_desk_holds_no_more_after_twelve_hours_of_a_run_than_after_two(
         page = Page(tab)
         page.open(desk.address)
         page.key("4")
-        page.ask(COUNTING)
 
         def counted(until_s: float) -> dict[str, int]:
             run.go_on_until(until_s)
             page.wait_text(f"told {until_s:.0f} s")
-            page.ask("looks = 0")
-            page.wait(f"looks > {LOOKS}", 240.0)
-            return min((desk.count() for _ in range(3)), key=lambda one: one["all"])
+            page.ask("window.looks = 0")
+            page.wait(LOOKED.replace("LOOKS", str(LOOKS)), 240.0)
+            return min((desk.count() for _ in range(3)), key=lambda one: (one["clients"], one["all"]))
 
         first = counted(FULL_AFTER_S)
         last = [counted(until_s) for until_s in LATER_S][-1]
