@@ -1,5 +1,6 @@
 """Darkens beside the program that has the devices: it may be frozen, and then hears nobody."""
 
+import errno
 import os
 import secrets
 
@@ -34,6 +35,7 @@ def darken_beside(laser: LaserSettings, controller: ControllerSettings) -> list[
 def _write(port: str, data: bytes) -> None:
     descriptor = os.open(port, os.O_WRONLY | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_NONBLOCK", 0))
     try:
-        os.write(descriptor, data)
+        if os.write(descriptor, data) < len(data):
+            raise OSError(errno.EAGAIN, "the port took a part of the order only")
     finally:
         os.close(descriptor)

@@ -1,0 +1,53 @@
+"""LIGHT OFF that is written to a port beside the program that has it: whether all of it was taken."""
+
+import os
+import pty
+import re
+import select
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+import pytest
+
+from rig.control import ControllerSettings, LaserSettings, darken_beside
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="a port is opened once there")
+PIECE = b"x" * 37
+
+
+@contextmanager
+def port() -> Iterator[tuple[str, int]]:
+    """A port, and the end at which nobody reads."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    yield os.ttyname(slave), master
+    os.close(master)
+    os.close(slave)
+
+
+def filled(name: str, most: int) -> int:
+    """Write so many bytes, or as many as are taken; returns their number."""
+    descriptor, count = os.open(name, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK), 0
+    with suppress(BlockingIOError):
+        while count < most:
+            count += os.write(descriptor, PIECE[: most - count])
+    os.close(descriptor)
+    return count
+
+
+@pytest.mark.parametrize("room", [0, 5, 30, 1_000_000])
+def test_an_order_of_which_only_a_part_was_taken_is_said(room: int) -> None:
+    with port() as (name, _):
+        holds = filled(name, 1_000_000)
+    with port() as (name, master):
+        filled(name, max(holds - room, 0))
+        laser = LaserSettings(kind="controller", max_power_w=0.001, power_w=0.0005)
+        problems = darken_beside(laser, ControllerSettings(kind="serial", port=name))
+        taken = b""
+        while select.select([master], [], [], 0.5)[0]:
+            taken += os.read(master, 65536)
+    # each order ends with a checksum and a line's end
+    whole = len(re.findall(rb"#\d+ LASer:STATe OFF\*[0-9A-F]{4}\n", taken)) == 2
+    assert whole == (room > 1000)
+    assert bool(problems) is not whole
