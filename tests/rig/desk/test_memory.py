@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[3]
 HALF_S, RATE_HZ = 1.2, 5.0
 FULL_AFTER_S, LATER_S = 7200.0, (25_200.0, 43_200.0)
 """After two hours all that is decimated is full; the run goes on to seven hours, and to twelve."""
-LOOKS = 40
+LOOKS = 20
 """How often the desk has looked before it is counted: what is only on its way is then of the same size."""
 MORE = 1500
 """Objects by which two counts may differ: what was on its way just then. A count has some 240,000."""

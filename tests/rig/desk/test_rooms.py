@@ -15,7 +15,7 @@ from rig.desk import jobs
 from rig.desk.desk import Desk
 from rig.desk.sessions import LookingAgain
 from rig.rerun import start_python
-from tests.rig.command_line import CONFIGS
+from tests.rig.command_line import CONFIGS, SMALL
 
 
 @pytest.fixture
@@ -88,13 +88,40 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
     assert [line["heard"] for line in list(job.lines)[2:]] == ["x +0.5", "", "f", "q"]
     assert job.ending
     job.end()
+    assert job.wait(50.0)
 
 
 def until(state: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 30.0
+    deadline_s = time.monotonic() + 50.0
     while not state():
         assert time.monotonic() < deadline_s
         time.sleep(0.02)
+
+
+@pytest.mark.realtime
+def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> None:
+    sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
+    desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
+    try:
+        desk.begin_aligning()
+        aligner = desk.aligner
+        assert aligner is not None
+        until(lambda: aligner.look is not None)
+        assert not desk.lighting.waits
+        assert desk.lighting.off("one") == []
+        until(lambda: desk.safety.trip is not None)
+        assert not desk.lighting.waits
+        trip = desk.safety.trip
+        assert trip is not None
+        with pytest.raises(ConfigurationError, match="acknowledge it first"):
+            desk.start("preflight")
+        desk.lighting.acknowledge(trip.number, "Ada")
+        until(lambda: desk.lighting.waits)
+        desk.lighting.again()
+        until(lambda: not desk.lighting.waits)
+        assert aligner.running
+    finally:
+        desk.close()
 
 
 def test_a_session_without_records_is_not_replayed(tmp_path: Path) -> None:
