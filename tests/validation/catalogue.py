@@ -20,7 +20,7 @@ from tests.validation.row import Limit, NotTested, Row, limit_of_share
 
 _NUMBERS, _FORMATS = "Numbers against published ones", "Formats and devices against their standards"
 _COVERAGE = "Do intervals hold what they say?"
-_SPOT, _HARM, _SPEED = "The spot, and other programs beside it", "Damage, kills, light", "Speed"
+_SPOT, _HARM, SPEED = "The spot, and other programs beside it", "Damage, kills, light", "Speed"
 _PRINTED, _TOLERANCE = "of the last printed digit", "of the numerical tolerance"
 _CERTIFIED = (
     "NIST's Statistical Reference Datasets, nonlinear, 27 sets from two starts, certified to 11 digits"
@@ -225,12 +225,12 @@ ROWS: tuple[Row, ...] = (
         "processes ended by a signal, 100 rounds", benchmark("kernel_stress", "crashed"), "number", "crashes", Limit(0, 0),
         known="kernels called first"),
     # speed
-    Row("speed-follow", _SPEED, "Following a spot costs less than adding up the frame", "`cv2.sumElems` in turns, ratio; spots of 3, 6 and 12 px, each without and with 200 hot pixels",
+    Row("speed-follow", SPEED, "Following a spot costs less than adding up the frame", "`cv2.sumElems` in turns, ratio; spots of 3, 6 and 12 px, each without and with 200 hot pixels",
         benchmark("spot_speed", "following, ratio", part="against_sums", argument=200), "number", "", Limit(high=0.4),
         known="following it, 1280×1024"),
-    Row("speed-pace", _SPEED, "500 frames/s are recorded without a loss", "a camera from memory in real time: alone, with desk and viewer, in another process, 30 s twice",
+    Row("speed-pace", SPEED, "500 frames/s are recorded without a loss", "a camera from memory in real time: alone, with desk and viewer, in another process, 30 s twice",
         benchmark("pace", "lost", part="slowest", argument=30), "number", "lost", Limit(0, 0), known="500 frames/s of 640×480"),
-    Row("speed-fit", _SPEED, "`rig fit` of a whole demonstration", "processor time of the whole process, the least of three",
+    Row("speed-fit", SPEED, "`rig fit` of a whole demonstration", "processor time of the whole process, the least of three",
         benchmark("commands", "rig fit of 119,000 spots, CPU s", part="fits", argument=3), "number", "s", Limit(high=2), known="`make demo`, 119,040"),
 )  # fmt: skip
 

@@ -11,7 +11,7 @@ from tests.acquisition.record.samples import write_sample
 from tests.validation import __main__ as program
 from tests.validation import figure, page
 from tests.validation.benchmarks import numbers_at, pooled_shares
-from tests.validation.catalogue import NOT_TESTED, ROWS
+from tests.validation.catalogue import NOT_TESTED, ROWS, SPEED
 from tests.validation.kept import Kept, kept_now, read_kept, write_kept
 from tests.validation.known import known_number
 from tests.validation.outside import mcap_records
@@ -143,6 +143,14 @@ def test_an_ended_run_goes_on_where_it_was(
     monkeypatch.setattr("sys.argv", ["validation", "--again", "some"])
     assert program.main() == 0
     assert called[3:] == ["first"]
+
+
+def test_a_speed_is_kept_with_the_load(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = (_row(lambda: {"number": Found((1.0,), "said")}, group=SPEED),)
+    monkeypatch.setattr(program, "ROWS", rows)
+    monkeypatch.setattr("sys.argv", ["validation"])
+    assert program.main() == 0
+    assert read_kept(place / "kept.json")["some-row"].detail.startswith("said; load ")
 
 
 def test_a_word_that_means_no_row_is_named() -> None:
