@@ -63,7 +63,7 @@ class Beam:
             if not SpotFlag[name] & _EASED
         ]
         changed = f", after {self.changes} changes" if self.changes else ""
-        flags = f"spots with {', '.join(flagged)}" if flagged else "no spot has a flag of a fault"
+        flags = f"spots with {', '.join(flagged)}" if flagged else "no spot is flagged as faulty"
         return f"Beam: {self.model} since frame {self.since_frame}{changed}; {flags}."
 
     @property
@@ -76,7 +76,7 @@ class Beam:
         return Verdict(
             "beam",
             True,
-            f"it is not what is fitted, and uncertainties are only widened for that: {self.likely_cause}"
+            f"the model does not fit it, and uncertainties are only widened for that: {self.likely_cause}"
             if poor
             else "",
             self.remedy if poor else "",
@@ -94,12 +94,12 @@ def _cause(use: BeamUse, *, noise_is_known: bool) -> tuple[str, str]:
     if use.poor_with[SpotFlag.CUT] > half:
         return "something cuts the spot", "centre the beam in lens, mirrors and window; free its path"
     if use.poor_with[SpotFlag.SATURATED] > half:
-        return "it is saturated, and its flanks alone are fitted", "lower exposure_us or the laser's power"
+        return "it is saturated, and only its flanks are fitted", "lower exposure_us or the laser's power"
     if use.changes:
         return "it changed during the run", "let the laser warm up; fix the optics; look for what moved"
     if use.model is SpotModel.LEARNED:
         return (
-            "it changes with its place (something cuts it, dust or fringes on the window) or with time",
+            "it changes with position (something cuts it, dust or fringes on the window) or with time",
             "free the beam's path, clean the window; then rig camera align",
         )
     if use.judged_frames < LONGEST_CHOICE_FRAMES:

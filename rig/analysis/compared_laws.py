@@ -66,8 +66,10 @@ def _remedy(free: MomentsWithoutLaw, one: str, other: str) -> str:
     runs = np.ceil((_TELLING / most) ** 2)
     where = f"they differ most in {name} at {free.phi_rad[int(apart.argmax())] / ARCSEC_RAD:.2g} arcsec"
     if not 2 <= runs <= _MOST_RUNS:
-        return f"{where}; a higher start or more runs may"
-    return f"{where}, by {most:.1f} of what one run knows: {runs:.0f} such runs, or a higher start, may"
+        return f"{where}; a larger first amplitude or more runs may decide"
+    return (
+        f"{where}, by {most:.1f} u of one run: {runs:.0f} such runs, or a larger first amplitude, may decide"
+    )
 
 
 def _without_law(
@@ -150,10 +152,10 @@ def law_table(compared: ComparedLaws) -> Table:
         rows,
         ("law", "", "BIC", "AIC", "ln odds", "drive", "waveform", "residuals; verdict"),
         shown,
-        "BIC and AIC: distance from the best law; ln odds: against it by the evidence. BIC above 10 "
-        "with ln odds above 5 excludes one. Drive of the ground that the law needs, "
-        "in rad/s²/√Hz: what the law lacks, a stronger drive must explain. Waveform: chance of a third "
-        "harmonic so far from the law's. Residuals: what the fit leaves, as large as noise or larger.",
+        "BIC and AIC: distance from the best law; ln odds against the law, by the evidence. BIC above 10 "
+        "with ln odds above 5 excludes a law. Drive of the ground that the law needs, in rad/s²/√Hz; what a "
+        "law fails to describe appears as a stronger drive. Waveform: probability of a third harmonic this "
+        "far from the law's. Residuals: whether they exceed the noise.",
     )
 
 

@@ -187,7 +187,7 @@ def evaluate(
         if all(quantity.u == 0 for quantity in rig.inputs().values()):
             notes.append(
                 "the configuration states no type B uncertainty (u_mass_kg, u_ball_radius_m, u_arm_m, "
-                "u_youngs_modulus_pa, ...): budgets hold the scatter of the swings alone"
+                "u_youngs_modulus_pa, ...): budgets contain only the scatter of the swings"
             )
         try:
             rng = np.random.default_rng(seed)

@@ -39,7 +39,7 @@ def limit_sentence(drifts: Drifts, believed: BelievedDrifts, fit: FitResult) -> 
     if not moved:
         return ""
     return (
-        f"One decay cannot tell a contact that ages: {percent(share)} over the run would move "
-        f"{', '.join(moved)} of the swings; the budget has it (fit.u_ageing). Runs from other first "
-        "amplitudes, and after waiting, can tell."
+        f"A single decay cannot reveal ageing of the contact: {percent(share)} over the run would move "
+        f"{', '.join(moved)} of the swings; the budget includes it (fit.u_ageing). Runs from other first "
+        "amplitudes, and after waiting, can reveal it."
     )

@@ -28,7 +28,7 @@ _WELL_E = 10_000.0
 """Electrons of a full pixel where nothing states them: a usual small sensor. The uncertainty of positions is
 afterwards taken from their scatter, so that this only weighs pixels."""
 _LOSSY = (
-    "compression ({}): its noise is in the uncertainties, and an error of all amplitudes together as large "
+    "compression ({}): the uncertainties include its noise, and a common error of all amplitudes as large "
     "as the noise of one position"
 )
 _U_LOSSY_IN_NOISES = 1.0

@@ -15,7 +15,7 @@ from rig.presentation import plain, quantity, with_uncertainty
 
 _FOUND = {
     DragFinding.SEEN: "The decay shows a linear drag",
-    DragFinding.NEGATIVE: "A negative drag would describe the decay best, so that the model lacks something",
+    DragFinding.NEGATIVE: "A negative drag fits best, so something is missing from the model",
     DragFinding.UNSEEN: "No linear drag is seen",
     DragFinding.OPEN: "This decay cannot distinguish a drag from friction",
 }
@@ -107,8 +107,8 @@ def _cost(ground: Ground) -> str:
         for name, factor in sorted(widened.items(), key=lambda item: -item[1])
     )
     return (
-        f" Because of it uncertainties are larger than on ground at rest, by factors of {listed}. "
-        "A finer balance, a quieter hour, a higher start or more runs would help."
+        f" It enlarges the uncertainties by factors of {listed}. "
+        "Finer balancing, a quieter hour, a larger first amplitude or more runs would help."
     )
 
 
@@ -134,13 +134,13 @@ def _drag_sentence(drag: Drag) -> str:
             said = f"{shown.text(*drag.drag_s)} s; {moved}"
         case DragFinding.OPEN if _by_the_data(drag):
             said = (
-                f"it is below {plain(drag.upper_95_s, 2)} s (95 %), and what is left open, "
+                f"it is below {plain(drag.upper_95_s, 2)} s (95 %); the range left, "
                 f"{shown.text(*drag.of_data_s)} s, is part of every uncertainty; {moved}"
             )
         case DragFinding.OPEN if drag.known_s is not None:
             said = (
-                f"the drag expected of the air is taken, {shown.text(*drag.known_s)} s, whose uncertainty is "
-                f"part of every other; {moved}"
+                f"the drag expected of the air, {shown.text(*drag.known_s)} s, is used; its uncertainty is "
+                f"part of all others; {moved}"
             )
         case DragFinding.OPEN:
             said = f"{shown.text(*drag.drag_s)} s; state what you know of the air (fit.drag)"

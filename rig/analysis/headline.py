@@ -35,13 +35,13 @@ def drag_headline(drag: Drag | None, *, fitted: bool) -> str:
     if not fitted:
         text = "Fitted without a drag, as in vacuum: if there was air, its drag is in b and c"
         if drag is not None and drag.significant:
-            text += f"; a drag of {shown.text(*drag.of_data_s)} s is in the data"
+            text += f"; the data show a drag of {shown.text(*drag.of_data_s)} s"
         return f"{text}."
     if drag is None or not drag.significant:
         return ""
     shift = f"{100 * drag.relative_shift_b:+.3g} %".replace("-", "−")
     seen = f"The drag of the air is seen, {shown.text(*drag.drag_s)} s"
-    return f"{seen}; a fit without it has another b, by {shift}."
+    return f"{seen}; without it b would differ by {shift}."
 
 
 def headline(budget: Mapping[str, Budget], verdicts: Mapping[str, Determination]) -> str:

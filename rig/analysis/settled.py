@@ -93,8 +93,8 @@ def settled_swings(
     corrected = _without_position_errors(swings, blocks, motion, settled.exact or first, found, fit)
     if corrected is None:
         doubt = (
-            "the residuals show errors of position that are fixed on the sensor, but the laws describe the "
-            "turning points without them no better: they stand uncorrected"
+            "the residuals show errors of position that are fixed on the sensor, but correcting them does "
+            "not improve the fit of the laws: they are left uncorrected"
         )
         return settled._replace(doubt="; ".join(filter(None, [settled.doubt, doubt])))
     return corrected._replace(harmonics=harmonics)

@@ -61,6 +61,6 @@ class PositionErrors:
         size, unit = self.unit.shown_size, self.unit.shown
         return (
             f"errors of position that are fixed on the sensor, {self.rms / size:.2g} {unit} r.m.s. over "
-            f"{self.correlation_length / size:.2g} {unit}, were seen in {self.cycles} cycles and taken off "
-            "before the fits; what is left of them is a line of the budget"
+            f"{self.correlation_length / size:.2g} {unit}, were found in {self.cycles} cycles and subtracted "
+            "before the fits; the budget has a line for what remains"
         )

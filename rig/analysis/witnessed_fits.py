@@ -53,7 +53,8 @@ def _told(use: WitnessUse) -> list[str]:
         judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
         reason = f": {use.reason}" if use.reason else ""
         sought = f"; {use.offsets_tried} offsets of its clock were tried" if use.offsets_tried else ""
-        return [f"Witness of the ground {use.verdict}{reason}{judged}{sought}. All stands as without it."]
+        said = f"Witness of the ground {use.verdict}{reason}{judged}{sought}."
+        return [f"{said} The results are the same as without it."]
     before, left = use.ground_alone_rad_per_s2_rthz, use.ground_left_rad_per_s2_rthz
     explained = (
         f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
@@ -70,14 +71,16 @@ def _told(use: WitnessUse) -> list[str]:
         f"{quantity(name).symbol} {plain(factor, 3)}" for name, factor in use.saved.items() if factor > _WELL
     )
     if saved:
-        lines.append(f"With the witness uncertainties are smaller by factors of {saved}.")
+        lines.append(f"The witness reduces the uncertainties by factors of {saved}.")
     found = f"{use.offset_s:+.5g} s, the best of {use.offsets_tried}, and " if use.offsets_tried else ""
     lines.append(
         f"Clock of the witness: {found}{with_uncertainty(*use.delay_s)} s to be added to its times, drift "
         f"{with_uncertainty(*use.clock_drift)} s/s."
     )
     if use.missing_half_cycles:
-        lines.append(f"{use.missing_half_cycles} half-swings have no witness; their drive is unknown.")
+        lines.append(
+            f"{use.missing_half_cycles} half-swings have no witness; their drive is treated as unknown."
+        )
     return lines
 
 
@@ -85,6 +88,6 @@ def _response_text(response: Response) -> str:
     degrees = 180 / pi
     slope = ", changing within the band" if response.with_slope else ""
     return (
-        f"{response.name} {with_uncertainty(response.gain, response.u_gain)} rad/s² a unit at "
+        f"{response.name} {with_uncertainty(response.gain, response.u_gain)} rad/s² per unit at "
         f"{with_uncertainty(degrees * response.phase_rad, degrees * response.u_phase_rad)}°{slope}"
     )

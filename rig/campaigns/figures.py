@@ -185,7 +185,7 @@ def residual_figure(campaign: Campaign) -> ReportFigure:
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return ReportFigure(
         "residuals", "Residuals by run",
-        "Deviation from the model over what the run and the scatter between runs leave; red: bad runs.",
+        "Deviation from the model over its uncertainty from run and scatter between runs; red: bad runs.",
         figure,
     )  # fmt: skip
 

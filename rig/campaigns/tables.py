@@ -46,8 +46,8 @@ def contacts_table(results: CampaignResults) -> Table:
         rows,
         ("contact", "", "value", "95 %", "without priors"),
         shown,
-        f"{len(results.runs)} runs. Median and half of the 68 % band, where all effects are nought; with "
-        "what runs share, which counts once.",
+        f"{len(results.runs)} runs. Median and half of the 68 % band, at the reference of all effects; "
+        "includes the inputs that runs share, counted once.",
     )
 
 
@@ -74,13 +74,13 @@ def effects_table(results: CampaignResults) -> Table | None:
         )  # fmt: skip
     tried = len(both)
     note = (
-        f"Over the campaign's span; of b, c and γ as a fraction. The chance is that of one as large where "
-        f"there is none; 5 % is shared by the {tried} that were tried."
+        f"Change over the campaign's span; of b, c and γ relative. Chance: the probability of an effect this "
+        f"large if there is none; the 5 % level is shared by the {tried} that were tried."
     )
     if results.candidates:
         note += (
-            f" Probability after the runs, of each form that was tried alone; none of them: "
-            f"{plain(results.nothing, 2)}. Beforehand nothing had one half, the choice is charged."
+            f" Probability: posterior, of each form tried alone; of no effect: "
+            f"{plain(results.nothing, 2)}, with a prior of one half."
         )
     return Table(
         "effects", "Effects",
@@ -139,7 +139,7 @@ def runs_table(results: CampaignResults) -> Table:
     return Table(
         "runs", "Residuals by run", columns, rows,
         ("run", "contact", *(quantity(name).symbol for name in names), "bad"), shown,
-        "Deviation from the model over what the run and the scatter between runs leave.",
+        "Deviation from the model over its uncertainty from the run and the scatter between runs.",
     )  # fmt: skip
 
 
@@ -214,7 +214,8 @@ def changes_table(results: CampaignResults) -> Table | None:
     return Table(
         "changes", "Changes", ("quantity", "probability", "first_run", "at_least", "at_most"), rows,
         ("", "probability", "where"), shown,
-        "Of a change at any run against none; the choice of the run is charged. Places count from 0.",
+        "Probability of a change at some run, against none, allowing for the choice of the run. Runs count "
+        "from 0.",
     )  # fmt: skip
 
 
@@ -243,9 +244,9 @@ def priors_table(results: CampaignResults, beliefs: Beliefs) -> Table:
         rows.append([key, value, u, float("nan")])
         shown.append([quantity(key).label, quantity(key).text(value, u), "see Contacts"])
     return Table(
-        "priors", "Beforehand and now", ("what", "before", "now", "u_now"), rows,
-        ("", "beforehand", "now"), shown,
-        "An effect moves a quantity by its size over the campaign's span, as likely up as down.",
+        "priors", "Prior and posterior", ("what", "before", "now", "u_now"), rows,
+        ("", "prior", "posterior"), shown,
+        "The prior of an effect: it changes a quantity by about its size over the campaign, up or down.",
     )  # fmt: skip
 
 

@@ -90,12 +90,10 @@ def against_table(runs: Sequence[Seen], name: str) -> Table:
             factor = of.factor / over.factor
             unit = f"{of.unit or '1'}/{over.unit}"
             shown.append([of.symbol, plain(slope * factor, 3), plain(u * factor, 2), unit, plain(chance, 2)])
-    note = (
-        f"{len(runs)} runs. The slope is that of a straight line, its u from how the runs scatter about it; "
-    )
-    note += "the chance is that of so steep a line where nothing depends on anything."
+    note = f"{len(runs)} runs. Slope of a straight line, with u from the scatter of the runs about it; "
+    note += "chance: the probability of a slope this steep if there is no dependence."
     if not shown:
-        note = f"{len(runs)} runs: too few, or all at the same place, for a line."
+        note = f"{len(runs)} runs: too few, or all at the same value, for a line."
     return Table(
         "against", f"Parameters against {over.name}", columns, rows,
         ("", "slope", "u", "unit", "chance"), shown, note,

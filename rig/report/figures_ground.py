@@ -33,20 +33,20 @@ def spectrum_figure(
     left.set_ylabel(f"deflection / {shown_unit}/√Hz")
     _frequency_axis(left, spectrum)
     words = (
-        "Deflections of the slow mode less the swing, from 2.2 times the pendulum's frequency (dotted) on, "
-        "without its odd harmonics: sensor, air and ground."
+        "Deflections of the slow mode after subtracting the swing, from 2.2 times the pendulum's frequency "
+        "(dotted) on, without its odd harmonics: sensor, air and ground."
     )
     if base is not None and ground is not None:
         right = figure.add_subplot(1, 2, 2)
         _as_acceleration(right, spectrum, frequency_hz, density, ground, base)
         words += (
-            " Right, the acceleration of the base that would leave it, for a mass centre "
-            f"{1e3 * base.mass_centre_height_m:.3g} mm over the contact: the ground moves no more than this. "
+            " Right: the acceleration of the base that alone would cause this, for a centre of mass "
+            f"{1e3 * base.mass_centre_height_m:.3g} mm above the contact: an upper limit for the ground. "
             "The point is the drive that the fit finds at the pendulum's frequency (an arrow: its bound of "
             "95 %); NLNM and NHNM are Peterson's noise models of 1993."
         )
     figure.subplots_adjust(left=0.12, right=0.985, bottom=0.17, top=0.96, wspace=0.26)
-    return ReportFigure("spectrum", "What is left besides the swing", words, figure)
+    return ReportFigure("spectrum", "What remains after subtracting the swing", words, figure)
 
 
 def _as_acceleration(

@@ -96,8 +96,8 @@ def smooth_figure(curves: Curves) -> ReportFigure:
     return ReportFigure(
         "fig14-smoother",
         "Fig. 14: period against amplitude, model-free",
-        "The super-smoother knows no physics: where Eq. 6 follows it, the law is in the data. An even, small "
-        "distance is the smoother's own, which cuts short what is curved.",
+        "The super-smoother assumes no physics: where Eq. 6 follows it, the data support the law. A small, "
+        "even offset is the bias of the smoother, which flattens curvature.",
         _period(
             curves,
             {
@@ -263,6 +263,6 @@ def moments_figure(laws: ComparedLaws, free: MomentsWithoutLaw) -> ReportFigure:
         "Moments of the contact without a law",
         "Splines of the angle, fitted to amplitudes and times; bands cover 68 %. A moment "
         f"proportional to φ is gravity's: the elastic one vanishes at {free.reference_rad / ARCSEC_RAD:.3g} "
-        "arcsec. Lines: the laws that the data do not exclude, in the same terms.",
+        "arcsec. Lines: the laws that the data do not exclude, reduced in the same way.",
         figure,
     )

@@ -25,10 +25,10 @@ def place_figure(found: PositionErrors) -> ReportFigure:
     axes.set_ylabel(f"error / {unit}")
     figure.subplots_adjust(left=0.11, right=0.985, bottom=0.2, top=0.95)
     words = (
-        "What was measured too much at each place of the sensor, with its standard uncertainty, from the "
-        f"residuals of {found.cycles} whole cycles, each of which passes every place twice. It was taken off "
-        "before the turning points were measured again. A constant and a scale cannot be seen in a free "
-        "swing; the budget holds them with the rest."
+        "Error of the measured position across the sensor, with its standard uncertainty, from the "
+        f"residuals of {found.cycles} whole cycles, each of which passes every position twice. It was "
+        "subtracted before the turning points were measured again. A constant offset and an error of scale "
+        "do not show in a free swing; the budget includes them."
     )
     return ReportFigure("position-errors", "Errors of position on the sensor", words, figure)
 

@@ -32,10 +32,10 @@ def witness_figure(spectra: WitnessSpectra) -> ReportFigure:
     return ReportFigure(
         "witness",
         "What the witness of the ground explains",
-        "Left, the drive near the pendulum's frequency (dotted) as its turning points show it, as the "
-        "witness predicts it with the response that was fitted, and what is left; and what the stated "
-        "uncertainties of the turning points alone would make, which grows away from that frequency and is "
-        "no drive. Right, the squared coherence of pendulum and witness, over "
+        "Left: the drive near the pendulum's frequency (dotted) as its turning points show it, as the "
+        "witness predicts it with the fitted response, and the remainder; also the apparent drive from the "
+        "uncertainties of the turning points alone, which grows away from that frequency. "
+        "Right: the squared coherence of pendulum and witness, over "
         f"{spectra.stretches} stretches of the run (dashed: what unrelated records would show).",
         figure,
     )

@@ -67,8 +67,8 @@ def summary_of(source: ReportSource, decay: str) -> list[str]:
         what = "combined over the runs" if series is not None else "of the run"
         first.append(
             html.paragraph(
-                f"Exact fit {what}, value ± standard uncertainty: of the whole budget where it is named "
-                "what dominates it, else of the swings alone.",
+                f"Exact fit {what}, value ± standard uncertainty: of the whole budget where its main "
+                "sources are named, otherwise of the swings alone.",
                 "note",
             )
         )

@@ -85,8 +85,8 @@ def hertz_table(results: RunResults) -> Table:
                 shown.append([f"{form.symbol}, {theory}", form.text(*value), form.unit])
         note = (
             "With adhesion the spot is larger than Hertz's and the surface energy smaller. The Tabor "
-            f"parameter of {results.adhesion.tabor:.2g} (atoms 0.3 nm apart) asks for "
-            f"{results.adhesion.holds}; all other values are the paper's, after Hertz."
+            f"parameter of {results.adhesion.tabor:.2g} (atoms 0.3 nm apart) selects "
+            f"{results.adhesion.holds}; all other values follow the paper, with Hertz's theory."
         )
     return Table(
         "hertz", "Contact after Hertz, and with adhesion" if note else "Contact after Hertz",
@@ -147,7 +147,7 @@ def drag_table(results: RunResults) -> Table:
             [f"of_air_{name}", value if isinstance(value, int | float) else math.nan]
             for name, value in numbers.items()
         ]
-        note = "What air gives is its order of magnitude, of a bar in the pendulum's place" + (
+        note = "The estimate for air is an order of magnitude, for a bar of the pendulum's size" + (
             f"; assumed: {', '.join(drag.of_air.assumed)}." if drag.of_air.assumed else "."
         )
     return Table("drag", "Is there a linear drag?", ("quantity", "value"), rows, ("", ""), shown, note)

@@ -69,7 +69,7 @@ class FilesCamera:
             raise DeviceError(f"camera.files.path: {error}") from None
         if source.lossy:
             _log.warning(
-                "%s: the codec %s usually loses detail, at the expense of the positions", path, source.lossy
+                "%s: the codec %s is usually lossy, which makes positions less accurate", path, source.lossy
             )
         for line in source.said:
             _log.warning("%s: %s", path, line)

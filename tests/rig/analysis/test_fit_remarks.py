@@ -26,7 +26,7 @@ _SEEN = Drag(
     ("finding", "begins"),
     [
         (DragFinding.SEEN, "The decay shows a linear drag: "),
-        (DragFinding.NEGATIVE, "A negative drag would describe the decay best"),
+        (DragFinding.NEGATIVE, "A negative drag fits best"),
         (DragFinding.UNSEEN, "No linear drag is seen: "),
         (DragFinding.OPEN, "This decay cannot distinguish a drag from friction: "),
     ],
@@ -61,7 +61,7 @@ def test_the_ground_is_a_value_where_it_is_seen_and_a_bound_elsewhere() -> None:
 def test_what_the_ground_costs_is_named_the_largest_first() -> None:
     text = ground_sentence(_DRIVEN)
     # b, which is hardly less certain by it, is not
-    assert "by factors of n 7.0, c 1.6. A finer balance" in text
+    assert "by factors of n 7.0, c 1.6. Finer balancing" in text
     assert "factors" not in ground_sentence(replace(_DRIVEN, widening={"b": 1.4}))
 
 
@@ -87,9 +87,7 @@ def test_a_drag_that_is_seen_says_what_it_does_to_the_others() -> None:
 
 def test_where_the_data_do_not_tell_the_air_is_named_with_its_doubt() -> None:
     text = remarks(RunResults(record="run-1.mcap", drag=replace(_SEEN, finding=DragFinding.OPEN)))[0]
-    assert (
-        "expected of the air is taken, (1.5 ± 1.0) × 10⁻³ s, whose uncertainty is part of every other" in text
-    )
+    assert "expected of the air, (1.5 ± 1.0) × 10⁻³ s, is used; its uncertainty is part of all others" in text
     unknown = replace(_SEEN, finding=DragFinding.OPEN, known_s=None)
     assert "fit.drag" in remarks(RunResults(record="run-1.mcap", drag=unknown))[0]
 
@@ -101,7 +99,7 @@ def test_a_drag_that_is_seen_stands_in_the_headline_and_vacuum_too() -> None:
     vacuum = Fit(parameters={"b": Estimate(3.7e-3, 1e-5)})
     said = remarks(RunResults(record="run-1.mcap", drag=_SEEN, fits={"exact": vacuum}))
     assert said[0].startswith("Fitted without a drag, as in vacuum")
-    assert "is in the data" in said[0]
+    assert "the data show a drag of" in said[0]
 
 
 def test_what_the_waveform_gave_is_said() -> None:

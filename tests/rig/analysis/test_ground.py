@@ -43,7 +43,7 @@ def test_a_driven_run_says_what_drives_it_and_what_that_costs() -> None:
     text = ground_sentence(found)
     assert "rad/s²/√Hz" in text
     assert "nm/s²/√Hz of acceleration for a mass centre −0.200 mm high, NLNM +24 dB" in text
-    assert "A finer balance, a quieter hour, a higher start or more runs would help." in text
+    assert "Finer balancing, a quieter hour, a larger first amplitude or more runs would help." in text
 
 
 def test_a_run_at_rest_sets_a_bound_and_asks_for_nothing() -> None:

@@ -93,7 +93,7 @@ def test_a_table_is_fitted_with_a_witness_and_says_what_it_saved(decay: Path) ->
     assert of_eqs[0] == of_eqs[1]
     said = " ".join(witness_sentences(found.witness))
     assert "it explains" in said
-    assert "smaller by factors of b" in said
+    assert "reduces the uncertainties by factors of b" in said
 
 
 def test_the_python_interface_takes_a_witness_of_a_table_as_the_terminal_does(decay: Path) -> None:
