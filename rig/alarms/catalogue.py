@@ -79,7 +79,7 @@ _DANGER, _URGENT = Grade.DANGER, Grade.URGENT
 
 CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     AlarmKey.LIGHT_DISAGREES: Alarm(
-        "light although it is told off",
+        "light although it is commanded off",
         "the laser's output, or its light in the picture, is seen to be on",
         "turn the key switch; then see its driver and cable",
         _DANGER,

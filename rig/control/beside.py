@@ -28,7 +28,7 @@ def darken_beside(laser: LaserSettings, controller: ControllerSettings) -> list[
         try:
             _write(port, data)
         except OSError as error:
-            problems.append(f"{port}: cannot be told off: {error.strerror or error}")
+            problems.append(f"{port}: cannot be switched off: {error.strerror or error}")
     return problems
 
 

@@ -25,7 +25,7 @@ class Light(StrEnum):
     SILENT = "does not answer"
     CONTROLLER_SILENT = "the controller does not answer"
     UNKNOWN = "unknown, nothing was heard for more than 2 s"
-    DISAGREES = "told off, but its output or its light is seen to be on"
+    DISAGREES = "commanded off, but its output or its light is seen to be on"
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ from rig.devices.laser import age_s, goes_dark_by_itself, laser_now, light, wait
 from rig.settings import Configuration
 
 _LOOKS_FOR_S = _HEARD_WITHIN_S = 3.0
-_STILL_SEEN = "the laser is told off, and the camera still sees its spot"
+_STILL_SEEN = "the laser was commanded off, but the camera still sees its spot"
 _SILENT = (Light.SILENT, Light.CONTROLLER_SILENT)
 
 
@@ -129,7 +129,7 @@ class LitDevices:
             self.laser.off()
         if self.permit.latched is None:
             self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
-        return "the laser is told off"
+        return "the laser is commanded off"
 
     def wait_until_heard(self) -> None:
         """Until whoever knows of light and interlock has answered, or has had time to."""

@@ -67,11 +67,11 @@ TOLD: tuple[tuple[AlarmKey, str, dict[str, Any]], ...] = (
     (AlarmKey.CONTROLLER, "the controller is unplugged", {"news": {"devices": {"controller": "lost"}}}),
     (
         AlarmKey.LIGHT_DISAGREES,
-        "light although it is told off",
+        "light although it is commanded off",
         {
             "news": {
                 "safety": {
-                    "light": "told off, but its output or its light is seen to be on",
+                    "light": "commanded off, but its output or its light is seen to be on",
                     "light_age_s": 0.0,
                 }
             }

@@ -463,7 +463,7 @@ def test_a_spot_that_is_still_seen_cannot_be_acknowledged(config: Configuration)
         until(lambda: shown(bright) is None and spot.seen is True)
         devices.darken()
         until(lambda: shown(bright) is None and devices.permit.latched is not None)
-        assert devices.safety().light == "told off, but its output or its light is seen to be on"
+        assert devices.safety().light == "commanded off, but its output or its light is seen to be on"
         with pytest.raises(DeviceError, match="the camera still sees its spot"):
             devices.acknowledge(1, "test")
         until(lambda: shown(dark) is None and spot.agrees)

@@ -200,7 +200,7 @@ def test_a_laser_that_stays_lit_is_seen_and_latched(
     monkeypatch.setattr(RigInputs, "laser", stuck)
     done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(LIVE))
     assert "confirmed" not in done.stderr
-    assert "THE LASER MAY BE LIT: trip 1 (OUTPUT): the laser is told off, and the camera" in done.stderr
+    assert "THE LASER MAY BE LIT: trip 1 (OUTPUT): the laser was commanded off, but the camera" in done.stderr
     lines = [json.loads(line) for line in (tmp_path / "out" / "audit.jsonl").read_text().splitlines()]
     assert [(line["what"], line.get("cause")) for line in lines][-1] == ("latch", "OUTPUT")
 
