@@ -49,6 +49,8 @@ class Splines:
         return out
 
 
+_ROUNDS = 4
+"""Each makes the place of an error right to the error's slope, a few per cent."""
 _QUADRATURE = 512
 """Against 16,384 places the errors of amplitudes differ by 2.6e-6 of themselves, at any correlation
 length."""
@@ -63,8 +65,9 @@ class PositionMap:
     splines
         What it is made of, over places: true deflections, in the unit of the measured ones.
     coefficients, covariance
-        Of the splines: the most likely error, and how well it is known. A constant and a scale, which no
-        free swing shows, are as uncertain as errors of the found size and correlation length let them be.
+        Of the splines: the most likely error, and how well it is known. A constant, which no free swing
+        shows, is as uncertain as errors of the found size and correlation length let it be, a scale by as
+        much as the errors bend it.
     correlation_length
         Distance over which the error changes, in the unit of the deflections.
     significance
@@ -101,8 +104,19 @@ class PositionMap:
 
     def corrected(self, deflections: Deflections) -> Deflections:
         """Deflections without the error."""
-        place = deflections.y - self.error(deflections.y)
-        return replace(deflections, y=deflections.y - self.error(place))
+        place = deflections.y
+        for _ in range(_ROUNDS):
+            place = deflections.y - self.error(place)
+        return replace(deflections, y=place)
+
+    @property
+    def stretch(self) -> tuple[float, float]:
+        """Least and largest place."""
+        return self.splines.low, self.splines.low + self.splines.spacing * (self.splines.count - 3)
+
+    def with_more(self, other: "PositionMap") -> "PositionMap":
+        """The map with the errors of another one over the same stretch, which was found without its own."""
+        return replace(self, coefficients=self.coefficients + other.coefficients)
 
     def amplitude_errors(self, amplitude: Floats, centre: Floats, side: Floats) -> Floats:
         """Errors of amplitudes that the map's covariance leaves, as independent columns (n, m).

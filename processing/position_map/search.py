@@ -105,12 +105,23 @@ class PositionMapSearch:
         return PositionMap(
             splines=self._splines,
             coefficients=best.coefficients,
-            covariance=best.covariance,
+            covariance=best.covariance + self._of_scale(best.coefficients),
             correlation_length=best.length * self._splines.spacing * (_SPLINES - 3),
             significance=significance,
             cycles=self._cycles,
             noise_scale=math.sqrt(scale),
         )
+
+    def _of_scale(self, coefficients: Floats) -> Floats:
+        """Covariance by a scale of which nothing but the size of the errors is known.
+
+        Smooth errors of a correlation length have hardly any mean slope; a scale that is bent has one.
+        """
+        place = self._splines.centres - self._splines.centres.mean()
+        error = self._splines.matrix(self._splines.centres[1:-1]) @ coefficients
+        # splines whose coefficients are their centres make a straight line
+        u_scale = float(np.std(error) / np.std(place[1:-1]))
+        return np.asarray(u_scale**2 * np.outer(place, place), dtype=np.float64)
 
     def _confirmed(self, parts: Sequence[NormalEquations], length: float, scale: float) -> bool:
         """Whether the parts of the run are better described with the map of the others than without one.

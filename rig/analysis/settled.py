@@ -63,7 +63,8 @@ def settled_swings(
     """The half-cycles as they stand once the motion is known from all of them.
 
     `blocks` are consecutive deflections, in `unit`, in which the swings were detected; they pass once for
-    the harmonics of the swing, once for the motion, and again where the run shows errors of position.
+    the harmonics of the swing, once for the motion, and again where the run shows errors of position: the
+    harmonics are then those of the deflections without them.
 
     They stay as they were detected where the laws cannot be fitted, which need deflections in rad, and where
     the laws describe the second measurement worse than the first; their uncertainties then hold by how much
@@ -72,10 +73,7 @@ def settled_swings(
     if pendulum is None or unit is not DeflectionUnit.RAD:
         return Settled(swings, None)
     swings = with_learned_weights(swings)
-    waveform = HarmonicsWatch(swings)
-    for block in blocks:
-        waveform.update(block)
-    harmonics = waveform.found()
+    harmonics = _harmonics_of(blocks, swings)
     fit = FitOfSwings(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
     try:
         first = fit.of(swings)
@@ -90,14 +88,14 @@ def settled_swings(
     found = search.found()
     if found is None:
         return settled
-    corrected = _without_position_errors(swings, blocks, motion, settled.exact or first, found, fit)
+    corrected = _without_position_errors(swings, blocks, motion, settled.exact or first, found, fit, drag)
     if corrected is None:
         doubt = (
             "the residuals show errors of position that are fixed on the sensor, but correcting them does "
             "not improve the fit of the laws: they are left uncorrected"
         )
         return settled._replace(doubt="; ".join(filter(None, [settled.doubt, doubt])))
-    return corrected._replace(harmonics=harmonics)
+    return corrected
 
 
 def _watched(
@@ -116,15 +114,21 @@ def _without_position_errors(
     before: FitResult,
     found: PositionMap,
     fit: FitOfSwings,
+    drag: FittedDrag,
 ) -> Settled | None:
     """Measured again in deflections without the map's errors; None where the laws describe that worse.
 
-    The motion was fitted with the errors in it, and is therefore fitted and used once more. What the map
-    leaves open is then adjusted with what the law sees of it.
+    The motion was fitted with the errors in it, and is therefore fitted and used once more, and so is the
+    search for errors. What the map leaves open is then adjusted with what the law sees of it.
     """
     exact, final, again = before, found, swings
+    harmonics: SwingHarmonics | None = None
     try:
         for step in range(3):
+            if step == 1:
+                found = final = _with_what_is_left(found, blocks, again, motion)
+                harmonics = _harmonics_of(map(found.corrected, blocks), again)
+                fit = fit._replace(evidence=evidence_of(drag, harmonics))
             if step == 2:
                 errors = _place_errors(found, again, exact, fit)
                 final = found.adjusted(errors.values, errors.covariance)
@@ -139,7 +143,29 @@ def _without_position_errors(
         left = _place_errors(found, again, exact, fit).of_parameters
     except DataError:
         return None
-    return Settled(again, motion, with_place_errors(exact, left, exact.names), "", final)
+    return Settled(again, motion, with_place_errors(exact, left, exact.names), "", final, harmonics)
+
+
+def _with_what_is_left(
+    found: PositionMap, blocks: Iterable[Deflections], swings: Sequence[Swing], motion: KnownMotion
+) -> PositionMap:
+    """The map with what the deflections without its errors show of others.
+
+    It was found at places that the errors themselves had moved, which is much where the scale is bent.
+    """
+    watch = CycleWatch(swings, motion)
+    search = PositionMapSearch(*found.stretch, watch.cycles)
+    for _ in _watched(map(found.corrected, blocks), watch, search):
+        pass
+    more = search.found()
+    return found if more is None else found.with_more(more)
+
+
+def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[Swing]) -> SwingHarmonics:
+    watch = HarmonicsWatch(swings)
+    for block in blocks:
+        watch.update(block)
+    return watch.found()
 
 
 def _place_errors(

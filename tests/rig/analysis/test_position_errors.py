@@ -67,3 +67,21 @@ def test_without_structure_nothing_changes_bit_for_bit() -> None:
     assert settled.exact is not None
     assert np.array_equal(settled.exact.values, second.values)
     assert np.array_equal(settled.exact.covariance, second.covariance)
+
+
+def test_the_waveform_is_that_of_the_deflections_without_the_errors() -> None:
+    """They change the third harmonic of friction, too, by which contact and air are told apart."""
+    one = run(fringes, seed=1)
+    blocks = in_blocks(one)
+    settled = settled_swings(one.swings, blocks, DeflectionUnit.RAD, one.pendulum, FitSettings())
+    assert settled.position_map is not None
+    assert settled.harmonics is not None
+    straight, raw = HarmonicsWatch(settled.swings), HarmonicsWatch(one.swings)
+    for block in blocks:
+        straight.update(settled.position_map.corrected(block))
+        raw.update(block)
+    third = 1
+    found, without, with_errors = (
+        float(np.mean(each.sine[:, third])) for each in (settled.harmonics, straight.found(), raw.found())
+    )
+    assert abs(found - without) < 0.2 * abs(with_errors - without)

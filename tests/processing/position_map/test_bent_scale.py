@@ -1,0 +1,37 @@
+"""A scale that is bent: its errors are small against the swing, and their slopes are not."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.angle import ARCSEC_RAD
+from tests.processing.position_map.runs import run, searched
+
+Floats = NDArray[np.float64]
+
+
+def bent(time_s: Floats, place: Floats) -> Floats:
+    """Of a position-sensitive diode whose scale is by 1 % another one at the end of the swing."""
+    return np.asarray(0.01 * place * (place / (124.0 * ARCSEC_RAD)) ** 2)
+
+
+def test_a_map_takes_its_errors_off_whatever_their_slope() -> None:
+    one = run(bent, seed=1)
+    found = searched(one)
+    assert found is not None
+    true = np.linspace(*found.stretch, 500)
+    few = one.deflections[:500]
+    measured = replace(few, y=true + found.error(true))
+    assert np.max(np.abs(found.corrected(measured).y - true)) < 1e-5 * ARCSEC_RAD
+
+
+def test_the_scale_that_a_map_leaves_open_is_as_uncertain_as_it_is_wrong() -> None:
+    found = searched(run(bent, seed=1))
+    assert found is not None
+    place = np.linspace(*found.stretch, 500)
+    weight = place / (place @ place)
+    matrix = found.splines.matrix(place)
+    u_scale = float(np.sqrt(weight @ matrix @ found.covariance @ matrix.T @ weight))
+    wrong = float(weight @ (found.error(place) - bent(place, place)))
+    assert abs(wrong) < 2.5 * u_scale
