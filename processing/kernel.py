@@ -3,15 +3,16 @@
 numba compiles a kernel again for each constant that another kernel hands to it, its cache does not notice a
 change in a kernel that is called from another file, and it refuses to compile where no cache can be written.
 Here a kernel is compiled for types only; a cache entry belongs to the code of the kernel and of all that it
-calls; and without a cache a kernel is compiled in every process. A kernel within another one is kept only as
-a part of that one. Decision 24 has what this pays.
+calls; processes that need the same kernel at once compile it once; and without a cache a kernel is compiled
+in every process. A kernel within another one becomes machine code only as a part of that one. Decision 24 has
+what this pays.
 """
 
 import hashlib
 import pickle
 import secrets
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
@@ -22,7 +23,14 @@ from numba.core import config, event
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
+from numba.core.sigutils import normalize_signature
 from numba.types import Array, unliteral
+
+from processing.byte_lock import byte_locked
+from processing.kernel_parts import Part, PartCompiler, answers_kept
+
+_WAITS = "processing:another process compiles it"
+_BYTES = 2**31
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -51,10 +59,11 @@ def kernel(function: Function | None = None, /, *, fastmath: bool = False) -> An
 def at_compilation(call: Callable[[bool], None]) -> Iterator[None]:
     """Call once, within the context, when a kernel is compiled and not merely loaded from its cache.
 
-    `call` is given whether the machine code will be kept for the next process.
+    One that another process compiles just then counts, too. `call` is given whether the machine code will be
+    kept for the next process.
     """
     listener = _FirstCompilation(call)
-    with event.install_listener("numba:compile", listener):
+    with event.install_listener("numba:compile", listener), event.install_listener(_WAITS, listener):
         yield
 
 
@@ -79,26 +88,57 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
 
     def compile(self, sig: Any) -> Any:
         """Called for a call from Python: loads the machine code from the cache, or compiles and keeps it."""
-        with global_compiler_lock:
-            if not self._within_another and not self._cache_is_open:
+        with global_compiler_lock, ExitStack() as until_kept:
+            if self._within_another:
+                return super().compile(sig)
+            if not self._cache_is_open:
                 self._cache, self._cache_is_open = cache_of(self.py_func, self.targetoptions), True
-            entry = super().compile(sig)
+            # one that is a part of another kernel cannot be called from Python; any other comes from a thread
+            # that had the lock before
+            known = self.overloads.get(tuple(normalize_signature(sig)[0]))
+            if known is not None and isinstance(known.entry_point, Part):
+                del self.overloads[known.signature.args]
+                known = None
+            if known is None and isinstance(self._cache, _Cache):
+                until_kept.enter_context(self._cache.alone(sig, self.targetctx, self._say_that_it_waits))
+            entry = self._compiled(sig)
             if type(self) is Kernel and any(map(_makes_arrays, self.nopython_signatures)):
                 self.__class__ = _KernelThatMakesArrays
             return entry
 
+    def _say_that_it_waits(self) -> None:
+        event.start_event(_WAITS, {"dispatcher": self})
+
+    def _compiled(self, sig: Any) -> Any:
+        with answers_kept(self.typingctx):
+            return super().compile(sig)
+
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Called for a call within another kernel: compiles for types, not for the values of constants.
 
-        It is not kept by itself, since it becomes a part of the caller's.
+        It is neither made machine code nor kept by itself, since it becomes a part of the caller's.
         """
         types = tuple(unliteral(kind) for kind in args)
         named = {name: unliteral(kind) for name, kind in kws.items()}
         cache, self._cache, self._within_another = self._cache, NullCache(), True
+        self._compiler.pipeline_class, whole = PartCompiler, self._compiler.pipeline_class
         try:
             return super().get_call_template(types, named)
         finally:
+            self._compiler.pipeline_class = whole
             self._cache, self._within_another = cache, False
+
+    def add_overload(self, cres: Any) -> None:
+        """Offer compiled code to Python, or to other kernels if it is a part of them."""
+        if self._within_another:
+            cres = cres._replace(entry_point=Part())
+            self.targetctx.insert_user_function(cres.entry_point, cres.fndesc, [cres.library])
+            self.overloads[cres.signature.args] = cres
+            return
+        # as where it is loaded: kernels within it may need constants
+        for environment in cres._find_referenced_environments():
+            cres.codegen.set_env(environment.env_name, environment)
+        super().add_overload(cres)
 
 
 class _KernelThatMakesArrays(Kernel):
@@ -126,8 +166,16 @@ class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
     """numba's files for one function, the machine code in files whose names are never used again.
 
     numba writes its index first and counts the other files from 1. Old code would pass for new while that
-    is written or if it cannot be; code for other types, if two processes write at once.
+    is written or if it cannot be; code for other types, if two processes write at once; and a process that
+    finds the index without the code takes the cache for spoilt.
     """
+
+    def save(self, key: Any, data: Any) -> None:
+        with byte_locked(Path(self._cache_path) / "keeping.lock", 0, lambda: None):
+            overloads = self._load_index()
+            name = overloads[key] = self._data_name(len(overloads))
+            self._save_data(name, data)
+            self._save_index(overloads)
 
     def _data_name(self, number: int) -> str:
         return f"{Path(super()._data_name(number)).stem}.{secrets.token_hex(8)}.nbc"
@@ -159,6 +207,24 @@ class _Cache(FunctionCache):  # type: ignore[misc]
                 self.flush()
             return None
 
+    @contextmanager
+    def alone(self, sig: Any, target_context: Any, waits: Callable[[], None]) -> Iterator[None]:
+        """While what is not kept yet is compiled: no other process compiles it for the same types, too."""
+        key = self._index_key(sig, target_context.codegen())
+        if self._holds(key):
+            yield
+            return
+        name = repr((self._impl.filename_base, self._cache_file._source_stamp, key)).encode()
+        byte = int.from_bytes(hashlib.sha256(name).digest()[:4]) % _BYTES
+        with byte_locked(Path(self._cache_path) / "compiling.lock", byte, waits):
+            yield
+
+    def _holds(self, key: Any) -> bool:
+        try:
+            return key in self._cache_file._load_index()
+        except (OSError, EOFError, pickle.UnpicklingError):
+            return False
+
     def save_overload(self, sig: Any, data: Any) -> None:
         with suppress(OSError):  # a full disk, say: the next process compiles it again
             super().save_overload(sig, data)
@@ -167,7 +233,8 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 def cache_of(function: Any, options: dict[str, Any]) -> Any:
     """Where compiled code of the function is kept; nowhere if no folder for it can be written."""
     code = hashlib.sha256(repr(sorted(options.items())).encode())
-    code.update(Path(__file__).read_bytes())  # how it is compiled
+    for name in ("kernel.py", "kernel_parts.py"):  # how it is compiled
+        code.update(Path(__file__).with_name(name).read_bytes())
     for line in code_of(function, set()):
         code.update(line)
     try:

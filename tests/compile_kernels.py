@@ -1,7 +1,7 @@
 """Compiles the kernels before the tests begin, in two processes, so that no test's limit of time counts it.
 
 A short session compiles what a run and its fit need for pixels of 8 bits; the other process compiles the
-tracker for 12 bits.
+tracker for 12 bits. What both need is compiled by the one that comes first.
 """
 
 import subprocess

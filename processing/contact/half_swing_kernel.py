@@ -290,8 +290,10 @@ def half_swing_map(
         if index[wanted] == step:
             amplitude[wanted] = a
             time[wanted] = t
-            amplitude_gradient[wanted] = a_gradient
-            time_gradient[wanted] = t_gradient
+            # one by one, as above
+            for k in range(MAP_PARAMETERS):
+                amplitude_gradient[wanted, k] = a_gradient[k]
+                time_gradient[wanted, k] = t_gradient[k]
             wanted += 1
             if wanted == count:
                 return amplitude, time, amplitude_gradient, time_gradient

@@ -181,6 +181,54 @@ def test_two_processes_that_keep_code_at_once_keep_it_apart(folder: Path) -> Non
     assert reader.load("other types") is None
 
 
+AT_ONCE = """
+import outer_kernel
+print("ready", flush=True)
+input()
+result, stats = outer_kernel.outer(1.0, 1), outer_kernel.outer.stats
+print(result, sum(stats.cache_misses.values()), sum(stats.cache_hits.values()))
+"""
+
+
+def test_processes_that_need_a_kernel_at_once_compile_it_once(folder: Path) -> None:
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-B", "-c", AT_ONCE],
+            cwd=folder,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(3)
+    ]
+    for process in running:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+    for process in running:
+        assert process.stdin is not None
+        process.stdin.write("\n")
+        process.stdin.flush()
+    said = sorted(process.communicate()[0] for process in running)
+    assert said == ["21.0 0 1\n", "21.0 0 1\n", "21.0 1 0\n"]
+
+
+def test_an_error_of_a_kernel_within_another_names_its_values(folder: Path) -> None:
+    """Where it is compiled, and where it is loaded."""
+    (folder / "inner_kernel.py").write_text(
+        INNER
+        + "\n@kernel\ndef root(x):\n    if x < 0.0:\n        raise ValueError('of', x)\n    return x**0.5\n"
+    )
+    (folder / "outer_kernel.py").write_text(
+        "from processing.kernel import kernel\nfrom inner_kernel import root\n\n"
+        "@kernel\ndef outer(x, ways):\n    return root(x) + root(x + ways)\n"
+    )
+    for _ in range(2):
+        module = imported_again()
+        assert module.outer(4.0, 5) == 5.0
+        with pytest.raises(ValueError, match=r"'of', -2\.0"):
+            module.outer(-2.0, 1)
+
+
 def full_disk(name: str, data: object) -> None:
     raise OSError("full")
 
