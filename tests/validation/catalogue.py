@@ -125,7 +125,7 @@ ROWS: tuple[Row, ...] = (
     Row("coverage-air", _COVERAGE, "Contact and air apart", "decays with drag of which nothing is known beforehand, 20 seeds a case; by parameter, cases together",
         pooled("air", "one_u", seeds=20, only=("drag",)), "number", "%", limit_of_share(400), share=True),
     Row("coverage-witness", _COVERAGE, "Fits with a witness of the ground",
-        "decays driven by one real seismometer, seen by another, or by white noise, 40 seeds a case; by parameter, cases together",
+        "decays driven by one real seismometer, seen by another, or by white noise, 40 seeds a case; by parameter, cases together; short are n and gamma: with a witness that has no error at all, intervals are twice too wide",
         pooled("vault", "one_u", seeds=40), "number", "%", limit_of_share(400), share=True),
     Row("coverage-stopped", _COVERAGE, "Runs that end by `session.stop_when`", "a driven pendulum of the tests' own integration, 50 seeds",
         benchmark("enough", "one_u", part="stoppings", argument=50, factor=100), "number", "%", limit_of_share(50), share=True),
