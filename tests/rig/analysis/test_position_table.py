@@ -128,6 +128,6 @@ def test_labview_names_a_column_of_comments_that_its_rows_do_not_have(tmp_path: 
         "***End_of_Header***\t\t\nX_Value\tPosition [mm]\tComment\n"
     )
     rows = "".join(f"0,{k}000\t{k},5000\n" for k in range(10))
-    found = read_trajectory(write(tmp_path / "swing.lvm", head + rows), None, [], "")
+    found = TableColumns(None, (), "").read(write(tmp_path / "swing.lvm", head + rows))
     assert (found.time_name, found.names, found.unit) == ("X_Value", ("Position [mm]",), "mm")
     assert len(found.times_ns) == 10
