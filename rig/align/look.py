@@ -125,7 +125,7 @@ class AlignmentFrame(NamedTuple):
             Verdict(
                 "centring",
                 True,
-                remedy="" if centred else "bring the spot to the crosshair",
+                remedy="" if centred else "at rest it belongs to the crosshair; a swing passes there",
                 measured="{:+.0f}, {:+.0f} px".format(*self._off_px),
                 limit=f"{_CENTRED * shortest_px:.0f} px",
             )

@@ -186,6 +186,10 @@ def _state(desk: Desk) -> str:
         phase = doing(following.news.get("state"))
         return f"{following.folder.name} · {following.news.get('run') or 'session'} · {phase or 'preparing'}"
     if desk.session_state is Started.RUNNING:
+        folder = desk.session_folder
+        how = "" if folder is None else last_state(folder)
+        if folder is not None and how in ("complete", "stopped", "failed"):
+            return f"last session {how}, its report is made: {folder.name}"
         return "a session begins, or is fitted"
     if desk.session_state and desk.session_folder is not None:
         how = last_state(desk.session_folder) or str(desk.session_state)
@@ -194,7 +198,7 @@ def _state(desk: Desk) -> str:
         return f"last session {how}{more}: {desk.session_folder.name}"
     if desk.session_folder is not None:
         return f"last session: {desk.session_folder.name}"
-    running = [name for name, job in desk.jobs.items() if job.running]
+    running = [name for name, job in desk.jobs.items() if job.running and "preflight" not in job.newest]
     return f"rig {', '.join(running)} runs" if running else f"ready · {desk.source.name}"
 
 

@@ -246,4 +246,4 @@ def _why_none(desk: Desk) -> str:
         return no_frame_yet(desk.following)
     if desk.calibrating.watched is not None:
         return "" if desk.following.has_picture else "the first frame of the recording is waited for"
-    return "dark: what is recorded lights by itself"
+    return "laser off: a recording switches it on by itself"

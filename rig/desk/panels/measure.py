@@ -115,9 +115,12 @@ def build(desk: Desk, tab: Tab) -> None:
         unit = str(news.get("unit") or "")
         measuring = run_state.get("phase") == Phase.MEASURING
         frames_age_s = desk.following.frames_age_s
-        blind = frames_age_s > STALE_S
+        is_dark = bool(news.get("darkness"))
+        blind = frames_age_s > STALE_S or is_dark
         before_it.set_text(
-            f"no frame for {frames_age_s:.0f} s: what is shown is of then"
+            "it is dark: what is shown is of then"
+            if is_dark
+            else f"no frame for {frames_age_s:.0f} s: what is shown is of then"
             if blind
             else ""
             if measuring

@@ -76,7 +76,7 @@ def build(desk: Desk, tab: Tab) -> None:
             if job.running:
                 said = doing(job.newest.get("state")) or "the camera is opened"
         button.set_enabled(job is None or not job.running)
-        ending.set_visibility(job is not None and job.running)
+        ending.set_visibility(job is not None and job.running and not found)
         against = [one for one in found if not one["ok"]]
         shown_first = against + [one for one in found if one["ok"] and (one["remedy"] or not one["made"])]
         passed = [one for one in found if one not in shown_first]
