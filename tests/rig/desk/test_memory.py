@@ -28,8 +28,8 @@ HALF_S, RATE_HZ = 1.2, 5.0
 FULL_AFTER_S, LATER_S = 7200.0, (25_200.0, 43_200.0)
 """After two hours all that is decimated is full; the run goes on to seven hours, and to twelve."""
 MORE = 8000
-"""Objects by which two counts may differ. A count has some 240,000; NiceGUI keeps messages for 48 s. Of 30,000
-half-cycles, 180,000 frames and 600 events between the two none may stay."""
+"""Objects by which two counts may differ. A count has some 240,000; NiceGUI keeps messages for 48 s. Of
+30,000 half-cycles, 180,000 frames and 600 events between the two none may stay."""
 
 
 class ToldRun:
