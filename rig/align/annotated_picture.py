@@ -28,10 +28,10 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
     part = look.image[top : top + part_height, left : left + part_width]
     scale = min(width_px / part_width, height_px / part_height)
     size = max(1, round(part_width * scale)), max(1, round(part_height * scale))
-    drawn = _resized(np.sqrt(part / look.full_scale_dn), size, scale)
+    # a root for each value that there can be, not for each pixel
+    roots = np.sqrt(np.arange(np.iinfo(part.dtype).max + 1) / look.full_scale_dn)
+    drawn = _resized(roots[part], size, scale)
     picture = np.repeat((255.0 * np.clip(drawn, 0.0, 1.0)).astype(np.uint8)[..., np.newaxis], 3, axis=2)
-    # of a pixel of the picture any part may be saturated
-    saturated = _resized((part >= look.full_scale_dn).astype(np.float64), size, scale) > 0.0
     thin = max(1, round(min(size) / 300))
 
     def at(x_px: float, y_px: float) -> tuple[int, int]:
@@ -54,7 +54,11 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
         rgb = palette.rgba(colour)[:3]
         angle_deg = math.degrees(spot.rotation_rad)
         cv2.ellipse(picture, at(spot.x_px, spot.y_px), half, angle_deg, 0.0, 360.0, rgb, thin)
-    picture[saturated] = palette.rgba(palette.VERMILLION)[:3]
+    full = part >= look.full_scale_dn
+    if full.any():
+        # of a pixel of the picture any part may be saturated
+        saturated = _resized(full.astype(np.float64), size, scale) > 0.0
+        picture[saturated] = palette.rgba(palette.VERMILLION)[:3]
     return picture
 
 

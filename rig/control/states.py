@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 from typing import Any, Final
 
 from pydantic import TypeAdapter
@@ -84,7 +85,13 @@ class SafetyNow:
     def told(cls, values: Mapping[str, Any]) -> "SafetyNow":
         """From plain values, as a session tells them; there infinite ages are null."""
         known = {key: value for key, value in values.items() if value is not None}
-        return TypeAdapter(cls).validate_python(known)
+        return _adapter().validate_python(known)
+
+
+@cache
+def _adapter() -> TypeAdapter[SafetyNow]:
+    """Made once: that takes many times as long as what it reads."""
+    return TypeAdapter(SafetyNow)
 
 
 @dataclass(frozen=True, slots=True)

@@ -142,8 +142,9 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
         if safety.trip is not None:
             acknowledge.set_text(f"Acknowledge trip {safety.trip.number} …")
         acknowledge.set_visibility(safety.trip is not None)
+        may_be_lit = desk.lighting.waits
         for one in (waits, again):
-            one.set_visibility(desk.lighting.waits)
+            one.set_visibility(may_be_lit)
         asked_for = str(run_state.get("instruction") or "")
         instruction.set_text(asked_for.upper())
         instruction.set_visibility(bool(asked_for))

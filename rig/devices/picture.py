@@ -46,7 +46,8 @@ def figures(image: Image, full_scale_dn: int) -> PictureFigures:
     background_dn = float(np.median(image))
     light = calm.astype(np.float64) - background_dn
     # subtract a tenth of the peak, to exclude the noise of the background
-    light = np.maximum(light - _FLOOR * light.max(initial=0.0), 0.0)
+    floor_dn = _FLOOR * max(light.max(initial=0.0), 0.0)
+    light = np.maximum(_where_lit(light, floor_dn) - floor_dn, 0.0)
     rows, columns = np.gradient(light)
     energy = float(np.sum(light * light))
     gradient = float(np.sum(rows * rows + columns * columns))
@@ -56,6 +57,16 @@ def figures(image: Image, full_scale_dn: int) -> PictureFigures:
         background_dn / full_scale_dn,
         float(np.sqrt(gradient / energy)) / _OF_A_CUT_GAUSSIAN if energy > 0 else 0.0,
     )
+
+
+def _where_lit(light: NDArray[np.float64], floor_dn: float) -> NDArray[np.float64]:
+    """The part with all that is above the floor, and a margin where its gradient ends: a spot is small."""
+    left, top, width, height = cv2.boundingRect((light > floor_dn).astype(np.uint8))
+    margin = 2
+    return light[
+        max(top - margin, 0) : max(top + height + margin, 2),
+        max(left - margin, 0) : max(left + width + margin, 2),
+    ]
 
 
 def average(frames: Sequence[Frame]) -> Image:

@@ -13,7 +13,7 @@ from processing.arrays import Floats
 from processing.errors import ConfigurationError, DeviceError
 from rig.analysis.recorded_witness import recorded_witness
 from rig.control import controller as controller_module
-from rig.control.board_witness import BLOCK, BoardSamples, BoardWitness, samples_of, sensor_of
+from rig.control.board_witness import BoardSamples, BoardWitness, samples_of, sensor_of
 from rig.control.controller import Controller
 from rig.control.firmware import core
 from rig.control.firmware.adxl355 import RATE_HZ, Adxl355

@@ -278,6 +278,7 @@ def see_a_reference(folder: Path) -> None:
     """A second spot below the pendulum's, in air."""
     words = {
         "reference.from_row_px": 600,
+        "reference.gain": 1.0,
         "simulation.reference.relative": 0.5,
         "simulation.reference.y_px": 620,
     }
