@@ -13,6 +13,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.ticks import seconds
 from processing.units import conversion
 from rig.analysis.tables import Cells, Columns, Run, moments_ns, read_cells, runs_of
+from rig.analysis.tables.clock_times import M_SS, clock_form
 from rig.analysis.tables.column_units import unit_of_positions, unit_of_time
 from rig.analysis.tables.numbers import is_moment
 from rig.analysis.tables.times import number, placed, read_times, rising
@@ -174,12 +175,17 @@ class _Reading:
     def _times(self, column: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], str, int]:
         cells = [row[column] for row in self._cells.rows]
         if sum(map(is_moment, cells[:50])) > 0.5 * len(cells[:50]):
-            found = moments_ns(cells)
+            form, source = clock_form(
+                self._path, self._names[column], self._columns.named[column], self._asked.time_unit, cells
+            )
+            found = moments_ns(cells, minutes_first=form == M_SS)
             good = np.array([one is not None for one in found])
             kept = [one for one in found if one is not None]
             times_ns = np.array([one - kept[0] for one in kept], dtype=np.int64)
             rising(self._path, times_ns, [cell for cell, yes in zip(cells, good, strict=True) if yes], _SORT)
-            self._said.append(f"time: {self._names[column]}, moments")
+            self._said.append(
+                f"time: {self._names[column]}, " + (f"as {form} ({source})" if form else "moments")
+            )
             return times_ns, good, "s", kept[0]
         named = self._columns.named[column]
         unit, source = unit_of_time(self._path, self._names[column], named, self._asked.time_unit)

@@ -1,5 +1,6 @@
 """Dates and times of day as nanoseconds."""
 
+from collections.abc import Sequence
 from datetime import UTC, date, datetime, timedelta, timezone
 from typing import Final
 
@@ -10,8 +11,10 @@ _DAY_NS: Final = 86_400 * _SECOND_NS
 _DAY_1970: Final = date(1970, 1, 1).toordinal()
 
 
-def moments_ns(cells: list[str]) -> list[int | None]:
+def moments_ns(cells: Sequence[str], *, minutes_first: bool = False) -> list[int | None]:
     """Times in ns since 1970, or since midnight where no date stands; None for a cell that is no moment.
+
+    Of two fields, ``12:30``, the first is the hour, or the minute with `minutes_first`.
 
     Times of day without a date go on over midnight: where one falls by more than half a day, a day has
     passed.
@@ -23,7 +26,8 @@ def moments_ns(cells: list[str]) -> list[int | None]:
         if match is None or not (match["date"] or match["clock"]):
             found.append(None)
             continue
-        value = _clock_ns(match["clock"] or "0:00") if match["clock"] or match["date"] else 0
+        first_of_two = minutes_first and not match["date"]
+        value = _clock_ns(match["clock"] or "0:00", first_of_two) if match["clock"] or match["date"] else 0
         if match["date"]:
             value += _day(match["date"]) * _DAY_NS - _zone_ns(match["zone"])
         else:
@@ -35,9 +39,13 @@ def moments_ns(cells: list[str]) -> list[int | None]:
     return found
 
 
-def _clock_ns(text: str) -> int:
-    hours, minutes, *rest = text.replace(",", ".").split(":")
-    whole, _, part = (rest[0] if rest else "0").partition(".")
+def _clock_ns(text: str, minutes_first: bool) -> int:
+    fields = text.replace(",", ".").split(":")
+    if len(fields) == 2:
+        # only seconds have a fraction
+        fields = ["0", *fields] if minutes_first or "." in text or "," in text else [*fields, "0"]
+    hours, minutes, in_s = fields
+    whole, _, part = in_s.partition(".")
     whole_s = (int(hours) * 60 + int(minutes)) * 60 + int(whole)
     return whole_s * _SECOND_NS + int(f"{part:0<9}"[:9])
 

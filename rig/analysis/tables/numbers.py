@@ -24,8 +24,10 @@ _EASY: Final = re.compile(r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?")
 _WITH_UNIT: Final = re.compile(r"(?P<number>[+-]?[\d.,].*?)\s*(?P<unit>[^\d\s.,+-][^\d,.+]*)")
 MOMENT: Final = re.compile(
     r"(?P<date>\d{4}-\d\d-\d\d|\d{4}/\d\d/\d\d|\d\d\.\d\d\.\d{4})?(?:(?<=\d)[T ])?"
-    r"(?P<clock>\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?)?(?P<zone>Z|[+-]\d\d:?\d\d)?"
+    r"(?P<clock>(?(date)\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?"
+    r"|(?:\d{1,2}:\d\d:\d\d(?:[.,]\d+)?|\d{1,3}:\d\d(?:[.,]\d+)?)))?(?P<zone>Z|[+-]\d\d:?\d\d)?"
 )
+"""A date, a time of day or both. Without a date the time may be one of minutes and seconds, ``75:30.5``."""
 
 
 class Writing(NamedTuple):
