@@ -115,6 +115,8 @@ def _half_swing(branch: Branch, amplitude: Floats, held: Floats, q: Arrays) -> t
         return following, duration, branch.resistance(2 * radius, held, q)
 
 
+# a search tries values whose quotients overflow; rows that are not finite are left out below
+@np.errstate(all="ignore")
 def _table(branch: Branch, names: Sequence[str], parameters: Floats, highest: float) -> SwingTable | None:
     """Half-swings from amplitudes below `highest`; None where the pendulum sticks."""
     from scipy.interpolate import CubicSpline  # here, because it would slow down every command
@@ -135,9 +137,8 @@ def _table(branch: Branch, names: Sequence[str], parameters: Floats, highest: fl
         if again:
             # the moment at the next reversal is linear in the one at this
             way = amplitude + following
-            with np.errstate(invalid="ignore"):  # where the springs have no stiffness
-                fading = (branch.resistance(way, 0.0 * held, q) - next_held) / held
-                more = (next_held / branch.at_reversal(following, q) - 1) / (1 + fading)
+            fading = (branch.resistance(way, 0.0 * held, q) - next_held) / held
+            more = (next_held / branch.at_reversal(following, q) - 1) / (1 + fading)
             held = steady * (1 + _on_grid(log_a, np.log(following), more))
     ratio = following / amplitude
     by = [(one[1 : 1 + count] - one[1 + count :]) / (2 * steps[:, None]) for one in (ratio, duration)]
