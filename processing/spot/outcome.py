@@ -139,6 +139,18 @@ def _information(image: Image, work: Workspace, noise: PixelNoise, fitted: Fitte
 
 
 @kernel
+def _clipped(image: Image, p: Floats, noise: PixelNoise) -> bool:
+    """Whether a pixel of the spot's window is at full scale in the image itself."""
+    ny, nx = image.shape
+    window = window_of(p, nx, ny, REACH)
+    for j in range(window.y0, window.y1):
+        for i in range(window.x0, window.x1):
+            if image[j, i] >= noise.full_scale_dn:
+                return True
+    return False
+
+
+@kernel
 def _report(
     image: Image, place: Place, work: Workspace, noise: PixelNoise, fitted: Fitted, flags: int
 ) -> Result:
@@ -156,7 +168,8 @@ def _report(
     inflate = math.sqrt(max(1.0, excess))
     u_x = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, X))
     u_y = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, Y))
-    if fitted.saturated > 0:
+    # of a beam that is not Gaussian the model may reach full scale where no pixel does
+    if fitted.saturated > 0 and _clipped(image, p, noise):
         flags |= _SATURATED
     if (
         x - 3.0 * p[SIGMA_X] < -0.5

@@ -79,7 +79,10 @@ class BeamProfile:
 
 
 class ProfileFit(NamedTuple):
-    """A profile's fit to one frame: `p` as in `profile_fit`, but the centre on the sensor."""
+    """A profile's fit to one frame: `p` as in `profile_fit`, but the centre on the sensor.
+
+    `saturated` is the number of pixels at full scale, where the profile reaches it.
+    """
 
     p: Floats
     chi2_per_dof: float
@@ -128,6 +131,10 @@ def fit_at(
         away = max(abs(p[CENTRE_X] - column - origin_px[0]), abs(p[CENTRE_Y] - row - origin_px[1]))
         if done and away <= 1.0:
             outliers = max(outliers - (0 if left_out is None else len(left_out[0])), 0.0)
+            if saturated > 0:
+                if left_out is not None:
+                    window[left_out] = 0.0
+                saturated = float(np.count_nonzero(window >= PixelNoise(*noise_values).full_scale_dn))
             return ProfileFit(p, chi2 / max(kept - FITTED, 1.0), kept, saturated, outliers, u_x, u_y)
         if not away > 1.0:
             return None

@@ -14,7 +14,7 @@ class SpotFlag(IntFlag):
     """Problems found with a spot, or a model other than one Gaussian, one bit each; 0 if there are none."""
 
     SATURATED = 1
-    """Pixels that the model expects at full scale were left out."""
+    """Pixels are at full scale; where the model expects them there, they were left out."""
     EDGE = 2
     """The spot is cut by the edge of the sensor."""
     LOST = 4

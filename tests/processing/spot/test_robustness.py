@@ -64,6 +64,31 @@ def test_clipped_at_four_times_full_scale(cold: bool) -> None:
     assert claimed_over_actual(spots, errors) == pytest.approx(1, abs=0.03 + rms_tolerance(errors.size))
 
 
+def hollow(x: float, y: float, peak: float) -> NDArray[np.float64]:
+    """Light of a beam that is half as bright in its middle as on its rim."""
+    v, u = np.mgrid[:120, :120]
+    r2 = ((u - x) ** 2 + (v - y) ** 2) / 64.0
+    density = (0.5 + r2) * np.exp(-r2)
+    return np.asarray(peak * density / density.max())
+
+
+@pytest.mark.parametrize(("peak", "clipped"), [(170, False), (300, True)])
+@pytest.mark.parametrize("followed", [False, True])
+def test_saturated_is_what_the_camera_gave_at_full_scale(peak: float, clipped: bool, followed: bool) -> None:
+    """The Gaussian that fits a hollow beam's flanks is far beyond full scale where no pixel is."""
+    rng = np.random.default_rng(5)
+    tracker = SpotTracker(EIGHT_BIT)
+    spots = []
+    for x, y in 60 + rng.uniform(-0.5, 0.5, (20, 2)):
+        if not followed:
+            tracker.reset()
+        frame = exposed(hollow(x, y, peak), rng)
+        assert (frame.max() == 255) == clipped
+        spots.append(tracker.track(frame))
+    assert {bool(spot.flags & SpotFlag.SATURATED) for spot in spots} == {clipped}
+    assert min(spot.amplitude_dn for spot in spots) > 255
+
+
 @pytest.mark.parametrize("cold", [False, True])
 def test_cut_by_the_sensors_edge(cold: bool) -> None:
     spots, errors = run(

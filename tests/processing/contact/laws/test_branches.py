@@ -57,6 +57,7 @@ def test_dahls_half_swings_are_those_of_his_equation() -> None:
     np.testing.assert_allclose(found.amplitude, amplitude[begun:], rtol=3e-7)
     np.testing.assert_allclose(found.time, (time[begun:] - time[begun]) / (2 * np.pi), rtol=1e-7)
 
+
 @pytest.mark.parametrize("c", [0.0, 1e-320, -1e-3, 1e300, np.inf])
 @pytest.mark.parametrize("sigma", [0.0, 0.04, 1e300])
 def test_dahls_trial_parameters_beyond_all_sense_warn_of_nothing(c: float, sigma: float) -> None:
