@@ -30,6 +30,7 @@ from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.position_table import TableColumns
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
 from rig.analysis.results_file import relative_record
+from rig.analysis.second_frequency import second_frequency
 from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
 from rig.analysis.surroundings import stated_surroundings
 from rig.analysis.swings_fit import analyse_swings
@@ -97,11 +98,14 @@ def analyse_trajectory(
     usable = [part for part in parts if len(turning_points(part)) >= _USABLE]
     if not usable:
         most = max((len(turning_points(part)) for part in parts), default=0)
-        raise DataError(
-            f"{path}: {most} usable half-cycles ({len(swings) - most} more are flagged or of other decays), "
-            f"at least {_USABLE} are needed: the samples hold no free decay, or too little of one. "
+        reason = second_frequency(trajectory.times_ns, deflection) or (
+            "the samples hold no free decay, or too little of one. "
             f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}; --time and "
             "--position choose others"
+        )
+        raise DataError(
+            f"{path}: {most} usable half-cycles ({len(swings) - most} more are flagged or of other decays), "
+            f"at least {_USABLE} are needed: {reason}"
         )
     decays = [_analyse(path, part, trajectory, deflection, noise, config, laws, witness) for part in usable]
     longest = max(decays, key=lambda decay: decay.summary.half_cycles)
