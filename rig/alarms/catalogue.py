@@ -156,8 +156,7 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     AlarmKey.SESSION_DIED: Alarm(
         "session died",
         "its process was killed, or has crashed",
-        "see that the laser is dark; then Resume, under Sessions, makes the missing runs; "
-        "rig recover repairs the record",
+        "see that the laser is dark; then Resume makes the missing runs: what was recorded is kept",
         _URGENT,
         latched=True,
     ),
@@ -171,7 +170,7 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     AlarmKey.SESSION_FAILED: Alarm(
         "session failed",
         "an error has ended it before its end",
-        "remove the cause that it names, then Sessions, Resume, or start again",
+        "remove the cause that it names, then start again",
         _URGENT,
         latched=True,
     ),

@@ -94,7 +94,10 @@ def _cause(use: BeamUse, *, noise_is_known: bool) -> tuple[str, str]:
     if use.poor_with[SpotFlag.CUT] > half:
         return "something cuts the spot", "centre the beam in lens, mirrors and window; free its path"
     if use.poor_with[SpotFlag.SATURATED] > half:
-        return "it is saturated, and only its flanks are fitted", "lower exposure_us or the laser's power"
+        return (
+            "it is saturated, and only its flanks are fitted",
+            "lower the exposure (exposure_us) or the laser's power",
+        )
     if use.changes:
         return "it changed during the run", "let the laser warm up; fix the optics; look for what moved"
     if use.model is SpotModel.LEARNED:

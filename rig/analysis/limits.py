@@ -13,7 +13,7 @@ from rig.presentation import SOURCES, quantity
 _SHOWN_SHARE = 0.02
 _LIMITS_FROM = 0.25
 _DO: Final[Mapping[str, str]] = {
-    "swings": "measure longer, or make more runs (--runs)",
+    "swings": "measure longer, or make more runs",
     "ground": "measure while the ground is quieter, or record it beside the run (rig fit --witness)",
     "misfit": "see in the report where the law misses the decay, and compare laws (rig fit --law all)",
     "position_errors": "correct the sensor's errors of position",

@@ -94,7 +94,7 @@ def _saturation(beam: Beam, frames: int, most: float) -> Verdict:
         beam.flags.get(SpotFlag.SATURATED.name or "", 0),
         frames,
         most,
-        "lower exposure_us or the laser's power",
+        "lower the exposure (exposure_us) or the laser's power",
     )
     return replace(found, ok=True, reason="" if found.ok else "pixels at full scale are lost to the fit")
 

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 from nicegui import ui
 
@@ -15,13 +16,27 @@ _COUNTED = (AlarmState.ACTIVE, AlarmState.CLEARED, AlarmState.ACKNOWLEDGED, Alar
 
 
 class AlarmBar:
-    """Shows the list; `ask_leave` opens the dialog of a trip, whose acknowledgement is given there only."""
+    """Shows the list; `ask_leave` opens the dialog of a trip, whose acknowledgement is given there only.
 
-    def __init__(self, alarms: AlarmList, tab: Tab, ask_leave: Callable[[], None]) -> None:
+    `resumable` is the session whose missing runs can be made, `ask_resume` opens the dialog of that.
+    """
+
+    def __init__(
+        self,
+        alarms: AlarmList,
+        tab: Tab,
+        ask_leave: Callable[[], None],
+        resumable: Callable[[], Path | None],
+        ask_resume: Callable[[Path], None],
+    ) -> None:
         self._alarms, self._tab, self._ask_leave = alarms, tab, ask_leave
+        self._resumable, self._ask_resume = resumable, ask_resume
         self._shown: object = None
         self._banner = ui.label().classes("alarm").props('role="alert" aria-live="assertive"')
         self._remedy = ui.label().classes("alarm-remedy")
+        self._resume = ui.button("Resume …", on_click=tab.act(self._resumed))
+        self._resume.props('color="positive" size="lg" aria-label="Resume … the session that died"')
+        self._resume.classes("full-width")
         with ui.expansion().classes("full-width alarms").props("dense") as self._fold:
             with self._fold.add_slot("header"):
                 self._counts = ui.label().props('role="status" aria-live="polite"')
@@ -40,6 +55,8 @@ class AlarmBar:
         self._banner.set_visibility(worst is not None)
         self._remedy.set_text("" if worst is None else worst.alarm.remedy)
         self._remedy.set_visibility(worst is not None)
+        died = any(row.key is AlarmKey.SESSION_DIED for row in rows)
+        self._resume.set_visibility(died and self._resumable() is not None)
         counted = [(state, sum(row.state is state for row in rows)) for state in _COUNTED]
         said = ", ".join(f"{count} {state}" for state, count in counted if count)
         self._counts.set_text(f"Alarms: {said or 'none'}")
@@ -74,6 +91,10 @@ class AlarmBar:
                 if row.state in (AlarmState.ACTIVE, AlarmState.ACKNOWLEDGED):
                     button = ui.button("Shelve 10 min", on_click=tab.act(partial(self._shelve, row.key)))
                     button.props(f'dense flat aria-label="shelve {alarm.title}"')
+
+    def _resumed(self) -> None:
+        if (folder := self._resumable()) is not None:
+            self._ask_resume(folder)
 
     def _seen(self, key: AlarmKey) -> None:
         self._alarms.acknowledge(key, self._tab.operator)

@@ -194,6 +194,13 @@ class Desk:
         """Folder of the running session, else of the last one that this desk has seen or started."""
         return self.following.last_folder or (self._session[1] if self._session is not None else None)
 
+    def resumable(self) -> Path | None:
+        """The newest session, where it was interrupted and none runs: its missing runs can be made."""
+        if self.following.running or self.session_state is Started.RUNNING:
+            return None
+        newest = next(iter(self.sessions.page(None, most=1).rows), None)
+        return newest.folder if newest is not None and newest.resumable else None
+
     def hand_over(self) -> HandOver | None:
         """What the last session hands over; None without a record. Read again when that changes."""
         folder = self.session_folder

@@ -18,6 +18,7 @@ from rig.desk.following import doing
 from rig.desk.login import LOGIN
 from rig.desk.panels import PANELS
 from rig.desk.people import People, Person
+from rig.desk.resuming import resume_dialog
 from rig.desk.safety import lamps
 from rig.desk.sessions import last_state
 from rig.desk.style import STYLE
@@ -81,8 +82,9 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
             allow = ui.button("Acknowledge", on_click=tab.act(acknowledged))
             allow.props(f'color="negative" {DELIBERATE}')
             ui.button("Not now", on_click=leave.close).props("outline")
+    resume = resume_dialog(desk, tab)
     with ui.element("div").classes("cries"):
-        alarms = AlarmBar(desk.alarming.alarms, tab, ask_leave)
+        alarms = AlarmBar(desk.alarming.alarms, tab, ask_leave, desk.resumable, resume)
         acknowledge = ui.button("Acknowledge …", on_click=tab.act(ask_leave))
         acknowledge.props('color="negative" size="lg"').classes("full-width")
         waits = ui.label("The laser is dark, and waits for a person. Look that nobody is in the beam's way.")

@@ -9,8 +9,9 @@ from nicegui import run, ui
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
 from rig.desk.panels.archived_runs import ArchivedRuns
+from rig.desk.resuming import resume_dialog
 from rig.desk.sessions import SERVED, SessionRow, sparkline
-from rig.desk.tab import DELIBERATE, Tab
+from rig.desk.tab import Tab
 
 KEYS = (("o", "sessions: open the report"), ("v", "sessions: show in Rerun"))
 _COLUMNS = ("begun", "folder", "sample", "operator", "conditions", "runs", "state", "decay")
@@ -26,7 +27,6 @@ def build(desk: Desk, tab: Tab) -> None:
     rows: dict[str, SessionRow] = {}
     marked: dict[str, SessionRow] = {}
     sparks: dict[SessionRow, str] = {}
-    asked: Path | None = None
     first = 0
 
     def chosen(least: int = 1, most: int = 1) -> list[Path]:
@@ -66,28 +66,13 @@ def build(desk: Desk, tab: Tab) -> None:
         again.compare(chosen(2, 20), output)
 
     def ask_resume() -> None:
-        nonlocal asked
-        (asked,) = chosen()
-        row = marked[str(asked)]
+        (folder,) = chosen()
+        row = marked[str(folder)]
         if not row.resumable:
-            raise ConfigurationError(
-                f"{asked}: is {row.state}; only what was interrupted goes on here, see rig run --resume"
-            )
-        what.set_text(f"Make the missing runs of {asked}?")
-        begin.open()
+            raise ConfigurationError(f"{folder}: is {row.state}; only what was interrupted goes on")
+        resume(folder)
 
-    async def resume() -> None:
-        begin.close()
-        if (folder := asked) is not None:
-            await run.io_bound(desk.resume_session, folder)
-            ui.notify(f"{folder} goes on; see Measure")
-
-    with ui.dialog().props('aria-label="go on with a session"') as begin, ui.card():
-        what = ui.label().classes("middle")
-        ui.label("The laser will be lit. Look that nobody is in the beam's way.")
-        with ui.row():
-            ui.button("Go on with it", on_click=tab.act(resume)).props(f'color="positive" {DELIBERATE}')
-            ui.button("Not now", on_click=begin.close).props("outline")
+    resume = resume_dialog(desk, tab)
     drawer = ui.dialog().props('position="right" full-height aria-label="report"')
     with drawer, ui.card().classes("report").props('id="report"'):
         with ui.row().classes("items-center full-width no-wrap"):

@@ -52,7 +52,7 @@ def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
         "spot found",
         ok,
         "" if ok else "no spot in too many frames",
-        "" if ok else "laser on? beam on the sensor? raise exposure_us",
+        "" if ok else "laser on? beam on the sensor? raise the exposure (exposure_us)",
         measured=f"{100 * (1 - lost):.1f} % of {len(spots)} frames",
         limit=f"{100 * (1 - limits.max_lost_fraction):g} %",
     )
@@ -74,7 +74,13 @@ def exposure(spots: Sequence[Spot], full_scale_dn: float, limits: PreflightSetti
     peak = float(np.median(peaks)) / full_scale_dn
     dark, bright = peak < limits.min_peak_fraction, peak > limits.max_peak_fraction
     reason = "too dark: noisy" if dark else "too bright: saturates" if bright else ""
-    remedy = "raise exposure_us or the laser" if dark else "lower exposure_us or the laser" if bright else ""
+    remedy = (
+        "raise the exposure (exposure_us) or the laser"
+        if dark
+        else "lower the exposure (exposure_us) or the laser"
+        if bright
+        else ""
+    )
     return Verdict("exposure", not reason, reason, remedy, measured=f"peak {100 * peak:.0f} %", limit=limit)
 
 
@@ -86,7 +92,7 @@ def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
         "saturation",
         ok,
         "" if ok else "pixels at full scale are lost to the fit",
-        "" if ok else "lower exposure_us or the laser's power",
+        "" if ok else "lower the exposure (exposure_us) or the laser's power",
         measured=f"{100 * part:.1f} % of frames",
         limit=f"{100 * limits.max_saturated_fraction:g} %",
     )

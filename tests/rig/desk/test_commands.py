@@ -37,7 +37,7 @@ def test_preflight_alone_says_no_go_with_a_remedy() -> None:
     done = rig("preflight", SIMULATED, *set_words({**SMALL, "simulation.optics.peak_dn": "2000"}))
     assert done.returncode == 1
     assert "no-go: " in done.stderr
-    assert "lower exposure_us" in done.stderr
+    assert "lower the exposure (exposure_us)" in done.stderr
 
 
 def test_balance_in_json_lines_tells_way_faults_and_advice_and_takes_answers(tmp_path: Any) -> None:

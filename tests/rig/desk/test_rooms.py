@@ -14,6 +14,8 @@ from rig.balance import BalanceStage
 from rig.desk import jobs
 from rig.desk.desk import Desk
 from rig.desk.sessions import LookingAgain
+from rig.measure import RunState
+from rig.measure.session_file import SessionFile
 from rig.rerun import start_python
 from tests.rig.command_line import CONFIGS, SMALL
 
@@ -122,6 +124,21 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
         assert aligner.running
     finally:
         desk.close()
+
+
+def test_the_newest_session_is_resumed_where_it_was_interrupted(desk: Desk, tmp_path: Path) -> None:
+    folder = tmp_path / "killed"
+    folder.mkdir()
+    file = SessionFile.made(folder, tmp_path / "rig.toml", 2, {})
+    file.note(1, "run-1.mcap", RunState.RECORDING)
+    file.close()
+    desk.sessions.look()
+    assert desk.resumable() == folder
+    file = SessionFile.opened(folder)
+    file.note(1, "run-1.mcap", RunState.STOPPED)
+    file.close()
+    desk.sessions.look()
+    assert desk.resumable() is None
 
 
 def test_a_session_without_records_is_not_replayed(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ def test_a_result_with_what_limits_it_and_what_to_do() -> None:
     assert found.of == "the whole budget, swings and apparatus"
     assert [one.name for one in found.limits] == ["swings (fit)", "motion of the ground"]
     assert sum(one.share for one in found.limits) == pytest.approx(1.0, abs=0.05)
-    assert found.next_steps == ["measure longer, or make more runs (--runs)"]
+    assert found.next_steps == ["measure longer, or make more runs"]
     assert any("dropped frames" in one for one in found.remarks)
     assert found.decay is not None
     left = [abs(a - b) for a, b in zip(found.decay.amplitude, found.decay.fitted, strict=True)]
