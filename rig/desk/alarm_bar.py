@@ -46,8 +46,11 @@ class AlarmBar:
         """Unfold the list, or fold it."""
         self._fold.set_value(not self._fold.value)
 
-    def refresh(self) -> list[AlarmRow]:
-        """Show the list as it is now; returns the alarms that cry."""
+    def refresh(self, refused: str = "") -> list[AlarmRow]:
+        """Show the list as it is now; returns the alarms that cry.
+
+        `refused` says why a trip cannot be acknowledged yet.
+        """
         rows, past = self._alarms.rows(), list(self._alarms.past)[:_PAST_SHOWN]
         crying = [row for row in rows if row.cries]
         worst = crying[0] if crying else None
@@ -60,20 +63,20 @@ class AlarmBar:
         counted = [(state, sum(row.state is state for row in rows)) for state in _COUNTED]
         said = ", ".join(f"{count} {state}" for state, count in counted if count)
         self._counts.set_text(f"Alarms: {said or 'none'}")
-        now = (rows, past, self._tab.acts)
+        now = (rows, past, self._tab.acts, refused)
         if now != self._shown:
             self._shown = now
             self._list.clear()
             with self._list:
                 for row in rows:
-                    self._row(row)
+                    self._row(row, refused)
                 for row in past:
                     ui.label(f"gone: {row.alarm.title}: {row.cause}; {_times(row)}").classes("dim")
                 if not rows and not past:
                     ui.label("nothing has been wrong").classes("dim")
         return crying
 
-    def _row(self, row: AlarmRow) -> None:
+    def _row(self, row: AlarmRow, refused: str) -> None:
         alarm, tab = row.alarm, self._tab
         with ui.element("div").classes(f"alarm-row {row.state}").props(f'data-alarm="{row.key}"'):
             with ui.element("div"):
@@ -84,7 +87,8 @@ class AlarmBar:
             ui.label(alarm.remedy).props('aria-label="remedy"')
             with ui.row().classes("no-wrap"):
                 if alarm.by_leave and row.cleared_s is None:
-                    ui.button("Acknowledge trip …", on_click=tab.act(self._ask_leave)).props("dense outline")
+                    button = ui.button("Acknowledge trip …", on_click=tab.act(self._ask_leave))
+                    button.props("dense outline").set_enabled(not refused)
                 elif row.state in (AlarmState.ACTIVE, AlarmState.CLEARED):
                     button = ui.button("Seen", on_click=tab.act(partial(self._seen, row.key)))
                     button.props(f'dense outline aria-label="acknowledge {alarm.title}" {DELIBERATE}')

@@ -88,6 +88,13 @@ class Lighting:
         return desk.following.order("light")
 
     @property
+    def may_follow(self) -> bool:
+        """Whether something is there that light could be given to, once the trip is acknowledged."""
+        desk = self._desk
+        aligner = desk.aligner
+        return desk.following.running or (aligner is not None and aligner.running)
+
+    @property
     def waits(self) -> bool:
         """Whether something that was lit is dark, and may be lit again."""
         desk = self._desk

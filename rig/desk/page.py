@@ -19,7 +19,7 @@ from rig.desk.login import LOGIN
 from rig.desk.panels import PANELS
 from rig.desk.people import People, Person
 from rig.desk.resuming import resume_dialog
-from rig.desk.safety import lamps
+from rig.desk.safety import lamps, refusal
 from rig.desk.sessions import last_state
 from rig.desk.style import STYLE
 from rig.desk.tab import DELIBERATE, Tab
@@ -140,13 +140,18 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
         run_state = news.get("state") or {}
         state.set_text(_state(desk))
         safety = desk.safety.now
-        crying = alarms.refresh()
+        refused, waiting = refusal(safety), desk.lighting.waits
+        crying = alarms.refresh(refused)
         if safety.trip is not None:
-            acknowledge.set_text(f"Acknowledge trip {safety.trip.number} …")
+            number = safety.trip.number
+            acknowledge.set_text(f"Acknowledge trip {number}{f': {refused}' if refused else ' …'}")
         acknowledge.set_visibility(safety.trip is not None)
-        may_be_lit = desk.lighting.waits
-        for one in (waits, again):
-            one.set_visibility(may_be_lit)
+        acknowledge.set_enabled(not refused)
+        waits.set_visibility(waiting)
+        # it stands where the remedy names it, also before it may be pressed
+        again.set_visibility(waiting or (safety.trip is not None and desk.lighting.may_follow))
+        again.set_enabled(waiting)
+        again.set_text("Light again" if waiting else "Light again: once the trip is acknowledged")
         asked_for = str(run_state.get("instruction") or "")
         instruction.set_text(asked_for.upper())
         instruction.set_visibility(bool(asked_for))

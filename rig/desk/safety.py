@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from processing.errors import RigError
 from rig.channel import Line, NoSession, SessionBusy
-from rig.control import LatchedTrip, Light, Loop, SafetyNow, SafetyState
+from rig.control import STALE_S, LatchedTrip, Light, Loop, SafetyNow, SafetyState
 from rig.desk.aligner import Aligner
 from rig.desk.following import Following
 
@@ -95,6 +95,12 @@ class Safety:
                 continue
             except (NoSession, KeyError, ValueError):
                 self._of_command = None
+
+
+def refusal(safety: SafetyNow) -> str:
+    """Why a trip cannot be acknowledged yet, as the devices would say; empty where they do not refuse."""
+    is_open = safety.interlock is Loop.OPEN and safety.interlock_age_s <= STALE_S
+    return "close the interlock first" if is_open else ""
 
 
 _KINDS = {Light.ON: "caution", Light.OFF: "go", Light.INTERLOCK_OPEN: "no", Light.DISAGREES: "no"}

@@ -29,6 +29,9 @@ STYLE = f"""
 #safety button {{ font: inherit; font-weight: 700; padding: 8px 18px; border: 2px solid var(--bar-ink);
   border-radius: 4px; background: var(--bar-button); color: var(--bar-ink); cursor: pointer; }}
 #safety #light-off {{ background: var(--off); color: var(--off-ink); font-size: 20px; }}
+/* it is tried also then */
+#safety #light-off.gone {{ background: var(--bar); color: var(--bar-ink); border-style: dashed;
+  font-size: 16px; }}
 #safety #silence {{ margin-left: auto; }}
 /* a lamp has the colour, its words do not */
 #safety .lamp {{ color: var(--bar-ink); font-weight: 400; }}
@@ -73,6 +76,11 @@ _SCRIPT = """
       if (name !== 'recording' && lamp && lamp.age_s !== null) oldest = Math.max(oldest, old);
     }
     const dead = since > STALE_S;
+    // just opened it has not been answered yet
+    const gone = dead && (heard !== null || performance.now() / 1000 > STALE_S), off = at('light-off');
+    const named = gone ? 'LIGHT OFF (no connection: key switch)' : 'LIGHT OFF';
+    if (off.textContent !== named) off.textContent = named;
+    off.classList.toggle('gone', gone);
     at('lamp-age').textContent = dead ? 'the desk says nothing' + (heard === null ? '' :
       ' for ' + since.toFixed(0) + ' s') : told.laser && told.laser.age_s !== null ?
       oldest.toFixed(1) + ' s old' : 'nothing is heard of the laser';

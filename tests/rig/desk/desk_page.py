@@ -105,6 +105,8 @@ class Page:
             # what was said of the try before
             self.ask("document.querySelectorAll('.errors button').forEach(b => b.click())")
             self.wait("!document.querySelector('.errors > *, .q-notification')")
+            # grey while it would be refused
+            self.wait(f"!{button}?.disabled")
             self.ask(f"{button}?.click()")
             # the try before may have done it meanwhile, and there is nothing more to ask
             if self.wait(f"{IN_DIALOG} != null ? 'ask' : {button} == null ? 'done' : null") == "ask":

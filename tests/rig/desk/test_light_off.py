@@ -234,9 +234,11 @@ def test_a_trip_in_a_calibrations_recording_is_an_alarm_and_the_recording_can_be
     page.wait_text("the recording was stopped")
     # it stays, with the interlock open
     page.key("4")
-    page.click("Acknowledge trip")
-    page.in_dialog()
-    page.wait_text("is still open")
+    page.wait_text("close the interlock first".upper())
+    assert page.ask(
+        "[...document.querySelectorAll('.cries button')]"
+        ".filter(b => b.innerText.startsWith('ACKNOWLEDGE TRIP')).every(b => b.disabled)"
+    )
     assert page.ask("document.querySelector('.alarm').offsetParent !== null")
     page.click("Start …")
     page.click("Start the session")
@@ -252,5 +254,6 @@ def test_a_desk_that_says_nothing_shows_no_last_value(rig: Rig) -> None:
     desk.kill()
     page.wait(f"{LAMP.format('laser')} === 'laser unknown'")
     page.wait(f"{LAMP.format('age')}.includes('says nothing')")
+    page.wait("document.getElementById('light-off').innerText.includes('no connection: key switch')")
     page.point_at("document.getElementById('light-off')")
     page.wait_text("DID NOT REACH THE DESK")

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,10 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError, RigError
 from rig.balance import BalanceStage
+from rig.control import Loop, SafetyNow
 from rig.desk import jobs
 from rig.desk.desk import Desk
+from rig.desk.safety import refusal
 from rig.desk.sessions import LookingAgain
 from rig.measure import RunState
 from rig.measure.session_file import SessionFile
@@ -124,6 +127,14 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
         assert aligner.running
     finally:
         desk.close()
+
+
+def test_a_trip_is_not_to_be_acknowledged_while_the_interlock_is_open() -> None:
+    assert not refusal(SafetyNow())
+    is_open = SafetyNow(interlock=Loop.OPEN, interlock_age_s=0.1)
+    assert refusal(is_open) == "close the interlock first"
+    # what was heard long ago holds nobody up: the devices decide
+    assert not refusal(replace(is_open, interlock_age_s=60.0))
 
 
 def test_the_newest_session_is_resumed_where_it_was_interrupted(desk: Desk, tmp_path: Path) -> None:
