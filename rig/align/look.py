@@ -15,6 +15,9 @@ from rig.settings import PreflightSettings
 
 _CENTRED = 0.1
 """Of the shorter side: so far off the crosshair a spot is centred."""
+_ROOM = 0.15
+"""Of the shorter side: a spot so far from each edge has room, and may as well be one that swings."""
+_OFF_MIDDLE = "at rest it belongs to the crosshair; a swing passes there"
 _SHARP = 0.95
 """Of the best sharpness so far: so near a focus is right."""
 
@@ -121,11 +124,12 @@ class AlignmentFrame(NamedTuple):
             return [*lamps, gone, *of_reference]
         off_px, shortest_px = max(map(abs, self._off_px)), min(self.image.shape)
         centred = off_px <= _CENTRED * shortest_px
+        off_middle = "" if centred or self._edge_px >= _ROOM * shortest_px else _OFF_MIDDLE
         lamps.append(
             Verdict(
                 "centring",
                 True,
-                remedy="" if centred else "at rest it belongs to the crosshair; a swing passes there",
+                remedy=off_middle,
                 measured="{:+.0f}, {:+.0f} px".format(*self._off_px),
                 limit=f"{_CENTRED * shortest_px:.0f} px",
             )

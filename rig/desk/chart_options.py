@@ -156,6 +156,19 @@ def chart_options(
     }
 
 
+def in_last_row(curves: Sequence[Curve], words: str) -> dict[str, Any]:
+    """Words in the middle of the last row."""
+    rows = max((curve.row for curve in curves), default=0) + 1
+    part = (100.0 - _BELOW_PERCENT) / rows
+    return {
+        "type": "text",
+        "left": "center",
+        "top": f"{100.0 - _BELOW_PERCENT - 0.5 * (part - _NAME_PERCENT):.1f}%",
+        "silent": True,
+        "style": {"text": words, "fill": "var(--dim)", "fontSize": 13},
+    }
+
+
 def _whole(points: Sequence[Points]) -> dict[str, float]:
     """From the first to the last x of all curves: rows below each other have one."""
     every = [x for curve in points for x, *_ in curve if x is not None]

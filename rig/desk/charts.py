@@ -10,7 +10,7 @@ from contextlib import nullcontext
 
 from nicegui import ui
 
-from rig.desk.chart_options import Curve, End, Ends, Mark, Points, chart_options
+from rig.desk.chart_options import Curve, End, Ends, Mark, Points, chart_options, in_last_row
 from rig.desk.chart_script import chart_buttons
 from rig.presentation import quantity
 
@@ -67,18 +67,21 @@ class Chart:
         marks: Sequence[Mark] = (),
         ends: Ends | None = None,
         empty: str = "nothing to draw yet",
+        below: str = "",
     ) -> None:
         """Draw the points of each curve, in the units shown; `marks` are lines at an x, with words.
 
-        `ends` are those of the axes, of x and of y.
+        `ends` are those of the axes, of x and of y; `below` is what the last row says while it is empty.
         """
-        now = (tuple(self._curves), tuple(map(tuple, points)), unit, tuple(marks), ends)
+        now = (tuple(self._curves), tuple(map(tuple, points)), unit, tuple(marks), ends, below)
         if now == self._shown:
             return
         self._shown = now
         options = chart_options(
             quantity(self._x, unit), self._curves, points, unit, self._logarithmic, marks, ends, empty
         )
+        if below and any(map(len, points)):
+            options["graphic"].append(in_last_row(self._curves, below))
         if self._small:
             for axis in options["yAxis"]:
                 axis["splitNumber"] = 2

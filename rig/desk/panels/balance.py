@@ -21,6 +21,7 @@ _STATE = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
     balancing, wide = desk.balancing, False
+    advised: Mapping[str, Any] | None = None
 
     async def measure() -> None:
         await run.io_bound(balancing.measure)
@@ -62,6 +63,7 @@ def build(desk: Desk, tab: Tab) -> None:
                     weight = ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight")
                     weight.props("dense outlined").style("min-width: 100px")
                     turns = ui.input("turns, + clockwise").props('dense outlined data-key="turns"')
+                    net = ui.label().classes("dim")
                     # the next measurement follows, which lights
                     stating = ui.button("Turned", on_click=tab.act(turned))
                     stating.props(f'color="positive" {DELIBERATE}')
@@ -83,8 +85,20 @@ def build(desk: Desk, tab: Tab) -> None:
                     ui.button("Forget the last turn", on_click=tab.act(forget)).props("dense outline")
                 past = ui.html(sanitize=False).classes("full-width")
 
+    def prefill(turn: Mapping[str, Any] | None) -> None:
+        """What is advised stands in the fields, once: what is typed over it stays."""
+        nonlocal advised
+        if turn == advised:
+            return
+        advised = turn
+        net.set_text("" if turn is None else net_of(turn["parts"]))
+        if turn is not None:
+            weight.set_value(turn["weight"])
+            turns.set_value(" ".join(f"{part:+.2f}" for part in turn["parts"]))
+
     def refresh() -> None:
         shown = balancing.shown
+        prefill(shown.turn)
         begin.set_enabled(shown.stage is not BalanceStage.MEASURING)
         begin.set_text("Measure again" if shown.asks else "Measure")
         stating.set_enabled(shown.asks)
@@ -98,6 +112,13 @@ def build(desk: Desk, tab: Tab) -> None:
 
     tab.every(0.3, refresh)
     refresh()
+
+
+def net_of(parts: Sequence[float]) -> str:
+    """What several turns of a screw come to; empty for one."""
+    if len(parts) < 2:
+        return ""
+    return f"net {sum(parts):+.2f} (the second turn takes up the play)"
 
 
 def drawing(turn: Mapping[str, Any] | None) -> str:

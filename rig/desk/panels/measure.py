@@ -15,9 +15,10 @@ from rig.desk import charts, tables
 from rig.desk.desk import Desk
 from rig.desk.following import doing
 from rig.desk.note_line import note_line
+from rig.desk.panels.alarmed_rows import as_alarmed
 from rig.desk.panels.live_picture import LivePicture, no_frame_yet
-from rig.desk.panels.run_charts import RunCharts
-from rig.desk.panels.run_result import RunResult
+from rig.desk.panels.run_charts import FIRST_FIT, RunCharts
+from rig.desk.panels.run_result import NEXT_RUN, RunResult
 from rig.desk.panels.start_form import build_form
 from rig.desk.tab import Tab
 from rig.instrument import Phase
@@ -53,7 +54,7 @@ def build(desk: Desk, tab: Tab) -> None:
             ui.button("Go on", on_click=lambda: sure.submit(False)).props("outline")
     with ui.column().classes("full-width") as before:
         RunResult(desk, tab)
-        build_form(desk, tab)
+        build_form(desk, tab).props(f'id="{NEXT_RUN}"').style("scroll-margin-top: 120px")
     with ui.element("div").classes("grid measure fills live") as during:
         with ui.column().classes("stack"):
             with ui.column().classes("box"):
@@ -141,7 +142,9 @@ def build(desk: Desk, tab: Tab) -> None:
         laser.classes(remove="go no", add="no" if old or news.get("darkness") else "go")
         brakes.set_visibility(devices.controller is not None)
         learned.set_content(tables.table(_estimates(run_state), "parameters so far"))
-        state.set_content(tables.table([list(row) for row in news.get("rows") or []], "state of the run"))
+        crying = {row.key: row.cause for row in desk.alarming.alarms.rows() if row.cleared_s is None}
+        rows = as_alarmed(news.get("rows") or [], crying, frames_age_s, is_dark=is_dark)
+        state.set_content(tables.table(rows, "state of the run"))
         events.set_content(
             "".join(_event(at_s, event) for at_s, event in newest_first(news, tuple(desk.following.events)))
         )
@@ -187,11 +190,12 @@ def _estimates(run_state: Mapping[str, Any]) -> list[list[str]]:
         value, u = one["value"], one["standard_uncertainty"]
         if value is not None and u is not None:
             rows.append([quantity(key).label, *estimate_texts(key, Estimate(value, u))])
-    return rows or [["parameters", "nothing yet: the first fit comes after some swings"]]
+    return rows or [["parameters", f"nothing yet: {FIRST_FIT}"]]
 
 
 def _event(at_s: float, event: Mapping[str, Any]) -> str:
     grave = {"error": "no", "warning": "caution"}.get(str(event["level"]), "")
     when = str(event["at"]) if math.isnan(at_s) else f"{at_s:.1f} s"
-    text = html.escape(f"{event['kind']}: {event['text']}")
+    # some have said all with their kind
+    text = html.escape(": ".join(str(event[part]) for part in ("kind", "text") if event[part]))
     return f"<div class='{grave}'><span class='dim'>{when}</span> {text}</div>"

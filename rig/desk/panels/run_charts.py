@@ -9,6 +9,7 @@ from rig.desk.chart_options import Curve, Mark, Points
 from rig.desk.charts import Chart
 from rig.desk.desk import Desk
 from rig.desk.tab import Tab
+from rig.posterior import FIRST_HALF_CYCLES
 from rig.presentation import quantity
 
 _EVERY_S = 1.0
@@ -42,7 +43,7 @@ _CHARTS: Mapping[str, tuple[str, Sequence[Curve]]] = {
 }
 _MOST_PARAMETERS = 3
 _SPECTRA = ("spectrum", "ground")
-_FIRST_FIT = "the first fit comes after some swings"
+FIRST_FIT = f"the first fit comes after {FIRST_HALF_CYCLES} half-cycles"
 _LEFT = (Curve("left_density_rad_per_rthz"),)
 _GROUND = (
     Curve("ground_m_per_s2_rthz", name="at most the ground"),
@@ -82,13 +83,16 @@ class RunCharts:
             at = 1 if name == "decay" else 3
             measured = [(one[0], one[at]) for one in history["swings"]]
             fit = history["fit"]
-            chart.show([measured, fit.get(kind, []), fit.get(f"{kind}_residual", [])], unit, marks=marks)
+            left = fit.get(f"{kind}_residual", [])
+            chart.show(
+                [measured, fit.get(kind, []), left], unit, marks=marks, below="" if left else FIRST_FIT
+            )
         elif name == "X and Y":
             chart.show([history["x"], history["y"]], unit, marks=marks)
         elif name == "parameters":
             curves, points = _parameters(history["estimates"])
             chart.declare(curves)
-            chart.show(points, unit, marks=marks, empty=_FIRST_FIT)
+            chart.show(points, unit, marks=marks, empty=FIRST_FIT)
         elif name == "ground":
             found = history["ground"]
             kinds = ("acceleration", "low", "high") if found["acceleration"] else ("left",)

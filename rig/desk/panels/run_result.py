@@ -25,6 +25,14 @@ _DECAY = (
 )
 
 
+NEXT_RUN = "next-run"
+"""Name of the element on the page that begins the next one."""
+
+
+def _to_next() -> None:
+    ui.run_javascript(f"document.getElementById('{NEXT_RUN}').scrollIntoView({{block: 'start'}})")
+
+
 class RunResult:
     """Shows what the last session hands over; built where it is made, hidden without one."""
 
@@ -42,7 +50,7 @@ class RunResult:
                 self._next = ui.html(sanitize=False).classes("full-width")
                 with ui.row():
                     self._report = ui.button("Report", on_click=self._open).props('outline size="lg"')
-                    ui.label("the next run starts below").classes("dim self-center")
+                    ui.button("Next run", on_click=_to_next).props('outline size="lg"')
                 self._others = ui.html(sanitize=False).classes("full-width")
                 with ui.expansion("its last words").classes("full-width"):
                     self._words = ui.html(sanitize=False).classes("dim")

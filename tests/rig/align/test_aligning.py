@@ -120,6 +120,12 @@ def test_zoomed_in_the_spot_is_in_the_middle() -> None:
     assert ellipse.mean(axis=0) == pytest.approx([200.0, 150.0], abs=6.0)
 
 
+def test_a_spot_off_the_crosshair_is_a_matter_where_it_has_no_room() -> None:
+    for x_px, remedy in ((150.0, False), (60.0, False), (28.0, True)):
+        lamps = {one.name: one for one in look_at(spot_at(x_px, 200.0, 150.0)).lamps()}
+        assert bool(lamps["centring"].remedy) is remedy
+
+
 def test_words_say_where_the_spot_is_and_what_is_wrong() -> None:
     light, place, shape, _ = look_at(spot_at(100.0, 250.0, 400.0)).lines()
     assert "SATURATED" in light

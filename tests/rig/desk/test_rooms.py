@@ -11,10 +11,14 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError, RigError
+from rig.alarms import AlarmKey
 from rig.balance import BalanceStage
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
+from rig.desk.chart_options import Curve, in_last_row
 from rig.desk.desk import Desk
+from rig.desk.panels.alarmed_rows import as_alarmed
+from rig.desk.panels.balance import net_of
 from rig.desk.safety import refusal
 from rig.desk.sessions import LookingAgain
 from rig.measure import RunState
@@ -135,6 +139,31 @@ def test_a_trip_is_not_to_be_acknowledged_while_the_interlock_is_open() -> None:
     assert refusal(is_open) == "close the interlock first"
     # what was heard long ago holds nobody up: the devices decide
     assert not refusal(replace(is_open, interlock_age_s=60.0))
+
+
+def test_rows_that_an_alarm_contradicts_say_so_instead() -> None:
+    rows = [("camera", "50.0 frames/s"), ("beam", "a clean spot"), ("disk", "212 GB free"), ("clock", "-")]
+    assert as_alarmed(rows, {}, 0.0) == [list(row) for row in rows]
+    unplugged = as_alarmed(rows, {AlarmKey.CAMERA: "", AlarmKey.DISK_FULL: "3 MiB are free"}, 12.2)
+    assert unplugged == [
+        ["camera", "no frame for 12 s"],
+        ["beam", "not seen: no frames"],
+        ["disk", "3 MiB are free"],
+        ["clock", "-"],
+    ]
+    assert as_alarmed(rows, {AlarmKey.SPOT: ""}, 0.0)[1] == ["beam", "no spot now"]
+    assert as_alarmed(rows, {}, 0.0, is_dark=True)[1] == ["beam", "not seen: it is dark"]
+
+
+def test_turns_in_two_parts_are_summed_in_words() -> None:
+    assert net_of([0.5]) == ""
+    assert net_of([0.61, -0.5]) == "net +0.11 (the second turn takes up the play)"
+
+
+def test_an_empty_row_of_a_chart_says_why() -> None:
+    curves = [Curve("amplitude"), Curve("amplitude_residual_in_u", row=1)]
+    assert in_last_row(curves, "after the first fit")["style"]["text"] == "after the first fit"
+    assert in_last_row(curves, "x")["top"] == "66.5%"
 
 
 def test_the_newest_session_is_resumed_where_it_was_interrupted(desk: Desk, tmp_path: Path) -> None:
