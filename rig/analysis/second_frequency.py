@@ -47,7 +47,8 @@ def second_frequency(times_ns: NDArray[np.int64], deflection: NDArray[np.float64
         return ""
     size = (second / first) ** 0.5
     return (
-        f"the samples hold two oscillations, at {first_hz:.3g} Hz and at {second_hz:.3g} Hz, the second {size:.2g} "
-        "times as large as the first, so that no half-cycle is one of a free decay; damp or filter one of "
-        "them, begin where it has faded (--from), or choose a position that does not see it (--position)"
+        f"the samples hold two oscillations, at {first_hz:.3g} Hz and at {second_hz:.3g} Hz, the second "
+        f"{size:.2g} times as large as the first, so that no half-cycle is one of a free decay; damp or "
+        "filter one of them, begin where it has faded (--from), or choose a position that does not "
+        "see it (--position)"
     )
