@@ -110,7 +110,7 @@ def test_the_terminal_shows_the_whole_uncertainty_and_that_of_the_swings_alone_w
         (
             Estimate(1e-3, 5e-3),
             Estimate(1.8e-3, 1.3e-3),
-            "the drag expected of the air is taken, (1.8 ± 1.3) × 10⁻³ s",
+            "the drag expected of the air, (1.8 ± 1.3) × 10⁻³ s, is used",
         ),
         (Estimate(1e-3, 5e-3), None, "it is below"),
     ],
