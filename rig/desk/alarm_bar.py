@@ -34,7 +34,7 @@ class AlarmBar:
         self._shown: object = None
         self._banner = ui.label().classes("alarm").props('role="alert" aria-live="assertive"')
         self._remedy = ui.label().classes("alarm-remedy")
-        self._resume = ui.button("Resume …", on_click=tab.act(self._resumed))
+        self._resume = tab.button("Resume …", self._resumed)
         self._resume.props('color="positive" size="lg" aria-label="Resume … the session that died"')
         self._resume.classes("full-width")
         with ui.expansion().classes("full-width alarms").props("dense") as self._fold:
@@ -87,13 +87,13 @@ class AlarmBar:
             ui.label(alarm.remedy).props('aria-label="remedy"')
             with ui.row().classes("no-wrap"):
                 if alarm.by_leave and row.cleared_s is None:
-                    button = ui.button("Acknowledge trip …", on_click=tab.act(self._ask_leave))
+                    button = tab.button("Acknowledge trip …", self._ask_leave)
                     button.props("dense outline").set_enabled(not refused)
                 elif row.state in (AlarmState.ACTIVE, AlarmState.CLEARED):
-                    button = ui.button("Seen", on_click=tab.act(partial(self._seen, row.key)))
+                    button = tab.button("Seen", partial(self._seen, row.key))
                     button.props(f'dense outline aria-label="acknowledge {alarm.title}" {DELIBERATE}')
                 if row.state in (AlarmState.ACTIVE, AlarmState.ACKNOWLEDGED):
-                    button = ui.button("Shelve 10 min", on_click=tab.act(partial(self._shelve, row.key)))
+                    button = tab.button("Shelve 10 min", partial(self._shelve, row.key))
                     button.props(f'dense flat aria-label="shelve {alarm.title}"')
 
     def _resumed(self) -> None:

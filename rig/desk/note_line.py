@@ -36,7 +36,7 @@ def note_line(desk: Desk, tab: Tab) -> None:
         field = ui.input("note").props('dense outlined data-draft="note" aria-label="note" maxlength=2000')
         field.classes("full-width")
         field.on("keydown.enter", tab.act(note))
-        ui.button("Note", on_click=tab.act(note)).props('outline aria-label="note it in the record"')
+        tab.button("Note", note).props('outline aria-label="note it in the record"')
 
 
 class Presets:

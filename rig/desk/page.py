@@ -79,17 +79,17 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
         trip_text = ui.label().classes("middle")
         ui.label("Look that nobody is in the beam's way. Acknowledging lights nothing.")
         with ui.row():
-            allow = ui.button("Acknowledge", on_click=tab.act(acknowledged))
+            allow = tab.button("Acknowledge", acknowledged)
             allow.props(f'color="negative" {DELIBERATE}')
             ui.button("Not now", on_click=leave.close).props("outline")
     resume = resume_dialog(desk, tab)
     with ui.element("div").classes("cries"):
         alarms = AlarmBar(desk.alarming.alarms, tab, ask_leave, desk.resumable, resume)
-        acknowledge = ui.button("Acknowledge …", on_click=tab.act(ask_leave))
+        acknowledge = tab.button("Acknowledge …", ask_leave)
         acknowledge.props('color="negative" size="lg"').classes("full-width")
         waits = ui.label("The laser is dark, and waits for a person. Look that nobody is in the beam's way.")
         waits.classes("alarm-remedy")
-        again = ui.button("Light again", on_click=tab.act(light)).props(f'size="lg" {DELIBERATE}')
+        again = tab.button("Light again", light).props(f'size="lg" {DELIBERATE}')
         again.classes("full-width")
         instruction = ui.label().classes("instruction").props('role="alert"')
         tab.errors = ui.element("div").classes("errors full-width")
@@ -159,7 +159,11 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
         cry = json.dumps(" ".join(_name(row) for row in crying))
         told = json.dumps([_told(row) for row in crying])
         of_session = json.dumps(_session_age(desk))
-        ui.run_javascript(f"window.rigSafety({shown}, {cry}); window.rigAlarms({told}, {of_session})")
+        watches = json.dumps(tab.why_not)
+        ui.run_javascript(
+            f"window.rigSafety({shown}, {cry}); window.rigAlarms({told}, {of_session}); "
+            f"window.rigWatches({watches})"
+        )
 
     refresh()
     ui.timer(_LOOK_S, refresh)
@@ -248,6 +252,16 @@ window.rigTheme = function (name) {
 };
 window.rigOther = name => window.rigTheme(document.documentElement.classList.contains(name) ? 'dark' : name);
 window.rigTheme(localStorage.getItem('theme') || 'dark');
+window.rigWatches = why => {
+  const root = document.documentElement, before = root.classList.contains('watches');
+  root.classList.toggle('watches', why !== '');
+  if (why === '' && !before) return;
+  for (const one of document.querySelectorAll('.acts')) {
+    one.title = why;
+    if (why) one.setAttribute('aria-disabled', 'true');
+    else if (!one.disabled) one.removeAttribute('aria-disabled');
+  }
+};
 // the frame of a picture has its name; the picture in it has none of its own
 new MutationObserver(() => {
   document.querySelectorAll('.picture img:not([alt])').forEach(one => { one.alt = ''; });

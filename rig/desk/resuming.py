@@ -23,7 +23,7 @@ def resume_dialog(desk: Desk, tab: Tab) -> Callable[[Path], None]:
         what = ui.label().classes("middle")
         ui.label("The laser will be lit. Look that nobody is in the beam's way.")
         with ui.row():
-            ui.button("Go on with it", on_click=tab.act(resume)).props(f'color="positive" {DELIBERATE}')
+            tab.button("Go on with it", resume).props(f'color="positive" {DELIBERATE}')
             ui.button("Not now", on_click=begin.close).props("outline")
 
     def ask(folder: Path) -> None:

@@ -58,6 +58,7 @@ h1 { white-space: nowrap; }
 .chart .tools { display: flex; align-items: center; gap: 6px; flex-wrap: wrap; }
 .chart .tools button { font: inherit; font-size: 13px; color: var(--line); background: none; cursor: pointer;
   border: 1px solid var(--edge); border-radius: 4px; padding: 2px 8px; min-height: 24px; }
+.watches .acts { opacity: .5; filter: grayscale(1); cursor: not-allowed; }
 .cries { position: sticky; top: var(--head); z-index: 1000; width: 100%; }
 .errors > div { display: flex; align-items: center; gap: 12px; padding: 4px 12px; background: var(--raised);
   color: var(--ink); border-left: 6px solid var(--no); border-bottom: 1px solid var(--edge); }

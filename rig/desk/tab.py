@@ -54,6 +54,15 @@ class Tab:
         """Whether this tab is the one that acts; the others watch."""
         return self.may_act and self._desk.acting.acts(self.name)
 
+    @property
+    def why_not(self) -> str:
+        """Why its buttons do nothing; empty where they do."""
+        if self.acts:
+            return ""
+        return (
+            f"this tab watches; {'Take over first' if self.may_act else 'its address is for watching only'}"
+        )
+
     def connected(self) -> None:
         """The browser has opened its connection: only now is somebody there."""
         self.name = self._client.tab_id or self.name
@@ -81,8 +90,7 @@ class Tab:
 
         async def acted() -> None:
             if not self.acts:
-                why = "Take over first" if self.may_act else "its address is for watching only"
-                ui.notify(f"this tab watches; {why}", type="warning")
+                ui.notify(self.why_not, type="warning")
                 return
             if self.errors is not None:
                 # whoever does the next thing has read what was wrong with the last one
@@ -95,6 +103,10 @@ class Tab:
                 self.tell(str(error))
 
         return acted
+
+    def button(self, text: str, do: Handler) -> ui.button:
+        """A button for `act`; where the tab watches it is grey, and says why."""
+        return ui.button(text, on_click=self.act(do)).classes("acts")
 
     def tell(self, problem: str) -> None:
         """An error as one line at the head of the page, where it covers nothing, until it is closed."""

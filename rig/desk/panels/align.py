@@ -2,7 +2,7 @@
 
 import html
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -25,6 +25,7 @@ KEYS = (("z", "align: zoom 1, 4, 16"),)
 _SIZE = (800, 540)
 _STEP, _STEP_DB = 1.25, 1.0
 _BARS = 64
+_NEEDS = "settings can be made once there is a live picture"
 _SHORT = 24
 """Letters of a number that stands in a lamp."""
 
@@ -33,6 +34,7 @@ def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
     corner: list[tuple[float, float]] = []
     fields: dict[str, ui.input] = {}
+    needing: list[ui.button] = []
 
     def mouse(event: MouseEventArguments) -> None:
         """A rectangle drawn over the whole frame becomes the camera's region."""
@@ -100,17 +102,16 @@ def build(desk: Desk, tab: Tab) -> None:
         with ui.column().classes("box"):
             picture = LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk), mouse)
             with ui.row():
-                begin = ui.button("Live picture", on_click=tab.act(start))
+                begin = tab.button("Live picture", start)
                 begin.props(f'color="positive" {DELIBERATE}')
-                end = ui.button("Stop", on_click=tab.act(stop)).props("outline")
+                end = tab.button("Stop", stop).props("outline")
                 zooming = ui.button("Zoom 1", on_click=zoom).props(
                     'outline aria-label="Zoom to the spot, key z"'
                 )
                 # it begins the picture anew, and with it the light
-                ui.button("Whole sensor", on_click=tab.act(whole)).props(f"outline {DELIBERATE}")
-                ui.button(
-                    "Keep for runs", on_click=tab.act(lambda: desk.keep_camera(aligner().applied))
-                ).props("outline")
+                tab.button("Whole sensor", whole).props(f"outline {DELIBERATE}")
+                keep = tab.button("Keep for runs", lambda: desk.keep_camera(aligner().applied))
+                needing.append(keep.props("outline"))
             kept = ui.label().classes("dim")
         # on a low screen it scrolls by itself: picture and buttons stay
         with (
@@ -134,14 +135,12 @@ def build(desk: Desk, tab: Tab) -> None:
                     field = number_field(desk, f"camera.{name}", label, None)
                     field.props("hide-bottom-space stack-label").classes("col")
                     fields[name] = field
-                    ui.button("Set", on_click=tab.act(partial(typed, name, field))).props(
-                        f'outline dense aria-label="Set {label}"'
-                    ).classes("step")
+                    put = tab.button("Set", partial(typed, name, field))
+                    needing.append(put.props(f'outline dense aria-label="Set {label}"').classes("step"))
                     if auto:
-                        ui.button("Auto", on_click=tab.act(lambda: wish(EXPOSE))).props(
-                            'outline dense aria-label="Auto exposure"'
-                        ).classes("step")
-                    _stepper(label.partition(" ")[0], down, up, tab)
+                        find = tab.button("Auto", lambda: wish(EXPOSE))
+                        needing.append(find.props('outline dense aria-label="Auto exposure"').classes("step"))
+                    needing += _stepper(label.partition(" ")[0], down, up, tab)
             histogram = Chart(
                 "histogram", "level_dn", (Curve("pixels", style="bars"),), tools=False, height="100px"
             )
@@ -161,9 +160,12 @@ def build(desk: Desk, tab: Tab) -> None:
         now = desk.aligner
         begin.set_visibility(now is None)
         end.set_visibility(now is not None)
+        for button in needing:
+            button.set_enabled(now is not None and now.running)
+        zooming.set_enabled(_seen(desk))
         kept.set_text(_kept(desk))
         wrong = "" if now is None else now.problem or now.darkness
-        note.set_text(wrong or ("" if now is None else now.note))
+        note.set_text(wrong or (_NEEDS if now is None else now.note))
         note.classes(remove="caution dim", add="caution" if wrong else "dim")
         show_applied(CameraSettings() if now is None else now.applied)
         sharpness = [] if now is None else list(now.focus)
@@ -204,11 +206,9 @@ def _lamps(verdicts: Sequence[Verdict]) -> str:
     return f"<div class='lamps'>{''.join(shown)}</div>{''.join(told)}"
 
 
-def _stepper(what: str, down: Handler, up: Handler, tab: Tab) -> None:
+def _stepper(what: str, down: Handler, up: Handler, tab: Tab) -> Iterator[ui.button]:
     for sign, words, do in (("-", "smaller", down), ("+", "larger", up)):
-        ui.button(sign, on_click=tab.act(do)).props(f'outline dense aria-label="{words} {what}"').classes(
-            "step"
-        )
+        yield tab.button(sign, do).props(f'outline dense aria-label="{words} {what}"').classes("step")
 
 
 def _seen(desk: Desk) -> bool:

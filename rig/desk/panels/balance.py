@@ -57,7 +57,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 advice = ui.label().classes("advice").props('role="status" aria-live="polite"')
                 detail = ui.label().classes("dim")
                 with ui.row().classes("items-center"):
-                    begin = ui.button("Measure", on_click=tab.act(measure)).props(
+                    begin = tab.button("Measure", measure).props(
                         f'color="positive" size="lg" aria-label="Measure the balance" {DELIBERATE}'
                     )
                     weight = ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight")
@@ -65,9 +65,9 @@ def build(desk: Desk, tab: Tab) -> None:
                     turns = ui.input("turns, + clockwise").props('dense outlined data-key="turns"')
                     net = ui.label().classes("dim")
                     # the next measurement follows, which lights
-                    stating = ui.button("Turned", on_click=tab.act(turned))
+                    stating = tab.button("Turned", turned)
                     stating.props(f'color="positive" {DELIBERATE}')
-                    ending = ui.button("End", on_click=tab.act(balancing.end)).props("outline")
+                    ending = tab.button("End", balancing.end).props("outline")
                 wrong = ui.label().classes("no").props('role="alert"')
             pendulum = ui.html(sanitize=False).classes("drawn")
         with ui.element("div").classes("grid halves"):
@@ -82,7 +82,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 with ui.row().classes("items-center"):
                     ui.label("history").classes("title")
                     ui.button("Show", on_click=history).props("dense outline")
-                    ui.button("Forget the last turn", on_click=tab.act(forget)).props("dense outline")
+                    tab.button("Forget the last turn", forget).props("dense outline")
                 past = ui.html(sanitize=False).classes("full-width")
 
     def prefill(turn: Mapping[str, Any] | None) -> None:

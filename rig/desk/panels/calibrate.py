@@ -79,27 +79,27 @@ def build(desk: Desk, tab: Tab) -> None:
             going = ui.label().classes("middle").props('role="status" aria-live="polite"')
             words = ui.label().classes("dim")
             part = ui.linear_progress(show_value=False).props('aria-label="part of the recording done"')
-            stopping = ui.button("Cancel the recording", on_click=tab.act(stop)).props('color="negative"')
+            stopping = tab.button("Cancel the recording", stop).props('color="negative"')
             wrong = ui.label().classes("no").props('role="alert"')
             with ui.row().classes("full-width items-center") as last:
                 by = ui.input("made by", value=desk.config.session.operator).props("dense outlined")
                 days = ui.input("valid for / days", value=f"{_DAYS:g}").props(
                     'dense outlined data-key="days"'
                 )
-                ui.button("File it", on_click=tab.act(file)).props('color="positive" size="lg"')
+                tab.button("File it", file).props('color="positive" size="lg"')
                 working = ui.spinner().props('aria-label="the calibration is made"')
                 working.set_visibility(False)
             with ui.row():
-                ui.button("Back", on_click=tab.act(back)).props('outline aria-label="Back one question"')
-                ui.button("Start over", on_click=tab.act(over)).props("outline")
+                tab.button("Back", back).props('outline aria-label="Back one question"')
+                tab.button("Start over", over).props("outline")
             given = ui.html(sanitize=False).classes("full-width")
         with ui.column().classes("box"):
             ui.html("what the camera sees", tag="h3", sanitize=False).classes("title")
             with ui.element("div").classes("full-width"):
                 LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk))
-            lighting = ui.button("Live picture", on_click=tab.act(look)).props(f"outline {DELIBERATE}")
+            lighting = tab.button("Live picture", look).props(f"outline {DELIBERATE}")
             ui.html("what came out", tag="h3", sanitize=False).classes("title")
-            using = ui.button("Use it", on_click=tab.act(use)).props('color="positive" size="lg"')
+            using = tab.button("Use it", use).props('color="positive" size="lg"')
             result = ui.html(sanitize=False).classes("full-width")
             drawn_here = ui.column().classes("full-width")
 
@@ -111,14 +111,12 @@ def build(desk: Desk, tab: Tab) -> None:
         if question.recording is not None:
             wanted = question.recording
             what = f"{wanted.frames} frames" if wanted.kind == "frames" else f"{wanted.seconds:g} s"
-            ui.button(f"Record {what} now", on_click=tab.act(record)).props(
+            tab.button(f"Record {what} now", record).props(
                 f'color="positive" aria-label="record what is asked for" {DELIBERATE}'
             )
         for choice in question.choices:
             words = choice.answer + (f": {choice.text}" if choice.text else "")
-            ui.button(words, on_click=tab.act(partial(answer, choice.answer))).props(
-                "outline no-caps align=left"
-            )
+            tab.button(words, partial(answer, choice.answer)).props("outline no-caps align=left")
         if question.choices and not question.open_choice:
             return
         field = ui.input(value=question.suggested or "").props(
@@ -133,7 +131,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 field.props(f'error error-message="{str(error).replace(chr(34), chr(39))}"')
 
         field.on("keydown.enter", tab.act(typed))
-        ui.button("Answer", on_click=tab.act(typed)).props("outline")
+        tab.button("Answer", typed).props("outline")
 
     def refresh() -> None:
         nonlocal drawn

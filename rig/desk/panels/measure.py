@@ -76,10 +76,8 @@ def build(desk: Desk, tab: Tab) -> None:
                 )
                 laser = ui.label().classes("middle").props('aria-label="laser and interlock"')
                 with ui.row():
-                    ui.button("Stop", on_click=tab.act(stop)).props(
-                        'color="negative" size="lg" aria-label="Stop the session"'
-                    )
-                    brakes = ui.button("Brake", on_click=tab.act(brake)).props(
+                    tab.button("Stop", stop).props('color="negative" size="lg" aria-label="Stop the session"')
+                    brakes = tab.button("Brake", brake).props(
                         'outline size="lg" aria-label="Brake on or off"'
                     )
             with ui.column().classes("box"):

@@ -48,10 +48,8 @@ def build(desk: Desk, tab: Tab) -> None:
             verdict = ui.label().classes("verdict").props('role="status" aria-live="polite"')
             words = ui.label().classes("middle").style("white-space: pre-line")
             with ui.row().classes("items-center"):
-                button = ui.button("Run preflight", on_click=tab.act(start)).props(
-                    f'color="positive" size="lg" {DELIBERATE}'
-                )
-                ending = ui.button("End", on_click=tab.act(end)).props("outline")
+                button = tab.button("Run preflight", start).props(f'color="positive" size="lg" {DELIBERATE}')
+                ending = tab.button("End", end).props("outline")
             failing = ui.html(sanitize=False).classes("full-width")
             with ui.expansion("passed").classes("full-width") as folded:
                 passing = ui.html(sanitize=False).classes("full-width")

@@ -16,6 +16,8 @@ from rig.desk.tab import Tab
 KEYS = (("o", "sessions: open the report"), ("v", "sessions: show in Rerun"))
 _COLUMNS = ("begun", "folder", "sample", "operator", "conditions", "runs", "state", "decay")
 _ON_A_PAGE = 15
+_MARKED = {"Rerun": (1, 20), "Compare": (2, 20)}
+"""How many are marked, at least and at most, for what takes more than one."""
 _MARK = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${NAME}`" />'
 
 
@@ -84,7 +86,7 @@ def build(desk: Desk, tab: Tab) -> None:
         find = (
             ui.input("find").props('dense outlined clearable type="search" data-key="find"').classes("find")
         )
-        actions = []
+        actions: list[ui.button] = []
         for name, do, words in (
             ("Report", report, "open the report, key o"),
             ("Rerun", view, "show the marked sessions in Rerun, key v"),
@@ -94,9 +96,10 @@ def build(desk: Desk, tab: Tab) -> None:
             ("Resume …", ask_resume, "make the runs that are missing"),
         ):
             # what is read aloud begins with what is seen
-            button = ui.button(name, on_click=tab.act(do)).props(f'outline aria-label="{name}: {words}"')
+            button = tab.button(name, do).props(f'outline aria-label="{name}: {words}"')
             actions.append(button.tooltip(words))
-        ending = ui.button("End it", on_click=tab.act(again.end)).props("flat")
+        wanted = ui.label().classes("dim")
+        ending = tab.button("End it", again.end).props("flat")
         which = ui.toggle(["sessions", "archive"], value="sessions")
         which.props('dense no-caps aria-label="which list"')
     archived = ArchivedRuns(desk, tab, lambda: str(find.value or ""), lambda: which.value == "archive")
@@ -136,6 +139,14 @@ def build(desk: Desk, tab: Tab) -> None:
             else:
                 marked.pop(name, None)
         count.set_text(f"{len(marked)} marked" if marked else "")
+        allow()
+
+    def allow() -> None:
+        """What is marked decides which buttons can do something."""
+        for button in actions:
+            least, most = _MARKED.get(button.text, (1, 1))
+            button.set_enabled(least <= len(marked) <= most)
+        wanted.set_text("" if len(marked) > 1 else "Compare needs two marked" if marked else "mark a session")
 
     async def turn(pages: int) -> None:
         nonlocal first
@@ -148,7 +159,7 @@ def build(desk: Desk, tab: Tab) -> None:
         await refresh()
 
     async def choose() -> None:
-        for one in (listed_here, *actions):
+        for one in (listed_here, wanted, *actions):
             one.set_visibility(which.value == "sessions")
         archived.frame.set_visibility(which.value == "archive")
         await archived.refresh()
@@ -157,6 +168,7 @@ def build(desk: Desk, tab: Tab) -> None:
     find.on_value_change(found_anew)
     which.on_value_change(choose)
     archived.frame.set_visibility(False)
+    allow()
 
     async def refresh() -> None:
         nonlocal shown

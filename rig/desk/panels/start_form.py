@@ -46,7 +46,7 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
         ui.label("The laser will be lit. Look that nobody is in the beam's way.")
         force = ui.checkbox("measure even if preflight says no-go, this session only")
         with ui.row():
-            ui.button("Start the session", on_click=tab.act(start)).props(f'color="positive" {DELIBERATE}')
+            tab.button("Start the session", start).props(f'color="positive" {DELIBERATE}')
             ui.button("Not now", on_click=begin.close).props("outline")
     with ui.element("div").classes("grid thirds") as form:
         with ui.column().classes("box"):
@@ -72,7 +72,7 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
             ui.html("3 · Start", tag="h3", sanitize=False).classes("middle")
             ui.label(f"Release {desk.config.start.way}: {_RELEASE[desk.config.start.way]}.")
             ui.label("A dialog asks once more before the laser is lit.").classes("dim")
-            ui.button("Start …", on_click=tab.act(ask)).props(
+            tab.button("Start …", ask).props(
                 'color="positive" size="xl" aria-label="Start … a session"'
             ).classes("full-width")
     fields = {

@@ -61,7 +61,8 @@ class Page:
             "[...document.querySelectorAll('button, .q-tab, .q-checkbox, a')]"
             f".find(b => b.offsetParent && b.innerText.trim().toLowerCase().startsWith({words.lower()!r}))"
         )
-        self.wait(f"{found} != null")
+        # one that is grey does nothing
+        self.wait(f"{found} != null && !{found}.disabled")
         if self.ask(f"{found}.dataset.deliberate"):
             self.point_at(found)
         else:
