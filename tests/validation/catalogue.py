@@ -179,10 +179,10 @@ ROWS: tuple[Row, ...] = (
     Row("beams-scatter", _SPOT, "and scatters as the uncertainty says", "the same; scatter over u",
         benchmark("spot_beams", "scatter_over_u"), "number", "", Limit(0.85, 1.15)),
     Row("spot-bound", _SPOT, "The spot scatters by what light allows", "Cramér-Rao bound, 10,000 frames a point by scipy's error "
-        "function", benchmark("spot_accuracy", "rms_over_bound", part="points_of", argument=10_000), "number", "of the bound", Limit(high=1.02),
+        "function", benchmark("spot_accuracy", "rms_over_bound", part="points_told", argument=10_000), "number", "of the bound", Limit(high=1.02),
         known="spot, 10,000 frames"),
     Row("spot-claims", _SPOT, "and says so", "the same; claimed over actual",
-        benchmark("spot_accuracy", "claimed_over_actual", part="points_of", argument=10_000), "number", "", Limit(0.98, 1.02),
+        benchmark("spot_accuracy", "claimed_over_actual", part="points_told", argument=10_000), "number", "", Limit(0.98, 1.02),
         known="spot, 10,000 frames"),
     Row("peers-scatter", _SPOT, "No other program places the spot better", "the same windows by each; scatter over this tracker's",
         peers, "scatter", "times", Limit(low=0.99), known="the same windows by others"),
