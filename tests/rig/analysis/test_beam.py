@@ -35,7 +35,7 @@ def test_an_ordinary_run_with_a_learned_profile_is_no_warning() -> None:
     [
         ([(900, 0), (100, POOR | SpotFlag.EDGE)], True, "edge of the sensor"),
         ([(900, 0), (100, POOR | SpotFlag.SATURATED)], True, "saturated"),
-        ([(147, POOR), (900, LEARNED), (100, LEARNED | POOR)], True, "changes with its place"),
+        ([(147, POOR), (900, LEARNED), (100, LEARNED | POOR)], True, "changes with position"),
         ([(1000, 0), (400, POOR), (900, LEARNED)], True, "changed during the run"),
         ([(200, POOR)], True, "too short"),
         ([(2000, POOR)], False, "assumed, not measured"),

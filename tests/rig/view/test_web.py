@@ -25,7 +25,7 @@ WANTED = (palette.TRAJECTORY_COLOUR, palette.X_COLOUR, palette.Y_COLOUR, palette
 
 def test_the_page_draws_the_run(tmp_path: Path) -> None:
     with (
-        headless_browser() as browser,
+        headless_browser(webgl=True) as browser,
         Viewer(None, "web", port=free_port(0), web_port=free_port(0)) as viewer,
     ):
         view_scene.play(viewer)
@@ -51,7 +51,7 @@ def test_a_rerun_file_is_shown_as_a_page(tmp_path: Path) -> None:
     command = "import sys; from pathlib import Path; from rig.view.viewer_program import show_rrd; "
     command += "show_rrd([Path(sys.argv[1])], 'web')"
     with (
-        headless_browser() as browser,
+        headless_browser(webgl=True) as browser,
         subprocess.Popen(
             [sys.executable, "-c", command, str(rrd)],
             stdout=subprocess.PIPE,
