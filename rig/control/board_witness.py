@@ -4,6 +4,7 @@ The board keeps them until it is asked, and is asked between heartbeats, so that
 on the line. They carry its ticks, which go on in this computer's time from session to session.
 """
 
+import math
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import Protocol
 
 from processing.errors import DeviceError
 from processing.ticks import nanoseconds, seconds
+from rig.control.link import ReplyTimeout
 from rig.control.settings import WitnessSettings
 from rig.control.witness import WitnessBuffer, WitnessSample
 
@@ -121,6 +123,12 @@ class BoardWitness(WitnessBuffer):
         self._tick_ms = 0
         self._dropped = 0
         self._alive: bool | None = None
+        self._refusal = ""
+
+    @property
+    def refusal(self) -> str:
+        """Why the board gives no samples in this session, as it said; empty while it does."""
+        return self._refusal
 
     @property
     def alive(self) -> bool | None:
@@ -131,26 +139,35 @@ class BoardWitness(WitnessBuffer):
         """What happened to it since the last call; only one thread may call it."""
         return tuple(self._events.popleft() for _ in range(len(self._events)))
 
-    def begin(self, controller: AsksForWitness) -> None:
-        """The controller's session has begun: ask for samples from now on."""
-        self._sensor = controller.start_witness()
+    def begin(self) -> None:
+        """The controller's session has begun: samples are asked for from the next `pull` on."""
+        self._sensor, self._refusal = None, ""
+        self._not_before_s = 0.0
         self._next = -1
         self._dropped = 0
         # ticks of another session may be of a board that was reset meanwhile
         self._base_ms, self._tick_ms = 0.0, -1
 
     def pull(self, controller: AsksForWitness) -> None:
-        """Take what waits on the board, as far as the heartbeats leave time for; after a failure, later."""
-        if self._sensor is None or time.monotonic() < self._not_before_s:
+        """Take what waits on the board, as far as the heartbeats leave time for; after a failure, later.
+
+        Raises DeviceError for a failure. A board that refuses its accelerometer is not asked again in this
+        session: the laser and everything else on it go on.
+        """
+        if time.monotonic() < self._not_before_s:
             return
         try:
+            if self._sensor is None:
+                self._sensor = controller.start_witness()
             for _ in range(_BLOCKS):
                 block = controller.witness_samples()
                 self._take(block, self._sensor, time.monotonic_ns())
                 if not block.waiting:
                     break
-        except DeviceError:
-            self._not_before_s = time.monotonic() + _PAUSE_S
+        except DeviceError as error:
+            refused = self._sensor is None and not isinstance(error, ReplyTimeout)
+            self._refusal = str(error) if refused else ""
+            self._not_before_s = math.inf if refused else time.monotonic() + _PAUSE_S
             raise
 
     def _take(self, block: BoardSamples, sensor: BoardSensor, received_ns: int) -> None:

@@ -12,6 +12,7 @@ from processing.errors import DeviceError
 from rig.control.controller import Controller, ControllerStatus
 from rig.control.environment import parse_environment
 from rig.control.lasers import LaserSettings, make_laser
+from rig.control.link import ReplyTimeout
 from rig.control.serial_port import LineReader, PortLost, SerialPort
 from rig.control.settings import ControllerSettings, EnvironmentSettings, WitnessSettings
 from rig.presentation import Verdict
@@ -116,7 +117,12 @@ def check_controller(
 
 def _accelerometer(controller: Controller) -> Verdict:
     """Whether its samples come."""
-    sensor = controller.start_witness()
+    try:
+        sensor = controller.start_witness()
+    except ReplyTimeout:
+        raise
+    except DeviceError as error:
+        return Verdict("witness", False, str(error), "set witness.kind to another")
     wait_s = _FEW * sensor.step_ms / 1000 + _ANSWERS_S
     until_s = time.monotonic() + wait_s
     values: list[tuple[int, ...]] = []

@@ -204,7 +204,7 @@ class ControlService(DeviceThread):
     def _open(self) -> None:
         identity = self._controller.open()
         if self._witness is not None:
-            self._witness.begin(self._controller)
+            self._witness.begin()
         self._is_open = True
         self._lit_after_offs = -1
         self._heard_s = time.monotonic()

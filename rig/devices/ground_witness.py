@@ -184,6 +184,8 @@ class _OnBoard(_Arriving):
         snapshot = self._control.snapshot
         if snapshot.status is None:
             return f"the controller is {snapshot.state}: {snapshot.last_error}".rstrip(": ")
+        if self._service.refusal:
+            return self._service.refusal
         if not self._service.alive:
             return "the accelerometer on the controller's board does not answer"
         return f"no sample for {self._service.age_s:.0f} s"

@@ -316,6 +316,45 @@ def test_a_reply_that_fails_leaves_the_line_to_the_heartbeats(monkeypatch: pytes
         assert np.all(np.diff(number) > 0)
 
 
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        ("", "rejected WITN:STAR"),
+        ("ADXL355", "'ADXL355', which is not a sensor"),
+    ],
+    ids=["refused", "nonsense"],
+)
+def test_a_board_that_refuses_its_accelerometer_gives_light_without_it(
+    answer: str, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = stepped_clock(monkeypatch)
+    board = SteppedBoard(clock)
+    monkeypatch.setattr(controller_module, "SerialPort", lambda *_, **__: board.open_line())
+    if answer:
+        monkeypatch.setitem(board.firmware._acting, "WITN:STAR", lambda _: answer)
+    else:
+        for header in ("WITN:STAR", "WITNESS:START"):
+            monkeypatch.delitem(board.firmware._acting, header)
+    with serviced(board) as (service, witness):
+        end_s = clock.monotonic() + 5.0
+        while clock.monotonic() < end_s:
+            board.turn(turn(service))
+        assert service.snapshot.state == "open"
+        assert service.snapshot.status is not None
+        assert reason in witness.refusal
+        assert [said for said in service.take_events() if reason in said] == [witness.refusal]
+        lit = service.laser_on()
+        board.turn(turn(service))
+        lit.result(0)
+        assert board.outputs()["laser"][0] == 1
+    settings = settings_for(board.port)
+    checks = check_controller(Controller(settings, 0.001), settings, LaserSettings(), SETTINGS)
+    found = {check.name: check for check in checks}
+    assert found["controller"].ok
+    assert not found["witness"].ok
+    assert reason in found["witness"].reason
+
+
 def test_names_of_columns_are_its_axes() -> None:
     with pytest.raises(ValueError, match="has its own clock"):
         WitnessSettings(kind="controller", columns=("time_s", "x"))
