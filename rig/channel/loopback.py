@@ -364,6 +364,9 @@ def running_sessions(output: Path) -> Iterator[Path]:
         with contextlib.suppress(OSError):
             stated.append((path.stat().st_mtime, path.parent))
     for _, folder in sorted(stated, reverse=True):
-        with contextlib.suppress(NoSession, OSError), Line(folder) as line:
-            line.news()
-            yield folder
+        try:
+            with Line(folder) as line:
+                line.news()
+        except (NoSession, OSError):
+            continue
+        yield folder

@@ -67,6 +67,10 @@ class Following:
         self._ended.set()
         self._wake.set()
         self.heartbeat.stop()
+        with self._one_picture:
+            if self._pictures is not None:
+                self._pictures.close()
+                self._pictures = None
 
     @property
     def running(self) -> bool:
