@@ -10,7 +10,7 @@ from rig.control.lasers import LaserRefused
 from tests.benchmarks.safety_row import Row
 from tests.benchmarks.safety_world import Program, World, patched_wait, stepped_world
 from tests.rig.control.instruments import Instrument
-from tests.rig.control.test_lasers import FAMILIES, STRAYED
+from tests.rig.control.lasers.pairs import FAMILIES, STRAYED
 
 _STEP_S, _LONGEST_S, _LOOKED_AT_FOR_S = 0.01, 8.0, 4.0
 

@@ -23,7 +23,7 @@ from tests.benchmarks.safety_world import (
     patched_wait,
     stepped_world,
 )
-from tests.rig.control.test_lasers import STRAYED
+from tests.rig.control.lasers.pairs import STRAYED
 
 TYPED = ("", "a", "y", "s", "glass ball", "light", "acknowledge", "0", "999")
 

@@ -24,8 +24,8 @@ from rig.devices import laser as laser_module
 from rig.devices.light_watch import LightWatch
 from rig.settings import Configuration, validate_configuration
 from tests.rig.control.instruments import Instrument
+from tests.rig.control.lasers.pairs import FAMILIES
 from tests.rig.control.stepped import Clock, InstrumentLine, SteppedBoard, stepped_clock, turn
-from tests.rig.control.test_lasers import FAMILIES
 
 PATHS = ("run", "plan", "balance", "align", "calibration", "preflight", "doctor", "resume")
 WATCHDOG_S, STALL_S = 1.5, 5.0

@@ -1,4 +1,4 @@
-"""Every laser driver on a real terminal; what the drivers decide is in `test_lasers`."""
+"""Every laser driver on a real terminal; what the drivers decide is in the other files here."""
 
 import os
 
@@ -9,7 +9,7 @@ from rig.control.laser_service import LaserService
 from rig.control.lasers import LASERS
 from rig.control.link import ReplyTimeout
 from tests.rig.control.instruments import FakeCobolt
-from tests.rig.control.test_lasers import FAMILIES, Pair, laser_for
+from tests.rig.control.lasers.pairs import FAMILIES, Pair, laser_for
 from tests.rig.control.test_service import until
 
 pytestmark = pytest.mark.realtime

@@ -1,0 +1,240 @@
+"""The thread that drives a laser."""
+
+import pytest
+
+from processing.errors import DeviceError
+from rig.control.controller import PowerLimit
+from rig.control.laser_service import LaserService
+from rig.control.light_permit import LightPermit
+from rig.control.serial_port import PortLost
+from tests.rig.control.instruments import FakeCobolt, FakeObis
+from tests.rig.control.lasers.pairs import Ports, laser_for
+from tests.rig.control.stepped import turn
+
+
+class TestService:
+    """What the laser's thread decides, turn by turn."""
+
+    @pytest.fixture
+    def instrument(self) -> FakeCobolt:
+        return FakeCobolt()
+
+    @pytest.fixture
+    def permit(self, ports: Ports) -> LightPermit:
+        return LightPermit(ports.clock.monotonic)
+
+    @pytest.fixture
+    def service(self, ports: Ports, instrument: FakeCobolt, permit: LightPermit) -> LaserService:
+        return LaserService(laser_for("cobolt", ports.plug_in(instrument)), period_s=0.2, permit=permit)
+
+    def test_it_is_opened_dark_and_lit_when_asked(
+        self, ports: Ports, service: LaserService, instrument: FakeCobolt
+    ) -> None:
+        assert turn(service) == 0.2
+        assert service.take_events() == ("Cobolt 12345 open, dark",)
+        assert service.snapshot.state is not None
+        power, lit, too_much = service.set_power_w(0.01), service.enable(), service.set_power_w(1.0)
+        turn(service)
+        assert power.result(0) is lit.result(0) is None
+        with pytest.raises(PowerLimit):
+            too_much.result(0)
+        assert instrument.on
+        # known at once, not with the next turn
+        assert service.snapshot.state.on
+        assert service.snapshot.state_time_ns == ports.clock.monotonic_ns()
+        off = service.off()
+        turn(service)
+        off.result(0)
+        assert not instrument.on
+
+    def test_silence_is_said_once_and_a_laser_found_again_is_dark(
+        self, service: LaserService, instrument: FakeCobolt
+    ) -> None:
+        turn(service)
+        service.enable()
+        turn(service)
+        assert instrument.on
+        service.take_events()
+        instrument.silent = True
+        assert [turn(service), turn(service)] == [1.0, 1.0]
+        assert service.snapshot.state is None
+        said = service.take_events()
+        assert said[-1] == service.snapshot.last_error
+        assert all("no reply" in text for text in said)
+        turn(service)
+        assert service.take_events() == ()
+        refused = service.enable()
+        turn(service)
+        with pytest.raises(PortLost, match="no reply"):
+            refused.result(0)
+        instrument.silent = False
+        turn(service)
+        assert not instrument.on
+        assert service.snapshot.last_error == ""
+        opened, dark = service.take_events()
+        assert opened == "Cobolt 12345 open, dark"
+        assert dark.startswith("laser off: trip 1 (WATCHDOG): the laser was lost: ")
+
+    def test_without_a_permit_it_goes_dark_once_and_stays_dark(
+        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    ) -> None:
+        turn(service)
+        service.enable()
+        turn(service)
+        permit.withdraw("the run ends")
+        turn(service)
+        assert not instrument.on
+        assert "laser off: the run ends" in service.take_events()
+        count = instrument.received.count("l0")
+        refused = service.enable()
+        turn(service)
+        with pytest.raises(DeviceError, match="the laser stays off: the run ends"):
+            refused.result(0)
+        assert instrument.received.count("l0") == count
+
+    def test_more_light_than_allowed_darkens_and_withdraws_the_permit(
+        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    ) -> None:
+        turn(service)
+        service.set_power_w(0.01)
+        service.enable()
+        turn(service)
+        service.take_events()
+        instrument.measures = 0.050
+        turn(service)
+        assert not instrument.on
+        said = "50 mW measured, 30 mW allowed by max_power_w"
+        assert service.take_events() == (f"laser off: {said}",)
+        assert said in permit.refusal
+        instrument.measures = None
+        refused = service.enable()
+        turn(service)
+        with pytest.raises(DeviceError, match=said):
+            refused.result(0)
+        assert not instrument.on
+
+    def test_modulation_switched_on_while_it_is_lit_darkens(
+        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    ) -> None:
+        turn(service)
+        service.enable()
+        turn(service)
+        instrument.mode = 4
+        turn(service)
+        assert not instrument.on
+        assert "modulation" in permit.refusal
+
+    def test_a_laser_that_is_lit_at_its_panel_is_darkened_and_that_is_latched(
+        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    ) -> None:
+        for _ in range(2):
+            turn(service)
+        instrument.light(True)
+        turn(service)
+        assert not instrument.on
+        assert "it lights although this program did not" in permit.refusal
+        refused = service.enable()
+        turn(service)
+        with pytest.raises(DeviceError, match="it lights although"):
+            refused.result(0)
+
+    def test_an_off_outdates_a_light_that_still_waits(
+        self, service: LaserService, instrument: FakeCobolt
+    ) -> None:
+        turn(service)
+        lit, dark = service.enable(), service.off()
+        turn(service)
+        dark.result(0)
+        with pytest.raises(DeviceError, match="was switched off meanwhile"):
+            lit.result(0)
+        assert "l1" not in instrument.received
+
+    @pytest.mark.parametrize("by", ["off", "permit"])
+    def test_a_laser_that_lights_late_is_not_waited_for_when_it_shall_be_dark(
+        self, ports: Ports, permit: LightPermit, by: str
+    ) -> None:
+        instrument = FakeObis()
+        service = LaserService(laser_for("obis", ports.plug_in(instrument)), permit=permit)
+        turn(service)
+        instrument.delay = 10_000
+        began_s = ports.clock.monotonic()
+        usual, asked = instrument.answer, [service.off if by == "off" else lambda: permit.withdraw("the end")]
+
+        def answer(command: str) -> str | None:
+            if asked and ports.clock.monotonic() > began_s + 1.0:
+                asked.pop()()
+            return usual(command)
+
+        instrument.answer = answer  # type: ignore[method-assign]
+        lit = service.enable()
+        turn(service)
+        with pytest.raises(DeviceError, match="it was switched off"):
+            lit.result(0)
+        assert not instrument.on
+        assert ports.clock.monotonic() - began_s < 2
+
+    def test_an_off_that_was_not_obeyed_is_given_again(
+        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    ) -> None:
+        turn(service)
+        service.enable()
+        turn(service)
+        instrument.deaf_to_off = 20
+        permit.withdraw("the run ends")
+        turn(service)
+        assert instrument.on
+        instrument.deaf_to_off = 0
+        turn(service)
+        assert not instrument.on
+
+    def test_one_that_refused_to_light_and_is_lit_at_its_panel_later_is_darkened(
+        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    ) -> None:
+        turn(service)
+        instrument.fault = 4
+        lit = service.enable()
+        turn(service)
+        with pytest.raises(DeviceError):
+            lit.result(0)
+        assert not instrument.on
+        instrument.fault = 0
+        turn(service)
+        instrument.light(True)
+        turn(service)
+        assert not instrument.on
+        assert "it lights although this program did not" in permit.refusal
+
+    def test_an_off_is_never_too_late(
+        self, ports: Ports, service: LaserService, instrument: FakeCobolt
+    ) -> None:
+        """A computer that stood still must not forget it."""
+        turn(service)
+        service.enable()
+        turn(service)
+        assert instrument.on
+        off = service.off()
+        ports.clock.sleep(60.0)
+        turn(service)
+        off.result(0)
+        assert not instrument.on
+
+    @pytest.mark.parametrize("own", [True, False])
+    def test_its_own_interlock_needs_an_acknowledgement(
+        self, ports: Ports, instrument: FakeCobolt, permit: LightPermit, own: bool
+    ) -> None:
+        laser = laser_for("cobolt", ports.plug_in(instrument))
+        service = LaserService(laser, permit=permit, own_interlock=own)
+        permit.begin()
+        turn(service)
+        instrument.interlock_closed = False
+        turn(service)
+        turn(service)
+        assert service.take_events().count("interlock opened") == 1
+        assert permit.refusal == ("trip 1 (INTERLOCK): the interlock of the laser opened" if own else "")
+
+    def test_a_fault_is_said_when_it_comes(self, service: LaserService, instrument: FakeCobolt) -> None:
+        turn(service)
+        for fault in (4, 4, 1):
+            instrument.fault = fault
+            turn(service)
+        assert service.take_events()[1:] == ("constant-power time-out", "temperature error")

@@ -1,0 +1,202 @@
+"""What one family of lasers does in a way of its own."""
+
+import pytest
+
+from rig.control.lasers import LaserRefused, LaserSettings, make_laser
+from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs
+from tests.rig.control.lasers.pairs import FAMILIES, LIMIT, Ports, laser_for
+
+
+@pytest.mark.parametrize(
+    ("kind", "question", "reply"),
+    [
+        ("thorlabs4000", "*IDN?", "Thorlabs,ITC4001"),
+        ("thorlabs4000", "*IDN?", "Thorlabs,CLD1015,M00277475,1.8.0"),
+        ("thorlabs4000", "*IDN?", "Keysight,ITC4001,M00277475,1.8.0"),
+        ("ldc500", "*IDN?", "Stanford_Research_Systems,LDC501"),
+        ("ldc500", "*IDN?", "Stanford_Research_Systems,SIM960,s/n098023,v1.02"),
+        ("ldc500", "*IDN?", "Newport,LDC501,s/n098023,v1.02"),
+        ("obis", "*IDN?", "Coherent, Inc - CUBE 640nm 100mW C - V1.0.1 - Dec 14 2010"),
+        ("obis", "*IDN?", "Vendor, Inc - OBIS 640nm 100mW C - V1.0.1 - Dec 14 2010"),
+        ("cobolt", "sn?", "Syntax error: illegal command 1"),
+        ("cobolt", "sn?", "unknown"),
+        ("cobolt", "sn?", "Thorlabs,ITC4001,M00277475,1.8.0"),
+    ],
+)
+def test_one_that_obeys_under_another_name_is_asked_for_it_and_told_nothing(
+    ports: Ports, monkeypatch: pytest.MonkeyPatch, kind: str, question: str, reply: str
+) -> None:
+    instrument = FAMILIES[kind][0]()
+    end = "\r\nOK\r\n" if kind == "obis" else "\r\n"
+    usual = instrument.answer
+    monkeypatch.setattr(instrument, "answer", lambda said: reply + end if said == question else usual(said))
+    with pytest.raises(LaserRefused, match="check the port"):
+        laser_for(kind, ports.plug_in(instrument)).open()
+    assert instrument.received == [question]
+
+
+def test_thorlabs_limit_goes_into_the_instrument_and_its_errors_come_out(ports: Ports) -> None:
+    instrument = FakeThorlabs()
+    laser = laser_for("thorlabs4000", ports.plug_in(instrument))
+    laser.open()
+    assert instrument.limit_a == pytest.approx(LIMIT)
+    instrument.limit_a = 0.010
+    with pytest.raises(LaserRefused, match="Data out of range"):
+        laser.set_current_a(0.020)
+    instrument.overheated = True
+    with pytest.raises(LaserRefused, match="over-temperature"):
+        laser.enable()
+    laser.close()
+
+
+def test_ldc500_limit_goes_into_the_instrument(ports: Ports) -> None:
+    instrument = FakeLdc500()
+    laser = laser_for("ldc500", ports.plug_in(instrument))
+    laser.open()
+    assert instrument.limit_ma == pytest.approx(LIMIT * 1000)
+    assert "MODU OFF" in instrument.received
+    laser.close()
+
+
+def test_a_setting_that_is_not_taken_is_refused_when_it_is_opened(ports: Ports) -> None:
+    thorlabs, obis = FakeThorlabs(), FakeObis()
+    thorlabs.deaf_to, obis.autostart_locked = "AM:STAT", True
+    for kind, instrument, named in (("thorlabs4000", thorlabs, "modulation"), ("obis", obis, "autostart")):
+        with pytest.raises(LaserRefused, match=f"{named}.*manual"):
+            laser_for(kind, ports.plug_in(instrument)).open()
+        assert ports.lines[-1].closed
+
+
+def test_a_thorlabs_whose_enable_input_was_not_used_keeps_it_so(ports: Ports) -> None:
+    instrument = FakeThorlabs()
+    instrument.kept["PROT:EXT:MODE"] = "OFF"
+    laser = laser_for("thorlabs4000", ports.plug_in(instrument))
+    laser.open()
+    assert instrument.kept["PROT:EXT:MODE"] == "OFF"
+    instrument.held_off = True
+    with pytest.raises(LaserRefused, match="LD ENABLE"):
+        laser.enable()
+    laser.close()
+
+
+def test_a_cobolt_without_a_direct_input_is_driven(ports: Ports) -> None:
+    instrument = FakeCobolt()
+    instrument.direct_input = None
+    laser = laser_for("cobolt", ports.plug_in(instrument))
+    laser.open()
+    laser.enable()
+    assert instrument.on
+    laser.close()
+
+
+def test_an_obis_that_would_light_after_its_warm_up_is_not_told_to(ports: Ports) -> None:
+    instrument = FakeObis()
+    laser = laser_for("obis", ports.plug_in(instrument))
+    laser.open()
+    instrument.warm = False
+    with pytest.raises(LaserRefused, match="warming up"):
+        laser.enable()
+    assert "SOURce:AM:STATe ON" not in instrument.received
+    laser.close()
+
+
+class TooBright(FakeObis):
+    """Its light is not what it was set to."""
+
+    def light(self, on: bool) -> None:
+        super().light(on)
+        self.measures = 0.050 if on else None
+
+
+def test_an_obis_that_lights_with_more_than_allowed_is_dark_at_once(ports: Ports) -> None:
+    instrument = TooBright()
+    laser = make_laser(LaserSettings(kind="obis", port=ports.plug_in(instrument), max_power_w=0.001))
+    assert laser is not None
+    laser.open()
+    laser.set_power_w(0.0005)
+    with pytest.raises(LaserRefused, match="50 mW measured, 1 mW allowed by max_power_w; it was switched"):
+        laser.enable()
+    assert not instrument.on
+    laser.close()
+
+
+def test_the_monitor_diode_of_an_ldc500_counts(ports: Ports) -> None:
+    instrument = FakeLdc500()
+    laser = laser_for("ldc500", ports.plug_in(instrument))
+    laser.open()
+    instrument.monitor_mw = 40.0
+    assert "40 mW measured, 30 mW allowed by max_power_w" in laser.state().excess
+    laser.close()
+
+
+def test_a_fault_forbids_lighting(ports: Ports) -> None:
+    obis, cobolt = FakeObis(), FakeCobolt()
+    obis.faults, cobolt.fault = 0x20, 1
+    for laser, what in (
+        (laser_for("obis", ports.plug_in(obis)), "00000020"),
+        (laser_for("cobolt", ports.plug_in(cobolt)), "temperature"),
+    ):
+        laser.open()
+        with pytest.raises(LaserRefused, match=what):
+            laser.enable()
+        laser.close()
+
+
+def test_an_obis_without_handshaking_is_given_it(ports: Ports) -> None:
+    instrument = FakeObis()
+    instrument.handshaking = False
+    laser = laser_for("obis", ports.plug_in(instrument))
+    assert laser.open().serial == "LX123456"
+    laser.set_power_w(0.01)
+    laser.enable()
+    assert instrument.on
+    laser.close()
+    assert not instrument.on
+
+
+def test_a_cobolt_in_autostart_names_the_remedy(ports: Ports) -> None:
+    instrument = FakeCobolt()
+    instrument.autostart = True
+    laser = laser_for("cobolt", ports.plug_in(instrument))
+    with pytest.raises(LaserRefused, match=r"autostart is on.*switch it off"):
+        laser.open()
+    assert ports.lines[-1].closed
+
+
+def test_an_ldc500_that_enters_its_error_late_is_heard(ports: Ports) -> None:
+    instrument = FakeLdc500()
+    laser = laser_for("ldc500", ports.plug_in(instrument))
+    laser.open()
+    instrument.limit_ma = 1.0
+    with pytest.raises(LaserRefused, match="LEXE 1"):
+        laser.set_current_a(0.01)
+    laser.close()
+
+
+def test_a_laser_that_lights_late_is_waited_for_and_one_that_never_does_is_switched_off(ports: Ports) -> None:
+    instrument = FakeObis()
+    laser = laser_for("obis", ports.plug_in(instrument))
+    laser.open()
+    instrument.delay = 5
+    laser.enable()
+    assert laser.state().on
+    laser.off()
+    instrument.delay = 10_000
+    began_s = ports.clock.monotonic()
+    with pytest.raises(LaserRefused, match="does not emit after 10 s"):
+        laser.enable()
+    assert 10 <= ports.clock.monotonic() - began_s < 11
+    assert not instrument.on
+    laser.close()
+
+
+def test_a_laser_deaf_to_off_is_told_again_when_it_is_closed(ports: Ports) -> None:
+    for deaf, dark in ((2, True), (3, False)):
+        instrument = FakeLdc500()
+        laser = laser_for("ldc500", ports.plug_in(instrument))
+        laser.open()
+        laser.enable()
+        instrument.deaf_to_off = deaf
+        laser.close()
+        assert instrument.on is not dark
+        assert ports.lines[-1].closed
