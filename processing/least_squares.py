@@ -133,7 +133,7 @@ def solve(
         elif cost - float(result.cost) < _FLAT * float(result.cost) / len(result.fun):
             converged, message = True, "a valley too flat for further steps to matter"
         cost = float(result.cost)
-    residuals, jacobian = model(values)
+    residuals, jacobian = evaluate(values)
     return Solution(
         values=values,
         covariance=covariance_of(jacobian, residuals, loss),

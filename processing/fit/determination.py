@@ -27,6 +27,9 @@ from processing.swing import TurningPoints
 
 _SURELY_PARABOLIC = 0.01
 """Relative standard uncertainty up to which chi2 is taken as a parabola, without a look at its profile."""
+_MOST_EVALUATIONS = 40
+_STEPS = 20
+"""Values at which a parameter is held on each side, at most."""
 _ALIKE = 0.15
 """Part of a half-width by which the ends of both intervals may differ where value and uncertainty stand."""
 _NAMED = Quantity("", "", unit=OF + "name")
@@ -187,36 +190,48 @@ def profile_likelihood(
         free = free_at_lowest
         low, low_root = 0.0, 0.0
         high, high_root, root = np.inf, np.inf, 0.0
-        z = min(target * unit, farthest)
-        for _ in range(15):
+        z = farthest_step = min(target * unit, farthest)
+        was_below: bool | None = None
+        for _ in range(_STEPS):
             start = held.follow(at(sign * low), free, at(sign * z))
             start = np.clip(start, low_end + 1e-9, high_end - 1e-9)
             solution = _refitted(refitted, held.at(at(sign * z)), start)
             if solution is None:
-                z = 0.5 * (low + z)
-                if z - low < 1e-6 * z:
+                # its uncertainty may be thousands of times what the law allows
+                farthest_step = (z - low) * (0.5 if low else 0.1)
+                z = low + farthest_step
+                nearest, there = at(sign * low), at(sign * z)
+                if z - low < 1e-3 * low or abs(there - nearest) < 1e-9 * abs(nearest):
                     return float("nan")
                 continue
             root = float(np.sqrt(max(2 * (solution.cost - lowest_cost), 0.0) / scale))
             trace.append((at(sign * z), root**2))
+            is_below = root < target
             if abs(root - target) < 0.01 * target:
                 break
-            if root < target:
+            # an end that stays for a second time counts half as far from the target (the Illinois method)
+            if is_below:
+                if was_below:
+                    high_root = target + 0.5 * (high_root - target)
                 free = solution.values
+                farthest_step = max(farthest_step, 2.5 * (z - low))
                 low, low_root = z, root
                 if z >= farthest:
                     return float("nan")
             else:
+                if was_below is False:
+                    low_root = target - 0.5 * (target - low_root)
                 high, high_root = z, root
+            was_below = is_below
             if np.isfinite(high):
-                # the square root of the rise is nearly linear in z: interpolate, but bisect if that is slow
+                # the square root of the rise is nearly linear in z
                 share = (target - low_root) / (high_root - low_root)
-                z = low + (high - low) * float(np.clip(share, 0.1, 0.9))
+                z = low + (high - low) * float(np.clip(share, 0.02, 0.98))
                 if high - low < 1e-3 * high:
                     break
             else:
                 wanted = z * target / root if root > 0 else 2 * z
-                z = min(float(np.clip(1.02 * wanted, 1.05 * z, 2.5 * z)), farthest)
+                z = min(float(np.clip(1.02 * wanted, 1.05 * z, 2.5 * z)), low + farthest_step, farthest)
         # the number of steps is exhausted without reaching the target: no limit was found
         return at(sign * z) if np.isfinite(high) or abs(root - target) < 0.01 * target else float("nan")
 
@@ -242,10 +257,8 @@ def _refitted(
     refit: Callable[..., Solution], model: Callable[[Floats], tuple[Floats, Floats]], start: Floats
 ) -> Solution | None:
     """The other parameters fitted again; None where the law has no value to begin with."""
-    if not np.all(np.isfinite(model(start)[0])):
-        return None
     try:
-        return refit(model, start, max_evaluations=40)
+        return refit(model, start, max_evaluations=_MOST_EVALUATIONS)
     except DataError:
         return None
 

@@ -182,6 +182,15 @@ def test_a_short_run_without_adhesion_gives_bounds_not_numbers() -> None:
         assert low - margin <= truth <= high + margin, item.text
 
 
+def test_a_bound_is_found_although_the_law_allows_less_than_the_uncertainty_says() -> None:
+    """At one standard uncertainty of c the pendulum would not swing so far: the search begins nearer."""
+    parameters, pendulum = paper_pair("glass_k8", drag_s=0.003)
+    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=7, last_arcsec=110)
+    items = {i.name: i for i in identifiability(points, pendulum, fit_exact(points, pendulum))}
+    assert items["c"].verdict == "upper bound"
+    assert items["c"].upper_95 > parameters.c
+
+
 def test_period0_and_n_are_named_as_hard_to_tell_apart() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     result = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=2), pendulum)
