@@ -136,7 +136,7 @@ def make_initramfs(folder: Path, modules: Path, wanted: Sequence[str], command: 
 def python_command(program: str) -> str:
     """What a shell in the guest runs for a module of this project and its arguments.
 
-    Compiled kernels are for another processor: to compile them on an emulated one takes longer than all the rest.
+    Nothing is compiled there: on an emulated processor that takes longer than all the rest.
     """
     return (
         f"cd {PROJECT} && HOME=/tmp OMP_NUM_THREADS=1 NUMBA_DISABLE_JIT=1 PYTHONDONTWRITEBYTECODE=1 "
