@@ -158,7 +158,7 @@ def start_guest(
         *("qemu-system-x86_64", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "1500"),
         *("-nographic", "-no-reboot", "-nodefaults", "-serial", "stdio"),
         *("-kernel", str(image), "-initrd", str(initramfs)),
-        *("-append", "console=ttyS0 quiet panic=-1 mitigations=off"),
+        *("-append", "console=ttyS0 quiet panic=-1 mitigations=off no_timer_check"),
         *("-virtfs", "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap"),
         *more,
     ]
