@@ -36,3 +36,11 @@ class RecordError(RigError):
 
 class DataError(RigError):
     """The data do not suffice for the analysis requested (too few swings, no spot, no decay)."""
+
+
+def in_one_line(error: Exception) -> str:
+    """The error as one line, with its kind where it is not one of these."""
+    text = " ".join(str(error).split())
+    if isinstance(error, RigError):
+        return text
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -10,9 +10,10 @@ from acquisition.frame_losses import FrameLosses
 from acquisition.frame_queue import FrameQueue, Policy
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
-from processing.errors import DeviceError, RigError
+from processing.errors import DeviceError, RigError, in_one_line
 from rig.control import LightPermit, Stage
 from rig.devices.backlog import Backlog, most_waiting
+from rig.devices.delivered import Counts, Delivered, asking
 from rig.devices.frame_clock import FrameClock, Seen
 from rig.devices.frame_line import FrameLine
 from rig.devices.host_clock import ClockWatch, wait_for_network_clock
@@ -58,6 +59,8 @@ class FrameStream:
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
         self._clock = ClockWatch()
         self._times = FrameClock()
+        self._delivered = Delivered(in_real_time=policy != "wait")
+        self._counts = Counts(lambda: camera.status)
         self._thread: threading.Thread | None = None
         self._events: list[tuple[EventKind, str]] = []
         self._steps: list[RecordedClockStep] = []
@@ -68,7 +71,8 @@ class FrameStream:
 
     def start_camera(self) -> None:
         """Start the camera; `begin` waits for its first frame."""
-        self._camera.start()
+        with asking("camera", "start()"):
+            self._camera.start()
 
     def begin(self) -> Frame | None:
         """Wait for the first frame and start the thread; None if the source is empty.
@@ -102,6 +106,8 @@ class FrameStream:
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the camera since the last call, as (kind, text)."""
         taken, self._events = self._events, []
+        if remark := self._counts.take_remark():
+            taken.append((EventKind.WATCHER_FAILED, f"the camera's counts: {remark}"))
         return taken
 
     def take_clock_steps(self) -> list[RecordedClockStep]:
@@ -121,7 +127,7 @@ class FrameStream:
         try:
             self._camera.stop()
         except Exception as error:
-            self._fail(error, f"camera: {error}")
+            self._fail(error, f"camera: stop(): {in_one_line(error)}")
         if self._thread is not None:
             self._thread.join(timeout=self._timeout_s + 1.0)
 
@@ -134,7 +140,7 @@ class FrameStream:
     def losses(self) -> FrameLosses:
         """Frames lost since the start, by cause."""
         unqueued = 0 if self._queue is None else self._queue.dropped
-        status = self._counts_before + self._camera.status
+        status = self._counts_before + self._counts.now
         return FrameLosses.of(
             status,
             unqueued=unqueued,
@@ -153,12 +159,15 @@ class FrameStream:
                 frame = self._camera.read(step_s)
                 if frame is None:
                     return []
-                if frames := self._joined(frame):
+                if frames := self._joined(self._delivered.checked(frame)):
                     return frames
             except FrameTimeout as lost:
                 waited_s += step_s
                 if waited_s >= self._timeout_s:
                     raise self._said_with_reasons(lost) from None
+            except Exception as error:
+                self._fail(error, self._named(error))
+                raise self.failure or error from None
         return []
 
     def _acquire(self) -> None:
@@ -193,11 +202,13 @@ class FrameStream:
                     line.begin_again()
                     self._clock.begin_again()
                     self._times.begin_again()
+                    self._delivered.begin_again()
                     silent_s = 0.0
                     continue
                 if frame is None:
                     self.ended = self.ended or "the camera delivered its last frame"
                     break
+                frame = self._delivered.checked(frame)
                 self.permit.frame_read(frame.image)
                 if self.policy != "wait":
                     self._clock.see(frame)
@@ -217,7 +228,7 @@ class FrameStream:
             why = "the camera has stalled" if not unused.came else f"of those that came {unused.came_text}"
             self._fail(error, f"no frame for {self._timeout_s:g} s: {why}")
         except Exception as error:
-            self._fail(error, f"camera: {error}")
+            self._fail(error, self._named(error))
         finally:
             queue.close()
 
@@ -252,7 +263,7 @@ class FrameStream:
 
     def _reconnect(self, lost: FrameTimeout | CameraLost) -> None:
         deadline_s = time.monotonic() + self._reconnect_s
-        before = self._camera.status
+        before = self._counts.now
         while not self._stop.is_set() and time.monotonic() < deadline_s:
             try:
                 self._camera.close()
@@ -265,7 +276,7 @@ class FrameStream:
                 self._stop.wait(0.25)
             else:
                 # a driver that has noticed the loss counts on, any other begins again
-                if self._camera.status.reconnects == before.reconnects:
+                if self._counts.now.reconnects == before.reconnects:
                     self._counts_before += before
                 if differences:
                     self._events.append((EventKind.CAMERA_BACK, f"with other settings: {differences}"))
@@ -281,9 +292,16 @@ class FrameStream:
             now = self._camera.configure(self._settings)
         return "; ".join(setting_differences(self._kept, now))
 
+    @staticmethod
+    def _named(error: Exception) -> str:
+        said = in_one_line(error)
+        return said if said.startswith("camera: ") else f"camera: {said}"
+
     def _fail(self, error: Exception, reason: str) -> None:
+        if not isinstance(error, RigError):
+            # whoever writes a driver wants to see where it failed
+            _log.error("%s", reason, exc_info=error)
+            error = DeviceError(reason)
         if self.failure is None:
             self.failure = error
             self.ended = reason
-        if not isinstance(error, RigError):
-            _log.error("%s", reason, exc_info=error)

@@ -25,6 +25,7 @@ from rig.control import (
     make_laser,
     simulated_controller,
 )
+from rig.devices.delivered import asking, checked_info, checked_settings, closed
 from rig.devices.ground_witness import GroundWitness, board_witness, ground_witness
 from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.lit_devices import LitDevices
@@ -150,14 +151,17 @@ class Devices(LitDevices):
             camera = SimulatedCamera(config.simulation, config.faults, self._inputs)
         else:
             camera = make_camera(config)
+        name = f"camera.driver = {config.camera.driver!r}"
         try:
-            info = camera.open()
+            with asking(name, "open()"):
+                info = checked_info(camera.open(), config.camera.driver)
             if self.witness is not None:
                 self.witness.beside(camera)
             if self._accelerometer is not None and isinstance(camera, SimulatedCamera):
                 self._accelerometer.beside(camera)
             asked = camera_settings(config)
-            applied = camera.configure(asked)
+            with asking(name, "configure()"):
+                applied = checked_settings(camera.configure(asked), config.camera.driver)
             check_full_scale(config, info, applied)
             if asked.ptp:
                 wait_for_network_clock(camera)
@@ -167,7 +171,10 @@ class Devices(LitDevices):
         finally:
             if self._was_lit and not self.permit.begun and not config.on_demand:
                 self.see_dark(camera)
-            camera.close()
+            if remark := closed(camera, name):
+                # a terminal that was closed hears nothing, and holds nothing up
+                with suppress(OSError):
+                    say(remark)
 
     def make_controller(self) -> Controller:
         """Make the configured controller without opening it; a simulated one acts on the simulated rig."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from acquisition.record.events import EventKind
-from processing.errors import RigError
+from processing.errors import RigError, in_one_line
 from processing.estimate import Estimate
 from processing.swing import Swing
 from rig.devices import FrameStream
@@ -101,8 +101,8 @@ class StopRequest:
         if self.failure is None:
             self.failure = error
         if not isinstance(error, RigError):
-            _log.error("%s", error, exc_info=error)
-        self.because(str(error), EventKind.FAILED)
+            _log.error("%s", in_one_line(error), exc_info=error)
+        self.because(in_one_line(error), EventKind.FAILED)
 
     def close_stream(self) -> None:
         """Close the camera's stream; an error of the camera is kept if there was no other."""

@@ -1,0 +1,159 @@
+"""What a driver delivers that no camera may: one clear line, whatever it is."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from threading import Event
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
+from acquisition.frame import Frame
+from processing.errors import DeviceError
+from rig.devices.delivered import Counts, Delivered, asking, checked_info, closed
+from rig.devices.frame_stream import FrameStream
+
+
+def frame(number: int = 0, ny: int = 12, nx: int = 10, **instead: Any) -> Frame:
+    image = np.full((ny, nx), number, np.uint8)
+    return Frame(image, number, device_time_ns=1000 * number, host_time_ns=1000 * number + 5)._replace(
+        **instead
+    )
+
+
+@pytest.mark.parametrize(
+    ("second", "said"),
+    [
+        (frame(1).image, r"read\(\) returned ndarray; return a Frame"),
+        (tuple(frame(1)), r"read\(\) returned tuple"),
+        (frame(1, image=[[1, 2], [3, 4]]), "image of frame 1 is list; make it a numpy array"),
+        (frame(1, image=np.ones((12, 10))), r"shape \(12, 10\) and type float64; \(ny, nx\)"),
+        (frame(1, image=np.ones((12, 10, 3), np.uint8)), r"shape \(12, 10, 3\)"),
+        (frame(1, image=np.ones((12, 10), ">u2" if np.little_endian else "<u2")), "order of bytes"),
+        (frame(1, image=np.ones((12, 10), np.uint16)), "10 x 12 pixels of uint16, .* of uint8"),
+        (frame(1, nx=8), "frame 1 has 8 x 12 pixels of uint8, those before had 10 x 12"),
+        (frame(0), "frame 0 came after frame 0; number the frames upwards"),
+        (frame(1, device_time_ns=1000.5), r"device_time_ns of a frame is 1000.5 \(float\)"),
+        (frame(1, host_time_ns=None), r"host_time_ns of a frame is None \(NoneType\)"),
+        (frame(1, sequence=np.uint64(1 << 63)), "sequence of a frame is .*9223372036854775808"),
+    ],
+)
+def test_what_no_camera_may_deliver(second: object, said: str) -> None:
+    delivered = Delivered()
+    delivered.checked(frame(0))
+    with pytest.raises(DeviceError, match=said) as raised:
+        delivered.checked(second)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_time_of_day_is_no_time_of_arrival() -> None:
+    delivered = Delivered(in_real_time=True)
+    with pytest.raises(DeviceError, match=r"host_time_ns of frame 0 is .* s from now; .*monotonic_ns"):
+        delivered.checked(frame(0, host_time_ns=time.time_ns()))
+    delivered.checked(frame(1, host_time_ns=time.monotonic_ns()))
+
+
+def test_a_buffer_that_is_filled_again() -> None:
+    delivered, buffer = Delivered(), np.zeros((480, 160), np.uint8)
+    delivered.checked(frame(0, image=buffer))
+    buffer[:] = 7
+    with pytest.raises(DeviceError, match=r"image of frame 0 has changed since it was delivered.*copy"):
+        delivered.checked(frame(1, image=buffer))
+
+
+def test_numbers_of_numpy_become_plain_ones_and_the_same_image_may_come_again() -> None:
+    delivered, still = Delivered(), np.zeros((480, 160), np.uint16)
+    for number in range(3):
+        times: Any = np.int32(number), np.uint64(number), np.int64(number)
+        found = delivered.checked(Frame(still, *times))
+        assert [type(value) for value in found[1:]] == [int, int, int]
+    delivered.begin_again()
+    assert delivered.checked(Frame(still, 0, -1, 3)).sequence == 0
+
+
+@dataclass
+class Driver:
+    """Somebody's own: a plain read, and a word for everything else."""
+
+    make: Callable[[int], object]
+    count: int = 0
+
+    def start(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def read(self, _timeout_s: float) -> object:
+        self.count += 1
+        return self.make(self.count - 1)
+
+    @property
+    def status(self) -> CameraStatus:
+        return CameraStatus(delivered=self.count)
+
+
+def test_the_stream_ends_with_what_was_wrong() -> None:
+    driver = Driver(lambda number: frame(number, nx=10 if number < 20 else 9))
+    stream = FrameStream(driver, CameraSettings(), policy="wait")  # type: ignore[arg-type]
+    stream.start_camera()
+    stream.begin()
+    taken = 0
+    while not stream.drained:
+        taken += len(stream.take(64, 0.1))
+    stream.close()
+    assert taken == 20
+    assert isinstance(stream.failure, DeviceError)
+    assert "frame 20 has 9 x 12 pixels" in stream.ended
+
+
+INFO = CameraInfo("own", "Example", "Own", "1", 10, 12, 255, has_clock=True)
+
+
+@pytest.mark.parametrize(
+    ("info", "said"),
+    [
+        (None, "returned NoneType; return a CameraInfo"),
+        (replace(INFO, full_scale_dn=0), "full_scale_dn .* 0"),
+    ],
+)
+def test_what_is_opened_says_what_it_is(info: object, said: str) -> None:
+    assert checked_info(INFO, "own") is INFO
+    with pytest.raises(DeviceError, match=said):
+        checked_info(info, "own")
+
+
+def test_counts_that_cannot_be_told_any_more_end_no_run() -> None:
+    told: list[object] = [CameraStatus(delivered=3), None, None]
+    counts = Counts(lambda: told.pop(0))
+    assert [counts.now.delivered for _ in range(3)] == [3, 3, 3]
+    assert "status is NoneType" in counts.take_remark()
+    assert not counts.take_remark()
+
+
+class Unclosing:
+    """Somebody's own camera that cannot end."""
+
+    def __init__(self, close: Callable[[], object]) -> None:
+        self.close = close
+
+
+def test_a_camera_that_does_not_close_holds_nothing_up() -> None:
+    let_go = Event()
+
+    def failing() -> None:
+        raise ValueError("no such\nhandle")
+
+    assert not closed(Unclosing(lambda: None), "own")  # type: ignore[arg-type]
+    assert closed(Unclosing(failing), "own") == "own: close() failed: ValueError: no such handle"  # type: ignore[arg-type]
+    said = closed(Unclosing(let_go.wait), "own", patience_s=0.01)  # type: ignore[arg-type]
+    let_go.set()
+    assert said == "own: close() has not returned for 0.01 s, and is left to itself"
+
+
+def test_what_a_driver_raises_is_one_line() -> None:
+    with (
+        pytest.raises(DeviceError, match=r"^own: start\(\) failed: KeyError: 'gain'$"),
+        asking("own", "start()"),
+    ):
+        raise KeyError("gain")
