@@ -16,6 +16,7 @@ from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
 from rig.measure.notices import announced
 from rig.measure.session import (
+    Made,
     Manner,
     against_results,
     make_runs,
@@ -234,8 +235,12 @@ def _go_on(file: SessionFile, config: Configuration, manner: Manner) -> int:
             _notice_cut(record)
     missing = file.state.runs_wanted - len(file.state.complete)
     say(f"{folder}: {len(file.state.complete)} of {file.state.runs_wanted} runs are complete")
-    if missing <= 0 and (results := _whole_results(file)) is not None:
+    if missing <= 0:
         say("no run is missing")
+        if (results := _whole_results(file)) is None:
+            # what is recorded is fitted without the rig, which may not even be there any more
+            records = [folder / entry.record for entry in file.state.complete]
+            return report(config, folder, Made(records, failed=False, stopped=False), manner)
         against = against_results(results, config)
         for why in against:
             say(why)
@@ -251,6 +256,9 @@ def _whole_results(file: SessionFile) -> SessionResults | None:
     from rig.report import make_report
 
     path = results_path(file.folder)
+    if not path.exists():
+        say("there are no results yet, they are made now")
+        return None
     try:
         results = read_results(path, sealed=True)
     except RecordError as error:

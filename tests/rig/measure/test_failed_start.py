@@ -110,3 +110,16 @@ def test_a_stump_is_complete_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyP
         ("run-1.mcap", RunState.FAILED),
         ("run-2.mcap", RunState.COMPLETE),
     ]
+
+
+def test_results_that_are_missing_are_made_without_the_rig(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert rig("run", CONFIGS / "demo.toml", "-o", out, *SHORT).returncode == 0
+    (out / "results.json").unlink()
+    tree = json.loads((out / "session.json").read_text())
+    tree["configuration"]["controller"] |= {"kind": "serial", "port": "/dev/none-is-here"}
+    (out / "session.json").write_text(json.dumps(tree))
+    done = rig("run", "--resume", out)
+    assert done.returncode == 0, done.stderr
+    assert "there are no results yet, they are made now" in done.stderr
+    assert (out / "results.json").exists()
