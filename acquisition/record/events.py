@@ -35,6 +35,8 @@ class EventKind(StrEnum):
     """A write took seconds; frames waited in memory, and those that could not are counted as lost."""
     BACKLOG = "backlog"
     """Frames wait in memory for the processor, which is late, and have been caught up with."""
+    STANDSTILL = "standstill"
+    """All of the program stood still: it was stopped, or its computer had no time for it."""
     REST = "rest"
     WARM_UP = "warm-up"
     PREFLIGHT = "preflight"
@@ -83,6 +85,7 @@ WARNING_KINDS: Final = frozenset(
         EventKind.RECORD,
         EventKind.SLOW_DISK,
         EventKind.BACKLOG,
+        EventKind.STANDSTILL,
         EventKind.REST_STEP,
         EventKind.LIGHT_STEP,
         EventKind.PUSH,

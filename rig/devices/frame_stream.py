@@ -17,6 +17,7 @@ from rig.devices.delivered import Counts, Delivered, asking
 from rig.devices.frame_clock import FrameClock, Seen
 from rig.devices.frame_line import FrameLine
 from rig.devices.host_clock import ClockWatch, wait_for_network_clock
+from rig.devices.standstill import Standstill
 from rig.instrument import setting_differences, with_read_back
 
 _log = logging.getLogger(__name__)
@@ -63,6 +64,7 @@ class FrameStream:
         self._counts = Counts(lambda: camera.status)
         self._thread: threading.Thread | None = None
         self._events: list[tuple[EventKind, str]] = []
+        self._standstill = Standstill(lambda text: self._events.append((EventKind.STANDSTILL, text)))
         self._steps: list[RecordedClockStep] = []
         self._at_last_look = FrameLosses()
         self._look_ns = 0
@@ -73,6 +75,8 @@ class FrameStream:
         """Start the camera; `begin` waits for its first frame."""
         with asking("camera", "start()"):
             self._camera.start()
+        if self.policy != "wait":
+            self._standstill.begin()
 
     def begin(self) -> Frame | None:
         """Wait for the first frame and start the thread; None if the source is empty.
@@ -122,6 +126,7 @@ class FrameStream:
     def close(self) -> None:
         """End the thread; the camera is stopped, not closed. Its error is kept in `failure`."""
         self._stop.set()
+        self._standstill.end()
         if self._queue is not None:
             self._queue.close()
         try:
@@ -211,6 +216,7 @@ class FrameStream:
                 frame = self._delivered.checked(frame)
                 self.permit.frame_read(frame.image)
                 if self.policy != "wait":
+                    self._standstill.raise_if_slept()
                     self._clock.see(frame)
                 if silent_s:
                     self._events.append(
