@@ -69,8 +69,8 @@ class Standstill:
         late_ns = self._last.awake_ns - before.awake_ns - round(_EVERY_S * 1e9)
         if late_ns > _STOOD_NS:
             self._told(
-                f"the program stood still for {seconds(late_ns):.1f} s (Ctrl-Z, or a computer that had no time "
-                "for it); frames that came meanwhile may be missing, times are right"
+                f"the program stood still for {seconds(late_ns):.1f} s (Ctrl-Z, or a busy computer); "
+                "frames that came meanwhile may be missing, times are right"
             )
 
     def raise_if_slept(self) -> None:
