@@ -6,6 +6,7 @@ waits for a reader, and without one nothing is prepared.
 """
 
 from rig.channel.event_log import newest_first
+from rig.channel.few_connections import MOST_CONNECTIONS, FewConnections
 from rig.channel.loopback import (
     CHANNEL_NAME,
     Channel,

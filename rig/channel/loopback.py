@@ -19,6 +19,7 @@ from acquisition.frame import Image
 from processing.errors import RigError
 from processing.spot import Spot
 from rig.channel import secret
+from rig.channel.few_connections import FewConnections
 from rig.channel.session_news import SessionNews
 from rig.presentation import plain_values
 
@@ -82,17 +83,10 @@ class Channel:
         self._server.server_close()
 
 
-class _Server(http.server.ThreadingHTTPServer):
-    daemon_threads = True
-    # a reader that hangs keeps no session from ending
-    block_on_close = False
-
+class _Server(FewConnections):
     def __init__(self, channel: Channel) -> None:
         super().__init__((LOOPBACK, 0), _Handler)
         self.channel = channel
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """A reader that has gone is no event of the session."""
 
 
 class _Handler(http.server.BaseHTTPRequestHandler):
@@ -141,7 +135,8 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             self.send_error(http.HTTPStatus.NOT_FOUND)
 
     def do_POST(self) -> None:
-        length = int(self.headers.get("Content-Length") or 0)
+        stated = self.headers.get("Content-Length") or "0"
+        length = int(stated) if stated.isdecimal() else -1
         if not 0 <= length <= _MOST_ASKED_BYTES:
             self.close_connection = True
             return
@@ -167,6 +162,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         asked = f"{self.command} {self.path}"
         wanted = secret.request_proof(channel.key, self._challenge, self._asked, asked, body)
         if not channel.over.is_set() and secret.fits(given, wanted):
+            self.server.proved(self.connection)
             return True
         self.close_connection = True
         self.send_error(http.HTTPStatus.GONE if channel.over.is_set() else http.HTTPStatus.FORBIDDEN)

@@ -12,6 +12,7 @@ import urllib.parse
 from collections.abc import Callable
 from typing import Any
 
+from rig.channel import FewConnections
 from rig.desk.guard import LOOPBACK
 from rig.desk.safety_bar import DARK
 
@@ -44,10 +45,7 @@ class OffSwitch:
         self._server.server_close()
 
 
-class _Server(http.server.ThreadingHTTPServer):
-    daemon_threads = True
-    block_on_close = False
-
+class _Server(FewConnections):
     def __init__(
         self, off: Callable[[str], list[str]], admits: Admits, listen: str, tls: ssl.SSLContext | None
     ) -> None:
@@ -56,9 +54,6 @@ class _Server(http.server.ThreadingHTTPServer):
         if tls is not None:
             # whoever is slow to shake hands does so in a thread of their own
             self.socket = tls.wrap_socket(self.socket, server_side=True, do_handshake_on_connect=False)
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that has gone is no event."""
 
 
 class _Server6(_Server):

@@ -1,5 +1,6 @@
 """Serves the desk until Ctrl-C: on this machine by a key, on other interfaces with TLS and passwords only."""
 
+import asyncio
 import contextlib
 import http
 import ipaddress
@@ -20,6 +21,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
+from rig.desk.few_visitors import FewVisitors
 from rig.desk.guard import LOOPBACK, PERSON, Door, Guard, let_in
 from rig.desk.login import LOGIN, LOGOUT, login_page
 from rig.desk.off_switch import OffSwitch
@@ -35,6 +37,7 @@ _PORT = 8642
 _MOST_PX = 2000
 _GOODBYE_S = 3
 _MOST_LOGIN_BYTES = 4096
+_LOGIN_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +175,7 @@ def _serve(
             webbrowser.open(address)
     settings = uvicorn.Config(
         guard,
+        http=FewVisitors,
         log_level="warning",
         access_log=False,
         ws="websockets-sansio",
@@ -225,10 +229,15 @@ def _application(desk: Desk, people: People, door: Door) -> FastAPI:
     @app.post(LOGIN)
     async def enter(request: Request) -> Response:
         body = b""
-        async for part in request.stream():
-            body += part
-            if len(body) > _MOST_LOGIN_BYTES:
-                return HTMLResponse(login_page("that is too long"), http.HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+        try:
+            async with asyncio.timeout(_LOGIN_S):
+                async for part in request.stream():
+                    body += part
+                    if len(body) > _MOST_LOGIN_BYTES:
+                        too_long = login_page("that is too long")
+                        return HTMLResponse(too_long, http.HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+        except TimeoutError:
+            return HTMLResponse(login_page("that took too long"), http.HTTPStatus.REQUEST_TIMEOUT)
         told = urllib.parse.parse_qs(body.decode(errors="replace"))
         name, password = (told.get(key, [""])[0] for key in ("name", "password"))
         try:

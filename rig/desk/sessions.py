@@ -191,10 +191,13 @@ def last_state(folder: Path) -> str:
 
 def served_file(output: Path, name: str) -> Path | None:
     """The file of a report by its name below the sessions' folder; None for what is not to be seen."""
-    path = (output / name).resolve()
-    if not path.is_relative_to(output.resolve()) or path.suffix not in _SHOWN or not path.is_file():
+    try:
+        path = (output / name).resolve()
+        shown = path.is_relative_to(output.resolve()) and path.suffix in _SHOWN and path.is_file()
+    except (OSError, ValueError):
+        # no name that a file can have: too long, or with a zero in it
         return None
-    return path
+    return path if shown else None
 
 
 class LookingAgain:

@@ -3,9 +3,11 @@
 import http.client
 import http.server
 import json
+import socket
 import stat
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,7 +19,18 @@ from acquisition.record.events import Event, EventKind
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError, RigError
 from processing.spot import Spot
-from rig.channel import Channel, Line, NoSession, SessionNews, Stranger, running_sessions, secret
+from rig.channel import (
+    CHANNEL_NAME,
+    MOST_CONNECTIONS,
+    Channel,
+    Line,
+    NoSession,
+    SessionNews,
+    Stranger,
+    running_sessions,
+    secret,
+)
+from rig.channel.loopback import LOOPBACK
 from rig.control import Interlock
 from rig.instrument import Block
 from rig.settings import Configuration
@@ -225,3 +238,31 @@ def test_a_request_that_was_overheard_is_of_no_use_again(told: SessionNews, tmp_
             assert connection.getresponse().status == 403
             connection.close()
     assert taken == ["stop"]
+
+
+def test_a_crowd_that_says_nothing_neither_fills_the_session_nor_shuts_its_desk_out(line: Line) -> None:
+    line.news()
+    port = json.loads((line.folder / CHANNEL_NAME).read_text())["port"]
+    before = threading.active_count()
+    with ExitStack() as crowd:
+        silent = [
+            crowd.enter_context(socket.create_connection((LOOPBACK, port)))
+            for _ in range(2 * MOST_CONNECTIONS)
+        ]
+        for one in silent:
+            one.sendall(b"GET /news HTTP/1.1\r\nX-never-ends: ")
+        silent[0].settimeout(20.0)
+        assert silent[0].recv(1) == b"", "the oldest gives way"
+        assert line.news()["run"] == "run 1", "the desk that was here stays"
+        with Line(line.folder) as another:
+            assert another.news()["run"] == "run 1"
+        assert threading.active_count() - before <= MOST_CONNECTIONS + 2
+
+
+def test_a_length_that_is_none_ends_the_connection_and_nothing_else(line: Line) -> None:
+    port = json.loads((line.folder / CHANNEL_NAME).read_text())["port"]
+    for length in (b"many", b"-1", b"99999999999999", "²".encode()):
+        with socket.create_connection((LOOPBACK, port), timeout=20.0) as asking:
+            asking.sendall(b"POST /order HTTP/1.1\r\nContent-Length: " + length + b"\r\n\r\n")
+            assert asking.recv(100) == b""
+    assert line.order("stop") == "stopping"

@@ -174,6 +174,9 @@ def test_only_reports_below_the_folder_are_served(tmp_path: Path) -> None:
         "a",
         "none.html",
         str(tmp_path / "secret.html"),
+        "a/\0report.html",
+        "a" * 5000 + ".html",
+        "a/" * 3000 + "b.html",
     ):
         assert served_file(output, name) is None
 
