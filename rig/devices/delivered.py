@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus
+from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
 from acquisition.frame import Frame
 from processing.errors import DeviceError, RigError, in_one_line
 
@@ -20,7 +20,7 @@ _TYPES: Final = (np.dtype(np.uint8), np.dtype(np.uint16))
 _SEEN_ALONG: Final = 64
 _NUMBERS: Final = ("sequence", "device_time_ns", "host_time_ns")
 _MOST: Final = 1 << 63
-_CLOSES_S: Final = 10.0
+_ENDS_S: Final = 10.0
 _LATEST_NS: Final = 1_000_000_000
 """A frame that arrived later than so long from now has the time of another clock, that of the day."""
 
@@ -137,27 +137,25 @@ def asking(camera: str, what: str) -> Iterator[None]:
         raise DeviceError(f"{camera}: {what} failed: {in_one_line(error)}") from error
 
 
-def closed(camera: Camera, name: str, patience_s: float = _CLOSES_S) -> str:
-    """Close a camera, and wait no longer than that; returns what is to be said where it does not close.
+def ended(ending: Callable[[], object], name: str, patience_s: float = _ENDS_S) -> str:
+    """Call what stops or closes a camera, and wait no longer than that; returns what speaks against it.
 
     What is measured is measured: it must not be lost to a driver that cannot end.
     """
     raised: list[Exception] = []
 
-    def close() -> None:
+    def end() -> None:
         try:
-            camera.close()
+            ending()
         except Exception as error:
             raised.append(error)
 
-    thread = threading.Thread(target=close, name="closing the camera", daemon=True)
+    thread = threading.Thread(target=end, name=name, daemon=True)
     thread.start()
     thread.join(patience_s)
     if thread.is_alive():
-        return f"{name}: close() has not returned for {patience_s:g} s, and is left to itself"
-    if raised:
-        return f"{name}: close() failed: {in_one_line(raised[0])}"
-    return ""
+        return f"{name} has not returned for {patience_s:g} s, and is left to itself"
+    return f"{name} failed: {in_one_line(raised[0])}" if raised else ""
 
 
 class Counts:

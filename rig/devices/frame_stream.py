@@ -13,7 +13,7 @@ from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError, RigError, in_one_line
 from rig.control import LightPermit, Stage
 from rig.devices.backlog import Backlog, most_waiting
-from rig.devices.delivered import Counts, Delivered, asking
+from rig.devices.delivered import Counts, Delivered, asking, ended
 from rig.devices.frame_clock import FrameClock, Seen
 from rig.devices.frame_line import FrameLine
 from rig.devices.host_clock import ClockWatch, wait_for_network_clock
@@ -129,10 +129,8 @@ class FrameStream:
         self._standstill.end()
         if self._queue is not None:
             self._queue.close()
-        try:
-            self._camera.stop()
-        except Exception as error:
-            self._fail(error, f"camera: stop(): {in_one_line(error)}")
+        if remark := ended(self._camera.stop, "camera: stop()"):
+            self._fail(DeviceError(remark), remark)
         if self._thread is not None:
             self._thread.join(timeout=self._timeout_s + 1.0)
 

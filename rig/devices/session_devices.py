@@ -25,7 +25,7 @@ from rig.control import (
     make_laser,
     simulated_controller,
 )
-from rig.devices.delivered import asking, checked_info, checked_settings, closed
+from rig.devices.delivered import asking, checked_info, checked_settings, ended
 from rig.devices.ground_witness import GroundWitness, board_witness, ground_witness
 from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.lit_devices import LitDevices
@@ -171,7 +171,7 @@ class Devices(LitDevices):
         finally:
             if self._was_lit and not self.permit.begun and not config.on_demand:
                 self.see_dark(camera)
-            if remark := closed(camera, name):
+            if remark := ended(camera.close, f"{name}: close()"):
                 # a terminal that was closed hears nothing, and holds nothing up
                 with suppress(OSError):
                     say(remark)

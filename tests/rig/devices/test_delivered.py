@@ -12,7 +12,7 @@ import pytest
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
 from acquisition.frame import Frame
 from processing.errors import DeviceError
-from rig.devices.delivered import Counts, Delivered, asking, checked_info, closed
+from rig.devices.delivered import Counts, Delivered, asking, checked_info, ended
 from rig.devices.frame_stream import FrameStream
 
 
@@ -131,22 +131,15 @@ def test_counts_that_cannot_be_told_any_more_end_no_run() -> None:
     assert not counts.take_remark()
 
 
-class Unclosing:
-    """Somebody's own camera that cannot end."""
-
-    def __init__(self, close: Callable[[], object]) -> None:
-        self.close = close
-
-
-def test_a_camera_that_does_not_close_holds_nothing_up() -> None:
+def test_a_camera_that_does_not_end_holds_nothing_up() -> None:
     let_go = Event()
 
     def failing() -> None:
         raise ValueError("no such\nhandle")
 
-    assert not closed(Unclosing(lambda: None), "own")  # type: ignore[arg-type]
-    assert closed(Unclosing(failing), "own") == "own: close() failed: ValueError: no such handle"  # type: ignore[arg-type]
-    said = closed(Unclosing(let_go.wait), "own", patience_s=0.01)  # type: ignore[arg-type]
+    assert not ended(lambda: None, "own: close()")
+    assert ended(failing, "own: close()") == "own: close() failed: ValueError: no such handle"
+    said = ended(let_go.wait, "own: close()", patience_s=0.01)
     let_go.set()
     assert said == "own: close() has not returned for 0.01 s, and is left to itself"
 
