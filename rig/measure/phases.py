@@ -1,7 +1,6 @@
 """The phases before a record: rest, warm-up, preflight and release, each with a time limit."""
 
 import math
-import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -17,6 +16,7 @@ from processing.robust import robust_scatter
 from processing.ticks import NS_PER_S, nanoseconds
 from rig.devices import Audited, Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
 from rig.instrument import Optics, Phase, Snapshot
+from rig.measure.disk_room import free_bytes
 from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import TrialFrames, device_checks, frame_checks, vault_checks
 from rig.measure.recent_frames import PhaseWait, RecentFrames, Stopped, Watch
@@ -224,7 +224,7 @@ class PhasesBeforeRecord:
                 config,
                 self._camera.info.full_scale_dn,
                 frames.window_bytes(),
-                shutil.disk_usage(self._folder).free,
+                free_bytes(self._folder),
             ),
             device_checks.controller(self._devices.now(), config.controller.kind != "none"),
             device_checks.laser(self._devices.laser_now(), goes_dark_by_itself(config.laser)),

@@ -1,6 +1,5 @@
 """Sets up camera, phases, record, view and display for one run of a session, and executes it."""
 
-import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from processing.errors import ConfigurationError, RecordError
 from rig.channel import SessionNews
 from rig.devices import Devices, FrameStream, OpenCamera, TypedLeave
 from rig.instrument import Snapshot, camera_settings, frame_policy, optics_of, prepare_kernels
+from rig.measure.disk_room import free_bytes
 from rig.measure.end_of_run import EndLimits
 from rig.measure.live_fit import live_posterior
 from rig.measure.notes import Notes
@@ -62,10 +62,10 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
     record = plan.record
     if record.exists():
         raise ConfigurationError(f"{record}: exists already and is never overwritten; choose another output")
-    free_bytes = shutil.disk_usage(record.parent).free
-    if free_bytes < LEAST_FREE_BYTES:
+    free = free_bytes(record.parent)
+    if free < LEAST_FREE_BYTES:
         raise RecordError(
-            f"{record.parent}: {free_bytes // 2**20} MiB of disk are free, {LEAST_FREE_BYTES // 2**20} MiB "
+            f"{record.parent}: {free // 2**20} MiB of disk are free, {LEAST_FREE_BYTES // 2**20} MiB "
             "are needed to begin; nothing was started: free some, or name another folder"
         )
     if plan.config.simulated:

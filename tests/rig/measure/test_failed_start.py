@@ -1,6 +1,8 @@
 """A start that fails leaves nothing in the way, and a run that was cut short is never complete."""
 
 import json
+import shutil
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -8,8 +10,11 @@ import pytest
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from rig.archive.session_rows import session_rows
+from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.run import Run
+from rig.measure.session import simulate_record
 from rig.measure.session_file import RunState, SessionFile, read_session
+from rig.settings import load_configuration, stored_configuration
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 
 SHORT = set_words({**SMALL, "session.max_duration_s": "60"})
@@ -113,13 +118,30 @@ def test_a_stump_is_complete_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_results_that_are_missing_are_made_without_the_rig(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert rig("run", CONFIGS / "demo.toml", "-o", out, *SHORT).returncode == 0
-    (out / "results.json").unlink()
-    tree = json.loads((out / "session.json").read_text())
-    tree["configuration"]["controller"] |= {"kind": "serial", "port": "/dev/none-is-here"}
-    (out / "session.json").write_text(json.dumps(tree))
-    done = rig("run", "--resume", out)
+    config = load_configuration(CONFIGS / "demo.toml", SHORT[1::2])
+    assert simulate_record(config, CONFIGS / "demo.toml", tmp_path / "run-1.mcap") == 0
+    stored = stored_configuration(config)
+    stored["controller"] |= {"kind": "serial", "port": "/dev/none-is-here"}
+    with closing(SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, stored)) as file:
+        file.note(1, "run-1.mcap", RunState.COMPLETE)
+    done = rig("run", "--resume", tmp_path)
     assert done.returncode == 0, done.stderr
     assert "there are no results yet, they are made now" in done.stderr
-    assert (out / "results.json").exists()
+    assert (tmp_path / "results.json").exists()
+
+
+def test_a_folder_that_goes_before_the_record_begins_is_named_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    usual = PhasesBeforeRecord._check
+
+    def removing(phases: PhasesBeforeRecord, resting: bool) -> None:
+        shutil.rmtree(out)
+        usual(phases, resting)
+
+    monkeypatch.setattr(PhasesBeforeRecord, "_check", removing)
+    done = rig("run", CONFIGS / "demo.toml", "-o", out, *SHORT, "--set", "preflight.when=always")
+    assert done.returncode == 1
+    assert f"{out}: No such file or directory; was it removed or renamed" in done.stderr
+    assert "Traceback" not in done.stderr
