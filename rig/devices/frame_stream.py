@@ -16,6 +16,7 @@ from rig.devices.backlog import Backlog, most_waiting
 from rig.devices.delivered import Counts, Delivered, asking, ended
 from rig.devices.frame_clock import FrameClock, Seen
 from rig.devices.frame_line import FrameLine
+from rig.devices.hanging_read import HangingRead
 from rig.devices.host_clock import ClockWatch, wait_for_network_clock
 from rig.devices.standstill import Standstill
 from rig.instrument import setting_differences, with_read_back
@@ -68,6 +69,7 @@ class FrameStream:
         self._steps: list[RecordedClockStep] = []
         self._at_last_look = FrameLosses()
         self._look_ns = 0
+        self._hanging = HangingRead(timeout_s)
         self.ended = ""
         self.failure: Exception | None = None
 
@@ -105,7 +107,11 @@ class FrameStream:
             return []
         if self._backlog is not None and (said := self._backlog.see(len(self._queue))):
             self._events.append((EventKind.BACKLOG, said))
-        return self._queue.take(at_most, timeout_s)
+        frames = self._queue.take(at_most, timeout_s)
+        if (hangs := self._hanging.after(0.0 if frames else timeout_s)) and self.policy != "wait":
+            self._fail(DeviceError(hangs), hangs)
+            self._queue.close()
+        return frames
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the camera since the last call, as (kind, text)."""
@@ -185,6 +191,7 @@ class FrameStream:
                 # a source on demand may be slow; silence of a free-running camera is reported early
                 patience_s = self._timeout_s if self.policy == "wait" else line.patience_s(self._timeout_s)
                 patience_s = min(patience_s, self._timeout_s - silent_s)
+                self._hanging.begins()
                 try:
                     frame = self._camera.read(patience_s)
                 except (FrameTimeout, CameraLost) as lost:
@@ -201,6 +208,7 @@ class FrameStream:
                             raise lost from None
                         opened_again = True
                     self._events.append((EventKind.CAMERA_LOST, str(lost)))
+                    self._hanging.is_elsewhere()
                     self._reconnect(lost)
                     line.begin_again()
                     self._clock.begin_again()

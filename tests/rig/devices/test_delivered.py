@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from threading import Event
 from typing import Any
 
@@ -12,8 +13,10 @@ import pytest
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
 from acquisition.frame import Frame
 from processing.errors import DeviceError
+from rig.devices import frame_stream
 from rig.devices.delivered import Counts, Delivered, asking, checked_info, ended
 from rig.devices.frame_stream import FrameStream
+from rig.devices.hanging_read import HangingRead
 
 
 def frame(number: int = 0, ny: int = 12, nx: int = 10, **instead: Any) -> Frame:
@@ -150,3 +153,26 @@ def test_what_a_driver_raises_is_one_line() -> None:
         asking("own", "start()"),
     ):
         raise KeyError("gain")
+
+
+def test_a_read_that_never_returns_ends_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frame_stream, "HangingRead", partial(HangingRead, hangs_s=0.5))
+    let_go = Event()
+
+    def make(number: int) -> object:
+        if number > 5:
+            let_go.wait(60.0)
+            return None
+        return frame(number)._replace(host_time_ns=time.monotonic_ns())
+
+    stream = FrameStream(Driver(make), CameraSettings(), timeout_s=0.2)  # type: ignore[arg-type]
+    stream.start_camera()
+    stream.begin()
+    taken = 0
+    while not stream.drained:
+        taken += len(stream.take(64, 0.1))
+    let_go.set()
+    stream.close()
+    assert taken == 6
+    assert "read() has not returned for" in stream.ended
+    assert isinstance(stream.failure, DeviceError)
