@@ -326,8 +326,11 @@ class RecordWriter:
         what = f"{self.path}: cannot be written: {failure.strerror or failure}"
         reason_ns = max(self._numbers.end_ns, self._pixels.end_ns, self._file.end_ns)
         if EVENT.topic in self._channels:
-            reason = EVENT.encode(reason_ns - self._offset_ns, EventKind.RECORD, what)
-            self._numbers.add(self._channels[EVENT.topic], self._sequence, reason_ns, reason)
+            # what has no end looks as if nobody knew why
+            for kind in (EventKind.RECORD, EventKind.FAILED, EventKind.STOP):
+                reason = EVENT.encode(reason_ns - self._offset_ns, kind, what)
+                self._numbers.add(self._channels[EVENT.topic], self._sequence, reason_ns, reason)
+                self._sequence += 1
         lost = 0
         for builder in (self._numbers, self._pixels):
             try:

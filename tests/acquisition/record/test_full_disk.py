@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 
 from acquisition.record.check import check_record
 from acquisition.record.container import McapFile
+from acquisition.record.events import end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from acquisition.record.reserve import Reserve
@@ -91,7 +92,10 @@ def test_the_record_is_closed_and_whole(small_disk: Path) -> None:
         assert not reader.truncated
         assert len(reader.spots()) >= frames
         assert frames - 8 <= sum(1 for _ in reader.windows()) <= frames + 8
-        assert reader.events()[-1].kind == "record"
+        assert [event.kind for event in reader.events()[-3:]] == ["record", "failed", "stop"]
+        end = end_of(reader.events())
+        assert end is not None
+        assert (end.kind, end.text.rpartition(": ")[2]) == ("failed", "No space left on device")
         assert "No space left on device" in reader.events()[-1].text
     assert not [finding for finding in check_record(path) if finding.severity == "error"]
     with path.open("rb") as file:

@@ -107,7 +107,7 @@ def test_a_failure_is_not_lost_when_the_record_is_closed_before_the_next_flush(
     written_after_a_second(writer, clock, "a")
     with pytest.raises(RecordError, match="cannot be written: Input/output error; the record is closed"):
         writer.close()
-    assert kinds(path) == ["a", "record"]
+    assert kinds(path) == ["a", "record", "failed", "stop"]
 
 
 def test_a_disk_that_is_full_behind_ones_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,7 +124,7 @@ def test_a_disk_that_is_full_behind_ones_back(tmp_path: Path, monkeypatch: pytes
     writer._file._background.wait()
     with pytest.raises(RecordError, match=r"No space left on device; the record is closed and readable$"):
         written_after_a_second(writer, clock, "b")
-    assert kinds(path) == ["a", "b", "record"]
+    assert kinds(path) == ["a", "b", "record", "failed", "stop"]
     assert not [finding for finding in check_record(path) if finding.severity == "error"]
 
 
