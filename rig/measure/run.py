@@ -151,9 +151,9 @@ class Run:
             first = self._stream.begin()
             if first is None:
                 raise DataError("the camera delivered no frame at all; nothing was recorded")
-            epoch_offset_ns = time.time_ns() - first.time_ns - (time.monotonic_ns() - first.host_time_ns)
+            at_first_ns = utc_offset_ns(first)
             number = 1
-            while not self._attempt(number, epoch_offset_ns):
+            while not self._attempt(number, at_first_ns):
                 number += 1
         except Exception as error:
             self._stop.failed(error)
@@ -166,10 +166,13 @@ class Run:
             finally:
                 self._done.set()
 
-    def _attempt(self, number: int, epoch_offset_ns: int) -> bool:
+    def _attempt(self, number: int, at_first_ns: int) -> bool:
         """Make one attempt at a start and record it; False if it was rejected and is to be repeated."""
         parts = self._parts
         frames, events = self._first_frames()
+        # rest and warm-up may take an hour, in which the clock of the day is set; frames made on demand are
+        # timed by their first one
+        epoch_offset_ns = at_first_ns if self._stream.policy == "wait" else utc_offset_ns(frames[-1])
         self._losses = LossLog(self._stream, from_start=parts.phases is None)
         preflight = () if parts.phases is None else parts.phases.verdicts
         recorder = Recorder(
@@ -232,6 +235,11 @@ class Run:
                 instruction="",
             )
         )
+
+
+def utc_offset_ns(frame: Frame) -> int:
+    """UTC minus the frames' clock, by the computer's clock of the day as it is now."""
+    return time.time_ns() - frame.time_ns - (time.monotonic_ns() - frame.host_time_ns)
 
 
 def _told_of_os_error(show: Callable[[Snapshot], None], snapshot: Snapshot) -> OSError | None:

@@ -1,5 +1,6 @@
 """A live run whose camera's clock errs in every way at once comes to its end, and says what was done."""
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -7,13 +8,16 @@ import pytest
 
 from acquisition.record.events import EventKind
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import CAMERA_STEP, RecordedClockStep
+from acquisition.record.topics import CAMERA_STEP, CLOCK, ClockAnchor, RecordedClockStep
 from rig.analysis import analyse_record
 from rig.measure import measure_session
+from rig.measure.phases import PhasesBeforeRecord
+from rig.measure.session import simulate_record
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, SMALL
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+DAY_NS = 86_400_000_000_000
 
 
 def test_wrong_times_steps_and_a_short_counter_cost_one_frame(tmp_path: Path) -> None:
@@ -52,3 +56,24 @@ def test_wrong_times_steps_and_a_short_counter_cost_one_frame(tmp_path: Path) ->
     verdict = next(one for one in results.conditions if one.name == "camera's clock")
     assert verdict.ok
     assert verdict.reason.startswith("it was taken off its times")
+
+
+def test_a_record_has_the_time_of_day_at_which_it_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual, check = time.time_ns, PhasesBeforeRecord._check
+
+    def set_back(phases: PhasesBeforeRecord, resting: bool) -> None:
+        monkeypatch.setattr(time, "time_ns", lambda: usual() - DAY_NS)
+        check(phases, resting)
+
+    monkeypatch.setattr(PhasesBeforeRecord, "_check", set_back)
+    words = {**SMALL, "simulation.real_time": "true", "session.max_duration_s": "1"}
+    config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in words.items()])
+    # fits and report are of no interest here
+    record = tmp_path / "run-1.mcap"
+    simulate_record(config, CONFIGS / "demo.toml", record)
+    with RecordReader(record) as reader:
+        anchors = reader.values(CLOCK.topic, ClockAnchor)
+        off_ns = anchors[0].utc_ns - anchors[0].time_ns - reader.epoch_offset_ns
+    assert abs(off_ns) < 10 * 10**9, "the anchors of a record contradict its own beginning"
