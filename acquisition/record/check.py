@@ -85,10 +85,10 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
         findings = _errors(*(f"index: {text}" for text in contents.damage))
         if reader.truncated:
             lost = contents.size - contents.readable_bytes
-            findings += _errors(
-                f"the file was cut short: {lost} bytes after the last complete record at "
-                f"{utc_text(contents.end_ns)}; rig recover makes a complete file of it"
-            )
+            where = f": {lost} bytes after the last complete record at {utc_text(contents.end_ns)}"
+            if not contents.end_ns:
+                where = f" before anything was measured, after {contents.readable_bytes} bytes"
+            findings += _errors(f"the file was cut short{where}; rig recover makes a complete file of it")
         tally = _Tally(_followed(contents))
         findings += _check_chunks(reader, tally)
         findings += _check_attachments(reader)

@@ -298,9 +298,14 @@ def disk(
         ok,
         "" if ok else "a run of full length does not fit",
         "" if ok else f"free space, or another -o{', or record.windows = false' if windows else ''}",
-        measured=f"{free_bytes / 1e9:.1f} GB free",
-        limit=f"{need / 1e9:.1f} GB for {duration_s:g} s",
+        measured=f"{_room(free_bytes)} free",
+        limit=f"{_room(need)} for {duration_s:g} s",
     )
+
+
+def _room(size_bytes: float) -> str:
+    """In GB, or, where that would be next to nothing, in MB."""
+    return f"{size_bytes / 1e9:.1f} GB" if size_bytes >= 1e9 else f"{size_bytes / 1e6:.1f} MB"
 
 
 def check_look(

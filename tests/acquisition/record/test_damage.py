@@ -237,6 +237,15 @@ def test_a_cut_file_is_read_up_to_its_last_whole_chunk_and_recovered(tmp_path: P
             assert sum(1 for _ in independent.iter_messages(topics=["/spot"])) == len(spots)
 
 
+def test_a_file_that_was_cut_before_its_first_message_has_no_time(tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    with RecordWriter(tmp_path / "whole.mcap", 0) as writer:
+        cut.write_bytes(writer.path.read_bytes())
+    said = [finding.text for finding in check_record(cut) if "cut short" in finding.text]
+    assert len(said) == 1
+    assert said[0].startswith("the file was cut short before anything was measured, after ")
+
+
 def test_a_damaged_record_is_recovered_without_the_damaged_chunk(tmp_path: Path, whole: bytes) -> None:
     path, copy = tmp_path / "run.mcap", tmp_path / "whole.mcap"
     path.write_bytes(whole)

@@ -265,6 +265,8 @@ def test_frame_rate_and_losses() -> None:
 def test_disk_holds_the_longest_run_or_not() -> None:
     assert_go(frame_checks.disk(10**10, 5000.0, 500.0, 3600.0))
     assert_no(frame_checks.disk(10**9, 5000.0, 500.0, 3600.0))
+    nearly_full = frame_checks.disk(12_000, 5000.0, 50.0, 14.0)
+    assert (nearly_full.measured, nearly_full.limit) == ("0.0 MB free", "3.5 MB for 14 s")
 
 
 def test_a_rolling_shutter_is_advised_where_it_matters() -> None:
