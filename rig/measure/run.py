@@ -238,8 +238,14 @@ class Run:
 
 
 def utc_offset_ns(frame: Frame) -> int:
-    """UTC minus the frames' clock, by the computer's clock of the day as it is now."""
-    return time.time_ns() - frame.time_ns - (time.monotonic_ns() - frame.host_time_ns)
+    """UTC minus the frames' clock, by the computer's clock of the day as it is now.
+
+    Raises DeviceError where that is before 1970: no file of a record can say so.
+    """
+    now_ns = time.time_ns()
+    if now_ns < 0:
+        raise DeviceError("the computer's clock of the day is before 1970; set it, then measure again")
+    return now_ns - frame.time_ns - (time.monotonic_ns() - frame.host_time_ns)
 
 
 def _told_of_os_error(show: Callable[[Snapshot], None], snapshot: Snapshot) -> OSError | None:

@@ -1,7 +1,15 @@
 """UTC is anchored again and again; a step of the clock of the day is an event."""
 
+import time
+
+import numpy as np
+import pytest
+
+from acquisition.frame import Frame
 from acquisition.record.events import EventKind
+from processing.errors import DeviceError
 from rig.measure.clock_anchors import ClockAnchors, HostClockReading, read_clocks
+from rig.measure.run import utc_offset_ns
 
 
 class Clocks:
@@ -50,3 +58,11 @@ def test_both_clocks_are_read_at_once() -> None:
     first, second = read_clocks(), read_clocks()
     assert 0 <= first.apart_ns < 10**9
     assert second.host_time_ns > first.host_time_ns
+
+
+def test_a_clock_of_the_day_before_1970_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = Frame(np.zeros((2, 2), np.uint8), 0, 5, time.monotonic_ns())
+    assert abs(utc_offset_ns(frame) + 5 - time.time_ns()) < 60 * 10**9
+    monkeypatch.setattr(time, "time_ns", lambda: -1)
+    with pytest.raises(DeviceError, match="before 1970; set it"):
+        utc_offset_ns(frame)
