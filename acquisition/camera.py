@@ -248,6 +248,9 @@ class Camera(Protocol):
     def read(self, timeout_s: float) -> Frame | None:
         """Next frame in order. Blocks for at most timeout_s.
 
+        All have the size and type of the first; a session ends at one that has not, at a number that does not
+        rise, and at an image that has changed since it was delivered.
+
         Returns None if the source has ended (a folder, a simulated run) or was stopped. Raises FrameTimeout
         if no frame arrived in time, CameraLost if the connection is lost.
         """
