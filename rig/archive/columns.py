@@ -36,33 +36,33 @@ def _estimated(name: str, meaning: str) -> dict[str, Column]:
 
 
 COLUMNS: Final[Mapping[str, Column]] = {
-    "sha256": Column("text", "of the record, by which a run is known; its first characters name the run"),
-    "session": Column("text", "SHA-256 of those of all the session's records; its first characters name it"),
+    "sha256": Column("text", "of the record; it identifies the run, and its first characters suffice"),
+    "session": Column("text", "SHA-256 of the SHA-256 of all its records; its first characters suffice"),
     "run": Column("text", "name of the record without its ending"),
     "folder": Column("text", "the session's folder when it was added"),
     "computer": Column("text", "the computer on which it was added"),
-    "record": Column("text", "path of the record, in the folder where it lies there"),
+    "record": Column("text", "path of the record, relative to the folder if inside it"),
     "record_bytes": Column("count", "size of the record"),
     "state": Column("text", "of the record: whole, cut short, cut, damaged, unreadable, missing"),
-    "flaw": Column("text", "in a line what is wrong with the record"),
+    "flaw": Column("text", "what is wrong with the record, in one line"),
     "windows": Column("text", "of raw pixels: recorded, none, recompressed, dropped"),
     "results": Column("text", "name of the results file"),
     "results_sha256": Column("text", "its hash"),
     "files": Column(
-        "text", "hash of names, sizes and times of the session's files, by which add knows it again"
+        "text", "hash of names, sizes and times of the session's files, by which add recognises it"
     ),
-    "added_utc": Column("time", "when this version was seen, by the clock of who added it"),
+    "added_utc": Column("time", "when this version was seen, by the clock of the computer that added it"),
     "version": Column("text", "name of the file in the archive that holds the row"),
     "began_utc": Column("time", "first message of the record"),
     "duration_s": Column("number", "from the first message to the last"),
     "sample": Column("text", "as configured"),
     "operator": Column("text", "as configured"),
     "contact_history": Column("text", "as configured"),
-    "noted": Column("text", "what operators have noted during the run"),
+    "noted": Column("text", "operators' notes during the run"),
     "host": Column("text", "the computer that measured"),
-    "temperature_c": Column("number", "mean of what the sensor read, else as stated"),
-    "humidity_percent": Column("number", "mean of what the sensor read, else as stated"),
-    "pressure_pa": Column("number", "mean of what the sensor read, else as stated"),
+    "temperature_c": Column("number", "mean sensor reading, otherwise as stated"),
+    "humidity_percent": Column("number", "mean sensor reading, otherwise as stated"),
+    "pressure_pa": Column("number", "mean sensor reading, otherwise as stated"),
     "dwell_s": Column("number", "from session.contact_made to the first frame"),
     "age_s": Column("number", "from session.surfaces_cleaned to the first frame"),
     "camera": Column("text", "model"),
@@ -76,7 +76,9 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "amplitude_unit": Column("text", "of the next two: arcsec, or px without a lever"),
     "initial_amplitude": Column("number", "of the first half-cycle"),
     "final_amplitude": Column("number", "of the last"),
-    "conditions_met": Column("yes or no", "light, losses, temperature and what else was judged"),
+    "conditions_met": Column(
+        "yes or no", "whether light, losses, temperature and the other conditions were met"
+    ),
     "problem": Column("text", "why a fit is missing"),
     "law": Column("text", "that was fitted"),
     **{key: item for name in PARAMETERS for key, item in _estimated(name, "of the exact fit").items()},
@@ -93,24 +95,24 @@ COLUMNS: Final[Mapping[str, Column]] = {
     **{key: item for name, one in DERIVED.items() for key, item in _estimated(name, one.meaning).items()},
     "mass_kg": Column("number", "of the pendulum"),
     "ball_radius_m": Column("number", "of the ball"),
-    "instrument": Column("text", "kind of pendulum, where it is none of the contact's laws"),
+    "instrument": Column("text", "kind of pendulum, if not that of the contact's laws"),
     "sealed": Column("text", "values of a blind run, encrypted for the key of its seal"),
     **{key: item for name in OF_INSTRUMENTS for key, item in _estimated(name, "as reported").items()},
 }
 
 SAID_OF_RUNS: Final[Mapping[str, str]] = {
-    "tags": "list of what rig archive tag said of the run: 'good' in tags",
-    "notes": "list of what rig archive note said of it",
+    "tags": "tags of the run (rig archive tag), a list: 'good' in tags",
+    "notes": "notes about the run (rig archive note), a list",
 }
 """Columns that are in no file of a session."""
 
 OF_REFITS: Final[Mapping[str, Column]] = {
-    "level": Column("text", "swings, spots or pixels: from what the results were made again"),
-    "laws": Column("text", "that were compared"),
-    "settings": Column("text", "changes of the configuration, as --set took them"),
+    "level": Column("text", "swings, spots or pixels: what the refit started from"),
+    "laws": Column("text", "laws compared"),
+    "settings": Column("text", "changes to the configuration, as given to --set"),
     "code": Column("text", "version, commit and hash of the program that made them"),
-    "made_utc": Column("time", "when they were made, by the clock of who made them"),
-    "newest": Column("yes or no", "whether no later ones of the run exist"),
+    "made_utc": Column("time", "when they were made, by the clock of the computer that made them"),
+    "newest": Column("yes or no", "whether these are the latest of the run"),
 }
 """Columns beside those of a run in the table of results that were made again."""
 
