@@ -55,11 +55,11 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
         default=None,
         ge=1,
         le=16,
-        description="pixels of the sensor, in each direction, in one of the image; None: 1",
+        description="sensor pixels per image pixel, in each direction; None: 1",
     )
     colour_plane: ColourPlane | None = Field(
         default=None,
-        description="of a colour camera, the pixels of this colour alone; size and offsets are in these",
+        description="of a colour camera, use only pixels of this colour; size and offsets count these",
     )
     width_px: int | None = Field(default=None, gt=0)
     height_px: int | None = Field(default=None, gt=0)
@@ -73,9 +73,7 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
     exposure_output: str | None = Field(
         default=None, description="line that is active during each exposure, as the camera calls it"
     )
-    ptp: bool | None = Field(
-        default=None, description="clock follows that of the network (IEEE 1588), by which frames are stamped"
-    )
+    ptp: bool | None = Field(default=None, description="the camera's clock follows the network's (IEEE 1588)")
     features: dict[str, FeatureValue] = Field(
         default_factory=dict,
         description="any feature by its own name, set after all others, in this order",

@@ -244,7 +244,7 @@ def _refuse_what_does_not_stay(mode: str, found: _Combined) -> None:
     turned = [_modulo_pi(off - off_rad[0]) for off in off_rad]
     head = (
         f"axes: the {mode} direction is not the same in the {len(off_rad)} parts of the record: it differs "
-        f"by {1e3 * float(np.ptp(turned)):.3g} mrad, {math.sqrt(chi2 / dof):.3g} times what the noise leaves"
+        f"by {1e3 * float(np.ptp(turned)):.3g} mrad, {math.sqrt(chi2 / dof):.3g} times the noise"
     )
     if (rate / u_rate) ** 2 > 0.9 * chi2:
         raise DataError(

@@ -204,7 +204,7 @@ def _number(text: str, what: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ConfigurationError(f"{what}: {text!r} is no number") from None
+        raise ConfigurationError(f"{what}: {text!r} is not a number") from None
 
 
 def _date(root: Element, place: str) -> datetime.date | None:

@@ -126,7 +126,7 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
                 f"{name}: {field} has no offset from UTC; write it as 2026-01-31T12:00:00Z"
             )
     if kind is not None and found.kind != kind:
-        raise ConfigurationError(f"{name}: is a calibration of {found.kind}, {kind} is wanted")
+        raise ConfigurationError(f"{name}: is a calibration of {found.kind}, one of {kind} is needed")
     return found
 
 
@@ -197,4 +197,4 @@ def toml_value(value: Any) -> str:
         return "{" + inner + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(toml_value(item) for item in value) + "]"
-    raise TypeError(f"{type(value).__name__} is no value that TOML has")
+    raise TypeError(f"{type(value).__name__} cannot be written in TOML")

@@ -40,12 +40,12 @@ def from_d_si(text: str) -> str:
     """
     tokens = list(_TOKEN.finditer(text.strip()))
     if not tokens or "".join(token[0] for token in tokens) != "".join(text.split()):
-        raise ConfigurationError(f"{text!r} is no unit in D-SI, such as \\kilogram")
+        raise ConfigurationError(f"{text!r} is not a D-SI unit, such as \\kilogram")
     found, prefix, sign = list[tuple[str, Fraction]](), "", 1
     for power, word in (token.groups() for token in tokens):
         if power is not None:
             if not found or prefix:
-                raise ConfigurationError(f"{text!r} is no unit in D-SI: a power stands alone")
+                raise ConfigurationError(f"{text!r} is not a D-SI unit: it has a power without a base")
             symbol, own = found[-1]
             found[-1] = symbol, own * _fraction(power, text)
         elif word == "per":
@@ -62,7 +62,7 @@ def from_d_si(text: str) -> str:
             found.append((symbol, Fraction(sign)))
             prefix = ""
     if prefix or not found:
-        raise ConfigurationError(f"{text!r} is no unit in D-SI: a prefix stands alone")
+        raise ConfigurationError(f"{text!r} is not a D-SI unit: it has a prefix without a unit")
     return " ".join(symbol if power == 1 else f"{symbol}^{_text(power)}" for symbol, power in found)
 
 
@@ -74,4 +74,4 @@ def _fraction(power: str, text: str) -> Fraction:
     try:
         return Fraction(power.replace("_", "."))
     except ValueError:
-        raise ConfigurationError(f"{text!r} is no unit in D-SI: {power!r} is no power") from None
+        raise ConfigurationError(f"{text!r} is not a D-SI unit: {power!r} is not a power") from None

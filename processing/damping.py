@@ -179,7 +179,7 @@ def fit_damping(
     single_chi2 = single.chi2 / (freedom + 2)
     rate, u_rate = float(single.values[2]), sqrt(single.covariance[2, 2] * max(1.0, single_chi2))
     if not rate > 3.0 * u_rate:
-        raise DataError("the amplitude does not fall: it is no ring-down, or too short a part of one")
+        raise DataError("the amplitude does not fall: this is not a ring-down, or too short a part of one")
     tau_s = span_s / rate
     return Damping(
         samples=len(y),

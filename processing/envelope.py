@@ -16,7 +16,7 @@ from processing.ticks import nanoseconds
 
 _FEWEST = 12
 """Eight degrees of freedom beside four parameters."""
-_NO_FALL = "the envelope does not fall: it is no ring-down, or too short a part of one"
+_NO_FALL = "the envelope does not fall: this is not a ring-down, or too short a part of one"
 _NOT_DESCRIBED = 2.0
 """Chi-square per degree of freedom at which the model is wrong by as much as the noise. In noise alone it is
 above this once in 30 envelopes of twelve values and once in 90,000 of sixty."""

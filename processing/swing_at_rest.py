@@ -43,8 +43,8 @@ def swing_at_rest(time_s: Floats, deflection: Floats) -> SwingAtRest:
     periods = int(span_s / period_s)
     if periods < _FEWEST_PERIODS:
         raise DataError(
-            f"the spot at rest moves most with a period of {period_s:.3g} s, of which {span_s:.3g} s hold "
-            f"{periods}: the ground needs {_FEWEST_PERIODS}"
+            f"the spot at rest moves mostly with a period of {period_s:.3g} s; {span_s:.3g} s contain "
+            f"{periods} periods, and the ground needs {_FEWEST_PERIODS}"
         )
     return SwingAtRest(time_s, deflection, period_s, periods)
 

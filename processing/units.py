@@ -124,9 +124,9 @@ def factors(unit: str) -> tuple[tuple[str, Fraction], ...]:
     """
     tokens = [match for match in _TOKEN.finditer(unit.strip()) if match[0].strip()]
     if not any(match[4] for match in tokens) or "".join(match[0] for match in tokens).split() != unit.split():
-        raise ConfigurationError(f"{unit!r} is no unit that is known here")
+        raise ConfigurationError(f"{unit!r} is not a known unit")
     if unit.count("(") != unit.count(")"):
-        raise ConfigurationError(f"{unit!r} is no unit: a bracket is missing")
+        raise ConfigurationError(f"{unit!r} is not a unit: a bracket is missing")
     return tuple(_product(unit, [match.groups("") for match in tokens])[0])
 
 
@@ -188,7 +188,7 @@ def _product(
         elif symbol:
             one = [(symbol, Fraction(1))]
         else:
-            raise ConfigurationError(f"{unit!r} is no unit: its power stands alone")
+            raise ConfigurationError(f"{unit!r} is not a unit: it has a power without a base")
         if tokens and tokens[0][1]:
             raised, tokens = tokens[0][1], tokens[1:]
         if raised:
@@ -202,7 +202,7 @@ def _power(text: str, unit: str) -> Fraction:
     try:
         return Fraction(text)
     except ValueError:
-        raise ConfigurationError(f"{unit!r} is no unit: {text!r} is no power") from None
+        raise ConfigurationError(f"{unit!r} is not a unit: {text!r} is not a power") from None
 
 
 def split_prefix(symbol: str) -> tuple[str, str]:
@@ -215,14 +215,14 @@ def split_prefix(symbol: str) -> tuple[str, str]:
         return "", spelled
     if spelled[:1] in _PREFIXES and spelled[1:] in _PREFIXABLE:
         return spelled[0], spelled[1:]
-    raise ConfigurationError(f"{symbol!r} is no unit that is known here")
+    raise ConfigurationError(f"{symbol!r} is not a known unit")
 
 
 def _symbol(symbol: str, unit: str) -> Size:
     try:
         prefix, rest = split_prefix(symbol)
     except ConfigurationError:
-        raise ConfigurationError(f"{unit!r} is no unit that is known here") from None
+        raise ConfigurationError(f"{unit!r} is not a known unit") from None
     if not prefix:
         return _OTHERS.get(rest) or _PREFIXABLE[rest]
     found = _PREFIXABLE[rest]

@@ -198,8 +198,8 @@ class Motion:
         time_s = float(self._state[TIME])
         if time_s > self._ground.end_s - 1e-6 / self._ground.rate_hz:
             raise ConfigurationError(
-                f"simulation.ground.file: the file ends after {self._ground.end_s:.6g} s of the run, which "
-                "goes on; take a longer one, a smaller file_offset_s, or simulation.max_duration_s"
+                f"simulation.ground.file: the file ends after {self._ground.end_s:.6g} s of a longer "
+                "run; use a longer file, a smaller file_offset_s, or simulation.max_duration_s"
             )
         return self._ground.pieces(time_s)
 

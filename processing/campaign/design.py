@@ -261,7 +261,7 @@ def _effect(
     """Column of an effect, what its covariate's uncertainty leaves, and how far its form moves."""
     moved = [names.index(name) for name in effect.moves() if name in names]
     if not moved:
-        raise DataError(f"{effect.label}: {effect.parameter} is none of the parameters {', '.join(names)}")
+        raise DataError(f"{effect.label}: {effect.parameter} is not one of the parameters {', '.join(names)}")
     x, u = covariate_of(runs, effect.covariate if effect.form is not Form.DURING else ORDER)
     here = np.array([effect.contact in ("", run.contact) for run in runs])
     column, blur = np.zeros((len(runs), len(names))), np.zeros((len(runs), len(names)))

@@ -216,7 +216,7 @@ class Outlook:
                 target = np.zeros(len(design.levels))
                 for name, share in goal.coordinates.items():
                     if Level("contact", name, contact) not in design.levels:
-                        raise DataError(f"{name} of {contact}: no run tells it")
+                        raise DataError(f"{name} of {contact}: no run determines it")
                     for level in (Level("contact", name, contact), Level("mean", name)):
                         if level in design.levels:
                             target[design.levels.index(level)] = share

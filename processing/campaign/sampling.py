@@ -69,7 +69,7 @@ def sample_campaign(
     rng = np.random.default_rng(seed)
     size = len(found.h)
     if not size:
-        raise ConfigurationError("the sampler walks over scatters, and the model has none: leave it out")
+        raise ConfigurationError("the sampler explores scatters, and the model has none: leave it out")
     factor = np.linalg.cholesky(found.covariance)
 
     def log_posterior(at: Floats) -> Floats:

@@ -29,7 +29,7 @@ class Material:
             )
         if not -1 < self.poisson_ratio <= 0.5:
             raise ConfigurationError(
-                f"material: poisson_ratio = {self.poisson_ratio}; it lies between -1 and 0.5"
+                f"material: poisson_ratio = {self.poisson_ratio}; it must be between -1 and 0.5"
             )
         if not (self.u_youngs_modulus_pa >= 0 and self.u_poisson_ratio >= 0):
             raise ConfigurationError("material: an uncertainty is negative")

@@ -65,7 +65,7 @@ def check_turning_points(points: TurningPoints) -> None:
     if last >= first:
         raise DataError(
             f"the amplitude does not fall (median {first:.4g} of the first third, {last:.4g} of the last): "
-            "this is no free decay"
+            "this is not a free decay"
         )
 
 
@@ -138,14 +138,13 @@ def of_overstated(chi2_per_dof: float, dof: int) -> tuple[str, ...]:
     if dof < _ENOUGH or not 0 < chi2_per_dof < _QUIET:
         return ()
     text = (
-        f"chi2/dof = {chi2_per_dof:.2g}: the turning points scatter less than their uncertainties say, which "
-        f"are {chi2_per_dof**-0.5:.2g} times too large; uncertainties are so, too, and a drive of the ground "
-        "that is smaller is not seen: check the noise of the sensor (rig calibrate sensor) and the beam's "
-        "profile"
+        f"chi2/dof = {chi2_per_dof:.2g}: the uncertainties of the turning points are "
+        f"{chi2_per_dof**-0.5:.2g} times too large for their scatter; so are those of the parameters, and a "
+        "weaker drive of the ground is not seen: check sensor noise (rig calibrate sensor) and beam profile"
     )
     return (text,)
 
 
 def of_limits(limited: Sequence[str]) -> tuple[str, ...]:
     """Parameters at a limit of the range of search."""
-    return tuple(f"{name} stands at the limit of its range: the data do not determine it" for name in limited)
+    return tuple(f"{name} is at the limit of its range: the data do not determine it" for name in limited)

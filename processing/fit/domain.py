@@ -26,13 +26,13 @@ def domain_warnings(
     if first_rad > contact_rad:
         found.append(
             f"the first amplitude, {first_rad:.3g} rad, is {first_rad / contact_rad:.3g} times the contact's "
-            f"angle a/R = {contact_rad:.3g} rad: the laws of the contact hold below it; start lower, or "
+            f"angle a/R = {contact_rad:.3g} rad: the laws of the contact hold only below it; start lower, or "
             "check lever and unit of the angles"
         )
     if first_rad > _SMALL_RAD:
         found.append(
-            f"the first amplitude, {first_rad:.3g} rad, is no small angle: gravity alone lengthens the "
-            f"period by {first_rad**2 / 16:.1g} there, which the laws do not know; start below "
+            f"the first amplitude, {first_rad:.3g} rad, is not a small angle: gravity alone lengthens the "
+            f"period by {first_rad**2 / 16:.1g} there, which the laws neglect; start below "
             f"{_SMALL_RAD:g} rad"
         )
     for name in fit.contact_names:

@@ -109,8 +109,8 @@ def _best(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) ->
         raise DataError("no start from which the half-swing map reaches the last half-cycle")
     if best is None:
         raise DataError(
-            f"the exact fit did not converge from {tried} starts: the amplitudes are no decay that the "
-            "law describes; see which half-cycles are disturbed, or start higher"
+            f"the exact fit did not converge from {tried} starts: the law does not describe these "
+            "amplitudes; check for disturbed half-cycles, or start at a larger amplitude"
         )
     return best
 

@@ -145,7 +145,7 @@ class LawComparison:
             said = f"of these laws, {names[0]} describes this decay best"
         if self.describes:
             return said + without
-        doubt = "yet what is left over is no noise: something else moves the spot, or none is right"
+        doubt = "but the residuals are not noise: something else moves the spot, or no law is right"
         return f"{said}{without}; {doubt}"
 
 

@@ -50,8 +50,8 @@ class Alternation:
         """Of turning times that were corrected, in one line."""
         size, u = abs(self.delay_s_per_rad), self.u_delay_s_per_rad
         return (
-            "turning times at both ends alternate as a rolling shutter makes them that nobody stated "
-            f"({size:.3g} +- {u:.1g} s/rad): that was taken off; state shutter.row_time_s"
+            "turning times at the two ends alternate as with a rolling shutter, but none is stated "
+            f"({size:.3g} +- {u:.1g} s/rad): this was subtracted; state shutter.row_time_s"
         )
 
     def text(self, rad_per_px: float) -> str:

@@ -203,7 +203,7 @@ def air_of_vanes(
     free = np.full(len(shared.start), np.inf)
     found = solve(partial(_finite, shared), shared.start, lower=-free, upper=free, loss="linear")
     if not found.converged:
-        raise DataError("the runs have no common contact to which a fit converges; see which of them differs")
+        raise DataError("no fit with one contact common to all runs converges; check which run differs")
     alone = sum(float(np.sum((run.model(run.columns)[0] / run.size) ** 2)) for run in models)
     chi2 = max(0.0, 2 * found.cost - alone)
     dof = len(runs) * (_AIR + 1) - shared.count
@@ -240,7 +240,9 @@ def _check(runs: Sequence[VanedRun], by_ratio: bool) -> None:
         if run.fit.method is not FitMethod.EXACT or not run.fit.has_drag:
             raise DataError(f"run {number} was fitted without a drag")
         if run.fit.evidence.drag_s is not None:
-            raise DataError(f"run {number} was fitted with what was known of the air: nothing is measured so")
+            raise DataError(
+                f"run {number} was fitted with prior knowledge of the air and so measures no drag"
+            )
         if not np.all(np.isfinite(np.diag(run.fit.covariance))):
             raise DataError(f"run {number} does not determine contact and drag; start higher, or shield it")
 

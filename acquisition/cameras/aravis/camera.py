@@ -137,7 +137,7 @@ class AravisCamera:
         try:
             camera.gv_auto_packet_size()
         except library.error as refused:
-            logger.info("%s: its packets stay as they are: %s", self._name, refused)
+            logger.info("%s: packet size not changed: %s", self._name, refused)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         with self._lock, self._translated():

@@ -33,9 +33,8 @@ def opened_film(path: Path) -> "InputContainer":
         container: InputContainer = av.open(str(path))
     except (av.FFmpegError, OSError) as error:
         raise DeviceError(
-            f"{path}: is no video that can be read ({error.strerror}); folders of images, .tif and .npy "
-            "stacks are "
-            "the other choices"
+            f"{path}: cannot be read as a video ({error.strerror}); use a folder of images, or a .tif or "
+            ".npy stack"
         ) from None
     return container
 

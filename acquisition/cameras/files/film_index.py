@@ -116,7 +116,7 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
     said += missing_frames(time_ns, numbers, "the container's times")
     cut_off = _cut_off(container, stream, ticks, total, tick_s, last_duration)
     if cut_off:
-        said.append(f"ends {cut_off} frames before what it announces: it is cut off, copy it again")
+        said.append(f"ends {cut_off} frames early: it is cut off, copy it again")
         step_ns = time_ns[-1] // numbers[-1] if numbers[-1] else _SECOND_NS
         time_ns += [time_ns[-1] + step_ns * (k + 1) for k in range(cut_off)]
         numbers += [numbers[-1] + k + 1 for k in range(cut_off)]

@@ -81,7 +81,7 @@ class RawSource(FrameSource):
         a_frame = f"{layout.width_px}x{layout.height_px} px in {layout.pixel_format}"
         if stated is None and (rest or not whole):
             raise DeviceError(
-                f"{self._path}: its {size} bytes of pixels are no whole number of frames of {a_frame} "
+                f"{self._path}: its {size} bytes of pixels are not a whole number of frames of {a_frame} "
                 f"({layout.frame_bytes} bytes), as {self._sidecar.name} states them; correct it, or state "
                 "frames there if the file is cut off"
             )

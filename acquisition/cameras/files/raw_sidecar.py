@@ -89,7 +89,7 @@ def read_sidecar(path: Path) -> tuple[Path, RawSidecar]:
     there = [one for one in possible_sidecars(path) if one.is_file()]
     if not there:
         raise DeviceError(
-            f"{path}: raw pixels need a file beside them that says how they lie: write "
+            f"{path}: raw pixels need a file beside them that describes their layout: write "
             f"{possible_sidecars(path)[0].name} with width_px, height_px, pixel_format "
             "(Mono8, Mono12p, Mono16, ...) and frame_rate_hz"
         )

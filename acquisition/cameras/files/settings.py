@@ -29,8 +29,8 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
     frame_rate_hz: float | None = Field(default=None, gt=0, le=1e6)
     force_frame_rate: bool = Field(
         default=False,
-        description="frame_rate_hz holds although the film's own times contradict it, as those of a film "
-        "that is stored to be played slowly",
+        description="use frame_rate_hz even if the film's own times contradict it, as in a film stored for "
+        "slow playback",
     )
     numbering: Literal["names", "order"] = Field(
         default="names",
@@ -42,13 +42,13 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
     )
     colour: Colour = Field(
         default="refuse",
-        description="pictures in colour are rejected, or this is made of them: of RGB the mean of the three "
-        "channels or one of them; brightness: the luma as it is stored, and of RGB the mean. Equal channels "
-        "are taken as the grey image that they are, luma without chroma as well",
+        description="how colour pictures become grey, or refuse: for RGB the mean of the channels or one of "
+        "them; brightness: the stored luma, for RGB the mean. Equal channels, and luma without chroma, count "
+        "as grey",
     )
     mixed_sizes: bool = Field(
         default=False,
-        description="frames of another size than the first are delivered too, not counted and left out",
+        description="deliver frames of another size than the first; otherwise they are counted and left out",
     )
     common_depth: bool = Field(
         default=False,
@@ -61,7 +61,7 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
         if self.timestamps_csv is not None and self.frame_rate_hz is not None:
             raise ValueError("state timestamps_csv or frame_rate_hz, not both")
         if self.force_frame_rate and self.frame_rate_hz is None:
-            raise ValueError("force_frame_rate needs the frame_rate_hz that it is to hold")
+            raise ValueError("force_frame_rate needs frame_rate_hz, the rate to enforce")
         if self.common_depth and self.bit_depth is not None:
             raise ValueError("common_depth brings all images to 16 bits; leave bit_depth out")
         return self

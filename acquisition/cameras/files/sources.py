@@ -150,7 +150,7 @@ class TiffSource(FrameSource):
         super().__init__(path)
         self._pages = self.count = _pages(path)
         if self.count == 0:
-            raise DeviceError(f"{path}: is no TIFF stack that can be read")
+            raise DeviceError(f"{path}: cannot be read as a TIFF stack")
         if is_cut_off(path):
             self.count += 1
 
@@ -181,7 +181,7 @@ class StackSource(FrameSource):
             stack = np.load(path, mmap_mode="r", allow_pickle=False)
         # whatever Python's own parser raises at a changed header
         except Exception as error:
-            raise DeviceError(f"{path}: is no .npy stack that can be read: {error}") from None
+            raise DeviceError(f"{path}: cannot be read as a .npy stack: {error}") from None
         if stack.ndim != 3 or stack.dtype not in (np.uint8, np.uint16) or 0 in stack.shape:
             raise DeviceError(
                 f"{path}: is an array of shape {stack.shape} and type {stack.dtype}; "

@@ -138,7 +138,9 @@ def _column(
         try:
             values.append(convert(text))
         except (ValueError, InvalidOperation, OverflowError):
-            raise DeviceError(f"{path}: line {line}: {name} = {text!r} is no number, or too large") from None
+            raise DeviceError(
+                f"{path}: line {line}: {name} = {text!r} is not a number, or is too large"
+            ) from None
     return values
 
 

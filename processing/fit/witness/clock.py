@@ -118,8 +118,8 @@ def found_offset(
     tried = int((highest - lowest) / step_s) + 1
     if tried > _MOST_TRIED:
         raise DataError(
-            f"the witness lasts {last_s - first_s:.4g} s, in which its offset cannot be found: state it to "
-            f"{0.5 * _MOST_TRIED * step_s:.3g} s, or cut the witness"
+            f"the witness lasts {last_s - first_s:.4g} s, too long to search for its offset: state it to "
+            f"{0.5 * _MOST_TRIED * step_s:.3g} s, or shorten the witness"
         )
     pair = [place(one, kind) for one in range(len(witness.names)) for kind in PAIR]
     signals = signals.only(pair)

@@ -336,7 +336,7 @@ def test_times_from_csv_are_exact_to_the_nanosecond(folder: Path) -> None:
         ("time_ns\n1.5\n2\n3\n4\n", "line 2: time_ns = '1.5'"),
         ("time_ns\n-1\n2\n3\n4\n", "negative"),
         ("time_s\nnan\n2\n3\n4\n", "line 2: time_s = 'nan'"),
-        ("time_s\n1\n2\n3\n1e999999999\n", "line 5: time_s = '1e999999999' is no number, or too large"),
+        ("time_s\n1\n2\n3\n1e999999999\n", "line 5: time_s = '1e999999999' is not a number, or is too large"),
         ("time_ns\n1\n2\n3\n10000000000000000000\n", "more than 9.2e18 ns"),
         ("t\n1\n2\n3\n4\n", "no column time_ns or time_s"),
         ("", "is empty"),
@@ -373,9 +373,9 @@ def test_what_is_no_source_is_refused_in_one_line(tmp_path: Path) -> None:
     np.save(tmp_path / "flat.npy", np.zeros((3, 4)))
     assert "(n, ny, nx)" in refusal(tmp_path / "flat.npy")
     (tmp_path / "broken.npy").write_bytes(b"\x93NUMPY")
-    assert "no .npy stack" in refusal(tmp_path / "broken.npy")
+    assert "cannot be read as a .npy stack" in refusal(tmp_path / "broken.npy")
     np.save(tmp_path / "pickled.npy", np.array([{}], dtype=object), allow_pickle=True)
-    assert "no .npy stack" in refusal(tmp_path / "pickled.npy")
+    assert "cannot be read as a .npy stack" in refusal(tmp_path / "pickled.npy")
     cv2.imwrite(str(tmp_path / "one.png"), frames_of(8)[0])
     assert "folder" in refusal(tmp_path / "one.png")
     folder = tmp_path / "bad"

@@ -48,7 +48,7 @@ def test_a_sound_film_is_read_right(tmp_path: Path, name: str) -> None:
         ("h264 stream, no times", "has no time to show it at"),
         ("stated rate, another", "frame_rate_hz = 25 puts frame 59 at 2.3600 s, the film itself at 1.9667 s"),
         ("stated rate, nearly", "force_frame_rate"),
-        ("h264 mp4, cut off, index at the end", "is no video that can be read"),
+        ("h264 mp4, cut off, index at the end", "cannot be read as a video"),
     ],
 )
 def test_what_cannot_be_read_right_is_refused_in_one_line(tmp_path: Path, name: str, said: str) -> None:

@@ -104,7 +104,7 @@ WHOLE = pictures().tobytes()
 @pytest.mark.parametrize(
     ("layout", "data", "said"),
     [
-        ({"width_px": NX + 1}, WHOLE, "are no whole number of frames of 161x96 px in Mono8 (15456 bytes)"),
+        ({"width_px": NX + 1}, WHOLE, "are not a whole number of frames of 161x96 px in Mono8 (15456 bytes)"),
         ({}, WHOLE[:-1], "state frames there if the file is cut off"),
         ({"frames": COUNT - 1}, WHOLE, "holds 15360 bytes more than the 11 frames"),
         ({"times_s": [0.0]}, WHOLE, "frame_rate_hz and times_s: state one of them"),
@@ -118,7 +118,7 @@ WHOLE = pictures().tobytes()
         ({"pixel_format": "gray"}, WHOLE, "pixel_format = 'gray': should be one of Mono8, Mono10p"),
         ({"byte_order": "big"}, WHOLE, "byte_order: pixels of Mono8 have none"),
         ({"pixel_format": "Mono12", "frames": 6}, WHOLE, "is above 4095, the largest of Mono12"),
-        ({"header_bytes": 10**9}, WHOLE, "no whole number of frames"),
+        ({"header_bytes": 10**9}, WHOLE, "not a whole number of frames"),
     ],
 )
 @pytest.mark.parametrize("name", ["swing.raw.toml", "swing.raw.json"])

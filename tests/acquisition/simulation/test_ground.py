@@ -353,7 +353,7 @@ def test_a_file_that_is_missing_or_too_short_is_one_line(tmp_path: Path) -> None
     # without a stated duration a run goes on as long as the file does
     assert len(true_path(from_file(path), 299.0, 10.0).y_rad) == 2991
     with pytest.raises(
-        ConfigurationError, match=r"ends after 299\.5 s of the run.*take a longer one"
+        ConfigurationError, match=r"ends after 299\.5 s of a longer run.*use a longer file"
     ) as caught:
         true_path(from_file(path), 301.0, 10.0)
     assert "\n" not in str(caught.value)

@@ -26,7 +26,7 @@ def test_angles_beyond_the_contact_and_beyond_small_ones_are_named() -> None:
     fit = fit_exact(points, PENDULUM, averaged=False)
     said = domain_warnings(large, PENDULUM, fit)
     assert "1.6 rad, is 146 times the contact's angle" in said[0]
-    assert "no small angle" in said[1]
+    assert "not a small angle" in said[1]
     between = replace(points, amplitude=0.012 / points.amplitude[0] * points.amplitude)
     assert len(domain_warnings(between, PENDULUM, fit)) == 1
 

@@ -81,7 +81,7 @@ def test_ratios_of_pressures_need_no_line(runs: list[VanedRun], found: MeasuredA
 def test_what_measures_no_air_is_refused(runs: list[VanedRun]) -> None:
     vacuum = replace(runs[1], fit=fit_exact(runs[1].points, PENDULUM))
     known = replace(runs[1], fit=replace(runs[1].fit, evidence=Evidence(drag_s=Estimate(1e-3, 1e-4))))
-    for run, words in ((vacuum, "run 2 was fitted without a drag"), (known, "known of the air")):
+    for run, words in ((vacuum, "run 2 was fitted without a drag"), (known, "knowledge of the air")):
         with pytest.raises(DataError, match=words):
             air_of_vanes([runs[0], run], PENDULUM)
     with pytest.raises(DataError, match="two areas"):

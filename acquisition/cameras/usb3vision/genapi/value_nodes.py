@@ -82,7 +82,7 @@ class Valued(Node):
         try:
             return parse_number(value)
         except ValueError:
-            raise DeviceError(f"{self.nodes.name}: {self.name} = {value!r} is no number") from None
+            raise DeviceError(f"{self.nodes.name}: {self.name} = {value!r} is not a number") from None
 
     def _limit(self, tag: str) -> Number | None:
         own = self.value_of(tag)

@@ -323,7 +323,7 @@ def test_what_is_nested_too_deeply_or_is_no_number_is_one_line() -> None:
     nodes.set("F", "0x140")
     assert nodes.get("F") == 320
     for name, value, reason in (
-        ("F", "wide", "is no number"),
+        ("F", "wide", "is not a number"),
         ("F", 1.5, "whole"),
         ("G", "1,5", "no number"),
     ):
