@@ -186,4 +186,4 @@ def _of_desk(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
     if seen.configuration_problem:
         yield AlarmKey.CONFIGURATION, seen.configuration_problem
     if seen.picture_late_s > STALE_S:
-        yield AlarmKey.CAMERA, "the live picture stands still"
+        yield AlarmKey.CAMERA, "the live picture is frozen"

@@ -61,7 +61,7 @@ class Surroundings:
             return f"{output} is gone"
         place = _nearest(output)
         if not place.is_dir():
-            return f"{place} is no folder"
+            return f"{place} is not a folder"
         return "" if os.access(place, os.W_OK | os.X_OK) else f"{place} may not be written to"
 
 

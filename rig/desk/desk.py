@@ -250,5 +250,5 @@ class Desk:
 def _as_set(key: str, value: object) -> str:
     """A changed key as --set takes it."""
     if isinstance(value, str) and any(0xD800 <= ord(one) <= 0xDFFF for one in value):
-        raise RigError(f"{value!r}: holds characters that are no text")
+        raise RigError(f"{value!r}: contains characters that are not text")
     return f"{key}={toml_value(value)}"

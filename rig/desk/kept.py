@@ -68,7 +68,7 @@ class Kept:
         if (other := _locked(held)) is not None:
             of_output.close()
             raise ConfigurationError(
-                f"{self._source}: a desk of it is open already: use {other or 'that'}, or end it first"
+                f"{self._source}: it already has an open desk: use {other or 'that'}, or end it first"
             )
         if (other := _locked(of_output)) is not None:
             held.close()

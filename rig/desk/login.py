@@ -28,6 +28,7 @@ def login_page(problem: str = "") -> str:
 def refused_page() -> str:
     """For a browser without a key."""
     return _PAGE.format(
-        body="<p>This browser has no key of this desk.</p><p>Open the address that <code>rig desk</code> has "
-        "printed in its terminal: it holds the key. If the laser must be dark now, turn the key switch.</p>"
+        body="<p>This browser does not have the key of this desk.</p>"
+        "<p>Open the address that <code>rig desk</code> printed in its terminal: it contains the key. "
+        "To darken the laser now, turn the key switch.</p>"
     )

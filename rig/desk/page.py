@@ -77,7 +77,7 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
 
     with ui.dialog().props('aria-label="acknowledge a trip"') as leave, ui.card():
         trip_text = ui.label().classes("middle")
-        ui.label("Look that nobody is in the beam's way. Acknowledging lights nothing.")
+        ui.label("Check that nobody is in the beam path. Acknowledging lights nothing.")
         with ui.row():
             allow = tab.button("Acknowledge", acknowledged)
             allow.props(f'color="negative" {DELIBERATE}')
@@ -87,7 +87,7 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
         alarms = AlarmBar(desk.alarming.alarms, tab, ask_leave, desk.resumable, resume)
         acknowledge = tab.button("Acknowledge …", ask_leave)
         acknowledge.props('color="negative" size="lg"').classes("full-width")
-        waits = ui.label("The laser is dark, and waits for a person. Look that nobody is in the beam's way.")
+        waits = ui.label("The laser is dark and waits for a person. Check that nobody is in the beam path.")
         waits.classes("alarm-remedy")
         again = tab.button("Light again", light).props(f'size="lg" {DELIBERATE}')
         again.classes("full-width")

@@ -152,7 +152,7 @@ def _read(path: Path) -> dict[str, _Entry]:
             entry = _Entry(Person(Role(role), name), base64.b64decode(salt), base64.b64decode(digest))
         except ValueError:
             raise ConfigurationError(
-                f"--passwords {path}: line {number} is none that rig desk-password has made"
+                f"--passwords {path}: line {number} was not written by rig desk-password"
             ) from None
         found[name] = entry
     if not found:

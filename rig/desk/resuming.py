@@ -17,11 +17,11 @@ def resume_dialog(desk: Desk, tab: Tab) -> Callable[[Path], None]:
         begin.close()
         if (folder := asked) is not None:
             await run.io_bound(desk.resume_session, folder)
-            ui.notify(f"{folder} goes on; see Measure")
+            ui.notify(f"{folder} continues; see Measure")
 
     with ui.dialog().props('aria-label="go on with a session"') as begin, ui.card():
         what = ui.label().classes("middle")
-        ui.label("The laser will be lit. Look that nobody is in the beam's way.")
+        ui.label("The laser will be lit. Check that nobody is in the beam path.")
         with ui.row():
             tab.button("Go on with it", resume).props(f'color="positive" {DELIBERATE}')
             ui.button("Not now", on_click=begin.close).props("outline")

@@ -81,7 +81,7 @@ _SCRIPT = """
     const named = gone ? 'LIGHT OFF (no connection: key switch)' : 'LIGHT OFF';
     if (off.textContent !== named) off.textContent = named;
     off.classList.toggle('gone', gone);
-    at('lamp-age').textContent = dead ? 'the desk says nothing' + (heard === null ? '' :
+    at('lamp-age').textContent = dead ? 'the desk does not answer' + (heard === null ? '' :
       ' for ' + since.toFixed(0) + ' s') : told.laser && told.laser.age_s !== null ?
       oldest.toFixed(1) + ' s old' : 'nothing is heard of the laser';
     const heardOf = told.laser && told.laser.age_s !== null;

@@ -68,11 +68,11 @@ class Entrance:
             )
         if self.passwords is None:
             raise ConfigurationError(
-                f"--behind {self.behind}: others would reach the laser: --passwords must be stated, too"
+                f"--behind {self.behind}: others could reach the laser: --passwords must be stated"
             )
         if self.remote:
             raise ConfigurationError(
-                f"--behind {self.behind}: the proxy would be passed by: leave --listen {self.listen} out"
+                f"--behind {self.behind}: others could bypass the proxy: leave --listen {self.listen} out"
             )
         return told.netloc.lower().removesuffix(":443")
 
@@ -92,8 +92,8 @@ class Entrance:
                 if value is None
             )
             raise ConfigurationError(
-                f"--listen {self.listen}: others would reach the laser: {missing} must be stated, too; "
-                "or leave --listen out, and use a tunnel"
+                f"--listen {self.listen}: others could reach the laser: {missing} must be stated; "
+                "or leave --listen out and use a tunnel"
             )
         return remote
 
@@ -108,7 +108,7 @@ class Entrance:
         except (OSError, ssl.SSLError) as error:
             why = error.strerror or error
             raise ConfigurationError(
-                f"--certificate {self.certificate}: cannot be used: {why}; its key is wanted, too, "
+                f"--certificate {self.certificate}: cannot be used: {why}; its key is needed too, "
                 "in the same file or as --certificate-key"
             ) from None
         return context
@@ -245,7 +245,7 @@ def _application(desk: Desk, people: People, door: Door) -> FastAPI:
         except ConfigurationError as error:
             return HTMLResponse(login_page(str(error)), http.HTTPStatus.TOO_MANY_REQUESTS)
         if cookie is None:
-            return HTMLResponse(login_page("name or password are wrong"), http.HTTPStatus.FORBIDDEN)
+            return HTMLResponse(login_page("name or password is wrong"), http.HTTPStatus.FORBIDDEN)
         host = request.headers.get("host", "")
         return let_in(RedirectResponse("/", http.HTTPStatus.SEE_OTHER), door, host, cookie)
 
@@ -283,5 +283,5 @@ def _listening(entrance: Entrance, last: int) -> socket.socket:
             continue
         return listening
     raise ConfigurationError(
-        f"--listen {entrance.listen}: no port of it is free, or it is none of this machine's"
+        f"--listen {entrance.listen}: it has no free port, or is not an address of this machine"
     )

@@ -59,9 +59,8 @@ class Tab:
         """Why its buttons do nothing; empty where they do."""
         if self.acts:
             return ""
-        return (
-            f"this tab watches; {'Take over first' if self.may_act else 'its address is for watching only'}"
-        )
+        why = "Take over first" if self.may_act else "its address allows watching only"
+        return f"this tab only watches; {why}"
 
     def connected(self) -> None:
         """The browser has opened its connection: only now is somebody there."""

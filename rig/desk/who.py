@@ -25,13 +25,13 @@ class Who:
         if tab.person.name:
             ui.button("Log out", on_click=lambda: ui.run_javascript(_LEAVE)).props("dense flat")
         with ui.dialog() as self._dialog, ui.card():
-            ui.label("Who sits here? Alarms, notes and what is typed are kept under this name.")
+            ui.label("Who sits here? Alarms, notes and entries are recorded under this name.")
             self._field = ui.input("name").props('dense outlined autofocus aria-label="name"')
             self._field.on("keydown.enter", self._named)
             ui.button("That is me", on_click=self._named)
         with ui.dialog().props("persistent") as self._wish, ui.card():
             self._wish_text = ui.label().classes("middle")
-            ui.label(f"Without an answer it is taken over in {ANSWER_S:g} s.")
+            ui.label(f"Without an answer this tab is taken over in {ANSWER_S:g} s.")
             with ui.row():
                 ui.button("Give it", on_click=lambda: self._answer(give=True))
                 ui.button("Keep it", on_click=lambda: self._answer(give=False)).props("outline")
@@ -81,4 +81,6 @@ def _said(actor: Actor | None, *, mine: bool, may_act: bool) -> str:
     name = actor.name or "another tab"
     if mine:
         return f"you act since {since}"
-    return f"{reads}this tab watches; {name} acts since {since}" + ("" if actor.here else ", not connected")
+    return f"{reads}this tab only watches; {name} acts since {since}" + (
+        "" if actor.here else ", not connected"
+    )

@@ -324,7 +324,7 @@ def of_desk(table: Table, desk: DeskProcess, config: Path) -> DeskProcess:
     page.browser.call("Network.enable")
     os.kill(again.pid, signal.SIGSTOP)
     page.browser.call("Network.emulateNetworkConditions", offline=True, **limits)
-    table.note("the network is gone", AlarmKey.NETWORK, began_s, said.format("see Wi-Fi or cable"))
+    table.note("the network is gone", AlarmKey.NETWORK, began_s, said.format("check Wi-Fi or cable"))
     page.browser.call(
         "Network.emulateNetworkConditions",
         offline=False,

@@ -15,7 +15,7 @@ def as_alarmed(
     if AlarmKey.CAMERA in causes:
         instead |= {"camera": f"no frame for {no_frame_s:.0f} s", "beam": "not seen: no frames"}
     elif is_dark:
-        instead["beam"] = "not seen: it is dark"
+        instead["beam"] = "not seen: the laser is dark"
     elif AlarmKey.SPOT in causes:
         instead["beam"] = "no spot now"
     for key in _OF_DISK:

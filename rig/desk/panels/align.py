@@ -59,7 +59,7 @@ def build(desk: Desk, tab: Tab) -> None:
 
     def aligner() -> Aligner:
         if desk.aligner is None:
-            raise ConfigurationError("there is no live picture: press Live picture first")
+            raise ConfigurationError("no live picture: press Live picture first")
         return desk.aligner
 
     def wish(wanted: Wish) -> None:
@@ -69,7 +69,9 @@ def build(desk: Desk, tab: Tab) -> None:
         def wanted(applied: CameraSettings) -> CameraSettings:
             stated = applied.exposure_us if exposure != 1.0 else applied.gain_db
             if stated is None:
-                raise ConfigurationError("this camera does not say what it has set; type a value, then Set")
+                raise ConfigurationError(
+                    "this camera does not report its setting; type a value, then press Set"
+                )
             if exposure != 1.0:
                 return CameraSettings(exposure_us=stated * exposure)
             return CameraSettings(gain_db=stated + gain_db)
@@ -79,7 +81,7 @@ def build(desk: Desk, tab: Tab) -> None:
     def typed(name: str, field: ui.input) -> None:
         key, value = f"camera.{name}", as_typed(field.value, True)
         if value == "":
-            raise ConfigurationError(f"{key}: nothing is typed; type a number, then Set")
+            raise ConfigurationError(f"{key}: the field is empty; type a number, then press Set")
         if fault := desk.fault(key, value):
             raise ConfigurationError(fault)
         wish(CameraSettings.model_validate({name: value}))
@@ -221,10 +223,10 @@ def _why_none(desk: Desk) -> str:
     if now is not None:
         if now.problem:
             return f"the live picture has ended: {now.problem}"
-        return "" if now.look is not None else f"the first frame is waited for. {now.note}"
+        return "" if now.look is not None else f"waiting for the first frame. {now.note}"
     if desk.following.running:
         return no_frame_yet(desk.following)
-    return "No live picture yet. Press Live picture: it lights the laser, and shows what the camera sees."
+    return "No live picture yet. Press Live picture to light the laser and show the camera's view."
 
 
 def _ask_region(desk: Desk, left: float, top: float, width: float, height: float) -> None:

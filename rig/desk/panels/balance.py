@@ -40,9 +40,9 @@ def build(desk: Desk, tab: Tab) -> None:
             tab.tell(str(error))
             return
         if found is not None:
-            rows = [list(HEAD), *found.rows] if found.rows else [["nothing was learned yet"]]
+            rows = [list(HEAD), *found.rows] if found.rows else [["nothing learned yet"]]
             text = "".join(f"<div>{html.escape(line)}</div>" for line in found.lines)
-            past.set_content(tables.table(rows, "turns that were learned from") + text)
+            past.set_content(tables.table(rows, "turns used for learning") + text)
 
     def stretched() -> None:
         nonlocal wide

@@ -191,7 +191,7 @@ def _given(calibrating: Calibrating, kind: str, found: Progress) -> str:
 def _result(calibrating: Calibrating, kind: str) -> str:
     made = calibrating.made.get(kind)
     if made is None:
-        return tables.table([["nothing was filed at this desk yet", ""]], "result")
+        return tables.table([["nothing filed at this desk yet", ""]], "result")
     parts = [
         tables.table(
             [
@@ -239,9 +239,9 @@ def _seen(desk: Desk) -> bool:
 
 def _why_none(desk: Desk) -> str:
     if desk.aligner is not None:
-        return "" if desk.aligner.look is not None else "the first frame is waited for"
+        return "" if desk.aligner.look is not None else "waiting for the first frame"
     if desk.following.running:
         return no_frame_yet(desk.following)
     if desk.calibrating.watched is not None:
-        return "" if desk.following.has_picture else "the first frame of the recording is waited for"
+        return "" if desk.following.has_picture else "waiting for the first frame of the recording"
     return "laser off: a recording switches it on by itself"

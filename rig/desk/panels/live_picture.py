@@ -72,7 +72,7 @@ def no_frame_yet(following: Following) -> str:
     if following.has_picture:
         return ""
     phase = doing(following.news.get("state"))
-    return f"no frame yet: {phase or 'devices are opened, kernels compiled'}"
+    return f"no frame yet: {phase or 'opening devices, compiling kernels'}"
 
 
 def look_now(desk: Desk) -> AlignmentFrame | None:

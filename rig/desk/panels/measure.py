@@ -90,8 +90,8 @@ def build(desk: Desk, tab: Tab) -> None:
             RunCharts(desk, tab)
         with ui.column().classes("stack"):
             told = ui.column().classes("box shrinks")
-            with told.props('role="region" aria-label="what the run has told" tabindex="0"'):
-                ui.html("what the run has told", tag="h3", sanitize=False).classes("title")
+            with told.props('role="region" aria-label="messages of the run" tabindex="0"'):
+                ui.html("messages of the run", tag="h3", sanitize=False).classes("title")
                 learned = ui.html(sanitize=False).classes("full-width")
                 state = ui.html(sanitize=False).classes("full-width")
             with ui.column().classes("box grows"):
@@ -117,13 +117,13 @@ def build(desk: Desk, tab: Tab) -> None:
         is_dark = bool(news.get("darkness"))
         blind = frames_age_s > STALE_S or is_dark
         before_it.set_text(
-            "it is dark: what is shown is of then"
+            "it is dark: values are from before"
             if is_dark
-            else f"no frame for {frames_age_s:.0f} s: what is shown is of then"
+            else f"no frame for {frames_age_s:.0f} s: values are from before"
             if blind
             else ""
             if measuring
-            else f"nothing is recorded yet: {doing(run_state) or 'preparing'}"
+            else f"nothing recorded yet: {doing(run_state) or 'preparing'}"
         )
         during.classes(add="blind") if blind else during.classes(remove="blind")
         value = run_state.get("amplitude")

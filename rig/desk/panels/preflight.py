@@ -65,7 +65,7 @@ def build(desk: Desk, tab: Tab) -> None:
         job = desk.jobs.get("preflight")
         news = desk.following.news
         found: Sequence[Mapping[str, Any]] = ()
-        said = "Run preflight: it looks whether a run can be made"
+        said = "Run preflight: it checks whether a run can be made"
         if news.get("preflight"):
             found = news["preflight"]
         elif job is not None:
@@ -95,9 +95,9 @@ def build(desk: Desk, tab: Tab) -> None:
 def _next(against: int) -> str:
     """What is to be done after the checks."""
     if not against:
-        return "Nothing stands against a run: start it in Measure."
+        return "Nothing prevents a run: start it in Measure."
     what = "This stands" if against == 1 else f"These {against} stand"
-    return f"{what} against a run: mend as is said below, then run preflight again."
+    return f"{what} against a run: follow the remedies below, then run preflight again."
 
 
 def lights(verdicts: Sequence[Mapping[str, Any]]) -> str:

@@ -78,7 +78,7 @@ class RunResult:
         self._of.set_text(f"the uncertainty is of {over.of}" if over.of else "")
         lines = [f"<li><b>{html.escape(step)}</b></li>" for step in over.next_steps]
         lines += [f"<li>{html.escape(remark)}</li>" for remark in over.remarks]
-        self._next.set_content(f"<ul>{''.join(lines)}</ul>" if lines else "nothing is to be done about it")
+        self._next.set_content(f"<ul>{''.join(lines)}</ul>" if lines else "nothing can be done about it")
         self._others.set_content(tables.table(over.others, "all parameters") if over.others else "")
         self._words.set_content("<br>".join(map(html.escape, desk.last_words())))
         bars = [

@@ -43,7 +43,7 @@ def build(desk: Desk, tab: Tab) -> None:
         page = marked[str(folder)].report
         if page is None:
             again.report(folder)
-            ui.notify("the report is being made; open it when it is done")
+            ui.notify("the report is being written; open it when it is finished")
         else:
             # in the theme that the page has at this moment
             ui.run_javascript(
@@ -71,7 +71,7 @@ def build(desk: Desk, tab: Tab) -> None:
         (folder,) = chosen()
         row = marked[str(folder)]
         if not row.resumable:
-            raise ConfigurationError(f"{folder}: is {row.state}; only what was interrupted goes on")
+            raise ConfigurationError(f"{folder}: is {row.state}; only an interrupted session can be resumed")
         resume(folder)
 
     resume = resume_dialog(desk, tab)

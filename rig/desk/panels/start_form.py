@@ -43,8 +43,8 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
 
     with ui.dialog().props('aria-label="start the session"') as begin, ui.card():
         what = ui.label().classes("middle")
-        ui.label("The laser will be lit. Look that nobody is in the beam's way.")
-        force = ui.checkbox("measure even if preflight says no-go, this session only")
+        ui.label("The laser will be lit. Check that nobody is in the beam path.")
+        force = ui.checkbox("measure even if preflight says no-go (this session only)")
         with ui.row():
             tab.button("Start the session", start).props(f'color="positive" {DELIBERATE}')
             ui.button("Not now", on_click=begin.close).props("outline")

@@ -90,7 +90,7 @@ def test_danger_is_not_shelved_and_a_trip_is_acknowledged_by_looking_only(alarms
     alarms.see({TRIP: "trip 5 (INTERLOCK): the interlock opened"})
     with pytest.raises(RigError, match="danger is not shelved"):
         alarms.shelve(TRIP, 60.0, "Ada")
-    with pytest.raises(RigError, match="look that nobody is in the beam's way"):
+    with pytest.raises(RigError, match="check that nobody is in the beam path"):
         alarms.acknowledge(TRIP, "Ada")
     assert only(alarms).cries
     # whoever acknowledged the trip has acknowledged this

@@ -149,7 +149,7 @@ def test_of_a_configuration_there_is_one_desk(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", other, str(source)], capture_output=True, text=True, check=False, timeout=50
     )
-    assert "a desk of it is open already: use http://127.0.0.1:1/?key=k" in done.stderr
+    assert "it already has an open desk: use http://127.0.0.1:1/?key=k" in done.stderr
     kept.close()
     Kept(source).hold(tmp_path)
 

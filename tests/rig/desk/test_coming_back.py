@@ -27,7 +27,7 @@ def test_a_desk_that_dies_is_said_by_the_page_which_finds_the_next_one_with_all_
         page.wait_text("you act since")
         os.kill(desk.pid, signal.SIGSTOP)
         page.wait_text("THE DESK SAYS NOTHING since")
-        page.wait_text("start rig desk again: this page finds it by itself")
+        page.wait_text("start rig desk again: this page reconnects automatically")
         assert page.ask(GREY)
         page.wait("window.rigBeep")
         # no desk hears this
@@ -69,7 +69,7 @@ def test_a_page_that_is_only_fetched_acts_not_and_the_link_for_watching_never_do
             page.open(desk.watching)
             page.wait_text("read only")
             page.click("Live picture")
-            page.wait_text("its address is for watching only")
+            page.wait_text("its address allows watching only")
             assert "TAKE OVER" not in page.text()
     finally:
         desk.end()
@@ -81,7 +81,7 @@ def test_a_second_desk_of_a_configuration_is_refused_and_says_where_the_first_is
     config = desk_configuration("")
     desk = DeskProcess(config)
     try:
-        with pytest.raises(AssertionError, match="a desk of it is open already") as refused:
+        with pytest.raises(AssertionError, match="it already has an open desk") as refused:
             DeskProcess(config)
         assert desk.address in str(refused.value)
         # its sessions would be ordered about by two

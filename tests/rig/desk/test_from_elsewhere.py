@@ -87,5 +87,5 @@ def test_without_tls_or_passwords_no_other_interface_is_opened(
     desk_configuration: Callable[[str], Path],
 ) -> None:
     config = desk_configuration("")
-    with pytest.raises(AssertionError, match="others would reach the laser: --certificate and --passwords"):
+    with pytest.raises(AssertionError, match="others could reach the laser: --certificate and --passwords"):
         DeskProcess(config, "--listen", "0.0.0.0")

@@ -113,7 +113,7 @@ def test_light_off_darkens_a_frozen_session_from_a_watching_tab_with_a_dialog_op
                 "Emulation.setDeviceMetricsOverride", width=360, height=640, deviceScaleFactor=1, mobile=True
             )
             watching.open(desk.address)
-            watching.wait_text("this tab watches")
+            watching.wait_text("this tab only watches")
             watching.key("?")
             watching.wait("document.querySelector('.q-dialog table') !== null")
             watching.wait(f"{LAMP.format('laser')} === 'laser unknown'")

@@ -186,7 +186,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
 
     with Channel(folder, session_news, {"brake": brake, "note": note}, lambda: now):
         session_news.state({"phase": "rest", "progress": "spread 3 px"}, [])
-        page.wait_text("nothing is recorded yet: rest: spread 3 px")
+        page.wait_text("nothing recorded yet: rest: spread 3 px")
         page.wait_text("no frame yet: rest: spread 3 px")
         page.wait_while(
             "!document.body.innerText.includes('no frame yet')",
@@ -232,7 +232,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         page.key("a")
         fed.set()
         feeding.join()
-        assert "nothing is recorded yet" not in page.text()
+        assert "nothing recorded yet" not in page.text()
     page.wait("document.getElementById('amplitude').offsetParent === null")
 
 
@@ -269,11 +269,11 @@ def test_exposure_region_and_focus_are_set_and_seen(shown: Shown) -> None:
 
 def test_a_second_tab_watches_until_it_takes_over(shown: Shown) -> None:
     desk, page = shown
-    page.wait("!document.body.innerText.includes('this tab watches')")
+    page.wait("!document.body.innerText.includes('this tab only watches')")
     with page.browser.another() as browser:
         second = Page(browser)
         second.open(desk.address)
-        second.wait_text("this tab watches")
+        second.wait_text("this tab only watches")
         second.click("Live picture")
         second.wait_text("Take over first")
         assert "peak" not in page.text()
@@ -283,8 +283,8 @@ def test_a_second_tab_watches_until_it_takes_over(shown: Shown) -> None:
         second.wait_text("the acting tab keeps its role")
         second.click("Take over")
         page.click("Give it")
-        second.wait("!document.body.innerText.includes('this tab watches')")
-        page.wait_text("this tab watches")
+        second.wait("!document.body.innerText.includes('this tab only watches')")
+        page.wait_text("this tab only watches")
     # nobody gets it because another one has gone
     page.wait_text("not connected")
     page.click("Take over")

@@ -152,7 +152,7 @@ def test_rows_that_an_alarm_contradicts_say_so_instead() -> None:
         ["clock", "-"],
     ]
     assert as_alarmed(rows, {AlarmKey.SPOT: ""}, 0.0)[1] == ["beam", "no spot now"]
-    assert as_alarmed(rows, {}, 0.0, is_dark=True)[1] == ["beam", "not seen: it is dark"]
+    assert as_alarmed(rows, {}, 0.0, is_dark=True)[1] == ["beam", "not seen: the laser is dark"]
 
 
 def test_turns_in_two_parts_are_summed_in_words() -> None:
