@@ -36,6 +36,6 @@ def _write(port: str, data: bytes) -> None:
     descriptor = os.open(port, os.O_WRONLY | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_NONBLOCK", 0))
     try:
         if os.write(descriptor, data) < len(data):
-            raise OSError(errno.EAGAIN, "the port took a part of the order only")
+            raise OSError(errno.EAGAIN, "the port took only part of the command")
     finally:
         os.close(descriptor)

@@ -83,9 +83,7 @@ def samples_of(reply: str) -> BoardSamples:
         if len(raw) % (3 * _AXES):
             raise ValueError(text)
     except ValueError:
-        raise DeviceError(
-            f"the controller answered {reply!r}, which are no samples of its accelerometer"
-        ) from None
+        raise DeviceError(f"the controller answered {reply!r}, which are not accelerometer samples") from None
     # 20 bits in the upper part of three bytes
     words = [int.from_bytes(raw[k : k + 3], signed=True) >> 4 for k in range(0, len(raw), 3)]
     values = tuple(tuple(words[k : k + _AXES]) for k in range(0, len(words), _AXES))
@@ -206,4 +204,4 @@ class BoardWitness(WitnessBuffer):
 
 
 def _silent(sensor: BoardSensor) -> str:
-    return f"{sensor.name} on the controller's board does not answer: see its supply and wires"
+    return f"{sensor.name} on the controller's board does not answer: check its supply and wires"

@@ -231,7 +231,7 @@ class Controller:
             if refusal.code != _UNKNOWN_COMMAND:
                 raise
             raise DeviceError(
-                f"{self.name}: its firmware knows no pulses; flash the one that came with this version"
+                f"{self.name}: its firmware cannot pulse the laser; flash the one that came with this version"
             ) from None
 
     def laser_on(self) -> None:

@@ -144,7 +144,7 @@ class LaserService(DeviceThread):
     def _read(self) -> None:
         before, state = self._snapshot.state, self._laser.state()
         if state.on and not self._asked and not state.excess:
-            state = replace(state, excess="it lights although this program did not: see its panel and key")
+            state = replace(state, excess="it is lit, but not by this program: check its panel and key")
         self._snapshot = replace(self._snapshot, state=state, state_time_ns=time.monotonic_ns())
         if state.excess:
             try:

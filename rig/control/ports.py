@@ -133,7 +133,7 @@ def _accelerometer(controller: Controller) -> Verdict:
         time.sleep(0.01)
     if len(values) < _FEW:
         reason = "does not answer" if not found.alive else f"gave {len(values)} samples in {wait_s:.1f} s"
-        remedy = "see its supply, and its wires on GP18 and GP19; or set witness.kind to another"
+        remedy = "check its supply and its wires on GP18 and GP19, or set witness.kind to another"
         return Verdict("witness", False, f"{sensor.name} on the controller's board {reason}", remedy)
     return Verdict("witness", True, f"{sensor.name} on the controller's board, {sensor.rate_hz:g} per s")
 
@@ -149,11 +149,16 @@ def _dark_and_allowed(status: ControllerStatus) -> Iterator[Verdict]:
         if on
     ]
     if seen:
-        remedy = "the laser may be lit: turn its key, then see relay and wiring"
+        remedy = "the laser may be lit: turn its key, then check relay and wiring"
         yield Verdict("laser output", False, f"it is off, and {' and '.join(seen)}", remedy)
     if (latch := status.latch) is not None:
-        remedy = "look that nobody is in the beam's way, then acknowledge what rig light show CONFIG names"
-        yield Verdict("controller's latch", False, f"{latch.cause} is latched: it lights nothing", remedy)
+        remedy = "check that nobody is in the beam path, then acknowledge what rig light show CONFIG names"
+        yield Verdict(
+            "controller's latch",
+            False,
+            f"{latch.cause} is latched: no light until it is acknowledged",
+            remedy,
+        )
 
 
 def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tuple[Verdict, ...]:
@@ -173,13 +178,13 @@ def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tupl
         *_interlock(settings, controller, state.interlock_closed),
     ]
     if state.fault:
-        checks.append(Verdict("laser fault", False, state.fault, "see the laser's panel and manual"))
+        checks.append(Verdict("laser fault", False, state.fault, "check the laser's panel and manual"))
     return tuple(checks)
 
 
 def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: bool) -> Iterator[Verdict]:
     """Whether the laser reports an open interlock while the controller's relay is open."""
-    name = "laser switches off by itself"
+    name = "laser switches off automatically"
     if settings.interlock == "own":
         reason = "closed" if closed else "open: the laser stays off"
         remedy = "" if closed else "close the laser's interlock and turn its key"
@@ -187,7 +192,7 @@ def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: 
         yield Verdict(
             name,
             True,
-            "no: without a watchdog of its own it stays on if the program is killed",
+            "no watchdog of its own: it stays on if the program is killed",
             "wire its interlock through a controller's enable relay and set laser.interlock = 'controller'",
         )
     elif controller.kind == "none":
@@ -199,7 +204,7 @@ def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: 
             "its interlock is closed while the controller's relay is open: it is not wired through it"
             if closed
             else "the controller's relay opens its interlock if the program ends or is killed",
-            "see the wiring in docs/controller.md" if closed else "",
+            "check the wiring in docs/controller.md" if closed else "",
         )
 
 

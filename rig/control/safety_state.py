@@ -106,7 +106,7 @@ def state_folder() -> Path:
 
 
 def _unknown(what: str) -> _Stored:
-    why = f"{what}, so that nobody knows what was latched"
+    why = f"{what}, so the latched trip is unknown"
     return _Stored(number=1, latched=_Latched(cause=TripCause.POWER, why=why, lit=True))
 
 

@@ -57,7 +57,7 @@ class SeedLinkStation(WitnessSamples):
         self._bytes, self._heard_s = b"", time.monotonic()
         self._waiting.clear()
         if not self._answer("HELLO", lines=2).upper().startswith(b"SEEDLINK"):
-            raise DeviceError("what answers there is no SeedLink server; see witness.server")
+            raise DeviceError("the server there does not speak SeedLink; check witness.server")
         streams = [stream.split(".") for stream in self._settings.columns]
         for network, station in dict.fromkeys((one[0], one[1]) for one in streams):
             chosen = [f"SELECT {one[2]}{one[3]}.D" for one in streams if one[:2] == [network, station]]
@@ -94,7 +94,7 @@ class SeedLinkStation(WitnessSamples):
             if header.startswith(b"SLINFO"):
                 pass
             elif _PACKET.fullmatch(header) is None:
-                raise DeviceError(f"{header!r} is no packet of SeedLink")
+                raise DeviceError(f"{header!r} is not a SeedLink packet")
             else:
                 self._take(record)
             self._bytes = self._bytes[_HEADER + _RECORD :]

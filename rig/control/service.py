@@ -33,7 +33,7 @@ _WHY: dict[str, str] = {
     Trip.INTERLOCK: Interlock.CONTROLLER.opened_text,
     Trip.OUTPUT: "the controller's laser output did not follow what it was set to",
     Trip.POWER: "the controller was reset or had lost its power",
-    Trip.WATCHDOG: "the controller heard nothing from its program for too long",
+    Trip.WATCHDOG: "the controller received nothing from its program for too long",
 }
 
 

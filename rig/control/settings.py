@@ -77,7 +77,9 @@ class WitnessSettings(BaseModel, frozen=True, extra="forbid"):
     columns: tuple[str, ...] = Field(
         default=("along", "across"), description="one to three, in any unit; beside them time_s"
     )
-    stale_after_s: float = Field(default=10.0, gt=0, description="without a sample it is silent")
+    stale_after_s: float = Field(
+        default=10.0, gt=0, description="it counts as silent after this time without a sample"
+    )
 
     @property
     def components(self) -> tuple[str, ...]:

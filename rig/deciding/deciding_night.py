@@ -59,7 +59,7 @@ def decide_night(
     file = DecisionsFile(folder, now_utc(), plan.model_dump(mode="json", by_alias=True))
     if file.goes_on:
         changed = f"; the plan was changed: {'; '.join(file.changed)}" if file.changed else ""
-        say(f"{folder}: goes on after {len(file.now.measured)} runs{changed}")
+        say(f"{folder}: continues after {len(file.now.measured)} runs{changed}")
     night = _Night(plan, config, planner, folder, file, now_s, now_utc, sleep)
     while True:
         decision = file.now.pending or night.decide()

@@ -134,7 +134,7 @@ def check_log(folder: Path, state: SafetyState) -> list[str]:
         try:
             stated = json.loads(line).get("before")
         except (ValueError, AttributeError):
-            faults.append(f"line {number} is no whole line")
+            faults.append(f"line {number} is incomplete")
         else:
             # lines of before there was a chain stand at the beginning alone
             chained = chained or stated is not None

@@ -74,7 +74,7 @@ def check_trip(state: SafetyState) -> Verdict:
         return Verdict("permit of light", False, "a program was killed that had lit the laser", remedy)
     if trip is None:
         return Verdict("permit of light", True, "no trip is latched")
-    remedy = f"look that nobody is in the beam's way, then rig light acknowledge CONFIG {trip.number}"
+    remedy = f"check that nobody is in the beam path, then rig light acknowledge CONFIG {trip.number}"
     return Verdict("permit of light", False, trip.text, remedy)
 
 

@@ -35,7 +35,7 @@ def ask_leave(devices: LitDevices) -> None:
 def _what_to_ask(devices: LitDevices) -> str:
     """What a person is asked before anything is lit again; empty if nothing."""
     if (trip := devices.permit.latched) is not None:
-        return f"{trip.text}. Look that nobody is in the beam's way, then type {trip.number} and Enter"
+        return f"{trip.text}. Check that nobody is in the beam path, then type {trip.number} and Enter"
     return _ASKS_LIGHT if devices.waits_for_asking else ""
 
 

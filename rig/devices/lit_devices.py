@@ -70,7 +70,7 @@ class LitDevices:
         if trip := self.permit.latched:
             self.audit(Audited.REFUSED, trip.text)
             raise LightRefused(
-                f"the laser stays off: {trip.text}; look that nobody is in the beam's way, then acknowledge "
+                f"the laser stays off: {trip.text}; check that nobody is in the beam path, then acknowledge "
                 f"it: rig light acknowledge CONFIG {trip.number}, or at the desk"
             )
         # before it waits for its turn: what trips meanwhile came after the asking
@@ -255,7 +255,9 @@ class LitDevices:
                 wait_for_command(command)
             except (DeviceError, CancelledError) as error:
                 why = str(error) or "its thread has ended"
-                return f"THE LASER MAY BE LIT: the {who} does not confirm that it is off ({why}); go and look"
+                return (
+                    f"THE LASER MAY BE LIT: the {who} does not confirm that it is off ({why}); go and check"
+                )
         self.compare()
         if (trip := self.permit.latched) is not None and trip.cause is TripCause.OUTPUT:
             return f"THE LASER MAY BE LIT: {trip.text}; go and look"

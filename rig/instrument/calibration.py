@@ -81,7 +81,9 @@ def _with_certified_mass(config: Configuration, path: Path) -> PendulumSettings:
     found = parse_calibration(_read(path, "mass"), str(path), "mass")
     stated = config.pendulum
     if stated is None:
-        raise ConfigurationError(f"calibration.mass = {str(path)!r}: there is no [pendulum] whose mass it is")
+        raise ConfigurationError(
+            f"calibration.mass = {str(path)!r}: there is no [pendulum]; add it, or leave calibration.mass out"
+        )
     certified_kg = float(found.values["mass_kg"])
     off = stated.mass_kg / certified_kg - 1
     if abs(off) > _SAME_BODY:

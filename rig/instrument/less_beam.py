@@ -19,7 +19,9 @@ from rig.instrument.pipeline import BesideThread, Block, Deflector
 
 _LOST_S = 0.5
 """Without the reference for longer, it is said; a fit goes by the same time."""
-LESS_BEAM = "live numbers are less what the reference spot shows of the beam's motion; the record is as seen"
+LESS_BEAM = (
+    "the beam's motion, from the reference spot, is subtracted from live numbers but not in the record"
+)
 
 
 class LessBeam:
@@ -97,7 +99,7 @@ class LessBeam:
             if not self._lost and seconds(time_ns - self._found_ns) > _LOST_S:
                 self._lost = True
                 self._news.append(
-                    "reference spot lost: live numbers have the beam's motion since then until it is found"
+                    "reference spot lost: live numbers include the beam's motion until it is found again"
                 )
 
 

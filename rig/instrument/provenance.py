@@ -183,8 +183,8 @@ def _migrated(reader: RecordReader) -> tuple[dict[str, Any], str]:
     if attachment is None:
         if CONFIGURATION_NAME in reader.contents.attachment_places or reader.contents.damage:
             raise RecordError(
-                f"{reader.path}: its configuration has been damaged, and no copy is intact: what was "
-                "measured with is not known; take the record from a backup"
+                f"{reader.path}: its configuration is damaged and no copy is intact, so the settings "
+                "of the measurement are unknown; restore the record from a backup"
             )
         raise RecordError(f"{reader.path}: contains no configuration; it was not made by rig run")
     try:

@@ -211,14 +211,14 @@ def resume_session(
             say(note)
         if instead is None:
             config = validate_configuration(tree, str(folder / STATE_NAME))
-            say(f"{folder}: goes on as it was begun, with {file.state.source} (--config takes another)")
+            say(f"{folder}: continues as begun, with {file.state.source} (--config takes another)")
         else:
             config = complete(instead.config)
             check_materials(config)
             check_stop_when(config, folder)
             stored = stored_configuration(config)
             changed = file.reconfigure(instead.source, stored)
-            say(f"{folder}: goes on with {instead.source}, which states {changed}")
+            say(f"{folder}: continues with {instead.source}, which states {changed}")
         with announced(config.session, folder) as outcome:
             outcome.status = _go_on(file, config, Manner(outcome.notices, force, json_lines))
     return outcome.status

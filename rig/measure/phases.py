@@ -35,7 +35,7 @@ class NoGo(DataError):
     """Preflight says no-go, for the reasons `against`: later it may say otherwise."""
 
     def __init__(self, against: str) -> None:
-        super().__init__(f"preflight says no-go ({against}); --force passes over it")
+        super().__init__(f"preflight says no-go ({against}); --force overrides it")
         self.against = against
 
 

@@ -180,7 +180,7 @@ def _make_runs(
         else:
             failed = True
         if isinstance(interrupt, Terminated):
-            say(f"{reason}; rig run --resume {folder} goes on, rig fit fits what there is")
+            say(f"{reason}; rig run --resume {folder} continues, rig fit fits the runs so far")
             raise interrupt
     return Made(records, failed, stopped)
 

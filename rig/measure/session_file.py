@@ -128,7 +128,7 @@ class SessionFile:
         """Create the file of a new session; raises ConfigurationError if the folder holds one already."""
         if os.path.lexists(folder / STATE_NAME):
             raise ConfigurationError(
-                f"{folder}: holds a session already; rig run --resume {folder} goes on with it, "
+                f"{folder}: already holds a session; rig run --resume {folder} continues it, "
                 "or name another folder"
             )
         file = cls(folder, SessionState(source=str(source), runs_wanted=runs, configuration=configuration))

@@ -29,8 +29,8 @@ class BalanceSettings(BalanceLimits):
         default=1.0,
         gt=0,
         le=2,
-        description="doubt of what a turn of a weight does, relative to what mass and thread say; "
-        "at 1 a weight may be three times as strong or stand across, 0.2 where the drawing is trusted",
+        description="relative uncertainty of the effect of a turn as computed from mass and thread; at 1 a "
+        "weight may be three times as strong or stand across; 0.2 if the drawing is trusted",
     )
     gamma_pa: float = Field(
         default=0.0, ge=0, description="elastic adhesion, to compute T0 from T; 0: T0 = T"

@@ -46,15 +46,15 @@ class SessionSettings(Section, frozen=True):
     final_amplitude_arcsec: float = Field(default=2.0, gt=0, description="a run ends below this amplitude")
     stop_when: tuple[str, ...] = Field(
         default=(),
-        description="a run ends, too, once all of these hold, for example u(c)/c < 0.03 and u(b)/b < 0.01",
+        description="a run also ends once all of these hold, for example u(c)/c < 0.03 and u(b)/b < 0.01",
     )
     max_duration_s: float = Field(default=7200.0, gt=0, description="a run ends after this time in any case")
     output: Path = Field(default=Path("runs"), description="each session makes a folder in it")
     notify_command: tuple[str, ...] = Field(
-        default=(), description="called on alarm, end and failure, with kind, text and folder behind it"
+        default=(), description="called on alarm, end and failure, followed by kind, text and folder"
     )
     notify_webhook_file: Path | None = Field(
-        default=None, description="holds the address to which the same is posted; none is kept in records"
+        default=None, description="file with the address to which the same is posted; records do not keep it"
     )
 
 
@@ -86,20 +86,20 @@ class PendulumSettings(Section, frozen=True):
         default=None,
         gt=-1,
         lt=1,
-        description="of the pendulum over the point of contact (below it: negative); if stated, the results "
-        "say which acceleration of the ground drives it",
+        description="of the pendulum above the point of contact (below it: negative); if stated, the results "
+        "give the ground acceleration that drives it",
     )
     length_m: float | None = Field(
-        default=None, gt=0, lt=10, description="across its axis of swing; of the drag expected of the air"
+        default=None, gt=0, lt=10, description="across its axis of swing; for the estimate of the air's drag"
     )
     width_m: float | None = Field(
-        default=None, gt=0, lt=10, description="along that axis; both left out: as its inertia says"
+        default=None, gt=0, lt=10, description="along that axis; both left out: from the moment of inertia"
     )
     expansion_per_k: float = Field(
         default=1.15e-5,
         ge=0,
         lt=1e-3,
-        description="of its body, by which the period grows; of steel if left out",
+        description="of its body, changes the period; steel if left out",
     )
     gravity_m_per_s2: float = Field(default=STANDARD_GRAVITY_M_PER_S2, gt=0, lt=30)
     u_gravity_m_per_s2: float = Field(default=0.0, ge=0)
@@ -112,15 +112,15 @@ class ReferenceSettings(Section, frozen=True):
     """
 
     from_row_px: int = Field(
-        ge=8, description="first row of the frame that the reference spot has for itself"
+        ge=8, description="first row of the part of the frame reserved for the reference spot"
     )
     gain: float | None = Field(
         default=None,
         gt=0,
         lt=100,
-        description="how many times as far as the reference the beam's motion moves the pendulum's spot: 1 "
-        "where both have the same way from the laser; without it, it is found from each run, along either "
-        "axis of the sensor, and live numbers are as seen",
+        description="the beam's motion moves the pendulum's spot this many times as far as the reference (1 "
+        "for equal paths from the laser); if left out, it is found from each run along both axes of the "
+        "sensor, and live numbers are not corrected",
     )
     u_gain: float = Field(default=0.0, ge=0, lt=100)
 
@@ -161,12 +161,12 @@ class FitSettings(Section, frozen=True):
     )
     drag: Literal["air", "open", "vacuum"] = Field(
         default="air",
-        description="the drag: about what the air exerts; open: nothing is known of it; vacuum: none",
+        description="what is known of the drag: air, its estimate; open, nothing; vacuum, that there is none",
     )
     drag_s: float | None = Field(
         default=None,
         ge=0,
-        description="measured, in the place of the air's estimate; moment -m g R drag phi'",
+        description="measured; replaces the air's estimate; moment -m g R drag phi'",
     )
     u_drag_s: float = Field(default=0.0, ge=0)
     u_ageing: float = Field(
@@ -180,7 +180,7 @@ class FitSettings(Section, frozen=True):
     )
     drifts: bool = Field(
         default=False,
-        description="fit drifts of the contact's friction and of the period; else the budget has them",
+        description="fit drifts of friction and period; otherwise the budget includes them",
     )
 
     @property

@@ -49,7 +49,7 @@ def stop_condition(text: str) -> StopCondition:
     try:
         limit = float(found[3])
     except ValueError:
-        raise ValueError(f"{text!r}: {found[3]} is no number") from None
+        raise ValueError(f"{text!r}: {found[3]} is not a number") from None
     if not 0 < limit < 1:
         raise ValueError(f"{text!r}: {found[3]} must lie between 0 and 1, 0.03 for 3 %")
     return StopCondition(over, limit)

@@ -24,7 +24,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
-        raise ConfigurationError(f"{path}: is not TOML: it holds bytes that are no text in UTF-8") from None
+        raise ConfigurationError(f"{path}: is not TOML: it contains bytes that are not UTF-8 text") from None
     except ValueError as error:
         raise ConfigurationError(f"{str(path)!r}: is not the name of a file ({error})") from None
     try:
@@ -44,5 +44,5 @@ def _hint(said: str, text: str) -> str:
     if number := re.search(r"=\s*([+-]?\d+),(\d+)", line):
         return f"; a decimal point is meant: {number[1]}.{number[2]}"
     if re.fullmatch(r"\s*[\w.]+\s*=\s*[A-Za-z_].*", line):
-        return "; text stands in quotes"
+        return "; put text in quotes"
     return ""

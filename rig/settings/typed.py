@@ -47,7 +47,7 @@ def _size(stated: str | None, unit: str, text: str) -> Decimal:
     except ConfigurationError:
         *others, last = units_like(unit, _USUAL) or ("",) if unit else ("",)
         usual = f", or {', '.join(others)}{' or ' if others else ''}{last}" if last else ""
-        meant = f"; {unit} is meant{usual}" if unit else ", and a number alone is wanted"
+        meant = f"; {unit} is meant{usual}" if unit else "; a number alone is needed"
         raise ConfigurationError(f"{text!r}: has the unit {stated}{meant}") from None
     # powers of ten, and what else is round, as decimals: 6.05 mm are 0.00605 m
     short = Decimal(f"{factor:.12g}")

@@ -25,7 +25,7 @@ def in_words(root: type, fault: ErrorDetails) -> str:
     path = dotted(fault["loc"])
     if is_unknown_key(fault):
         if path in GONE:
-            return f"{path}: is no key any more: {GONE[path]}; leave it out"
+            return f"{path}: is no longer a key: {GONE[path]}; leave it out"
         section = str(fault["loc"][-1])
         if isinstance(fault["input"], Mapping) and section in section_fields(root):
             # the dotted path of a key, as --set takes it and as commands print it, below a section's head

@@ -28,7 +28,7 @@ class Ldc500(SerialLaser):
             or not fields[1].upper().startswith("LDC50")
         ):
             raise LaserRefused(
-                f"{self.name}: {','.join(fields)!r} is no SRS LDC500 series driver; check the port"
+                f"{self.name}: {','.join(fields)!r} is not an SRS LDC500 series driver; check the port"
             )
         return LaserIdentity(fields[0], fields[1], fields[2].removeprefix("s/n"))
 
@@ -58,7 +58,7 @@ class Ldc500(SerialLaser):
             return "it is not in the mode of constant current"
         if _flag(self.ask("MODU?")):
             return "its modulation input is on"
-        return "a scan of its current is going on" if _flag(self.ask("SCAN?")) else ""
+        return "a scan of its current is in progress" if _flag(self.ask("SCAN?")) else ""
 
     def _switch(self, on: bool) -> None:
         self._command("LDON ON" if on else self.off_command)

@@ -30,7 +30,7 @@ class Obis(SerialLaser):
         # without the OK behind it, which comes only with handshaking
         identity = super().ask("*IDN?")
         if "COHERENT" not in identity.upper() or "OBIS" not in identity.upper():
-            raise LaserRefused(f"{self.name}: {identity!r} is no Coherent OBIS; check the port")
+            raise LaserRefused(f"{self.name}: {identity!r} is not a Coherent OBIS; check the port")
         self._shake_hands()
         return LaserIdentity(
             "Coherent", self.ask("SYSTem:INFormation:MODel?"), self.ask("SYSTem:INFormation:SNUMber?")
@@ -64,7 +64,7 @@ class Obis(SerialLaser):
 
     def _strayed(self) -> str:
         if (source := self.ask("SOURce:AM:SOURce?").upper()) != "CWP":
-            return f"its light is not of constant power but set by {source}"
+            return f"it does not run at constant power: {source} sets its light"
         return "" if self.ask("SYSTem:AUTostart?").upper() in ("OFF", "0") else "its autostart is on"
 
     def _switch(self, on: bool) -> None:

@@ -141,7 +141,7 @@ class SerialLaser(ABC):
             if time.monotonic() > deadline_s:
                 self._switch(False)
                 raise LaserRefused(
-                    f"{self.name}: was switched on but does not emit after {ON_WITHIN_S:g} s; see its panel"
+                    f"{self.name}: was switched on but does not emit after {ON_WITHIN_S:g} s; check its panel"
                 )
             time.sleep(_POLL_S)
 

@@ -39,8 +39,8 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
     )
     when_dark: Literal["end", "wait"] = Field(
         default="end",
-        description="a laser that goes dark during a run ends it; 'wait': the run waits for a person, at the "
-        "terminal or rig desk, who acknowledges the trip and asks for light",
+        description="'end': a laser that goes dark ends the run; 'wait': it waits until a person, at the "
+        "terminal or rig desk, acknowledges the trip and asks for light",
     )
     warm_up_min_s: float = Field(default=0.0, ge=0)
     warm_up_max_s: float = Field(default=1800.0, gt=0)

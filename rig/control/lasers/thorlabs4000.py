@@ -51,7 +51,7 @@ class Thorlabs4000(SerialLaser):
             or fields[1][:4].upper() not in ("LDC4", "ITC4")
         ):
             raise LaserRefused(
-                f"{self.name}: {','.join(fields)!r} is no Thorlabs 4000 series driver; check the port"
+                f"{self.name}: {','.join(fields)!r} is not a Thorlabs 4000 series driver; check the port"
             )
         return LaserIdentity(fields[0], fields[1], fields[2])
 

@@ -43,7 +43,7 @@ def air(
         )
     words = f"{temperature_c:.1f} °C, {humidity_percent:.0f} %, {pressure_pa / 100:.0f} hPa"
     if asks_humidity and math.isnan(humidity_percent):
-        reason, remedy = "it tells no humidity", "a sensor that does, or no limits of it"
+        reason, remedy = "it does not report humidity", "a sensor that does, or no limits of it"
         return Verdict("environment", False, reason, remedy, measured=words, limit=limit)
     ok = limits.min_temperature_c <= temperature_c <= limits.max_temperature_c
     ok = ok and (not asks_humidity or damp[0] <= humidity_percent <= damp[1])
@@ -79,7 +79,7 @@ def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
     if not now.on:
         remedy = "see rig doctor; close the interlock, turn its key"
         return Verdict(
-            "laser", False, "there is no light to measure with", remedy, measured=now.text, limit="lit"
+            "laser", False, "there is no light for the measurement", remedy, measured=now.text, limit="lit"
         )
     if goes_dark_by_itself:
         return Verdict("laser", True, measured=now.text, limit="lit")

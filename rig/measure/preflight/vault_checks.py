@@ -58,12 +58,12 @@ def witness(
         return Verdict("witness", False, problem, remedy, measured=kind, limit=_COMES)
     if len(samples) < _FEWEST:
         return _alive(
-            f"{len(samples)} samples are too few to say what it would give{longer(look.deflections)}", kind
+            f"{len(samples)} samples are too few to predict its benefit{longer(look.deflections)}", kind
         )
     value = np.array([[getattr(one, name) for name in _VALUES[: len(names)]] for one in samples])
     if dead := [name for name, one in zip(names, value.T, strict=True) if not np.ptp(one) > 0]:
-        reason = f"{', '.join(dead)}: the same number in {len(samples)} samples: it is dead, or its scale is"
-        remedy = "see its power, cable and range"
+        reason = f"{', '.join(dead)}: constant over {len(samples)} samples: dead, or its scale is wrong"
+        remedy = "check its power, cable and range"
         return Verdict("witness", False, reason, remedy, measured=kind, limit=_COMES)
     if not look.resting:
         return not_at_rest("witness", _COMES)
@@ -112,13 +112,13 @@ def _gives(found: WitnessAtRest, ground_seen: bool, kind: str) -> Verdict:
     if not found.related:
         chance = f"{in_all}; unrelated records reach {plain(found.by_chance, 2)}"
         if not ground_seen:
-            hidden = "the ground is not seen over the reading of the spot, so what it would give is unknown"
+            hidden = "the ground does not exceed the noise of the spot, so its benefit is unknown"
             return _alive(f"{hidden} ({chance})", kind)
         return Verdict(
             "witness",
             True,
             f"it shows nothing of what moves the pendulum: {chance}",
-            "see its place, columns and clock; a fit refuses one that explains nothing",
+            "check its place, columns and clock; a fit refuses one that explains nothing",
             measured=f"{kind}, unrelated so far",
             limit=_COMES,
         )
@@ -145,7 +145,7 @@ def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: Prefl
     lost = float(np.mean([bool(spot.flags & SpotFlag.LOST) for spot in look.references]))
     seen = f"found in {percent(1 - lost, 3)} of {len(look.references)} frames"
     if lost > limits.max_lost_fraction:
-        reason = "frames without it stand as they are, with the beam's motion in them"
+        reason = "frames without it keep the beam's motion"
         remedy = f"let its beam fall below row {stated.from_row_px}"
         return Verdict("reference", True, reason, remedy, measured=seen, limit=limit)
     if not look.resting:

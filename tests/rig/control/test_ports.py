@@ -62,7 +62,7 @@ class TestController:
         assert found["interlock"].reason == "open: the laser stays off"
         assert "limits.json" in found["laser power"].remedy
         # what is open at the start is latched, too
-        assert found["controller's latch"].reason == "INTERLOCK is latched: it lights nothing"
+        assert found["controller's latch"].reason == "INTERLOCK is latched: no light until it is acknowledged"
         assert found["controller errors"].reason == "Hardware error; environment sensor (-240)"
         assert found["controller's sensor"].reason == "no reading"
 
@@ -75,7 +75,7 @@ class TestController:
         assert found["laser output"].reason == (
             "it is off, and the pin of its relay is high and the photodiode sees light"
         )
-        assert found["controller's latch"].reason == "OUTPUT is latched: it lights nothing"
+        assert found["controller's latch"].reason == "OUTPUT is latched: no light until it is acknowledged"
 
     def test_another_laser_has_another_limit(self, board: SteppedBoard) -> None:
         assert "laser power" not in self.checks(board, LaserSettings(kind="cobolt", port="x"))
@@ -94,7 +94,7 @@ def test_a_laser_without_watchdog_is_warned_of_and_its_wiring_tried(
 ) -> None:
     instrument = FakeCobolt()
     monkeypatch.setattr(serial_laser, "SerialPort", lambda *_, **__: InstrumentLine(instrument, clock))
-    name = "laser switches off by itself"
+    name = "laser switches off automatically"
     board = ControllerSettings(kind="serial", port="x")
     own = LaserSettings(kind="cobolt", port="y")
     wired = LaserSettings(kind="cobolt", port="y", interlock="controller")

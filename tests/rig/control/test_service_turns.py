@@ -415,7 +415,9 @@ def test_a_board_whose_firmware_knows_no_pulses_is_named(board: SteppedBoard) ->
     controller.set_laser_pulse(0.0, 20.0)
     for spelling in [name for name in board.firmware._acting if name.startswith(("LAS:PULS", "LASER:PULS"))]:
         del board.firmware._acting[spelling]
-    with pytest.raises(DeviceError, match="knows no pulses; flash the one that came with this version"):
+    with pytest.raises(
+        DeviceError, match="cannot pulse the laser; flash the one that came with this version"
+    ):
         controller.set_laser_pulse(0.0, 20.0)
 
 

@@ -90,7 +90,7 @@ def test_a_night_that_was_killed_goes_on_with_what_it_learned(tmp_path: Path) ->
 
     done = rig("run", "--plan", plan, "-o", out)
     assert done.returncode == 0, done.stderr
-    assert "goes on after 1 runs" in done.stderr
+    assert "continues after 1 runs" in done.stderr
     after = decisions(out)
     assert after["decisions"][0] == first
     assert {**after["decisions"][1], "state": "chosen"} == second
@@ -112,7 +112,7 @@ def test_a_night_that_was_killed_goes_on_with_what_it_learned(tmp_path: Path) ->
     again = rig("run", "--plan", plan, "-o", out)
     assert again.returncode == 0
     assert decisions(out)["decisions"] == after["decisions"]
-    assert "the night ends: Nothing is to be measured" in again.stderr
+    assert "the night ends: No further runs are needed" in again.stderr
 
 
 @pytest.mark.slow

@@ -163,7 +163,7 @@ def test_a_torn_line_and_what_follows_it(chained: tuple[Path, SafetyState]) -> N
     log = AuditLog(path.parent, "Ada", "test", state)
     log.append(Audited.DARK, "later")
     log.wait()
-    assert check_log(path.parent, state) == ["line 5 is no whole line"]
+    assert check_log(path.parent, state) == ["line 5 is incomplete"]
 
 
 def test_lines_of_before_there_was_a_chain_stand_at_its_beginning(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def test_resume_says_its_configuration_and_takes_another(tmp_path: Path) -> None
     (out / "session.json").write_text(json.dumps(tree))
     failed = rig("run", "--resume", out)
     assert failed.returncode == 1
-    assert f"goes on as it was begun, with {CONFIGS / 'demo.toml'} (--config takes another)" in failed.stderr
+    assert f"continues as begun, with {CONFIGS / 'demo.toml'} (--config takes another)" in failed.stderr
     done = rig("run", "--resume", out, "--config", CONFIGS / "demo.toml", *SHORT)
     assert done.returncode == 0, done.stderr
     assert 'which states camera.driver = "simulated" (was "pylon")' in done.stderr

@@ -33,7 +33,7 @@ def test_no_file_elsewhere_is_reached_through_a_symbolic_link(tmp_path: Path) ->
 
 def test_a_session_that_is_there_is_not_written_over(tmp_path: Path) -> None:
     SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, {}).close()
-    with pytest.raises(ConfigurationError, match="holds a session already; rig run --resume"):
+    with pytest.raises(ConfigurationError, match="already holds a session; rig run --resume"):
         SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, {})
 
 

@@ -70,7 +70,7 @@ def test_an_unrelated_one_is_a_warning_and_a_dead_one_no_go(minute: tuple[TrialF
     assert other.remedy
     dead = judged(look, samples(np.full(len(drive), 8192.0)))
     assert not dead.ok
-    assert "z: the same number in 1500 samples" in dead.reason
+    assert "z: constant over 1500 samples" in dead.reason
     silent = judged(look, [], "no line has come")
     assert (silent.ok, silent.reason) == (False, "no line has come")
 
@@ -84,7 +84,7 @@ def test_what_cannot_be_known_is_not_promised(minute: tuple[TrialFrames, Floats]
     still = look_at(look.deflections.times_s, 1e-9 * np.random.default_rng(1).standard_normal(len(drive)))
     verdict = judged(still, samples(drive))
     assert not verdict.made
-    assert "the ground is not seen over the reading of the spot" in verdict.reason
+    assert "the ground does not exceed the noise of the spot" in verdict.reason
     swinging = look_at(look.deflections.times_s, look.deflections.y, resting=False)
     assert not judged(swinging, samples(drive)).made
     assert judged(look, [], None).measured == "none is configured"

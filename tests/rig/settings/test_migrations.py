@@ -137,7 +137,7 @@ def test_a_file_says_its_schema_or_is_of_todays(tmp_path: Path, caplog: pytest.L
     below, above = tmp_path / "below.toml", tmp_path / "above.toml"
     below.write_text('[camera]\ndriver = "usb3vision"\n[camera.usb3vision]\nbuffers = 500\n')
     above.write_text('extends = "below.toml"\n')
-    why = "camera.usb3vision.buffers: is no key any more: frames that are late wait in"
+    why = "camera.usb3vision.buffers: is no longer a key: frames that are late wait in"
     with pytest.raises(ConfigurationError, match=why):
         load_configuration(above)
     assert not caplog.records

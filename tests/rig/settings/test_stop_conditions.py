@@ -29,7 +29,7 @@ def test_conditions_name_parameters_as_people_write_them() -> None:
         ("u(c)/b < 0.1", r"'u\(c\)/b < 0\.1' names two parameters; write u\(c\)/c"),
         ("u(c)/c < 3", "3 must lie between 0 and 1, 0.03 for 3 %"),
         ("u(c)/c < 0", "0 must lie between 0 and 1"),
-        ("u(c)/c < 1.2.3", r"1\.2\.3 is no number"),
+        ("u(c)/c < 1.2.3", r"1\.2\.3 is not a number"),
     ],
 )
 def test_a_wrong_condition_is_one_line(text: str, message: str) -> None:

@@ -132,10 +132,10 @@ class TestService:
         instrument.light(True)
         turn(service)
         assert not instrument.on
-        assert "it lights although this program did not" in permit.refusal
+        assert "it is lit, but not by this program" in permit.refusal
         refused = service.enable()
         turn(service)
-        with pytest.raises(DeviceError, match="it lights although"):
+        with pytest.raises(DeviceError, match="it is lit, but not"):
             refused.result(0)
 
     def test_an_off_outdates_a_light_that_still_waits(
@@ -202,7 +202,7 @@ class TestService:
         instrument.light(True)
         turn(service)
         assert not instrument.on
-        assert "it lights although this program did not" in permit.refusal
+        assert "it is lit, but not by this program" in permit.refusal
 
     def test_an_off_is_never_too_late(
         self, ports: Ports, service: LaserService, instrument: FakeCobolt
