@@ -170,12 +170,12 @@ def _of_usage(text: str, words: list[str]) -> str:
     text = re.sub(r", unable to parse string as an? \w+", "", text)
     if text.startswith("Missing argument"):
         return (
-            re.sub(r"'.*'", lambda name: name[0].upper(), text.rstrip(".")) + "; --help says what is needed"
+            re.sub(r"'.*'", lambda name: name[0].upper(), text.rstrip(".")) + "; --help shows what is needed"
         )
     if re.fullmatch(r"No such (option|command)[^(]*", text):
-        return f"{text.rstrip('.')}; --help lists what there is"
+        return f"{text.rstrip('.')}; --help lists the choices"
     if text.startswith("Got unexpected extra argument"):
-        return f"{text.replace('(s)', '')}; a name with spaces stands in quotes"
+        return f"{text.replace('(s)', '')}; put a name with spaces in quotes"
     found = re.match(r"Invalid value for ([^:]*): (.*)", text, re.DOTALL)
     if found is None:
         return text

@@ -83,9 +83,7 @@ def damping_lines(results: AmplitudeDamping, unit: str) -> list[str]:
         said.append(f"damping, {name} part {part}{units[name]}: {needed} (probability {probability:.2g})")
         value, u = getattr(results, name)
         if value < -_SURE * u:
-            said.append(
-                f"a {name} part below zero describes the decay, but is no friction: something else changes"
-            )
+            said.append(f"a negative {name} part fits the decay but is not friction: something else changes")
     if results.curve:
         for where in (results.curve[0], results.curve[-1]):
             quality = where.quality_factor

@@ -88,7 +88,7 @@ class WithoutBeamMotion:
         """What became of it, in a line."""
         lost = int(np.count_nonzero(next(iter(self.found.values())).fallen_back))
         said = ", ".join(f"{name[0]} {one.verdict}{self._gain(one)}" for name, one in self.found.items())
-        fallen = f"; {lost} frames without it stand as they were" if lost else ""
+        fallen = f"; {lost} frames without it are unchanged" if lost else ""
         return f"reference spot: {said}{fallen}"
 
     def _gain(self, one: LessReference) -> str:

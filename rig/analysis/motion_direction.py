@@ -59,10 +59,10 @@ def direction_warning(positions: tuple[Array, ...], inside: NDArray[np.bool_]) -
         return ""
     first, last = (f"{degrees(one):.2g}".replace("-", "−") for one in off)
     return (
-        f"the swing goes {first} degrees beside the direction in which amplitudes are measured in the first "
-        f"third of this decay, {last} degrees in the last: amplitudes are too small by up to "
-        f"{100 * shortened:.1g} %, and decrement, damping and all parameters are off by what that does, "
-        "which no uncertainty holds. Fit a shorter stretch (--from, --to)"
+        f"the swing deviates from the direction in which amplitudes are measured by {first} degrees in the "
+        f"first third of this decay and {last} degrees in the last: amplitudes are too small by up to "
+        f"{100 * shortened:.1g} %. This biases decrement, damping and all parameters, and no uncertainty "
+        "includes it. Fit a shorter stretch (--from, --to)"
     )
 
 

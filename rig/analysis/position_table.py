@@ -240,7 +240,7 @@ class _Reading:
         for name, values in zip(names, table.T, strict=True):
             if (missing := np.isnan(values)).any():
                 self._said.append(
-                    f"missing from the fit: {int(missing.sum())} values of {name} that are no "
+                    f"missing from the fit: {int(missing.sum())} values of {name} that are not "
                     f"numbers ({placed(lines[missing].tolist())})"
                 )
 

@@ -85,7 +85,7 @@ def read_any_results(source: Path, *, sealed: bool = False) -> SessionResults | 
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
-        raise RecordError(f"{path}: is no results file; name {RESULTS_NAME} or its folder") from None
+        raise RecordError(f"{path}: is not a results file; name {RESULTS_NAME} or its folder") from None
     except (ValueError, RecursionError) as error:
         raise RecordError(f"{path}: cannot be read: it is not JSON ({error}); {_REMEDY}") from None
     found = _decoded(tree, path)
@@ -121,7 +121,7 @@ def runs_of(results: SessionResults | TableResults) -> SessionResults:
 def _decoded(tree: Any, path: Path) -> SessionResults | TableResults:
     if isinstance(tree, dict) and "envelope" in tree:
         raise RecordError(
-            f"{path}: is of an envelope, which has no half-cycles; the table it was made from has"
+            f"{path}: describes an envelope, which has no half-cycles; use the table it was made from"
         )
     kind = TableResults if isinstance(tree, dict) and "trajectory" in tree else SessionResults
     runs = tree.get("runs" if kind is SessionResults else "decays") if isinstance(tree, dict) else None

@@ -51,7 +51,7 @@ def run_conditions(
             dropped_frames,
             frames + dropped_frames,
             limits.max_lost_fraction,
-            "see who lost them: camera, bus or computer",
+            "find out where they were lost: camera, bus or computer",
         ),
         *([] if beam is None else [beam.verdict(limits.max_poor_fit_fraction)]),
         *([] if beam is None else [_saturation(beam, frames, limits.max_saturated_fraction)]),
@@ -66,7 +66,7 @@ def run_conditions(
 def _end(end: Event | None) -> Verdict:
     """Whether the run came to its end; a person may end one early, and fit what there is."""
     if end is None or end.kind == EventKind.FAILED:
-        reason = "the record has no end" if end is None else "an error ended it"
+        reason = "the record has no end event" if end is None else "an error ended it"
         remedy = "remove the cause, then measure again: rig run --resume"
         measured = "none" if end is None else end.text
         return Verdict("end", False, reason, remedy, measured=measured, limit="its own")

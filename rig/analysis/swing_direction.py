@@ -27,6 +27,6 @@ def why_no_half_cycles(record: str, fast_over_slow: float, half_cycles: int, axe
     along, looked = ("x", "y") if axes is None else ("the fast axis of [axes]", "the slow one")
     return (
         f"the swing is along {along}, {much} times as far as along {looked}, where half-cycles "
-        f"are looked for: state [axes] slow_angle_rad = {across_rad:.5g}; rig replay {record} --set "
-        f"axes.slow_angle_rad={across_rad:.5g} finds them in what is recorded"
+        f"are sought: state [axes] slow_angle_rad = {across_rad:.5g}; rig replay {record} --set "
+        f"axes.slow_angle_rad={across_rad:.5g} finds them in the record"
     )

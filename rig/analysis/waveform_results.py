@@ -91,6 +91,6 @@ def waveform_table(compared: ComparedLaws) -> Table:
     return Table(
         "waveform", "Third harmonic of the swing, mas",
         ("amplitude_rad", "order", "u_rad", *columns), rows, ("arcsec", "measured", *names), shown,
-        "Deflections stacked by phase. A law whose third harmonic is another one does not describe "
+        "Deflections stacked by phase. A law with a different third harmonic does not describe "
         "the motion within the swing, however well it describes the decay.",
     )  # fmt: skip

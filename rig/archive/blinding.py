@@ -27,7 +27,7 @@ def blind_runs(archive: Path, columns: Sequence[str], folders: Sequence[Path] = 
     for name in columns:
         if f"u_{name}" not in COLUMNS:
             raise ConfigurationError(
-                f"{name}: is no column with an uncertainty; docs/reference/archive.md names all"
+                f"{name}: is not a column with an uncertainty; docs/reference/archive.md lists them"
             )
     store = Archive(archive)
     store.begin()

@@ -82,8 +82,8 @@ class Bucket:
                 return
         self._keeps = False
         say(
-            f"{self.url}: the server writes over what is there, asked not to (If-None-Match): two who "
-            "write in the same moment may lose what one of them says; use it one after the other"
+            f"{self.url}: the server overwrites files although asked not to (If-None-Match): of two "
+            "people who write at once, one may lose data; use it one at a time"
         )
 
 

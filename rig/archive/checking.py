@@ -46,7 +46,7 @@ def check_archive(archive: Path, *, records: bool = False, repair: bool = False,
     """
     duckdb_module()
     if not archive.is_dir():
-        raise ConfigurationError(f"{archive}: is no archive; rig archive add makes one")
+        raise ConfigurationError(f"{archive}: is not an archive; rig archive add makes one")
     found = _files(archive)
     if is_remote(url):
         for name, (line, mended) in restored(url, repair=repair).items():
@@ -128,7 +128,7 @@ def _facts(archive: Path, found: _Found) -> list[Fact]:
         computer, _, number = name.removesuffix(".facts").rpartition("-")
         before = f"{computer}-{int(number) - 1:08d}.facts"
         if hashes.get(before, "") not in ("", entry.before):
-            found.flaws[f"facts/{name}"] = f"{log.folder / name}: does not follow on {before} as it is"
+            found.flaws[f"facts/{name}"] = f"{log.folder / name}: does not follow from the present {before}"
     return facts
 
 
@@ -146,7 +146,7 @@ def _repair(archive: Path, found: _Found) -> None:
     for name in list(found.flaws):
         if name.startswith("merged/"):
             (archive / name).unlink(missing_ok=True)
-            found.lines.append(f"repaired: {found.flaws.pop(name)}; it is made again when it is needed")
+            found.lines.append(f"repaired: {found.flaws.pop(name)}; it is made again when needed")
         elif name.startswith("refits/"):
             (archive / name).unlink(missing_ok=True)
             found.lines.append(f"removed: {found.flaws.pop(name)}; rig archive refit makes it again")

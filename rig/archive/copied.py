@@ -108,7 +108,7 @@ def _check_identity(copy: Copy, there: set[str], seen: set[str]) -> None:
         if known and found != known and MANIFEST in seen:
             raise RecordError(
                 f"{url}: holds another archive ({found[:8]}) than before ({known[:8]}); "
-                f"check address and bucket; a copy of the one before lies in {copy.folder}"
+                f"check address and bucket; a copy of the earlier one is in {copy.folder}"
             )
         if known and found != known:
             (copy.folder / MANIFEST).unlink()
@@ -116,7 +116,7 @@ def _check_identity(copy: Copy, there: set[str], seen: set[str]) -> None:
     if MANIFEST in seen or (seen and not there):
         raise RecordError(
             f"{url}: the archive that was there is gone ({MANIFEST} is missing); check address, "
-            f"bucket and AWS_ENDPOINT_URL; a copy of it lies in {copy.folder} and was not touched"
+            f"bucket and AWS_ENDPOINT_URL; the copy in {copy.folder} was not touched"
         )
 
 
@@ -133,9 +133,9 @@ def _check_history(copy: Copy, names: set[str]) -> None:
         # what is damaged is named when it is read
         if here is not None and copy.sound_there(name, found) not in (None, here):
             raise RecordError(
-                f"{copy.bucket.url}/{name}: is another one there than here: the archive was put back from a "
-                f"backup, and a computer without its copy went on; move {copy.folder} away, and rig archive "
-                "add says again what this computer sees"
+                f"{copy.bucket.url}/{name}: differs from the copy here: the archive was restored from a "
+                "backup, and a computer without its copy added to it; move "
+                f"{copy.folder} away, then rig archive add records again what this computer sees"
             )
 
 

@@ -150,4 +150,4 @@ def check_described(described: dict[str, str | None], there: dict[str, str], whe
     """Raise RecordError unless the files that are there are those that are described, with these hashes."""
     wrong = sorted({*described, *there} - {name for name in there if described.get(name) == there[name]})
     if wrong:
-        raise RecordError(f"{where}: {wrong[0]} is not as the description of the crate says")
+        raise RecordError(f"{where}: {wrong[0]} does not match the description in the crate")

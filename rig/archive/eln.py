@@ -65,7 +65,7 @@ def unpacked(path: Path) -> Path:
             if (folder / METADATA).is_file() and (folder / METADATA).read_bytes() == eln.metadata:
                 return folder
             raise ConfigurationError(
-                f"{path}: is unpacked into {folder}, which exists already and is something else; rename one"
+                f"{path}: unpacks into {folder}, which already exists and holds something else; rename one"
             ) from None
         except OSError as error:
             raise RecordError(f"{folder}: cannot be written: {error.strerror or error}") from None
@@ -89,12 +89,12 @@ class _Eln:
                 continue
             name = PurePosixPath(*place.parts[1:]).as_posix()
             if len(place.parts) == 1 or name in self._entries:
-                raise RecordError(f"{path}: {entry.filename!r} in it lies in no folder, or is there twice")
+                raise RecordError(f"{path}: {entry.filename!r} in it is not in a folder, or occurs twice")
             if entry.flag_bits & _ENCRYPTED:
                 raise RecordError(f"{path}: is encrypted; unpack it with its password, and add the folder")
             self._entries[name] = entry
         if len(roots) != 1 or METADATA not in self._entries:
-            raise RecordError(f"{path}: is no .eln file: it must hold one folder, and in that {METADATA}")
+            raise RecordError(f"{path}: is not an .eln file: it must hold one folder, and in that {METADATA}")
         self.metadata = b"".join(self.blocks(METADATA))
         self.described = described_files(self.metadata, str(path))
         self.files = sorted(self._entries.keys() - {METADATA})
@@ -107,7 +107,7 @@ class _Eln:
         try:
             archive = zipfile.ZipFile(path)
         except zipfile.BadZipFile as error:
-            raise RecordError(f"{path}: is no .eln file: {error}") from None
+            raise RecordError(f"{path}: is not an .eln file: {error}") from None
         except OSError as error:
             raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
         with archive:

@@ -68,8 +68,7 @@ class FactLog:
             for number in range(1, last):
                 if (missing := file_name(computer, number)) not in names:
                     raise RecordError(
-                        f"{self.folder / missing}: is missing, and with it what was seen then; put it back "
-                        "from a copy of the archive"
+                        f"{self.folder / missing}: is missing; restore it from a copy of the archive"
                     )
         return names
 

@@ -33,10 +33,10 @@ def compare_groups(
     by = SHORT_NAMES.get(by, by)
     if f"u_{column}" not in COLUMNS:
         raise ConfigurationError(
-            f"{column}: has no uncertainty to compare with; docs/reference/archive.md names columns"
+            f"{column}: has no uncertainty to compare with; docs/reference/archive.md lists the columns"
         )
     if by not in COLUMNS:
-        raise ConfigurationError(f"--by {by}: is no column; docs/reference/archive.md names all")
+        raise ConfigurationError(f"--by {by}: is not a column; docs/reference/archive.md lists them")
     if output is not None and output.suffix not in (".svg", ".png"):
         raise ConfigurationError(f"{output}: is neither .svg nor .png")
     total = f"u_total_{column}" if f"u_total_{column}" in COLUMNS else "null"

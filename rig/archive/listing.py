@@ -128,7 +128,7 @@ def selected(connection: Any, wanted: str, condition: str, table: str = "runs") 
             connection.sql(f"select {wanted} from {table} limit 0")
         except duckdb.Error:
             at_fault = f"columns {wanted!r}"
-        raise ConfigurationError(f"{at_fault}: {said}; docs/reference/archive.md names the columns") from None
+        raise ConfigurationError(f"{at_fault}: {said}; docs/reference/archive.md lists the columns") from None
 
 
 def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:

@@ -32,7 +32,7 @@ def plot_runs(
     columns = {**COLUMNS, **(OF_REFITS if refits else {})}
     for name in filter(None, (x, y, by)):
         if name not in columns:
-            raise ConfigurationError(f"{name}: is no column; docs/reference/archive.md names all")
+            raise ConfigurationError(f"{name}: is not a column; docs/reference/archive.md lists them")
     if columns[y].kind not in ("number", "count"):
         raise ConfigurationError(f"{y}: holds no numbers; only x and --by may be texts")
     bars = [f"u_{name}" if f"u_{name}" in COLUMNS else "null" for name in (x, y)]

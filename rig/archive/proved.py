@@ -111,5 +111,5 @@ def prove(path: Path, name: str, data: bytes) -> bool:
 def changed(path: Path) -> RecordError:
     """That a file is not as it was written."""
     return RecordError(
-        f"{path}: its bytes have changed since it was written; rig archive check says what can be repaired"
+        f"{path}: its bytes have changed since it was written; rig archive check lists what can be repaired"
     )

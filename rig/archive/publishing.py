@@ -47,13 +47,15 @@ def publish_runs(
     except ImportError:
         raise MissingPackage("rig archive publish", "rocrate") from None
     if not re.fullmatch(r"[A-Za-z0-9.+-]+", statement.licence):
-        raise ConfigurationError(f"--licence {statement.licence!r}: is no name of SPDX, such as CC-BY-4.0")
+        raise ConfigurationError(
+            f"--licence {statement.licence!r}: is not an SPDX licence identifier, such as CC-BY-4.0"
+        )
     if not statement.title.strip() or not statement.authors:
         raise ConfigurationError("a publication needs a title and an author: --title TEXT --author NAME")
     for author in statement.authors:
         if "orcid" in author.lower() and not _has_orcid(author):
             raise ConfigurationError(
-                f"--author {author!r}: is no ORCID; copy it from the person's page, as "
+                f"--author {author!r}: is not an ORCID; copy it from the person's page, as "
                 "https://orcid.org/0000-0002-1825-0097"
             )
     if sealed(archive) is not None:

@@ -70,7 +70,7 @@ def refit_runs(
         if hindered is None:
             dead += 1
             _give_up(quarantine, task)
-            say(f"{task.record}: ended its process each time that it was alone; it is in quarantine now")
+            say(f"{task.record}: ended its process each time it ran alone; it is now in quarantine")
         elif hindered:
             left += 1
             say(hindered if str(task.record) in hindered else f"{task.record}: {hindered}")

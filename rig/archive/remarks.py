@@ -53,7 +53,7 @@ def write_remark(
     """
     add, remove, note = add.strip(), remove.strip(), note.strip()
     if not (add or remove or note):
-        raise ConfigurationError("an empty text says nothing of a run; name a tag or write a note")
+        raise ConfigurationError("the text is empty; name a tag or write a note")
     if not runs:
         raise ConfigurationError("no run is meant: name one, or state a condition that one meets")
     now = datetime.datetime.now(datetime.UTC)

@@ -49,8 +49,8 @@ def _prove_sent(copy: Copy, names: Sequence[str]) -> None:
         for name in part:
             if name in found and found[name] != (copy.folder / name).read_bytes():
                 raise RecordError(
-                    f"{copy.bucket.url}/{name}: was sent, and is not there as it was sent; somebody wrote "
-                    "over it, or the server keeps it not as it says; rig archive check --repair puts it right"
+                    f"{copy.bucket.url}/{name}: is not there as it was sent: somebody overwrote it, or the "
+                    "server changed it; rig archive check --repair corrects it"
                 )
 
 

@@ -121,7 +121,7 @@ def _of_table(folder: Path, decay: TableDecay, number: int) -> Row:
     if not path.exists():
         row |= {"state": "missing", "flaw": "results name a table that is not there"}
     elif known_sha256_of_any(path) != known:
-        row |= {"state": "damaged", "flaw": "the table is not as it was when the results were made"}
+        row |= {"state": "damaged", "flaw": "the table has changed since the results were made"}
     return row | row_of_results(decay)
 
 
@@ -141,7 +141,7 @@ def _of_record(path: Path) -> Row:
             if reader.truncated:
                 row |= {
                     "state": "cut",
-                    "flaw": "it has no ending: it is being measured, or was cut (rig recover completes it)",
+                    "flaw": "no footer: it is being measured, or was cut short (rig recover completes it)",
                 }
             elif contents.damage or not data_crc_matches(reader.file, contents):
                 row |= {"state": "damaged", "flaw": "; ".join(contents.damage) or "its bytes have changed"}

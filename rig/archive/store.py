@@ -58,12 +58,12 @@ class Archive:
         names, manifest = self.log.names(), identity(self.folder)
         if names and not manifest:
             raise RecordError(
-                f"{self.folder / MANIFEST}: is missing, though the archive is there; put it back from a copy"
+                f"{self.folder / MANIFEST}: is missing, though the archive is there; restore it from a copy"
             )
         if not names and self.sessions.has_any():
             raise RecordError(
-                f"{self.log.folder}: is missing, and with it what was seen when; put it back from a copy, or "
-                "remove sessions and merged, too, and rig archive add makes them again"
+                f"{self.log.folder}: is missing, and with it the archive's history; restore it from a copy, "
+                "or remove sessions and merged too, and rig archive add makes them again"
             )
         return names
 
@@ -214,7 +214,7 @@ def reads_archive(function: Callable[Concatenate[Path, _P], _R]) -> Callable[Con
             # as '45 %' is no number: found when the rows are read
             said = str(error).splitlines()[0].partition(": ")[2]
             raise ConfigurationError(
-                f"condition or columns: {said}; docs/reference/archive.md names the columns and their units"
+                f"condition or columns: {said}; docs/reference/archive.md lists the columns and their units"
             ) from None
         except duckdb.Error as error:
             raise unreadable(archive, error) from None

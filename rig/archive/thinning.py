@@ -58,7 +58,7 @@ def thin_runs(
     a rule.
     """
     if drop_after is None and recompress_after is None:
-        raise ConfigurationError("say what is done when: --drop-after MONTHS, --recompress-after MONTHS")
+        raise ConfigurationError("state what to do and when: --drop-after MONTHS, --recompress-after MONTHS")
     today = today or datetime.datetime.now(datetime.UTC).date()
     runs = chosen_runs(archive, names, where or ("" if names else "true"))
     ages = _ages_months(archive, today)
@@ -137,7 +137,7 @@ def _due(archive: Path, record: Path, sha256: str, rule: tuple[Thinning, str]) -
         return str(error)
     source, results = _results(archive, record, sha256)
     if results is None:
-        return f"{record}: has no results that say what its pixels gave; rig fit {record.parent} makes them"
+        return f"{record}: has no results from its pixels; rig fit {record.parent} makes them"
     return _Due(record, sha256, *rule, source, results)
 
 

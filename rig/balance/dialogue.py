@@ -57,7 +57,7 @@ def balance_dialogue(
     Parameters
     ----------
     running, failed
-        Whether the command runs, and whether it has ended with an error.
+        Whether the command runs, and whether it ended with an error.
     """
     asks = running and bool(lines) and lines[-1]["kind"] == "ask"
     stage = (
@@ -81,7 +81,7 @@ def _advice(
 ) -> tuple[str, str]:
     """What to do, and why."""
     if stage is BalanceStage.MEASURING:
-        return "Hands off: it is measured", ""
+        return "Hands off: measuring", ""
     why, hint, text = (str(last.get(key) or "") for key in ("why", "hint", "text"))
     if stage is BalanceStage.FAILED:
         return "The measurement has failed", " ".join(list(said)[-2:]) or why

@@ -87,7 +87,7 @@ def forget_last(path: Path) -> str:
     """Take back the last pair, with a line in the file that says so; returns what was done."""
     pairs = read(path)
     if not pairs:
-        return "nothing was learned yet"
+        return "nothing learned yet"
     append(path, forgotten=True)
     return f"the turn of weight {pairs[-1].weight} is forgotten"
 

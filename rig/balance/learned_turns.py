@@ -40,7 +40,7 @@ _SEARCH = (
 )
 """Places of the search in parts of the last turn, from where it began."""
 _TESTS = {
-    Doubt.STUCK: "a test turn: it seems not to move; see that it follows its screw and is not at its stop",
+    Doubt.STUCK: "a test turn: it seems not to move; check that it follows its screw and is not at its stop",
     Doubt.OPEN: "a test turn",
     Doubt.REVERSED: "a test turn: it seems to have been turned the other way; clockwise is as one looks at "
     "the head of its screw",
@@ -120,7 +120,7 @@ class LearnedTurns:
             return None
         if stuck and not usable.can_help(state, room):
             return Unreachable(
-                f"weight {' and '.join(sorted(stuck))} does not move: two turns of it changed nothing; see "
+                f"weight {' and '.join(sorted(stuck))} does not move: two turns of it changed nothing; check "
                 "that it is free, not at its stop and not slipping on its screw, then turn it again"
             )
         doubted = [
@@ -201,7 +201,7 @@ class LearnedTurns:
             # a turn that was advised leaves the spot on the sensor, if it is made as advised
             doubt = Doubt.REVERSED
         if doubt is None and doubts:
-            say(f"weight {weight} moves as stated now: the turn before was not as stated")
+            say(f"weight {weight} now moves as stated: the previous turn was not as stated")
             doubts.clear()
         if doubt is None or (doubt is Doubt.OPEN and not doubts):
             return False
@@ -212,7 +212,7 @@ class LearnedTurns:
         told = [each for each in (self._pairs.get(weight), pair) if each is not None]
         if doubt is Doubt.REVERSED and (doubts[-1:] == [doubt] or responses.pairs[weight] == 1):
             # this turn, or what was learned before it
-            say(f"weight {weight} may do the opposite of what was learned: that is forgotten")
+            say(f"weight {weight} may do the opposite of what was learned; what was learned is discarded")
             seen = [(each.parts, each.before, each.after, np.nan_to_num(each.u)) for each in told]
             responses.again(weight, seen if responses.pairs[weight] == 1 else seen[-1:])
             doubts.clear()

@@ -94,7 +94,7 @@ class OnTerminal:
     def ask(self) -> str:
         # each look lights the laser, and one key must not
         while not (answer := input(QUESTION)).strip():
-            say("nothing is done: m and Enter measures again, which lights the laser")
+            say("nothing done: m and Enter measures again, which lights the laser")
         return answer
 
     def wrong(self, problem: str) -> None:

@@ -85,8 +85,8 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
             raise DataError(f"run {number}, {record}: {run.results.problem}")
         if fit.evidence.waveform is None:
             raise DataError(
-                f"run {number}, {record}: it is too short for the waveform, without which a drag is no more "
-                "than friction"
+                f"run {number}, {record}: it is too short for the waveform, without which drag and friction "
+                "look the same; measure a longer run"
             )
         with RecordReader(record) as reader:
             config, at = recorded_configuration(reader), reader.utc(int(reader.spots()["time_ns"][0]))
@@ -158,7 +158,7 @@ def _notes(found: MeasuredAir, table: VaneFile) -> list[str]:
     if found.enlarged > 1:
         notes.append(
             f"the runs do not agree on one contact and one line (chance {found.chance:.2g}): uncertainties "
-            f"are enlarged {found.enlarged:.2g} times; see which run lies off, whether the load was the same"
+            f"are enlarged {found.enlarged:.2g} times; check which run deviates and if the load was the same"
         )
     exposures = {run.area_m2 if run.area_m2 is not None else run.pressure_pa for run in table.run}
     if len(exposures) < 3:

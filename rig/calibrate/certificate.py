@@ -31,7 +31,7 @@ def calibrate_mass(path: Path, filing: Filing) -> Path:
     """The mass of the pendulum as a certificate states it; raises ConfigurationError where it states none."""
     data = certificate_in(path)
     if data is None:
-        raise ConfigurationError(f"{path}: is no digital calibration certificate (XML)")
+        raise ConfigurationError(f"{path}: is not a digital calibration certificate (XML)")
     found = parse_certificate(data, str(path))
     one = _only(path, found, "mass_kg", lambda _: True)
     values = _value("mass_kg", one)
@@ -153,7 +153,7 @@ def _only(path: Path, found: Certificate, name: str, fits: Callable[[float], boo
         return measured[0]
     if likely:
         raise ConfigurationError(
-            f"{path}: {likely[0].name}: states no uncertainty, without which it is no {what}"
+            f"{path}: {likely[0].name}: states no uncertainty, so it cannot be used as a {what}"
         )
     stated = ", ".join(dict.fromkeys(f"{one.name} ({one.unit or one.problem})" for one in found.quantities))
     raise ConfigurationError(
@@ -179,7 +179,7 @@ def _require_unit(path: Path, name: str, one: CertifiedQuantity) -> None:
     wanted = "1" if unit in ("", "px") else unit
     if not one.unit or size(one.unit).powers != size(wanted).powers:
         raise ConfigurationError(
-            f"{path}: {name} is stated in {one.unit or one.problem}, which is no unit like {wanted}"
+            f"{path}: {name} is stated in {one.unit or one.problem}, which cannot be converted to {wanted}"
         )
 
 

@@ -32,7 +32,7 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
                 f"{record}: its frames were made on demand; simulation.real_time = true paces them"
             )
         if RecordedCamera.of(reader.metadata).has_clock is False:
-            raise DataError(f"{record}: its camera has no clock of its own; there is nothing to relate")
+            raise DataError(f"{record}: its camera has no clock of its own to compare")
         table = reader.spots()
         began = reader.utc(int(table["time_ns"][0]) if len(table) else 0)
     device = table["device_time_ns"].astype(np.int64)

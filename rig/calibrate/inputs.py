@@ -188,13 +188,13 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
 def _read(path: Path, model: type[_Model]) -> _Model:
     if path.suffix.lower() == ".mcap":
         raise ConfigurationError(
-            f"{path}: is a record; here a list of what was measured (TOML) is wanted, see docs/calibration.md"
+            f"{path}: is a record; a list of measured values (TOML) is needed here, see docs/calibration.md"
         )
     tree = read_toml(path, "file; docs/calibration.md shows one")
     if {"camera", "session"} & set(tree):
         raise ConfigurationError(
-            f"{path}: is a configuration of the rig, which stands after --config; here a list of what was "
-            "measured is wanted, docs/calibration.md shows one"
+            f"{path}: is a configuration of the rig, to be named after --config; a list of measured "
+            "values is needed here, docs/calibration.md shows one"
         )
     found, faults = validated(model, tree)
     if found is None:

@@ -34,7 +34,7 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
         path = ladder.parent / table.certificate
         if (certificate := certificate_in(path)) is None:
             raise ConfigurationError(
-                f"{path}: is no digital calibration certificate (XML); {ladder} names it"
+                f"{path}: is not a digital calibration certificate (XML); {ladder} names it"
             )
         stated = {"pixel_pitch_m": table.needed("pixel_pitch_m"), "binning": table.binning}
         return lever_of_certificate(path, certificate, filing, stated, [ladder])

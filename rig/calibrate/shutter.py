@@ -56,7 +56,7 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
         if rolls:
             notes = [_of_harmonic(found)]
         elif is_global:
-            notes = ["the camera says that its shutter is global: what was fitted is no time of a row"]
+            notes = ["the camera reports a global shutter: the fitted value is not a row time"]
         else:
             notes = ["all rows are exposed at once, as far as this run can tell (a global shutter)"]
     values = {

@@ -222,17 +222,17 @@ def _warnings(found: CampaignPosterior, alone: CampaignPosterior, sampled: Sampl
     said: list[str] = []
     if sampled is not None and not sampled.settled:
         said.append(
-            f"the sampler's chains differ (R-hat {max(sampled.r_hat.values()):.2f}): doubt its answer"
+            f"the sampler's chains differ (R-hat {max(sampled.r_hat.values()):.2f}): do not trust its answer"
         )
     blind = [run.label for run in found.runs if run.by_growth is None]
     if blind and any(effect.bends_decays for effect in found.model.effects):
         said.append(
-            f"{', '.join(blind[:3])}{' ...' if len(blind) > 3 else ''}: what friction that grows does to the "
-            "decay is not in the results and not counted; rig fit --set fit.u_ageing=0.01 makes them again"
+            f"{', '.join(blind[:3])}{' ...' if len(blind) > 3 else ''}: their results do not say how "
+            "growing friction changes the decay, so it is ignored; rig fit --set fit.u_ageing=0.01 adds it"
         )
     for run, bad in zip(found.runs, found.bad, strict=True):
         if bad > _BAD:
-            said.append(f"{run.label} is a bad run with {100 * bad:.0f} %: it counts for little; look at it")
+            said.append(f"{run.label} is a bad run with probability {100 * bad:.0f} % and counts for little")
     for one, what in ((found, "the posterior"), (alone, "the answer without priors")):
         if one.effective < _FEW * len(one.h):
             said.append(

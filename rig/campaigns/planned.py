@@ -260,9 +260,9 @@ def reasons(planned: PlannedCampaign) -> list[str]:
     asked = " and ".join(target.text for target in planned.targets)
     said = [f"{line}." for line in planned.left_out]
     if choice.now < 1:
-        return [*said, f"Nothing is to be measured: after {before} u is {choice.now:.2f} of its limit."]
+        return [*said, f"No further runs are needed: after {before} u is {choice.now:.2f} of its limit."]
     if choice.floor >= 1:
-        shared = "by what they share (air, lever, masses). Know these better, or ask for less."
+        shared = "by what they share (air, lever, masses). Determine these better, or relax the target."
         said.append(f"{asked} cannot be reached: however many runs, u stays {choice.floor:.2f} of its limit,")
         return [*said[:-1], f"{said[-1]} {shared}"]
     hours = choice.rig_time_s / 3600

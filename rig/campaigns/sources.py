@@ -92,7 +92,7 @@ def _sample(folder: Path) -> str:
         sample = json.loads(path.read_bytes())["configuration"]["session"].get("sample", "")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigurationError(
-            f"{path}: tells no sample ({type(error).__name__}); leave out --by-sample, then each folder is a "
+            f"{path}: names no sample ({type(error).__name__}); leave out --by-sample, then each folder is a "
             "contact"
         ) from None
     if not sample:
@@ -109,7 +109,7 @@ def runs_of_archive(archive: Path, where: str) -> list[FoundRun]:
 
     if is_sealed(archive):
         raise ConfigurationError(
-            f"{archive}: is blind: a campaign would show what is hidden; rig archive unblind first"
+            f"{archive}: is blind: a campaign would reveal hidden values; rig archive unblind first"
         )
     found: list[FoundRun] = []
     for row in results_of_runs(archive, where):

@@ -20,7 +20,9 @@ class StatedEffect(BaseModel, frozen=True, extra="forbid"):
         description="humidity_percent, temperature_c, pressure_pa, dwell_s, age_s, first_amplitude_rad, "
         "load_n, order",
     )
-    reference: float = Field(default=0.0, description="where the effect is nought, or where the step stands")
+    reference: float = Field(
+        default=0.0, description="value at which the effect is zero, or position of the step"
+    )
     contact: str = Field(default="", description="the only contact that has it; default: all have it alike")
     margin: float | None = Field(
         default=None, gt=0, description="over the campaign's span, below which it does not matter"

@@ -29,7 +29,7 @@ def model_of(
     levels = {}
     for name, prior in stated.prior.items():
         if name not in names:
-            raise ConfigurationError(f"prior.{name}: is none of the parameters {', '.join(names)}")
+            raise ConfigurationError(f"prior.{name}: is not one of the parameters {', '.join(names)}")
         value, u = prior.value, prior.u
         if name in POSITIVE:
             if not value > 0:

@@ -86,7 +86,7 @@ def goals_of(
             continue
         if target.parameter not in model.names:
             raise ConfigurationError(
-                f"--for {target.text!r}: {target.parameter} is none of the campaign's parameters, "
+                f"--for {target.text!r}: {target.parameter} is not one of the campaign's parameters, "
                 f"{', '.join(model.names)}"
             )
         goals.append(

@@ -47,7 +47,7 @@ def add(
         ),
     ],
     read: Annotated[
-        bool, typer.Option("--read", help="Read also what looks as it was, to find damage.")
+        bool, typer.Option("--read", help="Also read files that look unchanged, to find damage.")
     ] = False,
     archive: Archive = PLACE,
 ) -> None:
@@ -61,7 +61,7 @@ def add(
 def list_(
     condition: Annotated[str, typer.Argument(help="Condition in SQL: \"sample = 'K8' order by c\".")] = "",
     columns: Annotated[
-        str, typer.Option(help="Columns to show, separated by commas; docs/reference/archive.md names all.")
+        str, typer.Option(help="Columns to show, separated by commas; docs/reference/archive.md lists all.")
     ] = "",
     format_: Annotated[Literal["table", "csv", "json", "parquet"], typer.Option("--format")] = "table",
     output: Annotated[Path | None, output_option("File to write.", new_file())] = None,
@@ -82,7 +82,7 @@ def list_(
 def check(
     records: Annotated[
         bool,
-        typer.Option("--records", help="Read also the records on this computer and compare their hashes."),
+        typer.Option("--records", help="Also read the records on this computer and compare their hashes."),
     ] = False,
     repair: Annotated[
         bool, typer.Option("--repair", help="Make again what follows from the rest, or from the other copy.")
@@ -104,7 +104,7 @@ def plot(
     output: Annotated[
         Path, output_option("SVG or PNG to write.", new_file(".svg", ".png"), show_default=False)
     ],
-    by: Annotated[str, typer.Option(help="Column whose values have a colour each.")] = "",
+    by: Annotated[str, typer.Option(help="Column that sets the colours.")] = "",
     where: Where = "",
     refits: Refits = False,
     archive: Archive = PLACE,
@@ -213,7 +213,7 @@ def diff(
 
 def compare(
     column: Annotated[str, typer.Argument(help="Column: c, b, ...", show_default=False)],
-    by: Annotated[str, typer.Option(help="Column whose values are the rigs or laboratories.")] = "host",
+    by: Annotated[str, typer.Option(help="Column that identifies the rig or laboratory.")] = "host",
     where: Where = "",
     output: Annotated[Path | None, output_option("SVG or PNG to write.", new_file(".svg", ".png"))] = None,
     refits: Refits = False,
@@ -282,7 +282,7 @@ def publish(
     title: Annotated[str, typer.Option(help="Title of the publication.", show_default=False)],
     author: Annotated[
         list[str],
-        typer.Option(help="Name, with an ORCID address behind it; may be repeated.", show_default=False),
+        typer.Option(help="Name, followed by an ORCID address; may be repeated.", show_default=False),
     ],
     names: Names = None,
     where: Where = "",

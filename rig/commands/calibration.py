@@ -35,7 +35,7 @@ Rig = Annotated[
     Path | None,
     typer.Option(
         "--config",
-        help="Configuration of the rig, to record what is asked for.",
+        help="Configuration of the rig, to make the recordings asked for.",
         show_default=False,
         callback=there,
     ),
@@ -263,7 +263,7 @@ def _command(made: Made) -> Callable[..., None]:
             _say(made(given, filing=filing, **stated))
             return
         if lever := stated.get("lever"):
-            raise typer.BadParameter(f"{lever}: without a file of tilts it is asked; leave the option out")
+            raise typer.BadParameter(f"{lever}: is asked for without a file of tilts; leave the option out")
         _say(_asked(made.__name__, config, filing))
 
     parameters = [named.replace(default=None)]
@@ -304,7 +304,7 @@ def _asked(kind: str, config: Path | None, filing: "Filing") -> Path:
     kept = filing.folder / f"{kind}-answers.json"
     draft = as_far_as_it_holds(wizard, kept_draft(kept))
     if draft.answers:
-        say(f"goes on after the {len(draft.answers)} answers in {kept}; remove that file to begin again")
+        say(f"continues after the {len(draft.answers)} answers in {kept}; remove that file to start over")
     while True:
         draft = ask_in_terminal(wizard, draft, lambda answers: keep_draft(kept, answers), recorder)
         try:

@@ -50,7 +50,7 @@ def video(
         ),
     ] = "",
     rate: Annotated[
-        float | None, typer.Option(min=0.001, help="Frames a second, of images or of a film that says none.")
+        float | None, typer.Option(min=0.001, help="Frames per second, for images or a film without times.")
     ] = None,
     force_rate: Annotated[
         bool, typer.Option("--force-rate", help="The rate holds although the film's own times contradict it.")
@@ -85,7 +85,7 @@ def video(
     if law and config is None:
         raise ConfigurationError(f"--law {law[0]}: laws need --config CONFIG with [pendulum], and an angle")
     if force_rate and rate is None:
-        raise ConfigurationError("--force-rate: needs the --rate that it is to hold")
+        raise ConfigurationError("--force-rate: needs --rate, the rate to enforce")
     asked = FilmAsked(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
     films = _chosen_films(film, films_in(film), run)
     if len(films) == 1:

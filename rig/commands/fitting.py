@@ -109,7 +109,7 @@ def fit(
     if len(files) == 1 and files[0].suffix.lower() != ".mcap" and not files[0].is_dir():
         if files[0].suffix.lower() in (".json", ".toml"):
             raise ConfigurationError(
-                f"{files[0]}: is no table; name a record (.mcap), or the table before --config CONFIG"
+                f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
             )
         from rig.analysis import TableColumns, fit_envelope_table, fit_trajectory
 

@@ -110,7 +110,7 @@ def _paths(given: Path | list[Path] | None) -> Sequence[Path]:
 def _instead_of(path: Path) -> str:
     """What the folder of a missing file has of its kind, and how such a file is made."""
     how = {
-        "": "; a name with spaces stands in quotes",
+        "": "; put a name with spaces in quotes",
         ".toml": "; rig init writes a configuration",
     }.get(path.suffix.lower(), "")
     if path.suffix.lower() == ".toml":

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 _AsJson = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout; all else goes to stderr.")
+    bool, typer.Option("--json", help="Print one JSON object on stdout, everything else on stderr.")
 ]
 
 

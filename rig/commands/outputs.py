@@ -108,7 +108,7 @@ def _refuse_unwritable(path: Path) -> None:
     while not os.path.lexists(place) and place != place.parent:
         place = place.parent
     if place != path.absolute() and not place.is_dir():
-        raise ConfigurationError(f"{path}: {place} is no folder; name another place")
+        raise ConfigurationError(f"{path}: {place} is not a folder; name another place")
     if not os.access(place, os.W_OK | (os.X_OK if place.is_dir() else 0)):
         raise ConfigurationError(
             f"{path}: cannot be written: {place} is read-only for you; name another place"

@@ -85,7 +85,7 @@ def recover_record(path: Path, output: Path | None) -> None:
     """
     with RecordReader(path) as reader:
         if is_sound(reader.file, reader.contents):
-            print_line(f"{path}: is sound, every byte is as it was written; there is nothing to recover")
+            print_line(f"{path}: is sound, every byte is as written; there is nothing to recover")
             answer(path=path, sound=True)
             return
     found: tuple[Path, Recovery | None] = (
@@ -108,11 +108,11 @@ def recover_record(path: Path, output: Path | None) -> None:
     for text in (*recovery.doubles, *recovery.foreign):
         print_line(f"left out: {text}")
     if recovery.moved:
-        print_line(f"in order again: {recovery.moved} chunks stood elsewhere than their frames belong")
+        print_line(f"sorted: {recovery.moved} chunks were out of the order of their frames")
     for text in recovery.damage:
         print_line(f"damaged: {text}")
     for part in recovery.unproved:
-        print_line(f"not proved: {part} has no checksum; compare it with what you know of the run")
+        print_line(f"not verified: {part} has no checksum; compare it with what you know of the run")
 
 
 def _size(count: int) -> str:

@@ -24,7 +24,7 @@ def register(app: typer.Typer) -> None:
 def balance(
     config: Config,
     history: Annotated[
-        bool, typer.Option("--history", help="Show what was learned from earlier turns, and end.")
+        bool, typer.Option("--history", help="Show what was learned from earlier turns, then exit.")
     ] = False,
     forget_last: Annotated[
         bool, typer.Option("--forget-last", help="Take the last turn out of the history, show it, and end.")
@@ -32,7 +32,7 @@ def balance(
     history_file: Annotated[
         Path | None,
         typer.Option(
-            help="File in which looks and turns are kept; earlier ones in it are used.",
+            help="File of measurements and turns; earlier ones in it are used.",
             callback=appended_file,
         ),
     ] = None,
@@ -45,7 +45,7 @@ def balance(
     seed: Annotated[
         int | None,
         typer.Option(
-            help="Simulated rig, where what is stated as turned is turned: random seed of its imbalance (1)."
+            help="Simulated rig, which makes the turns you state: random seed of its imbalance (1)."
         ),
     ] = None,
     json_lines: JsonLines = False,
@@ -124,7 +124,7 @@ def desk(
 
 
 def desk_password(
-    file: Annotated[Path, typer.Argument(help="File of passwords; made if it is not there.", dir_okay=False)],
+    file: Annotated[Path, typer.Argument(help="File of passwords; created if missing.", dir_okay=False)],
     name: Annotated[str, typer.Argument(help="Of the person.")],
     watch: Annotated[bool, typer.Option("--watch", help="May watch, and press LIGHT OFF, no more.")] = False,
 ) -> None:
@@ -178,7 +178,7 @@ def doctor(
     ] = None,
     install_udev: Annotated[
         bool,
-        typer.Option("--install-udev", help="Linux: write the rules by which users may open the devices."),
+        typer.Option("--install-udev", help="Linux: write the udev rules that let users open the devices."),
     ] = False,
     udev_folder: Annotated[
         Path | None,

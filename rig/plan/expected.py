@@ -308,7 +308,7 @@ def _drive(config: Configuration, pendulum: PendulumOnBall) -> float:
     """Angular acceleration of the pendulum by the ground at its own frequency, in rad/s^2/sqrt(Hz)."""
     truth, at_hz = config.simulation.ground, 1 / config.simulation.contact.period0_s
     if truth.model == "file":
-        raise ConfigurationError("simulation.ground.model = 'file': state what it drives with --ground")
+        raise ConfigurationError("simulation.ground.model = 'file': state its drive with --ground")
     level = _ground_level(config)
     height_m = truth.mass_centre_height_m
     if config.pendulum is not None and config.pendulum.mass_centre_height_m is not None:

@@ -259,5 +259,5 @@ class LivePosterior:
     def _end(self, why: str) -> None:
         with self._changed:
             self._over = True
-            self._remark = f"{why}: the run goes on, what it tells is seen at its end"
+            self._remark = f"{why}: the run continues; its results follow at the end"
             self._changed.notify_all()

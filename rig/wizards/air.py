@@ -16,8 +16,8 @@ _UNITS = {
 }
 _IN_GENERAL = (
     "Cut thin stiff sheets in pairs, one of each pair for either end of the pendulum, upright, so that they "
-    "move in their own plane; with --config this says how large. In runs without them their weight goes to "
-    "the same places in compact pieces: the load on the ball has to stay."
+    "move in their own plane; with --config the size is computed. In runs without them, put the same weight "
+    "in compact pieces at the same places, so that the load on the ball does not change."
 )
 _DO = (
     " Make two runs without vanes, two with the smaller and two with the larger ones, in turn, from one "

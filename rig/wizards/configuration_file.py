@@ -26,8 +26,8 @@ def configuration_text(stated: Keys, made_at: datetime.datetime) -> str:
     if driver != "simulated":
         without |= {"simulation", "faults"}
     head = [
-        f"# By rig init, {made_at:%Y-%m-%d %H:%M}. What was asked stands as it was answered; each other",
-        "# key of such a rig is commented out with the value it has. Uncomment and change what you need.",
+        f"# By rig init, {made_at:%Y-%m-%d %H:%M}. Your answers are stated; every other key of such",
+        "# a rig is commented out with its value. Uncomment and change what you need.",
         "# A key that is misspelt, out of range or of the wrong type is an error, never ignored.",
         "# Values in angle brackets have no default. On the command line: --set session.runs=3",
     ]

@@ -73,7 +73,7 @@ class FirstConfiguration:
             yield from _lever(values)
         yield Question(
             "sample",
-            "What stands on what (steel ball on K8 glass, cleaned with ethanol):",
+            "Ball and flat (steel ball on K8 glass, cleaned with ethanol):",
             _KEYS.text("session.sample"),
             do="The session. All of it can be changed for one call with --set.",
             suggested="",
@@ -161,7 +161,7 @@ class FirstConfiguration:
             "laser limit",
             f"Largest {what} that may ever be set, in {unit} ({example}):",
             _KEYS.alone(f"laser.max_{name}"),
-            do="The limit holds whatever is asked for later; above 1 mW a laser is not of class 2 any more.",
+            do="The limit applies whatever is requested later; above 1 mW a laser is no longer class 2.",
         )
         limit = values["laser limit"]
         yield Question(
@@ -175,7 +175,7 @@ class FirstConfiguration:
         if kind in LASERS and controlled:
             yield Question(
                 "interlock",
-                "Who opens the laser's interlock:",
+                "What opens the laser's interlock:",
                 lambda text: _KEYS.checked({"laser.interlock": text}),
                 suggested="controller",
                 choices=(
@@ -193,8 +193,8 @@ def _pendulum(values: Mapping[str, Any], *, needed: bool = True) -> Iterator[Que
         "Mass of the pendulum with its ball",
         "pendulum.mass_kg",
         f"0.406 ± 0.0001, 406 g ± 0.1 g{more}",
-        do="The pendulum. State what was measured with its standard uncertainty behind ±; without one "
-        "it is taken as known.",
+        do="The pendulum. Give each measured value with its standard uncertainty after ±; without one "
+        "it is taken as exact.",
         suggested=None if needed else "",
     )
     if not values["mass"]:
@@ -219,7 +219,7 @@ def _lever(values: Mapping[str, Any]) -> Iterator[Question]:
             "pixel pitch",
             "Distance of neighbouring pixels of the sensor",
             "lever.pixel_pitch_m",
-            "its data sheet says it: 4.8 um",
+            "from its data sheet: 4.8 um",
         )
 
 

@@ -80,7 +80,7 @@ def _geometry(values: Mapping[str, Any]) -> Iterator[Question]:
         "Mirror to sensor, along the beam at rest",
         "geometry.arm_m",
         "1 m ± 1 mm",
-        do="Measure with a tape or a rod, and state the standard uncertainty behind ±: 1 mm in 1 m is 0.1 % "
+        do="Measure with a tape or a rod, and state the standard uncertainty after ±: 1 mm in 1 m is 0.1 % "
         "of every angle of every run.",
     )
     yield _KEYS.measured(
@@ -161,7 +161,7 @@ def ladder_questions(values: Mapping[str, Any], way: str) -> Iterator[Question]:
     if typed:
         yield Question(
             "binning",
-            "Pixels of the sensor, in each direction, in one of the picture in which the spots were typed:",
+            "Binning of the picture with the typed spots (sensor pixels per picture pixel, each way):",
             lambda text: int(_KEYS.checked({"binning": int(number()(text))})["binning"]),
             suggested="1",
         )

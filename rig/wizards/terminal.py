@@ -28,7 +28,7 @@ def ask_in_terminal(
     Raises ConfigurationError when the input ends before all is answered, KeyboardInterrupt after Ctrl-C.
     """
     draft = draft or Draft()
-    say(f"{wizard.title}. Enter takes what stands in brackets, {BACK} goes one question back, Ctrl-C ends.")
+    say(f"{wizard.title}. Enter accepts the value in brackets, {BACK} goes back a question, Ctrl-C ends.")
     while True:
         question = progress(wizard, draft).question
         if question is None:

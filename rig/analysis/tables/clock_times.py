@@ -59,7 +59,7 @@ def clock_form(path: Path, title: str, named: Named, asked: str, cells: Sequence
         return M_SS, f"{fraction} has a fraction of a second"
     late = next((cell for cell in two if int(cell.split(":")[0]) >= _HOURS_OF_DAY), "")
     if late:
-        return M_SS, f"{late} is no time of day"
+        return M_SS, f"{late} is not a time of day"
     rising = [form for form in (M_SS, H_MM) if _rise(cells, form)]
     if len(two) < len(cells) and len(rising) == 1:
         return rising[0], "the others have hours, minutes and seconds"

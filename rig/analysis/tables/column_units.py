@@ -21,11 +21,11 @@ def unit_of_time(path: Path, title: str, named: Named, asked: str) -> tuple[str,
     """The unit of a column of times, and who says so. Raises ConfigurationError for another, or for two."""
     if asked and not is_time(known_unit(asked)):
         raise ConfigurationError(
-            f"--time-unit {asked!r} is no unit of time; take one of {', '.join(TIME_UNITS)}"
+            f"--time-unit {asked!r} is not a unit of time; use one of {', '.join(TIME_UNITS)}"
         )
     if named.unit and not is_time(named.unit):
         raise ConfigurationError(
-            f"{path}: {title!r} is in {named.unit}, which is no unit of time; name the time column with "
+            f"{path}: {title!r} is in {named.unit}, which is not a unit of time; name the time column with "
             "--time, or state --rate"
         )
     stated = known_unit(asked)
@@ -38,7 +38,7 @@ def unit_of_time(path: Path, title: str, named: Named, asked: str) -> tuple[str,
         return stated, "--time-unit"
     if named.strange:
         raise ConfigurationError(
-            f"{path}: {named.strange!r} in {title!r} is no unit of time that is known here; state "
+            f"{path}: {named.strange!r} in {title!r} is not a known unit of time; state "
             f"--time-unit, one of {', '.join(TIME_UNITS)}"
         )
     return (named.unit, "its header") if named.unit else ("s", "nothing states another")
@@ -52,7 +52,7 @@ def unit_of_positions(
     for title, each in zip(titles, named, strict=True):
         if each.strange and not stated:
             raise ConfigurationError(
-                f"{path}: {each.strange!r} in {title!r} is no unit that is known here; state --unit, one of "
+                f"{path}: {each.strange!r} in {title!r} is not a known unit; state --unit, one of "
                 f"{', '.join(ANGLES)} or any word"
             )
         if each.unit and stated and not _same(each.unit, stated):

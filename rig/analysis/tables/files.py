@@ -59,7 +59,7 @@ def rows_of(path: Path, raw: bytes) -> list[list[str]] | None:
         try:
             return rows_of_workbook(raw)
         except (zipfile.BadZipFile, KeyError, ValueError, SyntaxError) as error:
-            raise DataError(f"{path}: is no workbook that can be read: {error}") from None
+            raise DataError(f"{path}: cannot be read as a workbook: {error}") from None
     if name.endswith((".xls", ".ods")):
         raise DataError(f"{path}: save it as .xlsx or as text (CSV); {path.suffix} is not read")
     return None
@@ -70,7 +70,7 @@ def _rows_of_array(path: Path, raw: bytes) -> list[list[str]]:
         array = np.load(io.BytesIO(raw), allow_pickle=False)
     # whatever Python's own parser raises at a changed header
     except Exception as error:
-        raise DataError(f"{path}: is no .npy array that can be read: {error}") from None
+        raise DataError(f"{path}: cannot be read as a .npy array: {error}") from None
     if not isinstance(array, np.ndarray):
         raise DataError(f"{path}: holds several arrays; save one of them (.npy)")
     if array.dtype.names:
@@ -87,7 +87,7 @@ def _rows_of_matlab(path: Path, raw: bytes) -> list[list[str]]:
         found = _variables_of_hdf5(path, raw)
     # as above
     except Exception as error:
-        raise DataError(f"{path}: is no .mat file that can be read: {error}") from None
+        raise DataError(f"{path}: cannot be read as a .mat file: {error}") from None
     numbers = {
         name: value
         for name, value in found.items()
@@ -125,7 +125,7 @@ def _variables_of_hdf5(path: Path, raw: bytes) -> dict[str, Any]:
             }
     # whatever HDF5 raises at a damaged file
     except Exception as error:
-        raise DataError(f"{path}: is no .mat file that can be read: {str(error).splitlines()[0]}") from None
+        raise DataError(f"{path}: cannot be read as a .mat file: {str(error).splitlines()[0]}") from None
 
 
 def _matlab_class(item: Any) -> str:

@@ -276,17 +276,19 @@ def _units() -> list[TableCase]:
         _case(
             "unknown unit of time",
             text(";", "t [ticks];x"),
-            refused="'ticks' in 't [ticks]' is no unit of time",
+            refused="'ticks' in 't [ticks]' is not a known unit of time",
         ),
-        _case("unknown unit of position", text(";", "t;x [foo]"), refused="'foo' in 'x [foo]' is no unit"),
+        _case(
+            "unknown unit of position", text(";", "t;x [foo]"), refused="'foo' in 'x [foo]' is not a known"
+        ),
         _case("unknown unit, another stated", text(";", "t;x [foo]"), TableColumns(unit="mm"), unit="mm"),
-        _case("time in mm", text(";", "a [mm];b [mm]"), refused="which is no unit of time"),
+        _case("time in mm", text(";", "a [mm];b [mm]"), refused="which is not a unit of time"),
         _case("too large for radians", text(";", "t;phi [rad]"), refused="more than a turn"),
         _case(
             "no unit of time stated",
             text(";", "t;x"),
             TableColumns(time_unit="parsec"),
-            refused="is no unit of time",
+            refused="is not a unit of time",
         ),
     ]
 
@@ -445,8 +447,8 @@ def _files() -> list[TableCase]:
             ending="mat",
             refused="are needed; it holds none",
         ),
-        _case("mat 7.3, cut off", mat73(data=pairs)[:3000], ending="mat", refused="is no .mat file"),
-        _case("mat, no mat", b"x" * 300, ending="mat", refused="is no .mat file"),
+        _case("mat 7.3, cut off", mat73(data=pairs)[:3000], ending="mat", refused="as a .mat file"),
+        _case("mat, no mat", b"x" * 300, ending="mat", refused="as a .mat file"),
         _case(
             "xlsx",
             workbook([("t [s]", "x [mm]"), *zip(t.tolist(), x.tolist(), strict=True)]),
@@ -458,7 +460,7 @@ def _files() -> list[TableCase]:
             workbook([("Datum", "x"), *zip(days.tolist(), x.tolist(), strict=True)], True),
             ending="xlsx",
         ),
-        _case("xlsx, no zip", b"no zip", ending="xlsx", refused="is no workbook"),
+        _case("xlsx, no zip", b"no zip", ending="xlsx", refused="cannot be read as a workbook"),
         _case("xls", b"old", ending="xls", refused="save it as .xlsx"),
         _case("empty", b"", refused="holds 0 rows"),
         _case("words alone", b"only words\nand more\n", refused="holds 0 rows"),

@@ -40,7 +40,7 @@ def test_without_an_intact_copy_the_record_is_refused(record: Path, tmp_path: Pa
         lambda: fit_records([path], tmp_path / "fit", []),
         lambda: replay_record(path, None, retrack=False, overrides=[]),
     ):
-        with pytest.raises(RecordError, match="its configuration has been damaged, and no copy is intact"):
+        with pytest.raises(RecordError, match="its configuration is damaged and no copy is intact"):
             use()
     said = rig("recover", path)
     assert "lost: attachment configuration.json: its checksum does not match" in said.stdout

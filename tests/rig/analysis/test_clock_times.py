@@ -70,7 +70,7 @@ def test_what_the_column_says_decides(
         ("t [h:mm]", [_whole(k) for k in range(300)], "m:ss", "says h:mm, --time-unit says m:ss"),
         ("t", [_m_ss(k) for k in range(300)], "h:mm", "'0:00.0' in 't' has a fraction"),
         ("t", [f"0:0{k // 60}:{k % 60:02d}" for k in range(300)], "m:ss", "times like '0:00:00'"),
-        ("t", [str(k) for k in range(300)], "m:ss", "--time-unit 'm:ss' is no unit of time"),
+        ("t", [str(k) for k in range(300)], "m:ss", "--time-unit 'm:ss' is not a unit of time"),
     ],
 )
 def test_what_is_open_or_contradicts_is_refused_in_one_line(

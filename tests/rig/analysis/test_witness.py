@@ -183,7 +183,7 @@ def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> 
     assert "time: time_s, in s" in told
     assert "columns: east, north" in told
     assert "left out: columns without numbers: name" in told
-    assert "1 values of north that are no numbers (line 9)" in told
+    assert "1 values of north that are not numbers (line 9)" in told
     assert "left out: 1 rows without a readable time (line 11)" in told
     config = load_configuration(decay / "rig.toml", needs_camera=False)
     found = analyse_table(decay / "decay.csv", config, TableColumns(unit="arcsec"), record).results.witness

@@ -256,7 +256,7 @@ def test_a_plot_has_a_bar_for_each_run_that_has_both_columns(sessions: Path, tmp
     with pytest.raises(RecordError, match="exists already"):
         plot_runs(archive, "began_utc", "c", "", "", picture)
     for x, y, file, said in (
-        ("began_utc", "colour", "a.svg", "colour: is no column"),
+        ("began_utc", "colour", "a.svg", "colour: is not a column"),
         ("c", "sample", "a.svg", "holds no numbers"),
         ("c", "b", "a.pdf", "neither .svg nor .png"),
         ("scale_hardness", "b", "a.svg", "none of 3 runs has both"),
@@ -273,7 +273,7 @@ def test_a_condition_reads_runs_and_nothing_else(sessions: Path, tmp_path: Path)
     for condition, said in {
         "b > 0; drop view runs": "more than one",
         "temperature_c < '45 %'": "condition or columns: Could not convert string '45 %'",
-        "hardness > 3": "docs/reference/archive.md names the columns",
+        "hardness > 3": "docs/reference/archive.md lists the columns",
         f"exists(from read_text('{sessions}/series/session.json'))": "disabled",
     }.items():
         with pytest.raises(ConfigurationError, match=said):

@@ -141,7 +141,7 @@ def test_a_fact_that_was_rewritten_does_not_follow(archive: Path, capsys: pytest
     lines[0] = json.dumps({**head, "user": "somebody else"})
     first.write_bytes(with_line("\n".join(lines).encode()))
     assert check_archive(archive) == 1
-    assert "does not follow on" in capsys.readouterr().out
+    assert "does not follow from" in capsys.readouterr().out
 
 
 def test_records_are_hashed_again_and_an_interrupted_check_goes_on(

@@ -66,7 +66,7 @@ def test_rigs_are_compared_and_the_one_that_is_off_is_named(archive: Path, tmp_p
     assert picture.read_bytes().startswith(b"<?xml")
     for column, by, said in (
         ("host", "host", "no uncertainty"),
-        ("c", "colour", "is no column"),
+        ("c", "colour", "is not a column"),
         ("b", "host", "0 of its groups"),
     ):
         with pytest.raises(ConfigurationError, match=said):
@@ -95,7 +95,7 @@ def test_blind_values_are_offset_by_rig_until_what_is_frozen_is_recorded(archive
     assert record["seal_sha256"] in said
     with pytest.raises(ConfigurationError, match="is not blind"):
         unseal(archive, "again")
-    with pytest.raises(ConfigurationError, match="no column with an uncertainty"):
+    with pytest.raises(ConfigurationError, match="not a column with an uncertainty"):
         blind_runs(archive, ["sample"])
     (archive / "blind" / "20000101T000000.sealed.json").write_text("{}")
     with pytest.raises(RecordError, match="take it from a backup"):

@@ -44,7 +44,7 @@ def test_a_crate_is_described_proved_and_read_again(archive: Path, tmp_path: Pat
     assert "Organization" not in {item["@type"] for item in tree.values() if isinstance(item["@type"], str)}
     other = [word if word != crate else tmp_path / "other" for word in words]
     wrong = rig(*other, "--author", "Ada https://orcid.org/0000-0000-0000-0002")
-    assert (wrong.returncode, "is no ORCID" in wrong.stderr) == (2, True)
+    assert (wrong.returncode, "is not an ORCID" in wrong.stderr) == (2, True)
     assert root["license"]["@id"] == "https://spdx.org/licenses/CC-BY-4.0"
     assert root["author"]["@id"] == "https://orcid.org/0000-0000-0000-0001"
     files = {path.relative_to(crate).as_posix() for path in crate.rglob("*") if path.is_file()}
@@ -147,7 +147,7 @@ def test_copies_are_thinned_and_of_the_same_measurement(
 def test_what_has_changed_is_not_published(archive: Path, tmp_path: Path) -> None:
     words = ("archive", "publish", "-o", tmp_path / "crate", "--archive", archive)
     assert "no run is meant" in rig(*words, *SAID).stderr
-    assert "no name of SPDX" in rig(*words, *SAID, "--licence", "all mine").stderr
+    assert "not an SPDX licence" in rig(*words, *SAID, "--licence", "all mine").stderr
     record = archive.parent / "runs" / "series" / "run-1.mcap"
     record.write_bytes(record.read_bytes() + b"\0")
     done = rig(*words, *SAID, "--where", "true")
@@ -251,12 +251,12 @@ def test_a_damaged_or_foreign_file_for_notebooks_is_refused(archive: Path, tmp_p
     data = good.read_bytes()
     place = data.index(content[record]) + len(content[record]) // 2
     assert "cannot be read: Bad CRC-32" in said(data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :])
-    assert "is no .eln file" in said(data[: len(data) // 2])
+    assert "is not an .eln file" in said(data[: len(data) // 2])
     assert "does not have the hash" in said({**content, record: content[record] + b"\0"})
     assert "is described and not in it" in said({k: v for k, v in content.items() if k != record})
     assert "it must hold one folder" in said({**content, "more/a.txt": b""})
     assert "it must hold one folder" in said({"good/a.txt": b""})
-    assert "lies in no folder" in said({**content, "a.txt": b""})
+    assert "is not in a folder" in said({**content, "a.txt": b""})
     for name in ("good/../../a.txt", "/good/a.txt", "good/C:/a.txt", "good/..\\a.txt"):
         assert "would lie outside" in said({**content, name: b""})
     metadata = "good/ro-crate-metadata.json"
@@ -266,10 +266,10 @@ def test_a_damaged_or_foreign_file_for_notebooks_is_refused(archive: Path, tmp_p
     (tmp_path / "good").mkdir()
     (tmp_path / "good" / "mine.txt").write_text("kept")
     done = rig("archive", "add", good, "--archive", tmp_path / "other")
-    assert "is something else; rename one" in done.stderr
+    assert "holds something else; rename one" in done.stderr
     assert os.listdir(tmp_path / "good") == ["mine.txt"]
     # what has no description was not written by publish
     with zipfile.ZipFile(good, "a") as eln:
         eln.writestr("good/stray.txt", b"")
-    with pytest.raises(RecordError, match=r"stray\.txt is not as the description"):
+    with pytest.raises(RecordError, match=r"stray\.txt does not match the description"):
         check_eln(good)

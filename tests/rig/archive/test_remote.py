@@ -293,7 +293,7 @@ def test_a_server_that_writes_over_what_is_there_is_said_and_loses_nothing_sent_
             (series / "results.json").unlink()
             add_sessions(folder, [series.parent])
             done = on(monkeypatch, tmp_path / "one", url, "add", other.parent)
-            assert "writes over what is there" in done.stderr
+            assert "overwrites files although asked not to" in done.stderr
             monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "two"))
     for user in ("one", "two", "three", "four"):
         done = on(monkeypatch, tmp_path / user, url, "list", "--columns", "run", "--format", "json")

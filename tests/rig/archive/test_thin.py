@@ -132,7 +132,7 @@ def test_nothing_is_thinned_without_results_consent_or_proof(
 ) -> None:
     before = record.read_bytes()
     words = ("archive", "thin", "--archive", archive)
-    assert "say what is done when" in rig(*words).stderr
+    assert "state what to do and when" in rig(*words).stderr
     asked = rig(*words, "--drop-after", "0")
     assert (asked.returncode, "--yes" in asked.stderr) == (2, True)
     no = {"drop_after": 0, "recompress_after": None}

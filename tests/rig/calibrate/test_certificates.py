@@ -98,11 +98,11 @@ def test_an_arm_and_a_pitch_make_a_lever(tmp_path: Path) -> None:
         ([quantity("Mass", real("1", r"\carat", "0.1"))], r"it has: Mass ('\\carat': no unit that is known"),
         (
             [quantity("Mass", real("1", r"\kilogram"))],
-            "Mass: states no uncertainty, without which it is no mass",
+            "Mass: states no uncertainty, so it cannot be used as a mass",
         ),
         ([MASS, MASS], "states several numbers that could be the mass: Mass = 406 g; Mass = 406 g"),
         ([quantity("Mass", real("1", r"\kilogram", "0.1", "0"))], "Mass: its coverage factor is 0"),
-        ([quantity("Mass", real("one", r"\kilogram", "0.1"))], "Mass: 'one' is no number"),
+        ([quantity("Mass", real("one", r"\kilogram", "0.1"))], "Mass: 'one' is not a number"),
         ([], "states no mass (in a unit like kg); it has: no numbers"),
     ],
 )

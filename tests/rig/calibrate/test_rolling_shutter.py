@@ -68,7 +68,7 @@ def test_a_record_gives_the_row_time_and_is_corrected_with_it(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("row_time_s", "filed_s", "said"), [(15e-9, 0.0, "no time of a row"), (-10e-6, 10e-6, "from the second")]
+    ("row_time_s", "filed_s", "said"), [(15e-9, 0.0, "not a row time"), (-10e-6, 10e-6, "from the second")]
 )
 def test_a_global_shutter_is_believed_only_where_the_swing_agrees(
     measured_series: Path,

@@ -224,7 +224,7 @@ def test_sessions_of_one_sample_are_one_contact(tmp_path: Path) -> None:
     (folders[0] / "session.json").unlink()
     done = rig("campaign", *folders, "--by-sample")
     assert done.returncode == 2
-    assert "session.json: tells no sample" in done.stderr
+    assert "session.json: names no sample" in done.stderr
 
 
 def test_a_night_is_one_contact(tmp_path: Path) -> None:

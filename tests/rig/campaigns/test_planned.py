@@ -110,7 +110,7 @@ def test_runs_that_were_made_count(tmp_path: Path) -> None:
         "--last", "4", "-o", tmp_path / "plans",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert "Nothing is to be measured: after 6 runs" in done.stdout
+    assert "No further runs are needed: after 6 runs" in done.stdout
     assert not (tmp_path / "plans" / "plan.toml").exists()
     assert len(runs_of_folders(folders)) == 12
 

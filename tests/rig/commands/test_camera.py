@@ -202,7 +202,7 @@ def test_features_are_shown_with_unit_range_and_choices_and_can_be_set(usb_camer
     done = CliRunner().invoke(app, ["camera", "set", DEMO, *USB, "Gain=99"])
     assert "-12 to 24" in str(done.exception)
     done = CliRunner().invoke(app, ["camera", "set", DEMO, *USB, "Width=wide"])
-    assert "Width = 'wide' is no number" in str(done.exception)
+    assert "Width = 'wide' is not a number" in str(done.exception)
 
 
 def test_a_dump_shows_how_a_camera_behaves_and_not_whose_it_is(

@@ -42,8 +42,8 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
         ),
         (("plan", DEMO, "--first=ten"), "--first ten: should be a number\n"),
         (("export", ".", "-o", "x", "--format", "xml"), "--format xml: 'xml' is not one of 'csv', 'parquet'"),
-        (("run",), "rig: Missing argument 'CONFIG'; --help says what is needed"),
-        (("doctor", "my", "rig.toml"), "my: no such file or folder; a name with spaces stands in quotes"),
+        (("run",), "rig: Missing argument 'CONFIG'; --help shows what is needed"),
+        (("doctor", "my", "rig.toml"), "my: no such file or folder; put a name with spaces in quotes"),
         (
             ("doctor", DEMO, "--set", "lever={arm_m=1000, pixel_pitch_m=5e-6}"),
             "lever.arm_m = 1000: should be less",
@@ -71,15 +71,15 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
             ("doctor", DEMO, "--set", "sensor.read_noise_e=9"),
             "sensor.gain_e_per_dn: is missing; state a value (--set sensor.read_noise_e states this section)",
         ),
-        (("calibrate", "lever", "run-1.mcap"), "run-1.mcap: is a record; here a list"),
-        (("fit", DEMO), f"{DEMO}: is no table; name a record"),
+        (("calibrate", "lever", "run-1.mcap"), "run-1.mcap: is a record; a list of measured"),
+        (("fit", DEMO), f"{DEMO}: is not a table; name a record"),
         (("archive", "tag", "09dd9188", "good"), "the tag comes first: rig archive tag good 09dd9188"),
         (
             ("doctor", DEMO, "--set", "max_duration_s=3"),
             "unknown key; did you mean session.max_duration_s or",
         ),
         (("info", "."), ".: holds no record (run-1.mcap, ...)"),
-        (("doctor", DEMO, "rig.toml"), "extra argument (rig.toml); a name with spaces stands in quotes"),
+        (("doctor", DEMO, "rig.toml"), "extra argument (rig.toml); put a name with spaces in quotes"),
         (("compare", ".", "."), ".: holds no results.json; rig run makes one"),
         (("report", "secnd"), "secnd: no such file or folder"),
         (("replay", "none/a.mcap"), "none/a.mcap: no such record; there is no folder none"),
@@ -104,9 +104,9 @@ def test_a_slip_is_refused(tmp_path: Path, words: tuple[str | Path, ...], messag
     ("text", "message"),
     [
         ("runs = 1,5\n", "a decimal point is meant: 1.5"),
-        ("sample = steel\n", "text stands in quotes"),
+        ("sample = steel\n", "put text in quotes"),
         ("runs = 1\nruns = 2\n", "this is stated twice"),
-        ("sample = 'caf\xe9'\n", "bytes that are no text in UTF-8"),
+        ("sample = 'caf\xe9'\n", "bytes that are not UTF-8 text"),
     ],
 )
 def test_what_toml_does_not_say_is_said(tmp_path: Path, text: str, message: str) -> None:
@@ -137,7 +137,7 @@ def test_every_fault_of_a_plan_and_of_a_calibrations_file_is_said(tmp_path: Path
         "state a value; series.0.runs = 0: should be at least 1\n"
     )
     (tmp_path / "frames.toml").write_text("darks = 3\n")
-    assert "is a configuration of the rig, which stands after --config" in said(
+    assert "is a configuration of the rig, to be named after --config" in said(
         "calibrate", "lever", DEMO, cwd=tmp_path
     )
     assert said("calibrate", "sensor", "frames.toml", cwd=tmp_path) == (
@@ -216,7 +216,7 @@ def test_folders_work_wherever_records_do(measured_series: Path, tmp_path: Path)
     (tmp_path / "one").mkdir()
     (tmp_path / "one" / "run-1.mcap").symlink_to(measured_series / "run-1.mcap")
     assert "nothing to recover" in rig("recover", "one", cwd=tmp_path).stdout
-    assert "is no results file" in said("report", "one/run-1.mcap", cwd=tmp_path, status=1)
+    assert "is not a results file" in said("report", "one/run-1.mcap", cwd=tmp_path, status=1)
 
 
 @pytest.mark.parametrize("group", [(), ("camera",), ("calibrate",)])

@@ -100,7 +100,7 @@ def test_the_ground_of_a_configuration_drives_the_planned_pendulum() -> None:
         "model=peterson", "above_low_noise_db=20"
     )
     assert higher == pytest.approx(10.0)
-    with pytest.raises(ConfigurationError, match="state what it drives with --ground"):
+    with pytest.raises(ConfigurationError, match="state its drive with --ground"):
         drive("model=file", "file=ground.csv")
 
 

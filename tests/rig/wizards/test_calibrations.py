@@ -90,7 +90,7 @@ def test_a_ladder_goes_on_after_a_break_and_gives_what_its_file_gives(tmp_path: 
     assert len(kept_draft(kept).answers) == len(LADDER) + 5
     done = rig("calibrate", "lever", cwd=tmp_path, typed=typed(*steps()[5:], "", ""))
     assert done.returncode == 0, done.stderr
-    assert "goes on after the 10 answers" in done.stderr
+    assert "continues after the 10 answers" in done.stderr
     assert not kept.exists()
     assert "residuals of the steps" in done.stdout
     ladder = tmp_path / "calibrations/lever-ladder-001.toml"

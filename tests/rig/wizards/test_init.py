@@ -275,7 +275,7 @@ def test_a_table_needs_the_pendulum_alone(tmp_path: Path) -> None:
     ("typed", "said"),
     [
         ("files\nnowhere.mp4\n", "nowhere.mp4: no such file or folder here"),
-        ("files\nnotes.txt\n", "notes.txt: is no video that can be read"),
+        ("files\nnotes.txt\n", "notes.txt: cannot be read as a video"),
         ("table\nnowhere.csv\n", "nowhere.csv: no such file here"),
     ],
 )
