@@ -181,7 +181,7 @@ def _torn(since_s: NDArray[np.float64], places: NDArray[np.float64]) -> list[str
     at = ", ".join(f"{since_s[one]:.3f} s" for one in torn[:_PLACES])
     more = f" and {len(torn) - _PLACES} more" if len(torn) > _PLACES else ""
     what = "damage that the decoder took for good data, strong compression, or a push"
-    return [f"positions tear off at {at}{more}: {what}; --from and --to leave it out"]
+    return [f"positions break away at {at}{more}: {what}; --from and --to leave it out"]
 
 
 def _flagged(flags: Counter[str], count: int) -> str:

@@ -51,7 +51,7 @@ def recorded_witness(reader: RecordReader, config: Configuration) -> WitnessReco
         understood=(
             f"columns: {', '.join(names)}",
             *(f"{CLOCK_SET} by {step:+.4g} s; times before it follow those after it" for step in steps_s),
-            *([f"left out: {stray} samples that are not later than the one before"] if stray else []),
+            *([f"left out: {stray} samples not later than the previous one"] if stray else []),
         ),
     )
 

@@ -119,7 +119,7 @@ def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float)
 def clock_verdict(clock: RunClock) -> Verdict:
     """Steps that were taken off are a warning while they are known to a part of what turning points are."""
     if clock.left_in:
-        reason = f"it stepped {clock.left_in} times, and its times still hold the steps"
+        reason = f"it stepped {clock.left_in} times, and its times still contain the steps"
         remedy = "rig replay takes it off"
         return Verdict("camera's clock", False, reason, remedy, measured=clock.text, limit=_LIMIT)
     if not clock.steps:

@@ -262,9 +262,11 @@ def reasons(planned: PlannedCampaign) -> list[str]:
     if choice.now < 1:
         return [*said, f"No further runs are needed: after {before} u is {choice.now:.2f} of its limit."]
     if choice.floor >= 1:
-        shared = "by what they share (air, lever, masses). Determine these better, or relax the target."
-        said.append(f"{asked} cannot be reached: however many runs, u stays {choice.floor:.2f} of its limit,")
-        return [*said[:-1], f"{said[-1]} {shared}"]
+        said.append(
+            f"{asked} cannot be reached: with any number of runs u stays at {choice.floor:.2f} of its limit, "
+            "because of what they share (air, lever, masses). Determine these better, or relax the target."
+        )
+        return said
     hours = choice.rig_time_s / 3600
     bring = (
         f"{len(choice.runs)} runs ({kinds_text(choice)}) in {hours:.1f} h bring it to {choice.expected:.2f}."
@@ -272,17 +274,17 @@ def reasons(planned: PlannedCampaign) -> list[str]:
     said.append(f"After {before} u is {choice.now:.3g} of its limit; {bring}")
     if not choice.reached:
         said.append(
-            f"That is not enough, and more is not allowed within {within.longest_s / 3600:g} h and "
-            f"{within.most_runs} runs."
+            f"That is not enough; the limits of {within.longest_s / 3600:g} h and {within.most_runs} runs "
+            "allow no more."
         )
     best = ", ".join(f"{label} ({gain:.2g})" for label, gain in choice.gains[:3])
-    said.append(f"Most for its time, as ln u in an hour, give at first {best}.")
+    said.append(f"Largest initial gain per time, as ln u per hour: {best}.")
     if not planned.made:
         said.append(
-            "Runs are supposed to scatter as the priors say (size in campaign.toml): plan again after a few "
-            "(--after), which know it better."
+            "The scatter of runs is assumed from the priors (size in campaign.toml): plan again after a few "
+            "runs (--after), which determine it better."
         )
     said.append(
-        f"The order is by chance, in blocks over which each kind is spread evenly (seed {planned.seed})."
+        f"The order is random, in blocks over which each kind is spread evenly (seed {planned.seed})."
     )
     return said

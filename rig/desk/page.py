@@ -201,12 +201,12 @@ def _state(desk: Desk) -> str:
         folder = desk.session_folder
         how = "" if folder is None else last_state(folder)
         if folder is not None and how in ("complete", "stopped", "failed"):
-            return f"last session {how}, its report is made: {folder.name}"
-        return "a session begins, or is fitted"
+            return f"last session {how}, its report is being made: {folder.name}"
+        return "a session is starting or being fitted"
     if desk.session_state and desk.session_folder is not None:
         how = last_state(desk.session_folder) or str(desk.session_state)
         # complete are its records; what it says of fits and conditions is another matter
-        more = ", not without complaint: see Measure" if desk.session_state is Started.FAILED else ""
+        more = ", with problems: see Measure" if desk.session_state is Started.FAILED else ""
         return f"last session {how}{more}: {desk.session_folder.name}"
     if desk.session_folder is not None:
         return f"last session: {desk.session_folder.name}"

@@ -156,5 +156,5 @@ def _read(path: Path) -> dict[str, _Entry]:
             ) from None
         found[name] = entry
     if not found:
-        raise ConfigurationError(f"--passwords {path}: names nobody; rig desk-password makes its lines")
+        raise ConfigurationError(f"--passwords {path}: is empty; rig desk-password writes its lines")
     return found

@@ -177,7 +177,7 @@ def _view(
     def close() -> None:
         counts = view.close()
         if counts.dropped and not counts.troubles & {Trouble.FILE_ENDED, Trouble.LIVE_ENDED}:
-            say(f"view: {counts.dropped} values are not in it: they came faster than they could be drawn")
+            say(f"view: {counts.dropped} values are missing: they came faster than they could be drawn")
 
     stack.callback(close)
     return view

@@ -87,7 +87,7 @@ def correlation_figure(correlation: Correlation) -> ReportFigure:
     return ReportFigure(
         "correlation",
         "Correlations of the exact fit",
-        "What two parameters share: near ±1 the data hardly tell them apart, though each may be determined.",
+        "What two parameters share: near ±1 the data hardly distinguish them, though each may be determined.",
         figure,
     )
 

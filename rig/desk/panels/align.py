@@ -25,7 +25,7 @@ KEYS = (("z", "align: zoom 1, 4, 16"),)
 _SIZE = (800, 540)
 _STEP, _STEP_DB = 1.25, 1.0
 _BARS = 64
-_NEEDS = "settings can be made once there is a live picture"
+_NEEDS = "settings need a live picture"
 _SHORT = 24
 """Letters of a number that stands in a lamp."""
 
@@ -247,4 +247,4 @@ def _kept(desk: Desk) -> str:
     lines = ", ".join(
         f"{key} = {value:g}" for key, value in desk.kept.items() if isinstance(value, int | float)
     )
-    return f"kept for all that this desk starts: {lines}" if lines else ""
+    return f"used for everything this desk starts: {lines}" if lines else ""

@@ -62,7 +62,9 @@ def build(desk: Desk, tab: Tab) -> None:
 
     def use() -> None:
         stated = calibrating.use(kind)
-        ui.notify(f"used by all that this desk starts; to keep it for good, state: {stated}", multi_line=True)
+        ui.notify(
+            f"used by everything this desk starts; to keep it permanently, state: {stated}", multi_line=True
+        )
 
     async def look() -> None:
         await run.io_bound(desk.begin_aligning)
@@ -244,4 +246,4 @@ def _why_none(desk: Desk) -> str:
         return no_frame_yet(desk.following)
     if desk.calibrating.watched is not None:
         return "" if desk.following.has_picture else "waiting for the first frame of the recording"
-    return "laser off: a recording switches it on by itself"
+    return "laser off: a recording switches it on automatically"

@@ -92,8 +92,8 @@ def build(desk: Desk, tab: Tab) -> None:
             ("Rerun", view, "show the marked sessions in Rerun, key v"),
             ("Replay", replay, "replay the last run in Rerun, ten times as fast"),
             ("Compare", compare, "compare the marked sessions"),
-            ("Fit again", fit, "fit all runs again into a folder of their own"),
-            ("Resume …", ask_resume, "make the runs that are missing"),
+            ("Fit again", fit, "refit all runs into a new folder"),
+            ("Resume …", ask_resume, "make the missing runs"),
         ):
             # what is read aloud begins with what is seen
             button = tab.button(name, do).props(f'outline aria-label="{name}: {words}"')

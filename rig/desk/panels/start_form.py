@@ -39,7 +39,7 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
         values = judged()
         folder = await run.io_bound(desk.start_session, values, force=bool(force.value))
         presets.used(values)
-        ui.notify(f"the session begins in {folder}")
+        ui.notify(f"the session is starting in {folder}")
 
     with ui.dialog().props('aria-label="start the session"') as begin, ui.card():
         what = ui.label().classes("middle")
@@ -90,4 +90,4 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
 
 def _asked(session: SessionSettings) -> str:
     runs = "one run" if session.runs == 1 else f"{session.runs} runs"
-    return f"Start {runs} of {session.sample or 'a sample that is not named'}?"
+    return f"Start {runs} of {session.sample or 'an unnamed sample'}?"

@@ -143,7 +143,7 @@ def test_what_no_number_of_runs_reaches_is_not_begun(tmp_path: Path) -> None:
     tree = decisions(tmp_path / "out")
     assert not tree["decisions"]
     assert tree["ending"] == "cannot be reached"
-    assert "however many runs" in done.stderr
+    assert "with any number of runs" in done.stderr
 
 
 def test_conditions_that_are_never_met_end_the_night(tmp_path: Path, night: Night) -> None:
@@ -205,7 +205,7 @@ def test_a_night_that_cannot_be_is_refused_before_anything_begins(
 def test_with_a_person_there_a_night_may_be_released_by_hand(tmp_path: Path) -> None:
     by_hand = SHORT | {"start.way": '"by hand"'}
     plan = planned(tmp_path, "attended = true", config=by_hand, plan=PLAN.replace("0.025", "0.000001"))
-    assert "however many runs" in rig("run", "--plan", plan, "-o", tmp_path / "out").stderr
+    assert "with any number of runs" in rig("run", "--plan", plan, "-o", tmp_path / "out").stderr
 
 
 def test_a_night_ends_at_the_earlier_one_of_both_ends(tmp_path: Path) -> None:

@@ -129,7 +129,7 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.in_dialog()
     page.wait_text("1 of 1")
     page.wait_text("last session")
-    page.wait("!document.body.innerText.includes('its report is made')")
+    page.wait("!document.body.innerText.includes('its report is being made')")
     policy = page.ask(
         "fetch('/sessions/broken/report.html').then(r => r.headers.get('content-security-policy'))"
     )

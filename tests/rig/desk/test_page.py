@@ -124,7 +124,7 @@ def test_buttons_say_what_is_missing_and_an_empty_page_says_what_to_do(shown: Sh
     _, page = shown
     page.key("1")
     page.wait_text("No live picture yet. Press Live picture")
-    page.wait_text("settings can be made once there is a live picture")
+    page.wait_text("settings need a live picture")
     page.wait("[...document.querySelectorAll('button')].find(b => b.innerText.trim() === '+').disabled")
 
 
