@@ -221,7 +221,7 @@ def _analyse(
     if config is not None and config.lever is None and run.budget:
         values["notes"] = (
             *run.notes,
-            "the budget takes the table's angles as exact; [lever] u_arm_m states an uncertainty of their scale",
+            "the budget takes the table's angles as exact; [lever] u_arm_m states the u of their scale",
         )
     results = TableDecay(
         **values,

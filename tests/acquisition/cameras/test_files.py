@@ -369,7 +369,7 @@ def test_what_is_no_source_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     assert "holds no image" in refusal(tmp_path / "empty")
     (tmp_path / "text.mkv").write_text("no video")
-    assert "no video" in refusal(tmp_path / "text.mkv")
+    assert "cannot be read as a video" in refusal(tmp_path / "text.mkv")
     np.save(tmp_path / "flat.npy", np.zeros((3, 4)))
     assert "(n, ny, nx)" in refusal(tmp_path / "flat.npy")
     (tmp_path / "broken.npy").write_bytes(b"\x93NUMPY")

@@ -153,4 +153,4 @@ def test_an_envelope_has_no_runs(tmp_path: Path) -> None:
     assert rig("fit", table, "--envelope", "amplitude", "-o", tmp_path / "out").returncode == 0
     done = rig("report", tmp_path / "out")
     assert done.returncode != 0
-    assert "is of an envelope, which has no half-cycles" in done.stderr
+    assert "describes an envelope, which has no half-cycles" in done.stderr

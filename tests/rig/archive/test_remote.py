@@ -398,7 +398,7 @@ def test_two_histories_of_one_computer_are_a_refusal(
     for words in (("list",), ("add", tmp_path / "runs")):
         done = on(monkeypatch, two, url, *words)
         assert done.returncode != 0
-        assert "is another one there than here" in done.stderr
+        assert "differs from the copy here" in done.stderr
         assert str(two) in done.stderr
     # as the error says
     shutil.rmtree(two)

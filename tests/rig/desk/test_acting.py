@@ -157,6 +157,6 @@ def test_of_a_configuration_there_is_one_desk(tmp_path: Path) -> None:
 def test_two_desks_of_one_configuration_in_a_process(tmp_path: Path) -> None:
     kept = Kept(tmp_path / "rig.toml")
     kept.hold(tmp_path)
-    with pytest.raises(ConfigurationError, match="open already"):
+    with pytest.raises(ConfigurationError, match="already has an open desk"):
         Kept(tmp_path / "rig.toml").hold(tmp_path)
     kept.close()

@@ -147,7 +147,7 @@ def test_typed_text_lights_nothing_and_a_held_key_does(rig: Rig) -> None:
     page.click("Not now")
     page.wait("document.querySelector('.q-dialog') === null")
     assert board.changes == []
-    assert "session begins" not in page.text()
+    assert "session is starting" not in page.text()
     page.key("1")
     page.wait(f"{button}.offsetParent !== null && !document.querySelector('[class*=enter-active]')")
 

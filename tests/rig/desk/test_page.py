@@ -117,7 +117,7 @@ def test_bad_input_is_named_at_its_field_and_starts_nothing(shown: Shown, key: s
         page.click("close")
     page.fill(key, before)
     page.wait("document.querySelectorAll('.q-field--error, .errors > *').length === 0")
-    assert "session begins" not in page.text()
+    assert "session is starting" not in page.text()
 
 
 def test_buttons_say_what_is_missing_and_an_empty_page_says_what_to_do(shown: Shown) -> None:

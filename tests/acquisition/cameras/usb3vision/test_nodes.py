@@ -325,7 +325,7 @@ def test_what_is_nested_too_deeply_or_is_no_number_is_one_line() -> None:
     for name, value, reason in (
         ("F", "wide", "is not a number"),
         ("F", 1.5, "whole"),
-        ("G", "1,5", "no number"),
+        ("G", "1,5", "is not a number"),
     ):
         with pytest.raises(DeviceError, match=reason):
             nodes.set(name, value)
