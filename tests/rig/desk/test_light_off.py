@@ -207,7 +207,7 @@ def test_text_that_is_typed_at_anything_lights_nothing(rig: Rig) -> None:
             page.wait_while(chosen, partial(page.key, key))
             assert board.changes == [], f"panel {key}, {number} of what can have the focus"
     assert walked > 50
-    assert page.text().count("session begins") == 0
+    assert page.text().count("session is starting") == 0
     assert not list((config.parent / "runs").glob("*/.channel.json"))
 
 
