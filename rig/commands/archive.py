@@ -25,7 +25,7 @@ Names = Annotated[
 ]
 
 Refits = Annotated[
-    bool, typer.Option("--refits", help="Of results that rig archive refit made, all versions.")
+    bool, typer.Option("--refits", help="Use all versions of results made by rig archive refit.")
 ]
 
 
@@ -43,7 +43,7 @@ def add(
     folders: Annotated[
         list[Path],
         typer.Argument(
-            help="Folders, the sessions in and below them; or files .eln.", show_default=False, callback=there
+            help="Folders with sessions in or below them, or .eln files.", show_default=False, callback=there
         ),
     ],
     read: Annotated[
@@ -51,7 +51,7 @@ def add(
     ] = False,
     archive: Archive = PLACE,
 ) -> None:
-    """Add sessions; those that are known already are left as they are."""
+    """Add sessions; those already known stay unchanged."""
     from rig.archive import add_sessions, opened
 
     with opened(archive) as folder:
@@ -85,11 +85,11 @@ def check(
         typer.Option("--records", help="Also read the records on this computer and compare their hashes."),
     ] = False,
     repair: Annotated[
-        bool, typer.Option("--repair", help="Make again what follows from the rest, or from the other copy.")
+        bool, typer.Option("--repair", help="Rebuild what follows from other files, or from the other copy.")
     ] = False,
     archive: Archive = PLACE,
 ) -> None:
-    """Prove every file of the archive."""
+    """Verify every file of the archive."""
     from rig.archive import check_archive, is_remote, opened
 
     if is_remote(archive):
@@ -122,7 +122,7 @@ def show(
     ],
     archive: Archive = PLACE,
 ) -> None:
-    """Show all that is known of runs."""
+    """Show everything known about runs."""
     from rig.archive import opened, show_runs
 
     with opened(archive) as folder:
@@ -133,7 +133,7 @@ def tag(
     text: Annotated[str, typer.Argument(help="The tag.", show_default=False)],
     names: Names = None,
     where: Where = "",
-    remove: Annotated[bool, typer.Option("--remove", help="Take the tag away.")] = False,
+    remove: Annotated[bool, typer.Option("--remove", help="Remove the tag.")] = False,
     archive: Archive = PLACE,
 ) -> None:
     """Tag runs."""
@@ -173,11 +173,11 @@ def refit(
     set_: Set = None,
     cluster: Annotated[str, typer.Option(help="Dask cluster to use: tcp://HOST:PORT.")] = "",
     processes: Annotated[
-        int | None, typer.Option(min=1, help="Processes on this machine; default: as it has processors.")
+        int | None, typer.Option(min=1, help="Processes on this machine; default: one per processor.")
     ] = None,
     archive: Archive = PLACE,
 ) -> None:
-    """Fit many records again; what was fitted already is left as it is."""
+    """Fit many records again; existing refits are kept."""
     from rig.archive import is_remote, opened, refit_runs
 
     with opened(archive) as folder:
@@ -200,11 +200,12 @@ def diff(
     names: Names = None,
     where: Where = "",
     least_u: Annotated[
-        float, typer.Option("--least-u", min=0.0, help="Name what moved by more standard uncertainties.")
+        float,
+        typer.Option("--least-u", min=0.0, help="List changes larger than this many standard uncertainties."),
     ] = 1.0,
     archive: Archive = PLACE,
 ) -> None:
-    """Name what moved between the last two versions of results, and why."""
+    """List what changed between the last two versions of results, and why."""
     from rig.archive import opened, print_differences
 
     with opened(archive) as folder:
@@ -219,7 +220,7 @@ def compare(
     refits: Refits = False,
     archive: Archive = PLACE,
 ) -> None:
-    """Compare what rigs or laboratories say of a parameter."""
+    """Compare the values of a parameter from rigs or laboratories."""
     from rig.archive import compare_groups, opened
 
     with opened(archive) as folder:
@@ -232,9 +233,7 @@ def blind(
     ] = None,
     of: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--of", help="Folder: what is fitted of records in and below it is sealed; may be repeated."
-        ),
+        typer.Option("--of", help="Folder: fits of records in or below it are sealed; may be repeated."),
     ] = None,
     archive: Archive = PLACE,
 ) -> None:
@@ -247,7 +246,7 @@ def blind(
 
 def unblind(
     frozen: Annotated[
-        str, typer.Argument(help="Which analysis is frozen: commit, cuts, law.", show_default=False)
+        str, typer.Argument(help="The frozen analysis: commit, cuts, law.", show_default=False)
     ],
     archive: Archive = PLACE,
 ) -> None:
@@ -270,7 +269,7 @@ def view(
     ] = None,
     archive: Archive = PLACE,
 ) -> None:
-    """Show runs laid over each other in the viewer."""
+    """Show runs overlaid in the viewer."""
     from rig.archive import opened, view_runs
 
     with opened(archive) as folder:
@@ -286,7 +285,7 @@ def publish(
     ],
     names: Names = None,
     where: Where = "",
-    licence: Annotated[str, typer.Option(help="Name of the licence as SPDX has it.")] = "CC-BY-4.0",
+    licence: Annotated[str, typer.Option(help="SPDX identifier of the licence.")] = "CC-BY-4.0",
     citation: Annotated[str, typer.Option(help="What to cite; default: authors and title.")] = "",
     pixels: Annotated[
         Literal["kept", "recompressed", "dropped"],
@@ -308,11 +307,11 @@ def thin(
     names: Names = None,
     where: Where = "",
     drop_after: Annotated[
-        int | None, typer.Option("--drop-after", min=0, help="Drop windows of pixels after so many months.")
+        int | None, typer.Option("--drop-after", min=0, help="Drop windows of pixels after this many months.")
     ] = None,
     recompress_after: Annotated[
         int | None,
-        typer.Option("--recompress-after", min=0, help="Store them in fewer bytes after so many months."),
+        typer.Option("--recompress-after", min=0, help="Store them in fewer bytes after this many months."),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
     archive: Archive = PLACE,

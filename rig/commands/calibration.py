@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 AskedLadder = Annotated[
     Path,
     typer.Argument(
-        help="Steps or geometry of the lever (TOML file); without it, asked.",
+        help="Steps or geometry of the lever (TOML file); without it, you are asked.",
         show_default=False,
         callback=there,
     ),
@@ -26,7 +26,7 @@ AskedLadder = Annotated[
 AskedRecord = Annotated[
     Path,
     typer.Argument(
-        help="Record (MCAP file), or a folder with one; without it, asked.",
+        help="Record (MCAP file), or a folder with one; without it, you are asked.",
         show_default=False,
         callback=recorded,
     ),
@@ -68,7 +68,7 @@ def lever(ladder: AskedLadder, filing: "Filing") -> Path:
     """Calibrate pixels to radians.
 
     From geometry, known tilts or known shifts of the sensor, or a certificate (DCC). Without a file it asks
-    step by step, and goes on where it was interrupted.
+    step by step, and continues where it was interrupted.
 
     \b
     Examples:
@@ -98,7 +98,7 @@ def sensor(
     frames: Annotated[
         Path,
         typer.Argument(
-            help="List of dark and evenly lit frames (TOML file); without it, asked.",
+            help="List of dark and evenly lit frames (TOML file); without it, you are asked.",
             show_default=False,
             callback=there,
         ),
@@ -124,7 +124,7 @@ def clock(
     counter_bits: Annotated[
         int | None,
         typer.Option(
-            help="Width in bits of the camera's nanosecond counter, where it rolls over.", min=16, max=62
+            help="Width in bits of the camera's nanosecond counter, if it rolls over.", min=16, max=62
         ),
     ] = None,
 ) -> Path:
@@ -155,7 +155,7 @@ def air(
     vanes: Annotated[
         Path,
         typer.Argument(
-            help="Runs with their vanes or pressures (TOML file); without it, asked.",
+            help="Runs with their vanes or pressures (TOML file); without it, you are asked.",
             show_default=False,
             callback=there,
         ),
@@ -195,7 +195,7 @@ def check(
     ladder: Annotated[
         Path,
         typer.Argument(
-            help="Known tilts (TOML file); without it, asked.", show_default=False, callback=there
+            help="Known tilts (TOML file); without it, you are asked.", show_default=False, callback=there
         ),
     ],
     *,
@@ -233,8 +233,8 @@ def mass(
 ) -> None:
     """Take the pendulum's mass from a certificate.
 
-    Value and standard uncertainty, whatever its coverage factor and its unit. A date of recalibration in
-    the certificate holds in place of --valid-days.
+    Value and standard uncertainty, whatever its coverage factor and its unit. A recalibration date in the
+    certificate replaces --valid-days.
 
     \b
     Example:

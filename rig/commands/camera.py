@@ -119,7 +119,7 @@ def dump(
     output: Annotated[Path, output_option("ZIP file to write.", new_file(".zip"))] = Path("camera.zip"),
     set_: Set = None,
 ) -> None:
-    """Write how a USB3 Vision camera behaves into one file.
+    """Write the behaviour of a USB3 Vision camera to one file.
 
     Without serial numbers, to send as evidence.
     """

@@ -38,10 +38,10 @@ def campaign(
     where: Where = "",
     by_sample: BySample = False,
     cluster: Annotated[
-        str, typer.Option(help="Dask cluster that does the work: tcp://HOST:PORT, as rig archive refit has.")
+        str, typer.Option(help="Dask cluster for the work: tcp://HOST:PORT, as in rig archive refit.")
     ] = "",
     sample: Annotated[
-        bool, typer.Option("--sample", help="The full posterior by a sampler (emcee), with its R-hat.")
+        bool, typer.Option("--sample", help="Sample the full posterior (emcee), with its R-hat.")
     ] = False,
 ) -> None:
     """Many runs, one answer: a model over all of them.

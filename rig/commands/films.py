@@ -53,11 +53,13 @@ def video(
         float | None, typer.Option(min=0.001, help="Frames per second, for images or a film without times.")
     ] = None,
     force_rate: Annotated[
-        bool, typer.Option("--force-rate", help="The rate holds although the film's own times contradict it.")
+        bool, typer.Option("--force-rate", help="Use --rate even if the film's own times contradict it.")
     ] = False,
     dark: Annotated[
         bool | None,
-        typer.Option("--dark/--bright", help="What swings is darker than its background, or brighter."),
+        typer.Option(
+            "--dark/--bright", help="The swinging object is darker, or brighter, than its background."
+        ),
     ] = None,
     begin: Annotated[float | None, typer.Option("--from", help="Use it from here on, in s.")] = None,
     end: Annotated[float | None, typer.Option("--to", help="Use it up to here, in s.")] = None,

@@ -40,7 +40,7 @@ def fit(
         str,
         typer.Option(
             help="CSV: unit of the time: ns (also absolute), us, ms, s, min, h, d; m:ss or h:mm for times "
-            "like 12:30; default: as its header says (time_ms, t [ms]), else s.",
+            "like 12:30; default: from the header (time_ms, t [ms]), else s.",
             show_default=False,
         ),
     ] = "",
@@ -54,7 +54,7 @@ def fit(
     ] = "",
     rate: Annotated[
         float | None,
-        typer.Option(min=0.0, help="CSV without times: rows a second, in Hz."),
+        typer.Option(min=0.0, help="CSV without times: rows per second."),
     ] = None,
     begin: Annotated[
         float | None, typer.Option("--from", help="CSV: use it from here on, in s since its first row.")
@@ -63,7 +63,7 @@ def fit(
         float | None, typer.Option("--to", help="CSV: use it up to here, in s since its first row.")
     ] = None,
     decimal: Annotated[
-        str, typer.Option(help="CSV: the decimal mark, point or comma, where its numbers leave that open.")
+        str, typer.Option(help="CSV: the decimal mark, point or comma, if its numbers are ambiguous.")
     ] = "",
     run: Annotated[
         str, typer.Option(help="CSV with several runs: the one to use, by its number; default: all.")
@@ -73,7 +73,7 @@ def fit(
         typer.Option(help="CSV: the column is an envelope: amplitude, or power in dB."),
     ] = None,
     frequency: Annotated[
-        float | None, typer.Option(min=0.0, help="CSV: frequency in Hz of what an envelope is of.")
+        float | None, typer.Option(min=0.0, help="CSV: frequency in Hz of an envelope's oscillation.")
     ] = None,
     law: Annotated[
         list[str] | None,
@@ -82,7 +82,7 @@ def fit(
     witness: Annotated[
         Path | None,
         typer.Option(
-            help="What a seismometer or tiltmeter recorded beside the run: CSV (time_s and columns in any "
+            help="Record of a seismometer or tiltmeter beside the run: CSV (time_s and columns in any "
             "unit), miniSEED, SAC.",
             callback=there,
         ),
@@ -93,7 +93,7 @@ def fit(
     ] = None,
     witness_offset: Annotated[
         float | None,
-        typer.Option(help="Seconds to add to the witness's times; default: found where they do not fit."),
+        typer.Option(help="Seconds to add to the witness's times; default: searched for if they do not fit."),
     ] = None,
     set_: Set = None,
 ) -> None:
@@ -120,7 +120,7 @@ def fit(
         if decimal not in ("", ".", ","):
             raise ConfigurationError(f"--decimal {decimal!r}: a point or a comma")
         if rate is not None and not rate > 0:
-            raise ConfigurationError(f"--rate {rate:g}: rows a second are more than 0")
+            raise ConfigurationError(f"--rate {rate:g}: the number of rows per second must be above 0")
         columns = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, decimal, run)
         if ground is not None and (config is None or envelope is not None):
             raise ConfigurationError("--witness: has no effect without --config, which gives the pendulum")

@@ -37,9 +37,9 @@ def init(
 ) -> None:
     """Write a configuration for your rig.
 
-    Finds the camera and the serial ports and asks what must be known; a film or a table that was recorded
-    before stands for a camera, too. Nothing is written before the last
-    answer. Lines of a file or a pipe are taken as answers, too.
+    Finds the camera and the serial ports and asks for what must be known; a film or table recorded earlier
+    can take the camera's place. Nothing is written before the last answer. Lines from a file or pipe are
+    accepted as answers.
 
     \b
     Examples:
@@ -101,14 +101,14 @@ def service(
     output: Annotated[
         Path | None,
         output_option(
-            "Folder of the unit; default: of the user's own.", folder_without(), show_default=False
+            "Folder for the unit; default: the user's unit folder.", folder_without(), show_default=False
         ),
     ] = None,
-    port: Annotated[int, typer.Option(help="Of the desk.", min=1, max=65535)] = 8642,
+    port: Annotated[int, typer.Option(help="Port of the desk.", min=1, max=65535)] = 8642,
 ) -> None:
     """Write a systemd unit for a desk or a night.
 
-    It runs without a terminal, as the user, in the present folder, also when nobody is logged in.
+    The unit runs without a terminal, as the user, in the current folder, even if nobody is logged in.
 
     \b
     Examples:

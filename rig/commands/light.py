@@ -12,14 +12,14 @@ from rig.commands.json_answers import in_json
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    light = typer.Typer(help="Show, and acknowledge, why the laser was darkened.", no_args_is_help=True)
+    light = typer.Typer(help="Show and acknowledge why the laser went dark.", no_args_is_help=True)
     for command in (show, acknowledge, audit):
         light.command()(in_json(command))
     app.add_typer(light, name="light")
 
 
 def show(config: Config, set_: Set = None) -> None:
-    """Print laser, interlock and the trip that waits for an acknowledgement; lights nothing.
+    """Print laser, interlock and any unacknowledged trip; lights nothing.
 
     \b
     Example:
@@ -36,7 +36,7 @@ def acknowledge(
     number: Annotated[int, typer.Argument(help="Number of the trip.", min=1, show_default=False)],
     set_: Set = None,
 ) -> None:
-    """Say that nobody is in the beam's way, after a trip; lights nothing.
+    """Confirm that nobody is in the beam path, after a trip; lights nothing.
 
     \b
     Example:
@@ -54,7 +54,7 @@ def audit(
     ],
     config: Annotated[
         Path | None,
-        typer.Option(help="Configuration of its rig, which knows how the log ended.", callback=there),
+        typer.Option(help="Configuration of the rig, to verify the end of the log.", callback=there),
     ] = None,
 ) -> None:
     """Check that no line of an audit log is missing or altered.

@@ -40,8 +40,8 @@ def demo(
 ) -> None:
     """Measure on a simulated rig: no instrument is needed.
 
-    From camera frames to the report, in about a minute; the first start compiles the numerical kernels
-    before. rig init --example demo writes the configuration, to be changed and given to rig run.
+    From camera frames to the report, in about a minute; the first start also compiles the numerical
+    kernels. rig init --example demo writes the configuration, to be edited and given to rig run.
 
     \b
     Example:

@@ -87,7 +87,7 @@ def record(
 ) -> None:
     """Record the spot as it is, for a calibration.
 
-    Without preflight, start, view and fits: also of a pendulum that is clamped.
+    No preflight, start, view or fits; the pendulum may be clamped.
 
     \b
     Example:

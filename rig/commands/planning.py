@@ -35,7 +35,7 @@ def plan(
     ] = None,
     ground: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Drive of another ground, rad/s2/sqrt(Hz); default: what SOURCE says."),
+        typer.Option(min=0.0, help="Drive of another ground, rad/s2/sqrt(Hz); default: from SOURCE."),
     ] = None,
     output: Annotated[
         Path | None,
@@ -47,11 +47,11 @@ def plan(
     ] = None,
     noise: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Configuration: noise of one frame, arcsec, where it is known."),
+        typer.Option(min=0.0, help="Configuration: noise of one frame, arcsec, if known."),
     ] = None,
     contact: Annotated[
         Path | None,
-        typer.Option(help="Configuration: results.json with the contact that is expected.", callback=there),
+        typer.Option(help="Configuration: results.json with the expected contact.", callback=there),
     ] = None,
     witness: Annotated[
         float | None,
@@ -63,7 +63,9 @@ def plan(
     ] = None,
     wait: Annotated[
         list[float] | None,
-        typer.Option(min=0.0, help="Minutes between runs that tell ageing; may be repeated; default: 0, 60."),
+        typer.Option(
+            min=0.0, help="Minutes between runs that reveal ageing; may be repeated; default: 0, 60."
+        ),
     ] = None,
     target: Annotated[
         list[str] | None,
@@ -77,7 +79,7 @@ def plan(
     after: Annotated[
         list[Path] | None,
         typer.Option(
-            help="With --for: a folder of runs of the sample that were made; may be repeated.",
+            help="With --for: folder of earlier runs of the sample; may be repeated.",
             callback=with_results,
         ),
     ] = None,
@@ -87,9 +89,7 @@ def plan(
         list[str] | None,
         typer.Option(help="With --for: a sample to measure; may be repeated; default: session.sample."),
     ] = None,
-    hours: Annotated[
-        float | None, typer.Option(min=0.1, help="With --for: rig time that the runs may take.")
-    ] = None,
+    hours: Annotated[float | None, typer.Option(min=0.1, help="With --for: limit of the rig time.")] = None,
 ) -> None:
     """Predict how well further runs would determine the contact.
 

@@ -27,7 +27,7 @@ def balance(
         bool, typer.Option("--history", help="Show what was learned from earlier turns, then exit.")
     ] = False,
     forget_last: Annotated[
-        bool, typer.Option("--forget-last", help="Take the last turn out of the history, show it, and end.")
+        bool, typer.Option("--forget-last", help="Remove the last turn from the history, show it, then exit.")
     ] = False,
     history_file: Annotated[
         Path | None,
@@ -51,7 +51,7 @@ def balance(
     json_lines: JsonLines = False,
     view: View = None,
     rrd: Annotated[
-        Path | None, typer.Option(help="Write all looks into a Rerun file.", callback=new_file(".rrd"))
+        Path | None, typer.Option(help="Write all measurements to a Rerun file.", callback=new_file(".rrd"))
     ] = None,
     set_: Set = None,
 ) -> None:
@@ -85,7 +85,7 @@ def desk(
     listen: Annotated[
         str,
         typer.Option(
-            metavar="ADDRESS", help="Of this machine; others reach it only with certificate and passwords."
+            metavar="ADDRESS", help="Address of this machine; remote use needs certificate and passwords."
         ),
     ] = "127.0.0.1",
     certificate: Annotated[
@@ -93,15 +93,17 @@ def desk(
     ] = None,
     certificate_key: Annotated[
         Path | None,
-        typer.Option(help="Its key, if it is in a file of its own.", dir_okay=False, callback=there),
+        typer.Option(help="Key of the certificate, if in a separate file.", dir_okay=False, callback=there),
     ] = None,
     passwords: Annotated[
         Path | None,
-        typer.Option(help="File that rig desk-password has made.", dir_okay=False, callback=there),
+        typer.Option(help="File written by rig desk-password.", dir_okay=False, callback=there),
     ] = None,
     behind: Annotated[
         str,
-        typer.Option(metavar="URL", help="Of a reverse proxy with TLS on this machine, https://rig.lab."),
+        typer.Option(
+            metavar="URL", help="Address of a reverse proxy with TLS on this machine: https://rig.lab."
+        ),
     ] = "",
     archive: Archive = PLACE,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
@@ -125,8 +127,8 @@ def desk(
 
 def desk_password(
     file: Annotated[Path, typer.Argument(help="File of passwords; created if missing.", dir_okay=False)],
-    name: Annotated[str, typer.Argument(help="Of the person.")],
-    watch: Annotated[bool, typer.Option("--watch", help="May watch, and press LIGHT OFF, no more.")] = False,
+    name: Annotated[str, typer.Argument(help="Name of the person.")],
+    watch: Annotated[bool, typer.Option("--watch", help="Allow only watching and LIGHT OFF.")] = False,
 ) -> None:
     """Set a password for using the desk from elsewhere.
 
