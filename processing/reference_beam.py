@@ -35,7 +35,7 @@ class ReferenceVerdict(StrEnum):
 
     USED = "used"
     NO_GAIN = "refused: the pendulum's spot is not quieter for it"
-    QUIET = "refused: it shows no motion over its own noise"
+    QUIET = "refused: it shows no motion above its own noise"
     UNKNOWN_GAIN = "refused: its gain is not stated, and the run does not show it"
 
 

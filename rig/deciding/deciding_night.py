@@ -105,7 +105,7 @@ class _Night:
             return self._ended(Ending.LIMIT, f"max_runs = {plan.max_runs} were made", self._last_choice())
         vain = [one.state is ChosenState.FAILED for one in made[-_IN_VAIN:]]
         if len(vain) == _IN_VAIN and all(vain):
-            return self._ended(Ending.CANNOT, f"{_IN_VAIN} runs one after the other told nothing")
+            return self._ended(Ending.CANNOT, f"{_IN_VAIN} uninformative runs in a row")
         left_s = self._left_s()
         try:
             planned = self._planner.plan(
@@ -279,8 +279,8 @@ def _check_starts(plan: DecidingPlan, config: Configuration) -> None:
     way, several = config.start.way, len(plan.first_arcsec) > 1
     if way == "by hand" and not plan.attended:
         raise ConfigurationError(
-            f"start.way = 'by hand' in {plan.config}: nobody releases the pendulum at night; a magnet or a "
-            "starter does (start.way), or state attended = true in the plan where a person is there"
+            f"start.way = 'by hand' in {plan.config}: nobody releases the pendulum at night; use a magnet or "
+            "a starter (start.way), or state attended = true in the plan if a person is there"
         )
     if way == "at once" and not config.simulated:
         raise ConfigurationError(
@@ -312,5 +312,5 @@ def _why(planned: PlannedCampaign) -> str:
     place = ", by chance the first of them," if several else ""
     return (
         f"{first.candidate.label}: after {before} u is {first.before:.3g} of its limit; {reach}; this one"
-        f"{place} should leave {first.after:.3g}; for its time give most, as ln u in an hour: {best}"
+        f"{place} should leave {first.after:.3g}; largest gain per time, as ln u per hour: {best}"
     )

@@ -46,7 +46,7 @@ class Backlog:
                 memory_mb = self._capacity * self._frame_mb
                 return (
                     f"{waiting} frames wait for the processor, {waiting * self._frame_mb:.0f} of "
-                    f"{memory_mb:.0f} MB; what finds it full is lost and counted: end other programs, or "
+                    f"{memory_mb:.0f} MB; once full, frames are lost and counted: close other programs, or "
                     "set a lower camera.frame_rate_hz or a smaller region"
                 )
         elif self._most and waiting <= 0.1 * _LATE * self._capacity:

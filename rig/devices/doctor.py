@@ -172,7 +172,7 @@ def check_frames(
     found = f"{len(arrivals)} at {rate_hz:.3g} frames/s, {lost}"
     if enough and asked_hz is not None and abs(rate_hz / asked_hz - 1) > _MOST_RATE_ERROR:
         slow = "exposure too long, or the bus too slow: a shorter exposure, a smaller region, another port"
-        fast = "the camera does not keep the rate: see what it says with rig camera show"
+        fast = "the camera does not keep the rate: check it with rig camera show"
         found += f"; {asked_hz:g} were asked for"
         return Verdict("frames", False, found, slow if rate_hz < asked_hz else fast)
     return Verdict("frames", enough, found, remedy)

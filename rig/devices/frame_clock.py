@@ -255,7 +255,7 @@ class FrameClock:
         if again:
             self.wraps += 1
             counter = (
-                f"the camera's counter begins again every {-seconds(step.step_ns):.4g} s; its times go on"
+                f"the camera's counter begins again every {-seconds(step.step_ns):.4g} s; its times continue"
             )
             return Seen(frames, counter if self.wraps == 1 else "", step)
         u_s = seconds(max(step.u_ns, 1))
@@ -263,7 +263,7 @@ class FrameClock:
         return Seen(
             frames,
             f"the camera's clock stepped by {seconds(step.step_ns):+.6g} s (u {u_s:.1g} s) before frame "
-            f"{agreed[0].sequence}; its times go on from where they would be{left_out}",
+            f"{agreed[0].sequence}; its times continue without the step{left_out}",
             step,
         )
 
@@ -277,7 +277,7 @@ class FrameClock:
         u_ns = round(self._scatter_ns)
         return Seen(
             frames,
-            f"the camera's clock is given up from frame {waited[0][0].sequence} on, where it shows "
+            f"the camera's clock is abandoned from frame {waited[0][0].sequence} on, where it shows "
             f"{waited[0][0].device_time_ns} ns: times are the computer's, u {seconds(u_ns):.1g} s; restart "
             "the camera before the next run",
             ClockStep(0, u_ns),

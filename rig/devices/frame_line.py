@@ -84,7 +84,7 @@ class FrameLine:
             if differs or passed_ns <= 0:
                 self._continued_ns, passed_ns = by_host_ns - passed_ns, by_host_ns
                 self._step = ClockStep(-self._continued_ns, _U_BY_HOST_NS)
-                shifted = f"; its clock began again, {self._continued_ns} ns are added to its times"
+                shifted = f"; its clock restarted, {self._continued_ns} ns are added to its times"
         missing = max(round(passed_ns / (self._interval_ns or passed_ns)) - 1, 0)
         self._offset = last.sequence + 1 + missing - number
         self.missing += missing

@@ -269,8 +269,8 @@ class FrameStream:
             return lost
         name = str(lost).partition(": ")[0]
         return FrameTimeout(
-            f"{name}: no frame that can be used; of those that came {unused.came_text}; a lower rate or "
-            "size, another port or cable; rig camera show says what it reports"
+            f"{name}: no usable frame; of those that came {unused.came_text}; use a lower rate or "
+            "size, another port or cable; rig camera show lists what the camera reports"
         )
 
     def _reconnect(self, lost: FrameTimeout | CameraLost) -> None:
@@ -293,7 +293,7 @@ class FrameStream:
                 if differences:
                     self._events.append((EventKind.CAMERA_BACK, f"with other settings: {differences}"))
                 return
-        raise CameraLost(f"{lost}; it was not to be opened again within {self._reconnect_s:g} s")
+        raise CameraLost(f"{lost}; it could not be reopened within {self._reconnect_s:g} s")
 
     def _configure_again(self) -> str:
         """Set what was asked for and what the camera had besides; returns what is different now."""

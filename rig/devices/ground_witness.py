@@ -86,13 +86,13 @@ def ground_witness(
     if settings.kind == "simulated":
         if not config.simulated:
             raise ConfigurationError(
-                f"witness.kind = 'simulated' feels the simulated rig, and camera.driver = "
+                f"witness.kind = 'simulated' needs the simulated rig, but camera.driver = "
                 f"{config.camera.driver!r}: set serial, file or none"
             )
         return _Simulated(config.simulation)
     if config.on_demand:
         raise ConfigurationError(
-            f"witness.kind = {settings.kind!r} samples as time passes, and the frames come on demand: set "
+            f"witness.kind = {settings.kind!r} samples in real time, but the frames come on demand: set "
             "simulation.real_time = true, or 'simulated'"
         )
     if settings.kind == "controller":

@@ -152,7 +152,7 @@ class LitDevices:
             raise DeviceError(f"{still.text} is still open: close it, then acknowledge trip {number}")
         if silent := self._silent():
             raise DeviceError(
-                f"trip {number} cannot be acknowledged: {silent}, so that its cause may be there"
+                f"trip {number} cannot be acknowledged: {silent}, so its cause may still be present"
             )
         state = None if self.laser is None else self.laser.snapshot.state
         if state is not None and state.excess:

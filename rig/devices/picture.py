@@ -149,8 +149,8 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
     state = "saturated" if seen.saturated_px else f"at {seen.peak:.0%} of full scale"
     raise DeviceError(
         f"{info.model}: the peak stays {state} with an exposure of {exposure_us:g} us "
-        f"(at most {longest_us:g} us at this frame rate), {target:.0%} was wanted; "
-        "change laser power, gain or frame rate, and see that the spot is on the sensor"
+        f"(at most {longest_us:g} us at this frame rate), not at {target:.0%}; "
+        "change laser power, gain or frame rate, and check that the spot is on the sensor"
     )
 
 

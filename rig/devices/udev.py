@@ -17,7 +17,7 @@ _FILE = "70-optical-pendulum-rig.rules"
 _ACCESS = 'MODE="0660", TAG+="uaccess"'
 _HEAD = """\
 # Devices of an optical pendulum rig, written by rig doctor --install-udev: whoever sits at the computer may
-# use them, and so may a group, for services and for who comes over the network.
+# use them, and so may a group, for services and remote users.
 # The number must stay below 73, where systemd grants what the tag "uaccess" asks for."""
 
 

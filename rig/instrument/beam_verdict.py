@@ -93,7 +93,7 @@ def _cuts(at_edge: bool, is_cut: bool, shape: BeamShape | None) -> list[_Fault]:
     if is_cut:
         if shape is None:
             return [_Fault(False, "something cuts it", free)]
-        reason = f"something cuts it: {percent(shape.departure)} of its peak are missing, and told by an edge"
+        reason = f"something cuts it: {percent(shape.departure)} of its peak are missing, at a sharp edge"
         return [_Fault(shape.departure < _CUT, reason, free)]
     if shape is None or _is_ghost(shape):
         return []

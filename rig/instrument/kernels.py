@@ -16,7 +16,7 @@ from processing.kernel import at_compilation
 from processing.spot import SensorModel, SpotTracker
 
 _SIDE_PX, _SIGMA_PX = 64, 4.0
-_COMPILING = "compiling the numerical kernels (half a minute on a machine that does nothing else"
+_COMPILING = "compiling the numerical kernels (half a minute on an idle machine"
 STILL_S = 20.0
 
 

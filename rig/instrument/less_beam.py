@@ -91,7 +91,7 @@ class LessBeam:
             if seen:
                 if self._lost:
                     self._lost = False
-                    self._news.append("reference spot found: live numbers are less the beam's motion again")
+                    self._news.append("reference spot found: live numbers exclude the beam's motion again")
                 self._found_ns = time_ns
                 continue
             if self._found_ns is None:

@@ -41,7 +41,7 @@ class Notes:
         if not text:
             raise RigError("an empty note: type some text")
         if len(text) > _MOST_CHARACTERS:
-            raise RigError(f"a note of {len(text)} characters: at most {_MOST_CHARACTERS}; make two of it")
+            raise RigError(f"a note of {len(text)} characters: at most {_MOST_CHARACTERS}; split it in two")
         typed = Typed(time.monotonic_ns(), author, text)
         utc = datetime.now(UTC).isoformat(timespec="milliseconds")
         line = json.dumps({"utc": utc, "author": author, "text": text}, ensure_ascii=False)

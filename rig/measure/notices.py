@@ -62,7 +62,10 @@ class Notices:
         for thread in self.calls:
             thread.join(max(0.0, end_s - time.monotonic()))
         for who in {thread.name for thread in self.calls if thread.is_alive()}:
-            say(f"{who} did not answer within {_LAST_WAIT_S:g} s: whether it heard is not known", error=True)
+            say(
+                f"{who} did not answer within {_LAST_WAIT_S:g} s: it is unknown whether the message arrived",
+                error=True,
+            )
 
     def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
         """Frames are not reported."""

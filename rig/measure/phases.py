@@ -270,8 +270,8 @@ class PhasesBeforeRecord:
             distance = f"{held / self._unit.shown_size:.1f} {self._unit.shown}"
             if not held > threshold:
                 raise DataError(
-                    f"the magnet holds nothing: the spot is {distance} "
-                    "from where it rests freely; see the magnet, its current and its distance"
+                    f"the magnet does not hold the pendulum: the spot is {distance} "
+                    "from its free rest position; check the magnet, its current and its distance"
                 )
             wait.note(EventKind.MAGNET, f"holds the pendulum at {distance}")
             wait_for_command(self._devices.required_control(who).release())
@@ -296,7 +296,7 @@ class PhasesBeforeRecord:
         recent = self._wait.frames.since(self._wait.frames.now_ns - 1_000_000_000)
         recent = recent[recent.found]
         if not len(recent):
-            raise DataError("release: no spot was found for a second; see the laser and the beam's path")
+            raise DataError("release: no spot was found for a second; check the laser and the beam path")
         threshold = 8.0 * max(
             robust_scatter(recent.x), robust_scatter(recent.y), float(np.median(recent.u_y))
         )

@@ -134,7 +134,7 @@ class RecentFrames:
         return float((x1 - x0) * (y1 - y0) * image.itemsize)
 
 
-NO_SPOT = "no spot is seen: look at the laser, the beam's path and the camera's region"
+NO_SPOT = "no spot is seen: check the laser, the beam path and the camera's region"
 _SPOTLESS_S = 3.0
 
 

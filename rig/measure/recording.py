@@ -334,7 +334,7 @@ class Recording:
         parts = self._parts
         if parts.waits_in_darkness and parts.somebody_watches():
             return
-        self._stop.failed(DeviceError(f"{alarm}; the run is ended, laser.when_dark = 'wait' would go on"))
+        self._stop.failed(DeviceError(f"{alarm}; the run ends; with laser.when_dark = 'wait' it would wait"))
 
     @property
     def _known(self) -> Posterior:

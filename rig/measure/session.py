@@ -205,7 +205,7 @@ def report(config: Configuration, folder: Path, made: Made, manner: Manner) -> i
     write_results(path, results)
     paths = _paths(folder, runs, path)
     if any(run.sealed is not None for run in results.runs):
-        say("the folder is blind: results are sealed, and a report waits for rig archive unblind")
+        say("the folder is blind: results are sealed, and a report needs rig archive unblind")
     else:
         try:
             paths.append(("report", make_report(path)))

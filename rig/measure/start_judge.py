@@ -73,7 +73,7 @@ class StartJudge:
                 for amplitude in (self.first_amplitude, limits.lowest_amplitude, limits.highest_amplitude)
             )
             return (
-                f"first amplitude {first:.1f} {limits.unit.shown}, {lowest:.1f} to {highest:.1f} are wanted"
+                f"first amplitude {first:.1f} {limits.unit.shown}, {lowest:.1f} to {highest:.1f} are required"
             )
         for balance in balances:
             if balance.amplitude < 0.5 * limits.lowest_amplitude:
@@ -82,7 +82,7 @@ class StartJudge:
             if balance.transverse_ratio > limits.highest_transverse_ratio:
                 return (
                     f"transverse motion is {100 * balance.transverse_ratio:.1f} % of the swing, "
-                    f"at most {100 * limits.highest_transverse_ratio:.1f} % is wanted"
+                    f"at most {100 * limits.highest_transverse_ratio:.1f} % is allowed"
                 )
         self._accepted = self._good >= 2 and self._balance_seen
         if not self._accepted and elapsed_s > limits.patience_s:

@@ -237,7 +237,7 @@ def _material(body: str, values: Mapping[str, Any]) -> Iterator[Question]:
     key = f"pendulum.{body}_material"
     yield Question(
         f"{body} material",
-        f"Material of the {body} (another name: its elastic constants are asked):",
+        f"Material of the {body} (for another name you are asked for its elastic constants):",
         lambda text: _KEYS.checked({key: _bare(text)}),
         suggested="steel" if body == "ball" else "glass_k8",
         choices=tuple(
@@ -269,13 +269,13 @@ def _period(text: str) -> Keys:
 
 def _bare(name: str) -> str:
     if not name.replace("_", "").replace("-", "").isalnum() or not name.isascii():
-        raise ConfigurationError(f"{name!r}: a name of letters, digits and _ is needed, as my_steel")
+        raise ConfigurationError(f"{name!r}: a name of letters, digits and _ is needed, such as my_steel")
     return name
 
 
 def _known(answer: str, known: Mapping[str, Any], *, value: bool = False) -> Any:
     if answer not in known:
-        raise ConfigurationError(f"{answer!r}: is not there; there are {', '.join(known)}")
+        raise ConfigurationError(f"{answer!r}: is not available; choose one of {', '.join(known)}")
     return answer if value else known[answer]
 
 

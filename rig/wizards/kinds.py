@@ -89,9 +89,8 @@ def _axes(_: Values) -> Iterator[Question]:
     yield _record(
         "axes",
         60.0,
-        "Decide which end of the pendulum going down, and which side of it, shall be positive. Push it "
-        "gently in both directions, so that both modes swing, remember to which sides, and "
-        "record from then on.",
+        "Decide which end and which side of the pendulum, moving down, count as positive. Push it gently in "
+        "both directions, so that both modes swing, remember to which sides, and record from then on.",
     )
     for mode, assumed in (("slow", "up on the sensor is assumed"), ("fast", "to the right")):
         yield Question(
@@ -109,7 +108,7 @@ def _axes(_: Values) -> Iterator[Question]:
 
 def _clock(_: Values) -> Iterator[Question]:
     yield _record(
-        "clock", 1800.0, "Any long run of a real camera serves; half an hour gives some parts in 10⁷."
+        "clock", 1800.0, "Any long run of a real camera will do; half an hour gives a few parts in 10⁷."
     )
     yield Question(
         "counter_bits",
@@ -140,7 +139,9 @@ def _shutter(_: Values) -> Iterator[Question]:
 
 def _pointing(_: Values) -> Iterator[Question]:
     yield _record(
-        "pointing", 120.0, "Clamp the pendulum, close the cover, and let nobody walk about meanwhile."
+        "pointing",
+        120.0,
+        "Clamp the pendulum, close the cover, and let nobody walk around during the recording.",
     )
 
 

@@ -37,7 +37,7 @@ def film_questions(values: Mapping[str, Any]) -> Iterator[Question]:
     if _needs_rate(values["film"]["camera.files.path"]):
         yield Question(
             "frame rate",
-            "Frames a second at which the images were taken, in Hz:",
+            "Frame rate of the images, in Hz:",
             _KEYS.alone("camera.files.frame_rate_hz"),
         )
 

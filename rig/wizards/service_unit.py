@@ -14,7 +14,7 @@ _STOP_S = 90
 _NAMES: dict[Service, str] = {"desk": "rig-desk.service", "night": "rig-night@.service"}
 
 _DESK = """\
-# Written by rig service desk: the page is at the port; who may enter says rig desk --help.
+# Written by rig service desk: the page is at the port; see rig desk --help for who may enter.
 [Unit]
 Description=Operator's desk of the optical pendulum rig: {title}
 
@@ -85,7 +85,7 @@ def write_unit(service: Service, file: Path, folder: Path, port: int) -> Path:
         if path.exists():
             if path.read_text(encoding="utf-8") == text:
                 return path
-            raise ConfigurationError(f"{path}: another one is there and is not overwritten; remove it first")
+            raise ConfigurationError(f"{path}: another one exists and is not overwritten; remove it first")
         folder.mkdir(parents=True, exist_ok=True)
         whole_file.write_new(path, text.encode())
     except OSError as error:

@@ -119,7 +119,7 @@ class BufferReader:
         if buffer.get_payload_type() not in (kinds.IMAGE, kinds.EXTENDED_CHUNK_DATA):
             sent = buffer.get_payload_type().value_nick
             raise DeviceError(
-                f"{self.name}: sends payload of the type {sent}, no image; switch that off in the camera"
+                f"{self.name}: sends payload of type {sent}, not images; switch that off in the camera"
             )
         x_padding, _ = buffer.get_image_padding()
         if x_padding and not self.pixel_format.rows_end_with_bytes(self.width_px):

@@ -66,7 +66,7 @@ class AravisFeatures(GenicamFeatures):
 
     def set_number(self, key: Quantity, wanted: float) -> None:
         if not getattr(self.camera, f"is_{_CALLED[key]}_available")():
-            raise DeviceError(f"{self.name}: does not let it be set; leave camera.{key} out")
+            raise DeviceError(f"{self.name}: does not allow it to be set; leave camera.{key} out")
         # libaravis clips values out of range without an error
         self._check(key, wanted, *getattr(self.camera, f"get_{_CALLED[key]}_bounds")())
         getattr(self.camera, f"set_{_CALLED[key]}")(wanted)

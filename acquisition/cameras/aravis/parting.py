@@ -44,7 +44,7 @@ class Parting:
         for thread in list(self._threads):
             thread.join(max(deadline_s - time.monotonic(), 0.0))
             if thread.is_alive():
-                raise DeviceError(f"{name}: does not answer, and is still being given back; wait")
+                raise DeviceError(f"{name}: does not answer, and is still being closed; wait")
 
 
 def nothing() -> None:

@@ -51,7 +51,7 @@ class FilmSource(FrameSource):
         self.lossy = "" if index.codec in _LOSSLESS else index.codec
         self._checksums = index.codec == "ffv1" and any(map(slices_of, index.first_packets))
         if index.codec == "ffv1" and not self._checksums:
-            _log.warning("%s: was written without checksums; damaged frames cannot be told", path)
+            _log.warning("%s: was written without checksums; damaged frames cannot be recognised", path)
         rate = "changing" if index.rate_hz is None else f"{float(index.rate_hz):.9g} frames/s"
         lasts = f"{len(index.ticks)} frames in {index.time_ns[-1] / 1e9:.6g} s"
         self.summary = f"{lasts}, {rate}, {index.codec}, {index.pixel_format}"
@@ -122,8 +122,8 @@ class FilmSource(FrameSource):
                     continue
                 if place < before:
                     raise DeviceError(
-                        f"{self._path}: keeps its frames in another order than they are shown in, without "
-                        "the times to show them at; put them into another container "
+                        f"{self._path}: stores its frames in another order than they are shown in, without "
+                        "display times; put them into another container "
                         "(ffmpeg -fflags +genpts -i FILM -c copy NEW.mkv)"
                     )
                 before = place

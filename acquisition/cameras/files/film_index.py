@@ -80,7 +80,7 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
                 kept.append(bytes(packet))
             if packet.pts is None:
                 raise DeviceError(
-                    f"{path}: packet {total} has no time to show it at; put the film into another container "
+                    f"{path}: packet {total} has no display time; put the film into another container "
                     "(ffmpeg -fflags +genpts -i FILM -c copy NEW.mkv), or convert it to images and state "
                     "their rate"
                 )

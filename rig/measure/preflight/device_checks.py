@@ -77,7 +77,7 @@ def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
     if now is None:
         return Verdict("laser", True, measured="none is configured", limit="lit", made=False)
     if not now.on:
-        remedy = "see rig doctor; close the interlock, turn its key"
+        remedy = "run rig doctor; close the interlock, turn its key"
         return Verdict(
             "laser", False, "there is no light for the measurement", remedy, measured=now.text, limit="lit"
         )

@@ -51,7 +51,7 @@ def witness(
         return Verdict("witness", True, measured="none is configured", limit=_COMES, made=False)
     if problem:
         remedy = (
-            "see its supply, and its wires on GP18 and GP19 of the board"
+            "check its supply and its wires on GP18 and GP19 of the board"
             if kind == "controller"
             else "see [witness]: its port, rate and columns"
         )
@@ -117,7 +117,7 @@ def _gives(found: WitnessAtRest, ground_seen: bool, kind: str) -> Verdict:
         return Verdict(
             "witness",
             True,
-            f"it shows nothing of what moves the pendulum: {chance}",
+            f"it does not show what moves the pendulum: {chance}",
             "check its place, columns and clock; a fit refuses one that explains nothing",
             measured=f"{kind}, unrelated so far",
             limit=_COMES,
@@ -180,7 +180,7 @@ def _takes_off(axes: Sequence[_Axis], stated: ReferenceSettings, seen: str, limi
     said, wrong, useless = [], [], True
     for name, found in axes:
         if not found.share > 0:
-            said.append(f"{name}: it shows no motion over its own noise")
+            said.append(f"{name}: it shows no motion above its own noise")
             continue
         useless = useless and not found.factor.value - 3 * found.factor.standard_uncertainty > 1
         said.append(f"{name}: {plain(found.before_px, 2)} px fall by {with_uncertainty(*found.factor)}")
@@ -195,7 +195,7 @@ def _takes_off(axes: Sequence[_Axis], stated: ReferenceSettings, seen: str, limi
         remedy = "state the gain of the two arms, with its u_gain"
         return Verdict("reference", True, reason, remedy, measured=measured, limit=limit)
     if useless:
-        reason = "the spot at rest is not quieter for it, as far as so short a piece shows"
+        reason = "it does not make the spot at rest quieter, as far as this short record shows"
         return Verdict("reference", True, reason, measured=measured, limit=limit)
     return Verdict("reference", True, measured=measured, limit=limit)
 

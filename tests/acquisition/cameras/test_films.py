@@ -45,7 +45,7 @@ def test_a_sound_film_is_read_right(tmp_path: Path, name: str) -> None:
         ("colour, nothing stated", "camera.files.colour = 'brightness'"),
         ("rawvideo nut rgb565le", "rgb565le, which is not read here"),
         ("h264 avi, no times", "another order than they are shown in"),
-        ("h264 stream, no times", "has no time to show it at"),
+        ("h264 stream, no times", "has no display time"),
         ("stated rate, another", "frame_rate_hz = 25 puts frame 59 at 2.3600 s, the film itself at 1.9667 s"),
         ("stated rate, nearly", "force_frame_rate"),
         ("h264 mp4, cut off, index at the end", "cannot be read as a video"),

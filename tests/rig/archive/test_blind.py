@@ -147,7 +147,7 @@ def test_a_run_in_a_blind_folder_says_once_and_as_no_error_why_it_has_no_report(
     done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "runs" / "first", *wanted)
     assert done.returncode == 0, done.stderr
     said = [line for line in (done.stdout + done.stderr).splitlines() if "report" in line]
-    assert said == ["the folder is blind: results are sealed, and a report waits for rig archive unblind"]
+    assert said == ["the folder is blind: results are sealed, and a report needs rig archive unblind"]
     assert "rig: " not in done.stderr
     assert not list((tmp_path / "runs" / "first").glob("report*"))
 

@@ -109,7 +109,7 @@ def test_nothing_is_acknowledged_while_the_controller_is_silent(
         pulled = True
         until(lambda: control.snapshot.status is None)
         with pytest.raises(
-            DeviceError, match="the controller does not answer, so that its cause may be there"
+            DeviceError, match="the controller does not answer, so its cause may still be present"
         ):
             devices.acknowledge(1, "test")
 

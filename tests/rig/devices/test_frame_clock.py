@@ -202,7 +202,7 @@ def test_a_clock_that_makes_no_sense_any_more_is_given_up_and_the_computer_s_car
     assert clock.rejected == 0
     assert len(notes) == 1
     first = 121 if shows == "frozen" else 120
-    assert f"is given up from frame {first} on" in notes[0]
+    assert f"is abandoned from frame {first} on" in notes[0]
     assert "restart the camera" in notes[0]
     assert off_ns(frames) < 5e6
     assert np.diff([one.device_time_ns for one in frames]).min() > 0

@@ -170,7 +170,7 @@ def test_frames_with_an_error_status_alone_are_said_with_their_reason_and_surviv
     assert run.stream.failure is None
     assert run.stream.losses.error_status > 5
     said = dict(run.texts)["camera silent"]
-    assert "no frame that can be used; of those that came" in said
+    assert "no usable frame; of those that came" in said
     assert "with an error status" in said
     assert "trigger" not in said
 
@@ -209,7 +209,7 @@ def test_one_that_does_not_come_back_is_named() -> None:
     run.until(lambda: run.stream.drained)
     run.close()
     assert isinstance(run.stream.failure, DeviceError)
-    assert "plug it in again; it was not to be opened again within 1 s" in str(run.stream.failure)
+    assert "plug it in again; it could not be reopened within 1 s" in str(run.stream.failure)
 
 
 def test_frames_of_a_share_that_was_gone_go_on_where_they_were(tmp_path: Path) -> None:

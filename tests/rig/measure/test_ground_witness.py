@@ -105,7 +105,7 @@ def test_a_file_beside_a_record_is_accepted_in_its_place(vault: Path, tmp_path: 
 def test_one_that_does_not_go_with_the_camera_is_said(tmp_path: Path) -> None:
     source = CONFIGS / "demo.toml"
     serial = load_configuration(source, ("witness.kind='serial'", "witness.port='/dev/none'"))
-    with pytest.raises(ConfigurationError, match=r"witness\.kind = 'serial' samples as time passes"):
+    with pytest.raises(ConfigurationError, match=r"witness\.kind = 'serial' samples in real time"):
         measure_session(serial, source, tmp_path / "run")
     still = load_configuration(source, ("witness.kind='simulated'",))
     with pytest.raises(ConfigurationError, match=r"set simulation\.ground\.model"):

@@ -159,7 +159,10 @@ def test_what_hangs_at_the_end_is_said(
     webhook.posted.get(timeout=WAIT_S)
     session_news.wait()
     said = capsys.readouterr().err
-    assert "the webhook at 127.0.0.1 did not answer within 0.1 s: whether it heard is not known" in said
+    assert (
+        "the webhook at 127.0.0.1 did not answer within 0.1 s: it is unknown whether the message arrived"
+        in said
+    )
     webhook.may_answer.set()
     for thread in session_news.calls:
         thread.join(WAIT_S)

@@ -66,7 +66,7 @@ def test_an_unrelated_one_is_a_warning_and_a_dead_one_no_go(minute: tuple[TrialF
     look, drive = minute
     other = judged(look, samples(np.random.default_rng(2).standard_normal(len(drive))))
     assert other.ok
-    assert "shows nothing of what moves the pendulum" in other.reason
+    assert "does not show what moves the pendulum" in other.reason
     assert other.remedy
     dead = judged(look, samples(np.full(len(drive), 8192.0)))
     assert not dead.ok
