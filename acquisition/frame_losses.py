@@ -19,17 +19,17 @@ class FrameLosses:
     by_bus
         They went missing between camera and driver.
     by_host
-        We took them too late, in the driver or behind it.
+        This program took them too late, in the driver or after it.
     incomplete
-        They came damaged, and were thrown away.
+        They arrived damaged and were discarded.
     while_unplugged
-        They would have come while the camera was gone, as far as the time that passed tells.
+        They would have come while the camera was gone, estimated from the elapsed time.
     wrong_time
         Their times fitted neither the camera's rate nor the computer's clock.
     error_status
         The camera or its driver marked them as faulty.
     wrong_id
-        They came again or too late, with a number that was before; none is missing because of them.
+        They came again or too late, with an earlier number; none is missing because of them.
     """
 
     by_camera: int = 0

@@ -11,10 +11,10 @@ from processing.quantity import Quantity
 class Surroundings:
     """Air and history of a run's contact; NaN for what is neither read nor stated.
 
-    Air: means of what the sensor read during the run, else as stated; its temperature changed by
-    `temperature_change_k` from the first reading to the last, by a straight line through them. Until the
-    run's first frame it is `dwell_s` from when the ball was set on its place, `age_s` from the last cleaning
-    of the surfaces.
+    Air: mean sensor readings during the run, otherwise as stated. `temperature_change_k` is the change of
+    temperature from the first reading to the last, by a straight line through them. `dwell_s` is the time
+    from setting the ball on its place to the run's first frame, `age_s` that from the last cleaning of the
+    surfaces.
     """
 
     temperature_c: Annotated[float, Quantity("temperature", "temperature")] = nan

@@ -46,10 +46,10 @@ def bar_of(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedDrag:
-    """The order of magnitude of the drag of the air on a bar in the pendulum's place.
+    """Order of magnitude of the air's drag on a bar of the pendulum's size.
 
-    `assumed` names what was neither measured nor stated: of the air the usual (20 degrees Celsius, 50 %,
-    101325 Pa), of the bar what follows from the pendulum's inertia.
+    `assumed` names what was neither measured nor stated: usual air (20 degrees Celsius, 50 %, 101325 Pa), and
+    a bar that follows from the pendulum's inertia.
     """
 
     drag_s: float

@@ -27,11 +27,11 @@ _TWO_SIDED = 0.90
 
 
 class DragFinding(StrEnum):
-    """What the data say of a linear drag, whatever is known of it beside them."""
+    """What the data say about a linear drag, whatever else is known of it."""
 
     SEEN = "a linear drag is in the data"
     NEGATIVE = "the data ask for a negative drag"
-    """It would drive the pendulum: the model lacks something else."""
+    """It would drive the pendulum: something else is missing from the model."""
     UNSEEN = "no linear drag is seen"
     """Its bound is below what would move b by its uncertainty."""
     OPEN = "the data do not tell a drag from friction"
@@ -44,20 +44,20 @@ class Drag:
     Attributes
     ----------
     drag_s
-        As the reported fit has it, with what is known of it; of a fit in vacuum, what the data say.
+        Of the reported fit, with prior knowledge; for a fit in vacuum, from the data.
     of_data_s
-        What decay and waveform say alone, with an uncertainty that agrees with the test where chi2 is no
-        parabola: infinite where the decay is as well described without a drag.
+        From decay and waveform alone. Where chi2 is not a parabola, the uncertainty agrees with the test:
+        infinite if the decay is described equally well without a drag.
     known_s
-        What was known of it otherwise: the air's estimate, or a measured value; None where it was left open.
+        Prior knowledge: the estimate for air, or a measured value; None if left open.
     upper_95_s
-        Bound of 95 % by the data alone; infinite where they set none.
+        Bound of 95 % from the data alone; infinite if they set none.
     f_statistic, p_value
-        Rise of chi2 where the drag is left out, over the scatter, and its probability if there is no drag.
+        Rise of chi2 without the drag, over the scatter, and its probability if there is no drag.
     relative_shift_b, relative_shift_c
         Relative change of b and c from a fit without drag to one with it.
     of_air
-        What the air is expected to exert; None where nobody asked.
+        The drag expected of the air; None if not requested.
     """
 
     drag_s: Estimate = NOT_DETERMINED

@@ -21,9 +21,9 @@ class Misfit:
         Relative standard deviations of the errors of the law's losses, durations and harmonics; 0 where they
         are not seen.
     against_law
-        By how much -2 ln L of the law without errors is larger.
+        Increase of -2 ln L for the law without errors.
     widened
-        By how many times the uncertainty of each parameter grew, by its name; empty where nothing is seen.
+        Factor by which the uncertainty of each parameter grew, by its name; empty where nothing is seen.
     """
 
     loss: float = 0.0
@@ -38,7 +38,7 @@ class Misfit:
 
 
 class ChangeKind(StrEnum):
-    """What was another one from some time on."""
+    """What changed during a run."""
 
     KNOCK = "knock"
     FRICTION = "friction"

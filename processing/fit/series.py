@@ -46,8 +46,8 @@ class Combined:
     p_homogeneous
         Probability of a scatter at least as large if only the runs' own uncertainties contribute.
     by_air
-        Part of `standard_uncertainty`, with its sign, that what is known of the air has: all runs share it,
-        and no number of them makes it smaller.
+        Part of `standard_uncertainty`, with its sign, from the knowledge of the air. All runs share it, so
+        more runs do not reduce it.
     """
 
     value: Annotated[float, PART]
@@ -67,7 +67,7 @@ class Combined:
 
 @dataclass(frozen=True, slots=True)
 class Disagreement:
-    """A run (counted from 1) that lies `deviation` standard uncertainties from what the others say."""
+    """A run (counted from 1) that deviates from the others by `deviation` standard uncertainties."""
 
     run: int
     name: str

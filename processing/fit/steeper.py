@@ -15,9 +15,9 @@ _SIGNIFICANT = 0.003
 class SteeperDrag:
     """The moment ``-m g R steeper |phi'|^0.5 phi'`` beside what was fitted.
 
-    `share` is its part of what the linear drag takes at the first amplitude, `p_value` the chance of so large
-    a value without it. `relative_shift_b` and `shift_drag_s` are what b and the linear drag change with it,
-    `shift` what all values of the fit do, in their order.
+    `share` is its loss over that of the linear drag at the first amplitude, `p_value` the probability of so
+    large a value without it. `relative_shift_b` and `shift_drag_s` are the changes of b and of the linear
+    drag with it, `shift` those of all values of the fit, in their order.
     """
 
     steeper: Annotated[Estimate, Quantity("drag 3/2", "drag with the 3/2 power", unit="s^1.5")] = (

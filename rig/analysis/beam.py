@@ -14,13 +14,12 @@ _EASED = SpotFlag.MULTIPLE | SpotFlag.LEARNED
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beam:
-    """What the spots of a run say of its beam.
+    """What the spots of a run reveal about its beam.
 
-    `model` is the one in use at the end, `since_frame` the number of the first frame fitted with it,
-    `changes` how often the beam got another one after its first choice. `flags` are the numbers of spots
-    with each flag, those with none left out. POOR_FIT is judged on the `judged_frames` spots after
-    `choosing_frames`, from which the profile was learned; `poor_fit_frames` of them have it, and
-    `likely_cause` says why.
+    `model` is the model in use at the end, `since_frame` the number of the first frame fitted with it,
+    `changes` how often the model changed after the first choice. `flags` are the numbers of spots with each
+    flag, without zeros. POOR_FIT is judged on the `judged_frames` spots after `choosing_frames`, from which
+    the profile was learned; `poor_fit_frames` of them have it, and `likely_cause` says why.
     """
 
     model: str = ""

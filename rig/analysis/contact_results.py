@@ -68,8 +68,8 @@ class AdhesiveSpot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Adhesion:
-    """The contact spot after three theories of adhesion; `holds` names the one that the Tabor parameter asks
-    for. The values elsewhere are the paper's, with the radius after Hertz."""
+    """The contact spot in three theories of adhesion; `holds` names the one that the Tabor parameter selects.
+    All other values follow the paper, with Hertz's radius."""
 
     tabor: float = nan
     holds: str = ""

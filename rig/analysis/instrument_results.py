@@ -31,7 +31,7 @@ class DampingResults:
 
 @dataclass(frozen=True, slots=True)
 class FrictionLawResults:
-    """Mean frictional moment at the reference amplitude, and the power of the amplitude it goes with."""
+    """Mean frictional moment at the reference amplitude, and the exponent of its dependence on amplitude."""
 
     reference_amplitude_deg: float
     moment: Estimate
@@ -61,9 +61,10 @@ class SwingPlane:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstrumentResults:
-    """One run as its kind of pendulum is reported: of each kind some of these are there.
+    """One run of another kind of pendulum; each kind has some of these.
 
-    `amplitude_deg` (first and last) and `mean_period_s` stand where the quantity asked for could not be had.
+    `amplitude_deg` (first and last) and `mean_period_s` are given if the requested quantity was not
+    available.
     """
 
     kind: str

@@ -15,7 +15,7 @@ class LawFit:
     """One law at its best.
 
     `bic_above_best` and `aic_above_best` are its distances from the best law in the criteria of Schwarz and
-    Akaike, `log_odds_against` is the natural logarithm of the odds against it by the evidence (see
+    Akaike, `log_odds_against` is the natural logarithm of the odds against it from the evidence (see
     `processing.fit.law_comparison`), `waveform_chance` the chance of a third harmonic at least so far from
     the law's (see `processing.fit.waveform`), `ground_rad_per_s2_rthz` the drive that it needs; `problem`
     says why there is no fit.
@@ -36,7 +36,7 @@ class LawFit:
 
 @dataclass(frozen=True, slots=True)
 class LawMoments:
-    """What a fitted law says of both moments, as `MomentsWithoutLaw` has them."""
+    """Both moments of a fitted law, in the terms of `MomentsWithoutLaw`."""
 
     friction_n_m: Floats
     elastic_n_m: Floats
@@ -47,8 +47,8 @@ class MomentsWithoutLaw:
     """Friction against the motion and elastic moment at the angles `phi_rad`, as splines of the angle.
 
     `u_friction_n_m` and `u_elastic_n_m` are standard uncertainties: bands that cover 68 %. A moment
-    proportional to the angle is gravity's, so that the elastic moment vanishes at `reference_rad`; `laws` has
-    what the fitted laws say in the same terms. `ground_rad_per_s2_rthz` is the drive that the splines leave.
+    proportional to the angle counts as gravity's, so the elastic moment vanishes at `reference_rad`. `laws`
+    has the fitted laws in the same terms. `ground_rad_per_s2_rthz` is the drive that the splines leave.
     """
 
     phi_rad: Floats = field(default_factory=lambda: np.empty(0))

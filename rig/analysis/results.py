@@ -36,28 +36,26 @@ _IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitud
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunResults:
-    """What is reported of one run; `problem` says in one line why a fit is missing.
+    """Results of one run; `problem` says in one line why a fit is missing.
 
-    `record` is relative to the folder of the file where it can be; `sha256` is its hash, `inputs_sha256` are
-    those of the configuration and the calibrations in it. `simulated`: its frames are those of the simulated
-    rig; None where an older file does not say, and of a table. `losses` says who lost the frames that
-    are missing; None where an older record does not. `beam` says which model was fitted to the spots, and
-    counts their flags. `measured_again_on` is the motion on which the fitted
-    turning points were measured again (see `processing.fit.remeasure`); None: they are as detected.
-    `position_errors` were taken off the deflections before that; None where the run shows none.
-    `laws` compares several, where that was asked for. `adhesion` is the contact spot with adhesion, where c
-    is seen and the spot's radius calculated after Hertz.
-    `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px of a record without a
-    lever; those in arcsec are not determined then. `ended` is why the run ended, as its record says.
-    `clock` is the camera's against the computer's; None of frames made on demand, and in older files.
-    `surroundings` are the air and the contact's history, which `conditions` judges beside light, losses and
-    what else the record shows. `witness` is what a witness of the ground told, where one was given. What
-    follows from a
-    fit (`pendulum` to `notes`) is empty where there is none.
-    `period_s` and `log_decrement` are means over the decay, whether or not a law is fitted; a decrement that
-    changes, and a decay faster than a swing, have no `quality_factor`. `damping` says how it depends on the
-    amplitude; None of fewer than twelve half-cycles, and of amplitudes that do not fall.
-    `sealed` holds all of it, encrypted, of a run in a blind folder, whose results state nothing else.
+    `record` is relative to the folder of the file where possible. `sha256` is its hash, `inputs_sha256` those
+    of the configuration and the calibrations in it. `simulated`: its frames are those of the simulated rig;
+    None if an older file does not say, and for a table. `losses` counts the missing frames by cause; None if
+    an older record does not say. `beam` names the model fitted to the spots and counts their flags.
+    `measured_again_on` is the motion on which the fitted turning points were measured again (see
+    `processing.fit.remeasure`); None: they are as detected. `position_errors` were subtracted from the
+    deflections before that; None if the run shows none. `laws` compares several laws, if requested.
+    `adhesion` is the contact spot with adhesion, if c is seen and the spot's radius is Hertz's.
+    `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px for a record without a
+    lever; those in arcsec are then not determined. `ended` is why the run ended, as its record says. `clock`
+    compares the camera's clock with the computer's; None for frames made on demand, and in older files.
+    `surroundings` are the air and the history of the contact; `conditions` judges them together with light,
+    losses and what else the record shows. `witness` is the result of a witness of the ground, if there was
+    one. What follows from a fit (`pendulum` to `notes`) is empty without one. `period_s` and `log_decrement`
+    are means over the decay, whether or not a law is fitted. A decrement that changes, and a decay faster
+    than a swing, have no `quality_factor`. `damping` describes how the damping depends on the amplitude; None
+    for fewer than twelve half-cycles, and for amplitudes that do not fall. `sealed` contains everything,
+    encrypted, for a run in a blind folder; its results state nothing else.
     """
 
     record: str
@@ -161,11 +159,11 @@ class SessionResults:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableDecay(RunResults):
-    """One decay of a table: what a run of the rig reports.
+    """One decay of a table, with the results of a run of the rig.
 
     `initial_amplitude` and `final_amplitude` are in the table's own unit, `amplitude_unit`; `began_s` and
-    `ended_s` are the first and the last turning point since the table's first row. `run` is the name of the
-    run that it is of, where the file holds several.
+    `ended_s` are the times of the first and last turning point, from the table's first row. `run` is the name
+    of its run, if the file contains several.
     """
 
     began_s: float = nan

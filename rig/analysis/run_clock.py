@@ -32,11 +32,10 @@ _FIELDS = ("sequence", "device_time_ns", "host_time_ns")
 class RunClock:
     """The clock of a run.
 
-    `drift_ppm` is the camera's rate against the computer's, less 1; NaN where it is not known. `u_rate` is
-    what the second of the run's times is uncertain by, as the budget has it: of the calibration, or, without
-    one, of an ideal rate that was assumed; with `u_steps_s`, that of all steps together. `steps` were taken
-    off the times, the largest is `largest_step_s`; `left_in` are in the times as they were recorded, and are
-    taken off by a replay.
+    `drift_ppm` is the camera's rate against the computer's, less 1; NaN if unknown. `u_rate` is the relative
+    uncertainty of the run's second, as in the budget: that of the calibration or, without one, of the assumed
+    ideal rate; it includes `u_steps_s`, that of all steps together. `steps` were subtracted from the times,
+    the largest is `largest_step_s`; `left_in` are still in the recorded times, and a replay subtracts them.
     """
 
     drift_ppm: Annotated[float, Quantity("clock drift", "rate of the camera's clock against the computer's")]

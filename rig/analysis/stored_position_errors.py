@@ -13,13 +13,13 @@ from rig.analysis.encoding import Floats
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionErrors:
-    """Errors that the sensor has at a place, as the run showed them; they were taken off before the fits.
+    """Errors of position fixed on the sensor, as the run showed them; they were subtracted before the fits.
 
-    `place` are true deflections along the slow axis, `error` by how much more was measured there, `u_error`
-    its standard uncertainty beside a constant and a scale, which no swing shows; all in `unit`.
+    `place` are true deflections along the slow axis, `error` the excess of the measured ones there, `u_error`
+    its standard uncertainty apart from a constant and a scale, which no swing shows; all in `unit`.
     `correlation_length` is the distance over which the error changes, `significance` the score for it in
-    standard deviations, from `cycles` whole cycles. `noise_scale` is by how much what is left scatters more
-    than the uncertainties of the samples say.
+    standard deviations, from `cycles` whole cycles. `noise_scale` is the scatter of the remainder over the
+    uncertainties of the samples.
     """
 
     unit: DeflectionUnit = DeflectionUnit.RAD

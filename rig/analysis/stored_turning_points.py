@@ -26,7 +26,7 @@ class StoredTurningPoints:
     """The turning points that were fitted, and the half-cycles that were left out.
 
     Times are in true seconds from `first_ns`, the record's time of the first turning point. Amplitudes are
-    in `unit`; of a table that is no angle, in its `amplitude_unit`. `left_out_flags` are those of
+    in `unit`; for a table without an angle, in its `amplitude_unit`. `left_out_flags` are those of
     `processing.swing.SwingFlag`.
     """
 

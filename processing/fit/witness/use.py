@@ -1,4 +1,4 @@
-"""What a witness of the ground told of a run, as results have it."""
+"""What a witness of the ground revealed about a run, as stored in the results."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +16,7 @@ from processing.quantity import Quantity
 
 
 class WitnessVerdict(StrEnum):
-    """What became of a witness."""
+    """Whether a witness was used."""
 
     USED = "used"
     NO_GAIN = "refused: it explains nothing of the pendulum's motion"
@@ -25,10 +25,10 @@ class WitnessVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """How the pendulum's angular acceleration follows from one component of a witness, at its frequency.
+    """Response of the pendulum's angular acceleration to one component of a witness, at its frequency.
 
-    `gain` in rad/s^2 per unit of the witness; `phase_rad` by which the drive is ahead of it, for deflections
-    that count as positive at the first turning point.
+    `gain` is in rad/s^2 per unit of the witness; `phase_rad` is the lead of the drive over it, with
+    deflections positive at the first turning point.
     """
 
     name: str
@@ -41,29 +41,29 @@ class Response:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WitnessUse:
-    """What a witness of the ground told of a run.
+    """What a witness of the ground revealed about a run.
 
     Attributes
     ----------
     source, understood
-        Name of its file, or where it stands in the record; what was read of it, and what was left out.
+        Name of its file, or its place in the record; what was read of it, and what was left out.
     gain_of_prediction
-        By how much -2 ln L of half-cycles falls with gains that were fitted to others.
+        Decrease of -2 ln L of half-cycles with gains fitted to the others.
     explained
         Share of the drive's power at the pendulum's frequency that it explains: the squared coherence.
     ground_alone, ground_left
-        Densities of the drive, without the witness and of what it leaves, rad/s^2/sqrt(Hz).
+        Densities of the drive without the witness, and of the remainder, rad/s^2/sqrt(Hz).
     missing_half_cycles
         Half-swings without a witness; the drive is unknown in them.
     offset_s, offsets_tried
-        What was added to the witness's times, where it was sought, and among how many.
+        Offset added to the witness's times if it was searched for, and the number of offsets tried.
     delay_s, clock_drift
-        What is to be added to them beside it, in s, and for each second from the middle of the run, as the
-        run shows it; it was added where it is seen at four standard uncertainties.
+        Further correction of these times, in s and in s per second from the middle of the run, as the run
+        shows it; it was applied if it exceeds four standard uncertainties.
     saved
-        For each parameter how many times smaller its uncertainty is.
+        Factor by which the uncertainty of each parameter is smaller.
     spectra
-        Of the drive before and after, and its coherence with what the witness predicts.
+        Of the drive before and after, and its coherence with the witness's prediction.
     """
 
     source: str = ""
