@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 from acquisition.frame import Frame
 from processing.ticks import S_PER_NS, seconds
 from rig.devices.host_clock import NO_TIME_NS
+from rig.devices.rising_times import RisingTimes, rising_times
 
 _LEARNED = 8
 """Frames after which the frame time is known."""
@@ -99,13 +100,17 @@ class FrameClock:
         elif has_time:
             return self._confirmed(moved)
         self._waiting.append((frame, off_ns))
-        agreed = [one for one in self._waiting if abs(one[1] - off_ns) < self._allowed_ns]
+        allowed_ns = self._allowed_ns
+        agreed = [one for one in self._waiting if abs(one[1] - off_ns) < allowed_ns]
         waiting = len(self._waiting)
         decides = waiting >= _MOST_WAITING and (self._reader_is_up or self._is_full)
         if len(agreed) >= _ALIKE and last is not None:
             step = self._step_of(agreed, last, decides=decides)
-            return Seen([]) if step is None else self._stepped([one for one, _ in agreed], step)
-        return self._give_up() if decides else Seen([])
+            return Seen([]) if step is None else self._stepped(step)
+        if not decides:
+            return Seen([])
+        unlike = self._step_by_arrivals()
+        return self._give_up() if unlike is None else self._stepped(unlike)
 
     @property
     def waiting(self) -> int:
@@ -146,13 +151,44 @@ class FrameClock:
             by_rate = self._learned > 0 and abs(passed_ns - by_rate_ns) < _REGULAR * by_rate_ns
             return None if passed_ns > 0 and (passed_ns <= latest_ns or by_rate) else passed_ns - by_host_ns
         off_ns = passed_ns - by_rate_ns
-        # a camera may change its rate, and lose frames that have no number
-        by_either = abs(off_ns) < self._allowed_ns or abs(passed_ns - by_host_ns) < 0.5 * abs(off_ns)
-        return None if passed_ns > 0 and by_either else off_ns
+        if passed_ns > 0 and (abs(off_ns) < self._allowed_ns or self._by_computer(frame, last, off_ns)):
+            return None
+        return off_ns
+
+    def _by_computer(self, frame: Frame, last: Frame, off_ns: float) -> bool:
+        """Whether the computer confirms what the rate does not: a camera may change its rate, and lose frames
+        that have no number. Frames that were not waited for came at some time while nobody read.
+        """
+        before = self._waiting[-1][0] if self._waiting else None
+        before = last if before is None else before._replace(device_time_ns=self._time_ns(before))
+        passed_ns = frame.device_time_ns - before.device_time_ns
+        by_host_ns = frame.host_time_ns - before.host_time_ns
+        if passed_ns <= 0 or by_host_ns < 0.5 * min(passed_ns, self._interval_ns):
+            return False
+        early_ns = abs(self._early_ns(frame))
+        if self._waited_for:
+            by_last_ns = (frame.device_time_ns - last.device_time_ns) - (
+                frame.host_time_ns - last.host_time_ns
+            )
+            early_ns = min(early_ns, abs(by_last_ns))
+        return early_ns < min(self._allowed_by_arrival_ns, 0.5 * abs(off_ns))
+
+    @property
+    def _allowed_by_arrival_ns(self) -> float:
+        return max(3 * _LEAST_NS, 6 * self._scatter_ns)
+
+    def _time_ns(self, frame: Frame) -> int:
+        """Of a frame that waits, as if its clock had not stepped again."""
+        return frame.device_time_ns + self._offset_ns
+
+    def _early_ns(self, moved: Frame) -> float:
+        """How much sooner than usual it came, by its time: as much as the clock has stepped, less what it was
+        read late."""
+        return moved.device_time_ns - (moved.host_time_ns - self._delay_ns)
 
     def _confirmed(self, frame: Frame) -> Seen:
         """One of the clocks confirms the time: those that waited were alone, or in one line with it."""
-        in_line = self._in_line_with(frame)
+        in_line = self._in_line_with(frame) if self._waiting else []
         alone = len(self._waiting) - len(in_line)
         note = self._about_rejected(alone) if alone else ""
         self.rejected += alone
@@ -160,20 +196,29 @@ class FrameClock:
         return Seen([self._joined(one) for one in [*in_line, frame]], note)
 
     def _in_line_with(self, frame: Frame) -> list[Frame]:
-        """Those that wait and differ from the rate as much as this one, which the computer confirms: frames
-        without numbers are missing before them, and they were read too late for it to confirm them.
+        """Those that wait and rise to this one, which the computer confirms and the rate does not: frames
+        without numbers are missing, or the rate has changed, and they were read too late to be confirmed.
         """
         last = self._last
         if last is None or not self._regular:
             return []
-        off_ns = self._off_by_rate_ns(frame, last)
-        found, after_ns = list[Frame](), last.device_time_ns
-        for one, waits_off_ns in self._waiting:
-            time_ns = one.device_time_ns + self._offset_ns
-            if abs(waits_off_ns - off_ns) < self._allowed_ns and after_ns < time_ns < frame.device_time_ns:
-                found.append(one._replace(device_time_ns=time_ns))
-                after_ns = time_ns
-        return found
+        if len(self._waiting) < _ALIKE and abs(self._off_by_rate_ns(frame, last)) < self._allowed_ns:
+            return []
+        rising = self._rising(last, [*(one for one, _ in self._waiting), self._unmoved(frame)])
+        found = [self._waiting[place][0] for place in rising.kept if place < len(self._waiting)]
+        in_line = [one._replace(device_time_ns=self._time_ns(one)) for one in found]
+        return [one for one in in_line if one.device_time_ns < frame.device_time_ns]
+
+    def _unmoved(self, frame: Frame) -> Frame:
+        return frame._replace(device_time_ns=frame.device_time_ns - self._offset_ns)
+
+    def _rising(self, last: Frame, frames: list[Frame], step_ns: float = 0.0) -> RisingTimes:
+        return rising_times(
+            [float(self._time_ns(one) - last.device_time_ns) for one in frames],
+            [one.sequence - last.sequence for one in frames],
+            self._interval_ns,
+            step_ns,
+        )
 
     def _off_by_rate_ns(self, frame: Frame, last: Frame) -> float:
         """How far a time lies from what the camera's rate lets expect."""
@@ -196,7 +241,8 @@ class FrameClock:
         if math.isnan(self._delay_ns) or self._learned < _LEARNED:
             # the first ones may be late
             self._delay_ns = min(delay_ns, delay_ns if math.isnan(self._delay_ns) else self._delay_ns)
-        else:
+        elif self._waited_for:
+            # one that was not has lain in the driver, as long as nobody read
             later_ns = delay_ns - self._delay_ns
             most_ns = 2 * self._scatter_ns
             self._delay_ns += _OF_ARRIVALS * min(max(later_ns, -most_ns), most_ns)
@@ -211,8 +257,7 @@ class FrameClock:
         read late may explain the difference.
         """
         by_host_ns = max(
-            frame.device_time_ns + self._offset_ns - (frame.host_time_ns - self._delay_ns)
-            for frame, _ in agreed
+            self._early_ns(frame._replace(device_time_ns=self._time_ns(frame))) for frame, _ in agreed
         )
         if not self._regular:
             # times go on after the last one, however late that was read
@@ -224,30 +269,55 @@ class FrameClock:
         if counters:
             return ClockStep(counters[0], 0)
         numbers = max(agreed[-1][0].sequence - last.sequence, 1)
-        if abs(by_rate_ns - by_host_ns) < max(3 * _LEAST_NS, 6 * self._scatter_ns):
+        if abs(by_rate_ns - by_host_ns) < min(self._allowed_by_arrival_ns, 0.5 * abs(by_rate_ns)):
             u_ns = self._deviation_ns * (1.0 + _SMOOTHING * numbers) + 1.0
             return ClockStep(round(by_rate_ns), math.ceil(u_ns))
         if decides and not self._reader_is_up:
             # read late by nobody knows how much, and frames without numbers may be missing
             return ClockStep(round(by_rate_ns), math.ceil(abs(by_rate_ns - by_host_ns)))
-        if decides and abs(by_host_ns) < max(3 * _LEAST_NS, 6 * self._scatter_ns):
+        if decides and abs(by_host_ns) < self._allowed_by_arrival_ns:
             # the camera lost frames that have no number, and its clock is right
             return ClockStep(0, 0)
         return ClockStep(round(by_host_ns), round(self._scatter_ns)) if decides else None
 
-    def _stepped(self, agreed: list[Frame], step: ClockStep) -> Seen:
+    def _step_by_arrivals(self) -> ClockStep | None:
+        """What has happened where the rate is no help, which may have changed: the newest frames were waited
+        for, and say together how far the clock is off; None where they say nothing in common.
+        """
+        last = self._last
+        if last is None or not self._regular or math.isnan(self._delay_ns):
+            return None
+        waiting = [one for one, _ in self._waiting]
+        newest = [one._replace(device_time_ns=self._time_ns(one)) for one in waiting[-1 - _ALIKE :]]
+        early_ns = [self._early_ns(one) for one in newest]
+        step_ns = round(max(early_ns))
+        if not self._reader_is_up:
+            # there is no room to wait for more; if their times rise as a camera's do, they are believed
+            step_ns = 0
+        elif max(early_ns) - min(early_ns) > self._allowed_by_arrival_ns:
+            return None
+        elif abs(step_ns) < self._allowed_by_arrival_ns:
+            step_ns = 0
+        if len(self._rising(last, waiting, float(step_ns)).kept) < 0.5 * len(waiting):
+            return None
+        return ClockStep(step_ns, round(self._scatter_ns) if step_ns else 0)
+
+    def _stepped(self, step: ClockStep) -> Seen:
         """What waits agrees: the clock has stepped, and goes on from where it would be."""
-        alone = len(self._waiting) - len(agreed)
-        self.rejected += alone
+        waiting = [one for one, _ in self._waiting]
+        last = self._last
+        assert last is not None
+        rising = self._rising(last, waiting, float(step.step_ns))
         self._waiting.clear()
-        self._offset_ns -= step.step_ns
+        alone = len(waiting) - len(rising.kept)
+        self.rejected += alone
+        first = rising.first_after_step if rising.first_after_step is not None else len(waiting)
+        before_ns, self._offset_ns = self._offset_ns, self._offset_ns - step.step_ns
         frames: list[Frame] = []
-        for one in agreed:
-            time_ns = one.device_time_ns + self._offset_ns
-            if self._last is None or time_ns > self._last.device_time_ns:
-                frames.append(self._joined(one._replace(device_time_ns=time_ns)))
-            else:
-                self.rejected += 1
+        for place in rising.kept:
+            one = waiting[place]
+            offset_ns = before_ns if place < first else self._offset_ns
+            frames.append(self._joined(one._replace(device_time_ns=one.device_time_ns + offset_ns)))
         if not step.step_ns:
             return Seen(frames)
         again = step.step_ns < 0 and any(abs(step.step_ns - ns) < _BY_HOST_NS for ns in self._steps_ns)
@@ -263,7 +333,7 @@ class FrameClock:
         return Seen(
             frames,
             f"the camera's clock stepped by {seconds(step.step_ns):+.6g} s (u {u_s:.1g} s) before frame "
-            f"{agreed[0].sequence}; its times continue without the step{left_out}",
+            f"{waiting[min(first, len(waiting) - 1)].sequence}; its times continue without the step{left_out}",
             step,
         )
 

@@ -259,3 +259,71 @@ def test_times_never_run_backwards_however_irregularly_a_camera_without_numbers_
     frames, _, _ = carried(times, [10**12 + int(ns) for ns in read_ns])
     found = [one.device_time_ns for one in frames]
     assert all(later > earlier for earlier, later in pairwise(found))
+
+
+def hanging(true: list[int], first: int, until: int) -> list[int]:
+    """Arrivals at a reader that hangs from one frame to another, and then reads all at once."""
+    host = arrivals(true)
+    for n in range(first, until):
+        host[n] = host[until] - 10_000 * (until - n)
+    return host
+
+
+def rising_by(intervals: list[int]) -> list[int]:
+    return [0, *np.cumsum(intervals).tolist()]
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 50.0, 30.0, 23.0, 20.0, 5.0])
+def test_a_rate_that_changes_while_the_reader_hangs_is_no_senseless_clock(rate_hz: float) -> None:
+    """No clock erred: every time is the camera's own, none is made of when a frame was read."""
+    true = rising_by([INTERVAL_NS] * 120 + [round(1e9 / rate_hz)] * 200)
+    frames, clock, notes = carried([10**9 + t for t in true], hanging(true, 110, 160))
+    assert [one.device_time_ns - 10**9 for one in frames] == true
+    assert (clock.rejected, notes) == (0, [])
+
+
+@pytest.mark.parametrize("gaps", [{120: 5, 130: 3}, {112: 1, 115: 2, 118: 3, 140: 10}])
+@pytest.mark.parametrize("rate", [1, 2])
+def test_several_gaps_without_numbers_in_one_hang_lose_no_frame_and_move_none(
+    gaps: dict[int, int], rate: int
+) -> None:
+    """Also where the rate has changed before them, so that their times cross what the old one expects."""
+    each = [INTERVAL_NS // (rate if n > 115 else 1) for n in range(1, 300)]
+    true = rising_by([each_ns * (1 + gaps.get(n, 0)) for n, each_ns in enumerate(each, 1)])
+    frames, clock, notes = carried([10**9 + t for t in true], hanging(true, 110, 160))
+    assert [one.device_time_ns - 10**9 for one in frames] == true
+    assert (clock.rejected, notes) == (0, [])
+
+
+@pytest.mark.parametrize("step_ms", [130.0, -130.0, -900.0])
+@pytest.mark.parametrize("gap", [0, 5])
+def test_a_step_behind_a_gap_in_one_hang_is_taken_off_from_where_it_was(step_ms: float, gap: int) -> None:
+    true = rising_by([INTERVAL_NS * (1 + gap * (n == 120)) for n in range(1, 300)])
+    shown = [10**9 + t + round(1e6 * step_ms) * (n >= 135) for n, t in enumerate(true)]
+    frames, clock, notes = carried(shown, hanging(true, 110, 160))
+    assert [one.sequence for one in frames] == list(range(300))
+    assert max(abs(one.device_time_ns - 10**9 - t) for one, t in zip(frames, true, strict=True)) < 3e6
+    assert clock.rejected == 0
+    assert len(notes) == 1
+    assert "before frame 135" in notes[0]
+
+
+def test_a_long_hang_teaches_nothing_of_how_late_frames_are() -> None:
+    """What has lain in the driver for seconds made a later gap look like a step."""
+    true = rising_by([INTERVAL_NS * (1 + 2 * (n == 700)) for n in range(1, 900)])
+    host = hanging(true, 100, 600)
+    for n in range(690, 720):
+        host[n] = host[720] - 10_000 * (720 - n)
+    frames, clock, notes = carried([10**9 + t for t in true], host)
+    assert [one.device_time_ns - 10**9 for one in frames] == true
+    assert (clock.rejected, notes) == (0, [])
+
+
+def test_a_wrong_time_among_frames_that_were_read_late_is_left_out_alone() -> None:
+    true = rising_by([INTERVAL_NS * (1 + 5 * (n == 120)) for n in range(1, 300)])
+    shown = [10**9 + t + 27_000_000 * (n == 130) for n, t in enumerate(true)]
+    frames, clock, notes = carried(shown, hanging(true, 110, 160))
+    assert [one.sequence for one in frames] == [n for n in range(300) if n != 130]
+    assert max(abs(one.device_time_ns - 10**9 - true[one.sequence]) for one in frames) == 0
+    assert clock.rejected == 1
+    assert len(notes) == 1
