@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _OF_IRREGULAR: Final = 0.6
-"""Weight of an interval that is none of the camera's, of a frame: one that is out of line spoils two intervals
+"""Weight of an interval that is none of the camera's, of a frame: one that is out of line spoils two of them
 and is left out, one between two gaps is kept."""
 _NOT_ALIKE: Final = 0.5
 """Part of an interval by which another one differs wholly."""
@@ -29,8 +29,8 @@ def rising_times(
     """The most frames whose times rise from the last sure one on, in intervals like the camera's.
 
     Times and numbers are counted from the last sure frame. The camera may keep another interval by now, which
-    the newest frames show; frames without numbers may be missing anywhere. With a step, times behind one place
-    are later by it, which is where the intervals are most regular without it.
+    the newest frames show; frames without numbers may be missing anywhere. With a step, times behind one
+    place are later by it, which is where the intervals are most regular without it.
     """
     time = np.concatenate(([0.0], np.asarray(times_ns, dtype=np.float64)))
     number = np.concatenate(([0], np.asarray(numbers, dtype=np.int64)))

@@ -219,7 +219,7 @@ def resume_session(
             stored = stored_configuration(config)
             changed = file.reconfigure(instead.source, stored)
             say(f"{folder}: continues with {instead.source}, which states {changed}")
-        with announced(config.session, folder) as outcome:
+        with announced(config.session, folder, file) as outcome:
             outcome.status = _go_on(file, config, Manner(outcome.notices, force, json_lines))
     return outcome.status
 

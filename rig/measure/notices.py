@@ -7,15 +7,16 @@ import threading
 import time
 import urllib.parse
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, RigError
 from rig.instrument import Block, Snapshot
+from rig.measure.session_file import SessionFile, read_session
 from rig.presentation import say
 from rig.settings import SessionSettings
 from rig.terminal import reason_of
@@ -155,22 +156,42 @@ class Outcome:
 
 
 @contextmanager
-def announced(settings: SessionSettings, folder: Path) -> Iterator[Outcome]:
-    """Report the end or the failure of what is done in the block, as its exit status or its error says."""
+def announced(settings: SessionSettings, folder: Path, file: SessionFile | None = None) -> Iterator[Outcome]:
+    """Report the end or the failure of what is done in the block, as its exit status or its error says.
+
+    A session that goes on, and has nothing to make, ends as it did: that is not told twice. `file` is the
+    session's, where it is open already.
+    """
     outcome = Outcome(Notices(settings, folder))
     try:
         yield outcome
     except BaseException as error:
         why = reason_of(error) if isinstance(error, KeyboardInterrupt) else str(error)
         outcome.notices.tell("failure", why or type(error).__name__)
+        _note_told(folder, file, outcome.notices, "")
         raise
     else:
+        kind: Literal["end", "failure"] = "end"
+        text = "every run was measured and fitted"
         if outcome.status:
+            kind = "failure"
             text = "not every run was measured and fitted under its conditions"
-            outcome.notices.tell(
-                "failure", ": ".join([text, *filter(None, ["; ".join(outcome.notices.against)])])
-            )
-        else:
-            outcome.notices.tell("end", "every run was measured and fitted")
+            text = ": ".join([text, *filter(None, ["; ".join(outcome.notices.against)])])
+        if _told(folder) != f"{kind}: {text}":
+            outcome.notices.tell(kind, text)
+            _note_told(folder, file, outcome.notices, f"{kind}: {text}")
     finally:
         outcome.notices.wait()
+
+
+def _told(folder: Path) -> str:
+    with suppress(RigError):
+        return read_session(folder).told
+    return ""
+
+
+def _note_told(folder: Path, file: SessionFile | None, notices: Notices, words: str) -> None:
+    """Note in the session's file what its end was told as, if anybody was told; it may not have begun."""
+    if notices.calls and _told(folder) != words:
+        with suppress(RigError), nullcontext(file) if file else closing(SessionFile.opened(folder)) as held:
+            held.note_told(words)

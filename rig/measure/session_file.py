@@ -54,13 +54,17 @@ class RunEntry(BaseModel, frozen=True, extra="forbid"):
 
 
 class SessionState(BaseModel, frozen=True, extra="forbid"):
-    """The whole file. `configuration` is complete, so that a session can be resumed without other files."""
+    """The whole file. `configuration` is complete, so that a session can be resumed without other files.
+
+    `told` is what was told last of its end, to those who are not there; empty since a run was made.
+    """
 
     schema_version: int = _SCHEMA
     source: str
     runs_wanted: int
     configuration: dict[str, Any]
     entries: tuple[RunEntry, ...] = ()
+    told: str = ""
 
     @property
     def complete(self) -> list[RunEntry]:
@@ -75,7 +79,7 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
     def with_entry(self, entry: RunEntry) -> Self:
         """A copy in which this entry replaces the one of the same record, or is added."""
         kept = [old for old in self.entries if old.record != entry.record]
-        return self.model_copy(update={"entries": (*kept, entry)})
+        return self.model_copy(update={"entries": (*kept, entry), "told": ""})
 
 
 def read_session(folder: Path) -> SessionState:
@@ -172,6 +176,10 @@ class SessionFile:
         """Take out the entry of a run that did not begin."""
         kept = tuple(entry for entry in self.state.entries if entry.record != record)
         self.save(self.state.model_copy(update={"entries": kept}))
+
+    def note_told(self, words: str) -> None:
+        """Save what was told of the session's end."""
+        self.save(self.state.model_copy(update={"told": words}))
 
     def reconfigure(self, source: Path, configuration: dict[str, Any]) -> str:
         """Let the missing runs have another configuration; returns what it changes, in words.

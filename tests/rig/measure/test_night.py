@@ -5,6 +5,7 @@ import json
 import os
 import pty
 import re
+import sys
 import tty
 from collections.abc import Iterator
 from pathlib import Path
@@ -211,3 +212,24 @@ def test_series_have_folders_of_their_own(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text(2 * '[[series]]\nname = "one"\nconfig = "a.toml"\n')
     with pytest.raises(ConfigurationError, match="two series are called 'one'"):
         load_plan(tmp_path / "plan.toml")
+
+
+def test_a_plan_that_is_resumed_tells_no_end_twice(tmp_path: Path) -> None:
+    """Of a series whose end was told nobody is told again; of one that was killed before it told, he is."""
+    tell, told, out = tmp_path / "tell.py", tmp_path / "told", tmp_path / "out"
+    tell.write_text(f"import sys\nopen({str(told)!r}, 'a').write(sys.argv[1] + ' ')\n")
+    command = json.dumps([sys.executable, str(tell)])
+    written(tmp_path / "a.toml", SMALL | {"session.max_duration_s": "36", "session.notify_command": command})
+    plan = tmp_path / "plan.toml"
+    plan.write_text('[[series]]\nname = "one"\nconfig = "a.toml"\n')
+    with figures_are_not_drawn():
+        assert measure_plan(plan, out) == 0
+        assert told.read_text() == "end "
+        assert measure_plan(plan, out) == 0
+        assert resume_session(out / "one") == 0
+        assert told.read_text() == "end "
+        state = json.loads((out / "one" / "session.json").read_text())
+        assert state["told"].startswith("end: ")
+        (out / "one" / "session.json").write_text(json.dumps({**state, "told": ""}))
+        assert measure_plan(plan, out) == 0
+    assert told.read_text() == "end end "
