@@ -14,6 +14,8 @@ import pytest
 from hypothesis import settings
 from xdist.scheduler import LoadScopeScheduling
 
+from tests.orphans import leave_no_orphans
+
 # Shared machines are slow at times: an example is not judged by the clock. CI repeats the same
 # examples, a person's run looks for new ones.
 settings.register_profile("here", deadline=None)
@@ -30,6 +32,9 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, lambda number, frame: None)
 
+
+# A test that is killed, by its limit of time or by hand, ends nothing any more.
+leave_no_orphans()
 
 LONGER_S = {"kernel": 1500, "slow": 300, "realtime": 300}
 """Limits in s, for a busy machine, of tests that are marked so; the others have the one of pyproject.toml."""

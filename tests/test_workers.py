@@ -1,6 +1,7 @@
 """What runs in which worker of pytest-xdist: a file in one, all that measures real time in three."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -26,6 +27,7 @@ def test_files_stay_together_and_those_of_real_time_too(tmp_path: Path) -> None:
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = realtime\n")
     said = tmp_path / "said"
     (tmp_path / "tests" / "rig" / "control").mkdir(parents=True)
+    shutil.copy(ROOT / "orphans.py", tmp_path / "tests")
     for name in ("a", "b", "real", "true", DEVICE):
         mark = "[]" if name in ("a", "b") else "pytest.mark.realtime"
         path = tmp_path / (f"{name}.py" if "/" in name else f"test_{name}.py")

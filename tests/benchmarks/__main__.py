@@ -13,6 +13,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from tests.orphans import leave_no_orphans
+
 FOLDER = Path(__file__).parent
 
 
@@ -28,6 +30,7 @@ def main() -> int:
     if unknown := set(wanted) - set(known):
         parser.error(f"no benchmark {', '.join(sorted(unknown))}; there are {', '.join(known)}")
     names = wanted or known
+    leave_no_orphans()
     results: dict[str, Any] = {
         "machine": platform.platform(),
         "python": platform.python_version(),
