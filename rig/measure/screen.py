@@ -191,6 +191,8 @@ class RunDisplay:
         unit, balance = self._unit.shown, self._balance
         who = f" ({snapshot.losses})" if snapshot.losses.total else ""
         losses = f"{snapshot.dropped_frames} frames dropped{who}, {snapshot.lost_spots} spots lost"
+        if snapshot.phase in _BEFORE_THE_RECORD:
+            losses = "counted from the record on"
         rows = [
             ("elapsed", f"{_clock(snapshot.elapsed_s)}, {snapshot.half_cycles} half-cycles"),
             self._prediction(snapshot),

@@ -141,7 +141,13 @@ def build(desk: Desk, tab: Tab) -> None:
         brakes.set_visibility(devices.controller is not None)
         learned.set_content(tables.table(_estimates(run_state), "parameters so far"))
         crying = {row.key: row.cause for row in desk.alarming.alarms.rows() if row.cleared_s is None}
-        rows = as_alarmed(news.get("rows") or [], crying, frames_age_s, is_dark=is_dark)
+        rows = as_alarmed(
+            news.get("rows") or [],
+            crying,
+            frames_age_s,
+            spot_lost_s=float(news.get("spot_lost_s") or 0.0),
+            is_dark=is_dark,
+        )
         state.set_content(tables.table(rows, "state of the run"))
         events.set_content(
             "".join(_event(at_s, event) for at_s, event in newest_first(news, tuple(desk.following.events)))

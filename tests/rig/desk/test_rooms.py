@@ -155,6 +155,18 @@ def test_rows_that_an_alarm_contradicts_say_so_instead() -> None:
     assert as_alarmed(rows, {}, 0.0, is_dark=True)[1] == ["beam", "not seen: the laser is dark"]
 
 
+def test_the_row_of_losses_agrees_with_the_alarm() -> None:
+    """What it counts it has counted by then; what is being lost at this moment stands before it."""
+    rows = [("losses", "0 frames dropped, 0 spots lost, 0 waiting")]
+    counted = rows[0][1]
+    assert as_alarmed(rows, {AlarmKey.SPOT: ""}, 0.0, spot_lost_s=7.4) == [
+        ["losses", f"no spot for 7 s; {counted}"]
+    ]
+    assert as_alarmed(rows, {}, 0.0, is_dark=True) == [["losses", f"no spot: it is dark; {counted}"]]
+    ((_, silent),) = as_alarmed(rows, {AlarmKey.CAMERA: ""}, 12.0)
+    assert silent == f"frames that do not come are counted when they come again; {counted}"
+
+
 def test_turns_in_two_parts_are_summed_in_words() -> None:
     assert net_of([0.5]) == ""
     assert net_of([0.61, -0.5]) == "net +0.11 (the second turn takes up the play)"

@@ -139,6 +139,12 @@ def test_frames_without_an_age_and_a_run_without_losses_say_so_in_few_words() ->
     assert "none" not in shown
 
 
+def test_before_the_record_no_loss_is_counted_and_none_is_denied() -> None:
+    shown = screen(Snapshot(phase=Phase.REST, frames=10))
+    assert "counted from the record on" in shown
+    assert "0 frames dropped" not in shown
+
+
 def test_json_lines_name_each_loss(capsys: pytest.CaptureFixture[str]) -> None:
     display(io.StringIO(), json_lines=True).show(SEEN)
     state = json.loads(capsys.readouterr().out.splitlines()[0])
