@@ -163,8 +163,8 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     AlarmKey.SESSION_FROZEN: Alarm(
         "session does not answer",
         "its process is stopped, or is waiting for a disk or a device",
-        "wait half a minute; LIGHT OFF still works. If it stays silent, end its process: "
-        "the record can be recovered",
+        "wait half a minute; LIGHT OFF still works. If it stays silent, press Stop: it ends the process, "
+        "and the record is kept",
         _URGENT,
     ),
     AlarmKey.SESSION_FAILED: Alarm(

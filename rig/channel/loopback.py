@@ -247,6 +247,11 @@ class Line:
         """False once the process is gone that was there when it first answered; its port may be another's."""
         return not (self._was_seen and not _lives(self.pid))
 
+    @property
+    def process(self) -> int | None:
+        """Number of the process that has answered; None before."""
+        return self.pid if self._was_seen else None
+
     def beat(self) -> None:
         """Return once the session has answered at all; for that it waits for nothing, and makes nothing."""
         with self._one_at_a_time:

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter
 from processing.errors import RigError
 from rig.alarms import OF_CAMERA, EndedSession, HowEnded
 from rig.channel import CHANNEL_NAME, Line, NoSession, SessionBusy, SessionPicture, running_sessions
-from rig.control import DevicesNow, SafetyNow
+from rig.control import STALE_S, DevicesNow, SafetyNow
 from rig.desk.heartbeat import Heartbeat
 from rig.measure import RunState, read_session
 
@@ -75,6 +75,17 @@ class Following:
     @property
     def running(self) -> bool:
         return self.folder is not None
+
+    @property
+    def frozen(self) -> bool:
+        """Whether the running session has given no sign of life for longer than that can be delay."""
+        return self.running and min(time.monotonic() - self.heard_s, self.heartbeat.age_s) > STALE_S
+
+    @property
+    def process(self) -> int | None:
+        """Number of the running session's process; None where it has never answered."""
+        line = self._line
+        return None if line is None else line.process
 
     @property
     def frames_age_s(self) -> float:

@@ -20,12 +20,18 @@ from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.panels.run_charts import FIRST_FIT, RunCharts
 from rig.desk.panels.run_result import NEXT_RUN, RunResult
 from rig.desk.panels.start_form import build_form
+from rig.desk.stopping import stop_session
 from rig.desk.tab import Tab
 from rig.instrument import Phase
 from rig.measure import estimate_texts
 from rig.presentation import quantity
 
 _SIZE = (420, 300)
+_IF_SOUND = "Stop the session? The record is closed and fitted; nothing is lost."
+_IF_FROZEN = (
+    "The session does not answer. End its process? The laser is switched off; the record stays, at worst "
+    "without its last second, and is fitted by Fit again."
+)
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -33,8 +39,9 @@ def build(desk: Desk, tab: Tab) -> None:
     stretched = False
 
     async def stop() -> None:
+        asked.set_text(_IF_FROZEN if desk.following.frozen else _IF_SOUND)
         if desk.following.running and await sure:
-            ui.notify(await run.io_bound(desk.following.order, "stop"))
+            ui.notify(await run.io_bound(stop_session, desk))
 
     async def brake() -> None:
         status = desk.following.devices.status
@@ -48,7 +55,7 @@ def build(desk: Desk, tab: Tab) -> None:
         draw()
 
     with ui.dialog().props('aria-label="stop the session"') as sure, ui.card():
-        ui.label("Stop the session? The record is closed and fitted; nothing is lost.")
+        asked = ui.label(_IF_SOUND)
         with ui.row():
             ui.button("Stop it", on_click=lambda: sure.submit(True)).props('color="negative"')
             ui.button("Go on", on_click=lambda: sure.submit(False)).props("outline")

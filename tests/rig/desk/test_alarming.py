@@ -13,15 +13,19 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
+from processing.errors import RigError
 from rig.alarms import AlarmKey, AlarmState
 from rig.channel import Channel, SessionNews
 from rig.control import STALE_S
 from rig.desk.desk import Desk
+from rig.desk.stopping import stop_session
 from rig.measure.session_file import RunState, SessionFile
 from rig.settings import load_configuration, stored_configuration
 
 pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).resolve().parents[3]
+IGNORES = ("sh", "-c", "trap '' TERM; exec \"$@\"", "-")
+"""What it runs hears no SIGTERM."""
 
 
 @pytest.fixture
@@ -56,11 +60,11 @@ def test_alarms_survive_the_desk(config: Path, tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.fixture
-def session(config: Path, desk: Desk) -> Iterator["subprocess.Popen[str]"]:
-    """A session in a process of its own, which the desk follows."""
+def session(request: pytest.FixtureRequest, config: Path, desk: Desk) -> Iterator["subprocess.Popen[str]"]:
+    """A session in a process of its own, which the desk follows; its parameter is what runs it."""
     folder = config.parent / "runs" / "session"
     with subprocess.Popen(
-        [sys.executable, "-m", "tests.benchmarks.told_session", str(folder)],
+        [*getattr(request, "param", ()), sys.executable, "-m", "tests.benchmarks.told_session", str(folder)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -105,6 +109,41 @@ def test_a_session_that_is_frozen_and_one_that_is_killed(
     assert wait_for(desk, AlarmKey.SESSION_DIED).startswith("session: ")
     desk.alarming.alarms.acknowledge(AlarmKey.SESSION_DIED, "Ada")
     wait_for(desk, AlarmKey.SESSION_DIED, None)
+
+
+def test_stop_ends_a_session_that_is_frozen(desk: Desk, session: "subprocess.Popen[str]") -> None:
+    os.kill(session.pid, signal.SIGSTOP)
+    wait_until(lambda: desk.following.frozen)
+    assert "its process ends" in stop_session(desk)
+    assert session.wait(30.0) == -signal.SIGTERM
+
+
+@pytest.mark.parametrize("session", [IGNORES], indirect=True)
+def test_stop_kills_a_session_that_stays_frozen(desk: Desk, session: "subprocess.Popen[str]") -> None:
+    over = threading.Event()
+
+    def stay() -> None:
+        while not over.wait(0.001):
+            session.send_signal(signal.SIGSTOP)
+
+    frozen = threading.Thread(target=stay)
+    frozen.start()
+    try:
+        wait_until(lambda: desk.following.frozen)
+        assert "was killed, Resume" in stop_session(desk, wakes_within_s=1.0)
+    finally:
+        over.set()
+        frozen.join()
+    assert session.wait(30.0) == -signal.SIGKILL
+    wait_for(desk, AlarmKey.SESSION_DIED)
+
+
+def test_stop_orders_a_session_that_answers(desk: Desk, session: "subprocess.Popen[str]") -> None:
+    """The one of this test knows no such order, and says so: it has heard it."""
+    assert not desk.following.frozen
+    with pytest.raises(RigError, match="knows no such order"):
+        stop_session(desk)
+    assert session.poll() is None
 
 
 def test_a_session_whose_news_are_late_is_not_frozen(desk: Desk, config: Path) -> None:

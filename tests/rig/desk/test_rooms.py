@@ -162,7 +162,7 @@ def test_the_row_of_losses_agrees_with_the_alarm() -> None:
     assert as_alarmed(rows, {AlarmKey.SPOT: ""}, 0.0, spot_lost_s=7.4) == [
         ["losses", f"no spot for 7 s; {counted}"]
     ]
-    assert as_alarmed(rows, {}, 0.0, is_dark=True) == [["losses", f"no spot: it is dark; {counted}"]]
+    assert as_alarmed(rows, {}, 0.0, is_dark=True) == [["losses", f"no spot: the laser is dark; {counted}"]]
     ((_, silent),) = as_alarmed(rows, {AlarmKey.CAMERA: ""}, 12.0)
     assert silent == f"frames that do not come are counted when they come again; {counted}"
 

@@ -1,6 +1,8 @@
 """A whole session at the desk of the simulated rig: align, check, measure; a trip; a desk that is killed."""
 
 import json
+import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -153,6 +155,65 @@ def test_a_session_by_keyboard_alone(
         page.wait(HANDED_OVER, 120.0)
         page.wait_text("stopped")
         tab_to(page, "Report")
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+@pytest.mark.timeout(300)
+def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm(
+    desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
+) -> None:
+    """By the same keys as one that answers; then killed, and resumed by the button in the alarm."""
+    config = desk_configuration(INTERLOCK)
+    # hidden, it still has the text of the session before
+    measuring = "(a => a.offsetParent && parseFloat(a.innerText) > 50)(document.getElementById('amplitude'))"
+    resume = 'document.querySelector(\'[aria-label^="Resume"][aria-label$="that died"]\')'
+    with desk_page(browser, config) as (_, page):
+        page.key("4")
+        page.click("Start …")
+        page.in_dialog()
+        page.wait(measuring)
+        (channel,) = (config.parent / "runs").glob("*/.channel.json")
+        folder = channel.parent
+        os.kill(process_of(folder), signal.SIGSTOP)
+        page.wait_text("SESSION DOES NOT ANSWER")
+        tab_to(page, "Stop the session")
+        page.type("\r")
+        page.wait_text("End its process?")
+        tab_to(page, "Stop it")
+        page.type("\r")
+        page.wait_text("its process ends")
+        page.wait_text("0 of 1 runs complete; terminated")
+        assert states(folder) == ["stopped"]
+        assert not page.ask(f"{resume}.offsetParent"), "a session that was stopped has not died"
+        # another one is killed
+        page.click("Start …")
+        page.in_dialog()
+        page.wait(measuring)
+        (channel,) = (config.parent / "runs").glob("*/.channel.json")
+        folder = channel.parent
+        os.kill(process_of(folder), signal.SIGKILL)
+        page.wait_text("SESSION DIED")
+        page.wait(f"{resume}.offsetParent !== null")
+        page.ask(f"{resume}.click()")
+        page.wait_text(f"Make the missing runs of {folder}?")
+        page.in_dialog()
+        page.wait(measuring)
+        assert states(folder)[0] == "interrupted"
+        assert not page.ask(f"{resume}.offsetParent"), "one that runs is not to be resumed"
+        page.click("Stop")
+        page.click("Stop it")
+        page.wait(HANDED_OVER, 120.0)
+    assert states(folder) == ["interrupted", "stopped"]
+
+
+def process_of(folder: Path) -> int:
+    return int(json.loads((folder / ".channel.json").read_text())["pid"])
+
+
+def states(folder: Path) -> list[str]:
+    """Of the runs of a session, in their order."""
+    return [entry["state"] for entry in json.loads((folder / "session.json").read_text())["entries"]]
 
 
 @pytest.mark.slow
