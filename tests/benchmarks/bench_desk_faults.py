@@ -7,6 +7,7 @@ have; one that only tells (`told_session`) those that it cannot; desk and browse
 
 import contextlib
 import json
+import math
 import os
 import signal
 import statistics
@@ -28,6 +29,8 @@ ASKED_S = 3.0
 _LIMIT_S = 30.0
 _LARGEST_KIB = 4608
 """Of a file, in place of a full disk; what a record reserves at its start fits in."""
+_NEAR_KIB = 128
+"""Before its end, a few writes."""
 _LONGEST_S = 240.0
 LASER = """
 [controller]
@@ -262,13 +265,16 @@ def of_surroundings(table: Table, config: Path) -> None:
         env={**os.environ, "PYTHONPATH": os.getcwd()},
     )
     record = folder / "run-1.mcap"
-    # the write that fails has filled the file: a busy machine's pauses between writes say nothing
-    size, deadline_s = 0, time.monotonic() + _LONGEST_S
-    while size < _LARGEST_KIB * 1024 and session.poll() is None and time.monotonic() < deadline_s:
+    size, grown_s, deadline_s = 0, math.inf, time.monotonic() + _LONGEST_S
+    # it is written twice a second; the last write is a little before the one that fails, and any other pause
+    # is a busy machine's
+    while time.monotonic() - grown_s < 1.2 and time.monotonic() < deadline_s:
         with contextlib.suppress(FileNotFoundError):
-            size = record.stat().st_size
+            if (now := record.stat().st_size) > size:
+                size = now
+                grown_s = time.monotonic() if size > (_LARGEST_KIB - _NEAR_KIB) * 1024 else math.inf
         time.sleep(0.01)
-    table.take("the record cannot be written any more", AlarmKey.SESSION_FAILED, time.monotonic())
+    table.take("the record cannot be written any more", AlarmKey.SESSION_FAILED, grown_s)
     session.kill()
     session.communicate()
     table.acknowledge()
