@@ -214,6 +214,7 @@ def test_series_have_folders_of_their_own(tmp_path: Path) -> None:
         load_plan(tmp_path / "plan.toml")
 
 
+@pytest.mark.slow
 def test_a_plan_that_is_resumed_tells_no_end_twice(tmp_path: Path) -> None:
     """Of a series whose end was told nobody is told again; of one that was killed before it told, he is."""
     tell, told, out = tmp_path / "tell.py", tmp_path / "told", tmp_path / "out"
