@@ -333,7 +333,8 @@ class FrameClock:
         return Seen(
             frames,
             f"the camera's clock stepped by {seconds(step.step_ns):+.6g} s (u {u_s:.1g} s) before frame "
-            f"{waiting[min(first, len(waiting) - 1)].sequence}; its times continue without the step{left_out}",
+            f"{waiting[min(first, len(waiting) - 1)].sequence}; its times continue without "
+            f"the step{left_out}",
             step,
         )
 
