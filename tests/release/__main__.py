@@ -5,6 +5,7 @@ tree gets commit and tag only when all of that is there, and nothing is pushed: 
 """
 
 import argparse
+import shutil
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -12,7 +13,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from tests.release.files import bill_of_materials, build, refuse_difference, site, write_sums
-from tests.release.refusals import Refused, git, refuse_changes, refuse_failures, refuse_version
+from tests.release.refusals import (
+    Refused,
+    git,
+    refuse_changes,
+    refuse_failures,
+    refuse_version,
+    refuse_what_is_missing,
+)
 
 TREE = Path(__file__).resolve().parents[2]
 CHECKS = (("make", "lint"), ("make", "docs"), ("make", "test"))
@@ -27,7 +35,8 @@ def release(tree: Path, version: str, checks: Sequence[Sequence[str]], day: str)
     refuse_changes(tree)
     files = tree / "dist" / version
     if files.exists():
-        raise Refused(f"{files}: exists already")
+        raise Refused(f"{files}: exists already, of a release that was not tagged; remove it")
+    refuse_what_is_missing(tree)
     refuse_failures(tree, checks)
     refuse_changes(tree)
     with tempfile.TemporaryDirectory() as folder:
@@ -42,12 +51,22 @@ def release(tree: Path, version: str, checks: Sequence[Sequence[str]], day: str)
         bill_of_materials(clone, version, made / f"optical_pendulum_rig-{version}.cdx.json")
         site(clone, made / f"optical_pendulum_rig-{version}-site.tar.gz")
         write_sums(made)
+        _hand_over(tree, clone, made, version)
+    return files
+
+
+def _hand_over(tree: Path, clone: Path, made: Path, version: str) -> None:
+    """Give the tree files, tag and commit: all or none, also where the tree has moved on meanwhile."""
+    files = tree / "dist" / version
+    try:
+        shutil.copytree(made, files)
         git(tree, "fetch", "--quiet", str(clone), f"refs/tags/v{version}:refs/tags/v{version}")
         git(tree, "merge", "--quiet", "--ff-only", f"v{version}")
-        files.mkdir(parents=True)
-        for path in made.iterdir():
-            (files / path.name).write_bytes(path.read_bytes())
-    return files
+    except BaseException:
+        shutil.rmtree(files, ignore_errors=True)
+        if git(tree, "tag", "--list", f"v{version}"):
+            git(tree, "tag", "--delete", f"v{version}")
+        raise
 
 
 def part_of(changelog: str, version: str) -> str:

@@ -1,5 +1,6 @@
 """What must hold before anything is released; each refusal is one line."""
 
+import importlib.util
 import re
 import subprocess
 from collections.abc import Sequence
@@ -42,6 +43,16 @@ def refuse_changes(tree: Path) -> None:
     changed = git(tree, "status", "--porcelain").splitlines()
     if changed:
         raise Refused(f"{len(changed)} changes are not committed, the first: {changed[0].strip()}")
+
+
+def refuse_what_is_missing(tree: Path) -> None:
+    """Refuse, before the long checks, for want of a maker of the bill of materials or a name for the tag."""
+    if importlib.util.find_spec("cyclonedx_py") is None:
+        raise Refused("the bill of materials needs cyclonedx-bom: pip install '.[release]'")
+    for key in ("user.name", "user.email"):
+        # 1 where it is not set, with no words at all
+        if subprocess.run(["git", "-C", tree, "config", key], capture_output=True, check=False).returncode:
+            raise Refused(f"git knows no {key}, who releases: git config {key} ...")
 
 
 def refuse_failures(tree: Path, checks: Sequence[Sequence[str]]) -> None:

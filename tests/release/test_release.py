@@ -74,6 +74,16 @@ def test_two_builds_have_the_same_bytes(tree: Path, tmp_path: Path, monkeypatch:
         built.refuse_difference(one, other)
 
 
+@pytest.fixture
+def makers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the site, which make docs checks, and without the SBOM where its maker is not installed."""
+    monkeypatch.setattr(command, "site", lambda tree, path: path.write_bytes(b"site"))
+    if importlib.util.find_spec("cyclonedx_py") is None:
+        monkeypatch.setattr(command, "refuse_what_is_missing", lambda tree: None)
+        monkeypatch.setattr(command, "bill_of_materials", lambda tree, version, path: path.write_text("{}"))
+
+
+@pytest.mark.usefixtures("makers")
 @pytest.mark.parametrize(
     ("version", "reason"),
     [
@@ -105,11 +115,58 @@ def test_a_dirty_tree_and_a_tag_that_exists_are_refused(tree: Path) -> None:
         command.release(tree, "9.8.7", [], DAY)
 
 
-def test_a_release_has_all_its_files(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the site, which make docs checks, and without the SBOM where its maker is not installed."""
-    monkeypatch.setattr(command, "site", lambda tree, path: path.write_bytes(b"site"))
-    if importlib.util.find_spec("cyclonedx_py") is None:
-        monkeypatch.setattr(command, "bill_of_materials", lambda tree, version, path: path.write_text("{}"))
+def test_what_is_missing_is_said_before_the_checks(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    check = [sys.executable, "-c", "raise SystemExit(1)"]
+    find_spec = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(Refused, match="needs cyclonedx-bom"):
+        command.release(tree, "9.8.7", [check], DAY)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: find_spec("json"))
+    git(tree, "config", "user.name", "")
+    git(tree, "config", "--unset", "user.email")
+    monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
+    with pytest.raises(Refused, match=r"git knows no user\.email, who releases: git config user\.email"):
+        command.release(tree, "9.8.7", [check], DAY)
+    assert not git(tree, "tag")
+
+
+@pytest.mark.usefixtures("makers")
+def test_a_failure_at_the_end_leaves_nothing(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody commits while the files are built; or the disk is full when they are handed over."""
+    kept = command.shutil.copytree
+
+    def quick(clone: Path, folder: Path) -> list[Path]:
+        folder.mkdir()
+        (folder / "optical_pendulum_rig-9.8.7.tar.gz").write_bytes(b"sdist")
+        return list(folder.iterdir())
+
+    def full(source: Path, target: Path) -> None:
+        kept(source, target)
+        raise OSError(28, "No space left on device", str(target))
+
+    monkeypatch.setattr(command, "build", quick)
+    monkeypatch.setattr(command.shutil, "copytree", full)
+    before = state(tree)
+    with pytest.raises(OSError, match="No space left"):
+        command.release(tree, "9.8.7", [], DAY)
+    assert state(tree) == before
+    assert not list((tree / "dist").iterdir())
+    monkeypatch.setattr(command.shutil, "copytree", kept)
+
+    def commit(folder: Path) -> None:
+        git(tree, "commit", "--quiet", "--allow-empty", "--message", "meanwhile")
+        write_sums(folder)
+
+    monkeypatch.setattr(command, "write_sums", commit)
+    with pytest.raises(Refused, match="git merge: "):
+        command.release(tree, "9.8.7", [], DAY)
+    assert git(tree, "log", "-1", "--format=%s") == "meanwhile"
+    assert git(tree, "tag") == before[1]
+    assert not list((tree / "dist").iterdir())
+
+
+@pytest.mark.usefixtures("makers")
+def test_a_release_has_all_its_files(tree: Path) -> None:
     folder = command.release(tree, "9.8.7", [[sys.executable, "-c", ""]], DAY)
     names = {path.name for path in folder.iterdir()}
     stem = "optical_pendulum_rig-9.8.7"
