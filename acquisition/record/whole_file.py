@@ -193,19 +193,25 @@ def _written_beside(path: Path, data: bytes, mode: int = 0o666) -> Iterator[Path
             number = -1
         yield beside
     finally:
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
+        # closed first: Windows removes no open file
         if number >= 0:
             os.close(number)
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
 
 
 def _claimed(path: Path, mode: int = 0o666) -> int:
-    """A new file, opened and locked; one that somebody takes for left over meanwhile is made again."""
+    """A new file, opened and locked; one that somebody takes for left over meanwhile is made again.
+
+    Without locks nobody takes it, and such a system may not know a file again by its number.
+    """
     while True:
         number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, mode)
         locked = _locked(number)
+        if locked is None:
+            return number
         try:
-            if locked is not False and os.path.samestat(os.fstat(number), path.stat()):
+            if locked and os.path.samestat(os.fstat(number), path.stat()):
                 return number
         except FileNotFoundError:
             pass

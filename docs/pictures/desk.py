@@ -48,7 +48,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         config = Path(place) / "rig.toml"
         base = HERE.parents[1] / "configs" / "live.toml"
-        config.write_text(CONFIGURATION.format(base=base.as_posix()))
+        config.write_text(CONFIGURATION.format(base=base.as_posix()), encoding="utf-8")
         # sessions and calibrations are filed in the folder in which the desk was opened
         os.environ["PYTHONPATH"] = str(HERE.parents[1])
         with chdir(place), headless_browser() as browser, desk_page(browser, config) as (_, page):

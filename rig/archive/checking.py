@@ -178,7 +178,7 @@ def _records(archive: Path) -> tuple[list[str], int]:
         Archive(archive).connection().execute(question, [platform.node()]).fetchall()
     )
     done_path = archive / _DONE
-    done = set(done_path.read_text().splitlines()) if done_path.exists() else set()
+    done = set(done_path.read_text(encoding="utf-8").splitlines()) if done_path.exists() else set()
     wrong: list[str] = []
     told_s, read = time.monotonic(), 0
     with done_path.open("a", encoding="utf-8") as progress:

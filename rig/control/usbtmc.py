@@ -45,8 +45,8 @@ def find_usbtmc(port: str, vendor: int, devices: Path = _DEVICES) -> str:
         # the class device belongs to an interface, whose parent is the USB device
         with contextlib.suppress(OSError, ValueError):
             usb = (node / "device").resolve().parent
-            if int((usb / "idVendor").read_text(), 16) == vendor:
-                found[(usb / "serial").read_text().strip()] = f"/dev/{node.name}"
+            if int((usb / "idVendor").read_text(encoding="utf-8"), 16) == vendor:
+                found[(usb / "serial").read_text(encoding="utf-8").strip()] = f"/dev/{node.name}"
     matching = {serial: path for serial, path in found.items() if wanted in ("", serial)}
     if len(matching) == 1:
         return next(iter(matching.values()))

@@ -269,7 +269,7 @@ def check_usb_memory(frame_bytes: int, frames: int, memory: Path = _USBFS_MEMORY
     """Check that Linux has memory for the USB transfers of so many frames, which use half of it at most."""
     if sys.platform != "linux" or not memory.is_file():
         return ()
-    limit_mb = int(memory.read_text())
+    limit_mb = int(memory.read_text(encoding="utf-8"))
     wanted_mb = -(-2 * frames * frame_bytes // 2**20)
     # 0 means no limit
     enough = limit_mb == 0 or limit_mb >= wanted_mb

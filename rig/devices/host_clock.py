@@ -104,6 +104,8 @@ def _ask(*command: str) -> str:
             command,
             capture_output=True,
             text=True,
+            encoding="utf-8",
+            errors="replace",
             timeout=_PATIENCE_S,
             check=False,
             stdin=subprocess.DEVNULL,

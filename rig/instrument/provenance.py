@@ -66,6 +66,7 @@ def code_commit() -> str:
             ],
             capture_output=True,
             text=True,
+            encoding="utf-8",
             timeout=5.0,
             check=False,
             stdin=subprocess.DEVNULL,

@@ -23,7 +23,7 @@ END_LIMIT_S = 60.0
 def main() -> None:
     """Run until the end of the input or a `Finish`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    reports = os.fdopen(os.dup(1), "w", buffering=1)
+    reports = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)  # what a library prints must not be taken for a report
     try:
         _work(sys.stdin.buffer, reports)

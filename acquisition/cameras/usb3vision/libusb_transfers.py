@@ -194,7 +194,7 @@ def _usbfs_limit() -> float:
     inf.
     """
     try:
-        megabytes = int(Path("/sys/module/usbcore/parameters/usbfs_memory_mb").read_text())
+        megabytes = int(Path("/sys/module/usbcore/parameters/usbfs_memory_mb").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return float("inf")
     return megabytes * 2**20 / 2 if megabytes else float("inf")

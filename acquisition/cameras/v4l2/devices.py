@@ -155,7 +155,7 @@ def _serial(entry: Path) -> str:
         place = (entry / "device").resolve()
         for folder in (place, *place.parents):
             if (folder / "serial").is_file():
-                return (folder / "serial").read_text().strip()
+                return (folder / "serial").read_text(encoding="utf-8").strip()
     except OSError:
         pass
     return ""

@@ -2,12 +2,17 @@
 
 import contextlib
 import errno
-import fcntl
 import math
 import os
 import struct
 from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
+
+try:
+    import fcntl
+except ImportError:
+    # Windows, where nothing here is called: the search for cameras says so
+    fcntl = None  # type: ignore[assignment]
 
 CAPTURE: Final = 1
 MEMORY_MAPPED: Final = 1
