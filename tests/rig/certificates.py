@@ -87,7 +87,7 @@ def schema(shared_data: Path) -> Any:
 
     It is under the LGPL, and stays outside a project under the MIT licence.
     """
-    xmlschema = pytest.importorskip("xmlschema", reason="xmlschema, of the extra test-dcc, is not installed")
+    xmlschema = pytest.importorskip("xmlschema", reason="xmlschema is not installed")
     folder = shared_data / "dcc"
     if not (folder / "dcc.xsd").is_file():
         pytest.skip(f"no schema of certificates at {folder}")

@@ -133,7 +133,7 @@ def parsed(dsi_unit: Any, text: str) -> Any:
 
 @pytest.mark.parametrize("unit", UNITS)
 def test_units_are_those_of_ptbs_own_library(unit: str) -> None:
-    dsi_unit = pytest.importorskip("dsi_unit", reason="dsiunits, of the extra test-dcc, is not installed")
+    dsi_unit = pytest.importorskip("dsi_unit", reason="dsiunits is not installed")
     theirs = parsed(dsi_unit, in_d_si(unit))
     assert theirs.valid
     again = from_d_si(in_d_si(unit))
