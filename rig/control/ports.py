@@ -63,7 +63,7 @@ def check_controller(
     No output is switched on.
     """
     if settings.kind == "none":
-        return (Verdict("controller", True, "none is configured"),)
+        return (Verdict("controller", True, "none is configured", made=False),)
     try:
         identity = controller.open()
         status = controller.heartbeat()
