@@ -74,7 +74,7 @@ wheel: $(VENV)/.installed
 	rm -f dist/*.whl
 	$(BIN)/python -m hatchling build -d dist -t wheel
 
-# The image of the Containerfile, built by buildah and run: root, buildah and debootstrap are needed.
+# The image of the Containerfile, built by buildah, or podman, and run: root and debootstrap are needed, too.
 container: $(VENV)/.installed
 	.ci/container
 
