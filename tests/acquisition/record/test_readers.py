@@ -131,7 +131,13 @@ def run_rerun(folder: Path, *arguments: str) -> str:
     environment = {**os.environ, "XDG_CONFIG_HOME": str(folder / "settings"), "NO_COLOR": "1"}
     subprocess.run([program, "analytics", "disable"], check=True, capture_output=True, env=environment)
     done = subprocess.run(
-        [program, *arguments], capture_output=True, text=True, timeout=60, check=False, env=environment
+        [program, *arguments],
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        timeout=60,
+        check=False,
+        env=environment,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

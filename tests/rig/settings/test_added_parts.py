@@ -95,16 +95,16 @@ def copy(tmp_path: Path) -> Path:
 
 
 def add(registry: Path, head: str, entry: str) -> None:
-    text = registry.read_text()
+    text = registry.read_text(encoding="utf-8")
     assert head in text
-    registry.write_text(text.replace(head, head + entry))
+    registry.write_text(text.replace(head, head + entry), encoding="utf-8")
 
 
 def test_what_is_added_to_a_registry_is_configured_made_and_found(copy: Path) -> None:
     cameras, lasers = copy / "acquisition" / "cameras", copy / "rig" / "control" / "lasers"
-    (cameras / "still.py").write_text(DRIVER)
+    (cameras / "still.py").write_text(DRIVER, encoding="utf-8")
     add(cameras / "drivers.py", "DRIVERS: dict[str, Driver] = {", ENTRY)
-    (lasers / "torch.py").write_text(LASER)
+    (lasers / "torch.py").write_text(LASER, encoding="utf-8")
     add(lasers / "drivers.py", "LASERS: dict[str, str] = {", LASER_ENTRY)
     add(copy / "processing" / "instruments" / "descriptions.py", "_TABLE = (", INSTRUMENT)
     (copy / "still.toml").write_text(

@@ -12,7 +12,7 @@ CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 
 
 def write(path: Path, text: str) -> Path:
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     return path
 
 
