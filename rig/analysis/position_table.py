@@ -15,7 +15,7 @@ from processing.units import conversion
 from rig.analysis.tables import Cells, Columns, Run, moments_ns, read_cells, runs_of
 from rig.analysis.tables.clock_times import M_SS, clock_form
 from rig.analysis.tables.column_units import unit_of_positions, unit_of_time
-from rig.analysis.tables.numbers import is_moment
+from rig.analysis.tables.numbers import is_missing, is_moment
 from rig.analysis.tables.times import number, placed, read_times, rising
 from rig.analysis.trajectory import ANGLES, NOT_STATED, Trajectory
 
@@ -29,6 +29,10 @@ _NO_COMMAS: Final = (
 )
 _LARGEST_RAD: Final = 1.1 * math.pi
 """No pendulum swings further from its middle and comes back; a tenth for where the middle is taken to be."""
+_MOST_WORDS: Final = 0.25
+"""Of a column of positions that may be words; single ones are of an instrument that lost its signal."""
+_LARGEST: Final = 1e60
+"""Positions beyond it, or below its inverse, are no measurement, and squares leave the range of floats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +126,7 @@ class _Reading:
         inside = self._stretch(times_ns)
         times_ns, table = times_ns[inside], table[inside]
         self._left_out(good, lines[inside], table, [f"position {k + 1}" for k in range(len(p_columns))])
+        self._judge_words(p_columns)
         self._judge_size(unit, table)
         return Trajectory(
             times_ns=times_ns,
@@ -244,8 +249,27 @@ class _Reading:
                     f"numbers ({placed(lines[missing].tolist())})"
                 )
 
+    def _judge_words(self, columns: Sequence[int]) -> None:
+        """Refuse a column of which much is written so that it is not read: what is left would be no swing."""
+        for k in columns:
+            cells = [row[k] for row in self._cells.rows]
+            words = [n for n, cell in enumerate(cells) if math.isnan(number(cell)) and not is_missing(cell)]
+            if len(words) > _MOST_WORDS * len(cells):
+                raise DataError(
+                    f"{self._path}: {len(words)} of {len(cells)} values of {self._names[k]} are no numbers, "
+                    f"first {cells[words[0]]!r} (line {self._cells.lines[words[0]]}); write them as numbers, "
+                    "or name another column with --position"
+                )
+
     def _judge_size(self, unit: str, table: NDArray[np.float64]) -> None:
-        """Refuse an angle that no pendulum swings by."""
+        """Refuse an angle that no pendulum swings by, and what no instrument measures in any unit."""
+        sizes = np.abs(table[np.isfinite(table) & (table != 0)])
+        if len(sizes) and not (sizes.max() < _LARGEST and np.median(sizes) > 1.0 / _LARGEST):
+            raise DataError(
+                f"{self._path}: the position is of the order of {np.median(sizes):.3g} {unit}, up to "
+                f"{sizes.max():.3g}, which no instrument measures; is it the right column (--position), and "
+                "are wrong values left out?"
+            )
         if unit not in ANGLES or not np.isfinite(table).any():
             return
         span = float(np.nanmax(table, axis=0).max() - np.nanmin(table, axis=0).min())

@@ -18,10 +18,11 @@ _WHOLE: Final = re.compile(rf"[+-]?\d+{_EXPONENT}")
 _POINTED: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
 _COMMAED: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?")
 _SPACED: Final = re.compile(rf"[+-]?\d{{1,3}}(?:[{_SPACES} ]\d{{3}})+(?:[.,]\d+)?")
+_MINUS: Final = "\u2212\u2013"
 _NOT: Final = re.compile(r"[+-]?(?:nan|inf(?:inity)?|n/?a|null|none|--?|)", re.IGNORECASE)
 _KINDS: Final = (_WHOLE, _POINT, _COMMA, _COMMAED, _POINTED, _SPACED, _NOT)
 _EASY: Final = re.compile(r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?")
-_WITH_UNIT: Final = re.compile(r"(?P<number>[+-]?[\d.,].*?)\s*(?P<unit>[^\d\s.,+-][^\d,.+]*)")
+_WITH_UNIT: Final = re.compile(r"(?P<number>[+\u2212\u2013-]?[\d.,].*?)\s*(?P<unit>[^\d\s.,+-][^\d,.+]*)")
 MOMENT: Final = re.compile(
     r"(?P<date>\d{4}-\d\d-\d\d|\d{4}/\d\d/\d\d|\d\d\.\d\d\.\d{4})?(?:(?<=\d)[T ])?"
     r"(?P<clock>(?(date)\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?"
@@ -40,7 +41,7 @@ class Writing(NamedTuple):
         """The cell as Python writes numbers; one that is no number is left as it is."""
         if self.decimal == "." and _EASY.fullmatch(cell):
             return cell
-        text = cell.strip(f" \t{_SPACES}")
+        text = _with_ascii_minus(cell).strip(f" \t{_SPACES}")
         if _SPACED.fullmatch(text):
             text = re.sub(rf"[{_SPACES} ]", "", text)
         if self.thousands and self.thousands in text:
@@ -52,8 +53,19 @@ class Writing(NamedTuple):
         return re.sub(r"(?<=\d)[dD](?=[+-]?\d+$)", "e", text)
 
 
+def _with_ascii_minus(cell: str) -> str:
+    """Typesetters' minus and en dash before a number, as Julia, matplotlib and word processors write it."""
+    return f"-{cell[1:]}" if cell[:1] in _MINUS and cell[1:2] not in ("", *_MINUS) else cell
+
+
+def is_missing(cell: str) -> bool:
+    """Whether a cell stands for a number that there is not: empty, or a word for none."""
+    return bool(_NOT.fullmatch(cell.strip()))
+
+
 def is_number(cell: str) -> bool:
     """Whether a cell is a number in any way of writing, or stands for a missing one."""
+    cell = _with_ascii_minus(cell)
     return bool(_EASY.fullmatch(cell)) or any(
         kind.fullmatch(cell) for kind in (_WHOLE, _POINT, _COMMA, _COMMAED, _POINTED, _SPACED, _NOT)
     )
@@ -83,7 +95,7 @@ def writing_of(cells: Iterable[str], stated: str, where: str) -> Writing:
     """
     point, comma, either, pointed = "", "", "", False
     mixed = {".": "", ",": ""}
-    for cell in cells:
+    for cell in map(_with_ascii_minus, cells):
         if "." in cell and "," in cell:
             decimal = max(".,", key=cell.rindex)
             if (_POINTED if decimal == "," else _COMMAED).fullmatch(cell):

@@ -86,8 +86,10 @@ def read_times(
 
 
 def number(cell: str) -> float:
-    """A number; NaN for anything else."""
+    """A finite number; NaN for anything else."""
     try:
-        return float(cell)
+        # Python reads 1_0 as ten, which no instrument means
+        value = math.nan if "_" in cell else float(cell)
     except ValueError:
         return math.nan
+    return value if math.isfinite(value) else math.nan

@@ -1,0 +1,81 @@
+"""Cells that other programs write in ways of their own: read right, or refused in a line that quotes one."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from processing.errors import DataError
+from rig.analysis.position_table import TableColumns
+
+TIME_S = 0.05 * np.arange(400)
+X = 10.0 * np.exp(-0.01 * TIME_S) * np.cos(2.0 * np.pi / 2.5 * TIME_S)
+
+
+def _table(path: Path, cell: Callable[[float], str], header: str = "t_s,x_mm") -> Path:
+    path.write_text(f"{header}\n" + "".join(f"{t:.3f},{cell(x)}\n" for t, x in zip(TIME_S, X, strict=True)))
+    return path
+
+
+@pytest.mark.parametrize("minus", ["\u2212", "\u2013"])
+def test_a_typesetters_minus_is_a_minus(tmp_path: Path, minus: str) -> None:
+    """Half of a swing is below its middle: left out, nothing of it would remain."""
+    found = TableColumns().read(_table(tmp_path / "a.csv", lambda x: f"{x:.4f}".replace("-", minus)))
+    np.testing.assert_allclose(found.positions[0], X, atol=1e-4)
+    found = TableColumns().read(
+        _table(tmp_path / "b.csv", lambda x: f"{x:.4f}°".replace("-", minus), "t_s,x")
+    )
+    np.testing.assert_allclose(found.positions[0], X, atol=1e-4)
+    text = "t_s;x_mm\n" + "".join(
+        f"{t:.3f};{x:.4f}\n".replace(".", ",").replace("-", minus) for t, x in zip(TIME_S, X, strict=True)
+    )
+    (tmp_path / "c.csv").write_text(text)
+    np.testing.assert_allclose(TableColumns().read(tmp_path / "c.csv").positions[0], X, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("cell", "quoted"),
+    [
+        (lambda x: f"({-x:.4f})" if x < 0 else f"{x:.4f}", "'(0."),
+        (lambda x: "1_0" if x < 0 else f"{x:.4f}", "'1_0'"),
+        (lambda x: "over" if x < 0 else f"{x:.4f}", "'over'"),
+    ],
+)
+def test_a_column_of_which_much_is_no_number_is_refused(
+    tmp_path: Path, cell: Callable[[float], str], quoted: str
+) -> None:
+    path = _table(tmp_path / "decay.csv", cell)
+    with pytest.raises(
+        DataError, match=rf"200 of 400 values of x_mm are no numbers, first {re.escape(quoted)}.*line"
+    ):
+        TableColumns().read(path)
+
+
+def test_single_words_infinities_and_empty_cells_are_missing_and_counted(tmp_path: Path) -> None:
+    path = _table(tmp_path / "decay.csv", lambda x: f"{x:.4f}")
+    lines = path.read_text().splitlines()
+    for line, cell in (
+        (100, "inf"),
+        (101, "1e999"),
+        (102, "-Infinity"),
+        (103, "NaN"),
+        (104, "over"),
+        (105, "1_0"),
+    ):
+        lines[line - 1] = f"{lines[line - 1].split(',')[0]},{cell}"
+    path.write_text("\n".join(lines))
+    found = TableColumns().read(path)
+    assert np.flatnonzero(~np.isfinite(found.positions[0])).tolist() == list(range(98, 104))
+    assert (
+        "missing from the fit: 6 values of position 1 that are no numbers (lines 100 to 105)"
+        in found.understood
+    )
+
+
+@pytest.mark.parametrize("size", [1e300, 1e-300])
+def test_sizes_that_nothing_measures_are_refused_and_not_calculated_with(tmp_path: Path, size: float) -> None:
+    path = _table(tmp_path / "decay.csv", lambda x: f"{x * size:.6e}")
+    with pytest.raises(DataError, match=r"order of .* mm, up to .* right column \(--position\)"):
+        TableColumns().read(path)
