@@ -107,7 +107,7 @@ class _Reading:
         self._cells: Cells = run.cells
         self._columns = Columns(path, run.cells)
         self._names = self._columns.names
-        self._said: list[str] = list(said)
+        self._said: list[str] = [*run.cells.said, *said]
 
     def trajectory(self) -> Trajectory:
         rows, asked = self._cells.rows, self._asked

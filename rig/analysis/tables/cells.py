@@ -4,7 +4,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
@@ -27,6 +27,7 @@ class Cells:
     """Names of the columns (empty where there are none), their units where a line of their own or the cells
     state them, and the rows with the numbers of their lines. `left_out` are lines with another number of
     columns. `blocks` number what blank lines or comments part, or the header written again, for each row.
+    `said` are lines on how the file was read.
     """
 
     names: Sequence[str]
@@ -37,6 +38,7 @@ class Cells:
     blocks: Sequence[int]
     separator: str
     writing: Writing
+    said: Sequence[str] = ()
 
 
 def read_cells(path: Path, decimal: str = "") -> Cells:
@@ -52,8 +54,8 @@ def read_cells(path: Path, decimal: str = "") -> Cells:
     raw = bytes_of(path)
     given = rows_of(path, raw)
     if given is not None:
-        filled = [(number, cells) for number, cells in enumerate(given, 1) if any(cells)]
-        return _cells(path, filled, [], "", decimal)
+        filled = [(number, cells) for number, cells in enumerate(given.rows, 1) if any(cells)]
+        return replace(_cells(path, filled, [], "", decimal), said=given.said)
     numbered = [
         (number, line) for number, line in enumerate(text_of(raw).splitlines(), 1) if line.strip(" \t;,|")
     ]
@@ -121,11 +123,17 @@ def _cells(
             "is expected (separated by tabs, commas, semicolons or spaces)"
         )
     fewest = min(2, width)
-    first = next(
+    firsts = (
         place
         for place, (_, cells) in enumerate(numbered)
         if len(cells) == width and sum(map(is_value, filter(None, cells))) >= fewest
     )
+    first = next(firsts, None)
+    if first is None:
+        raise DataError(
+            f"{path}: no row has two numbers; a table of time and position is expected, or the rate of its "
+            "rows: --rate HZ"
+        )
     header = [cells for _, cells in numbered[:first]]
     again = {number for number, cells in numbered[first:] if any(cells) and cells in header}
     body = [(n, cells) for n, cells in numbered[first:] if len(cells) == width and n not in again]

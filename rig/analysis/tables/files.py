@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from processing.errors import DataError
-from rig.analysis.tables.workbook import rows_of_workbook
+from rig.analysis.tables.workbook import Sheet, rows_of_workbook
 
 _LARGEST_BYTES: Final = 1024 * 1024 * 1024
 _MARKS: Final = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig"))
@@ -48,13 +48,13 @@ def text_of(raw: bytes) -> str:
         return raw.decode("cp1252", errors="replace")
 
 
-def rows_of(path: Path, raw: bytes) -> list[list[str]] | None:
+def rows_of(path: Path, raw: bytes) -> Sheet | None:
     """Rows of cells of a file that is no text, a header first where it has names; None for a text."""
     name = path.name.lower().removesuffix(".gz")
     if name.endswith(".npy"):
-        return _rows_of_array(path, raw)
+        return Sheet(_rows_of_array(path, raw))
     if name.endswith(".mat"):
-        return _rows_of_matlab(path, raw)
+        return Sheet(_rows_of_matlab(path, raw))
     if name.endswith((".xlsx", ".xlsm")):
         try:
             return rows_of_workbook(raw)
