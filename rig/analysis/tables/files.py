@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import re
 import zipfile
 import zlib
 from pathlib import Path
@@ -13,6 +14,20 @@ from processing.errors import DataError
 from rig.analysis.tables.workbook import Sheet, rows_of_workbook
 
 _LARGEST_BYTES: Final = 1024 * 1024 * 1024
+_BINARY: Final = (
+    (b"PAR1", "a Parquet file"),
+    (b"ARROW1", "a Feather or Arrow file"),
+    (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
+    (b"\x93NUMPY", "a NumPy array; its name must end in .npy, or save it"),
+    (b"MATLAB 5.0", "a MATLAB file; its name must end in .mat, or save it"),
+    (b"SQLite format 3\x00", "a SQLite database"),
+    (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an old Office file (.xls)"),
+    (b"\x1f\x8b", "packed; its name must end in .gz, or unpack it"),
+    (b"%PDF", "a PDF"),
+    (b"\x89MCAP0\r\n", "a record, which rig fit takes by its name *.mcap"),
+)
+_COMPLEX: Final = (np.complex64, np.complex128)
+_JSON: Final = re.compile(rb"\s*(?:\[\s*)?\{\s*\"")
 _MARKS: Final = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig"))
 
 
@@ -30,6 +45,28 @@ def bytes_of(path: Path) -> bytes:
     if len(raw) > _LARGEST_BYTES:
         raise DataError(f"{path}: is longer than {_LARGEST_BYTES >> 20} MiB; take fewer rows")
     return raw
+
+
+def refuse_binary(path: Path, raw: bytes) -> None:
+    """Raise DataError for what is no text, by the first bytes: separators and digits occur there, too."""
+    remedy = "save the table as text (CSV), or as .xlsx, .npy or .mat"
+    for mark, what in _BINARY:
+        if raw.startswith(mark):
+            raise DataError(f"{path}: is {what}{'' if ';' in what else ', which is not read'}; {remedy}")
+    if raw.startswith(b"PK\x03\x04"):
+        try:
+            with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+                names = archive.namelist()
+        except zipfile.BadZipFile:
+            names = []
+        arrays = ", ".join(name for name in names if name.endswith(".npy"))
+        what = f"several NumPy arrays ({arrays})" if arrays else "a ZIP archive"
+        remedy = "save one with time and position as its columns (.npy)" if arrays else remedy
+        raise DataError(f"{path}: is {what}, which is not read; {remedy}")
+    if raw.startswith((b"\xff\xfe\x00\x00", b"\x00\x00\xfe\xff")):
+        raise DataError(f"{path}: is text in UTF-32, which is not read; save it in UTF-8")
+    if _JSON.match(raw[:1000]):
+        raise DataError(f"{path}: is JSON, which is not read; {remedy}")
 
 
 def text_of(raw: bytes) -> str:
@@ -62,6 +99,7 @@ def rows_of(path: Path, raw: bytes) -> Sheet | None:
             raise DataError(f"{path}: cannot be read as a workbook: {error}") from None
     if name.endswith((".xls", ".ods")):
         raise DataError(f"{path}: save it as .xlsx or as text (CSV); {path.suffix} is not read")
+    refuse_binary(path, raw)
     return None
 
 
@@ -97,10 +135,20 @@ def _rows_of_matlab(path: Path, raw: bytes) -> list[list[str]]:
     matrices = {name: value for name, value in numbers.items() if value.ndim == 2}
     if len(matrices) == 1 and not vectors:
         return _rows_of_matrix(path, *next(iter(matrices.items())))
+    if complex_ := [name for name, value in found.items() if getattr(value, "dtype", None) in _COMPLEX]:
+        raise DataError(
+            f"{path}: {complex_[0]} is complex; save its real part, or its modulus as an envelope"
+        )
     if not vectors or matrices:
+        others = ", ".join(name for name in found if not name.startswith("__") and name not in numbers)
         raise DataError(
             f"{path}: one matrix, or vectors of equal length, are needed; it holds "
             f"{', '.join(numbers) or 'none'}"
+            + (
+                f" (no arrays of numbers: {others}; save the fields of a struct as variables)"
+                if others
+                else ""
+            )
         )
     return _with_names(vectors, path)
 
@@ -150,5 +198,12 @@ def _with_names(columns: dict[str, Any], path: Path) -> list[list[str]]:
     if len(set(lengths.values())) != 1:
         said = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise DataError(f"{path}: its vectors have different lengths ({said}); save those of one measurement")
-    rows = zip(*(np.asarray(value).tolist() for value in columns.values()), strict=True)
-    return [list(columns), *([repr(value) for value in row] for row in rows)]
+    return [list(columns), *map(list, zip(*map(_texts, columns.values()), strict=True))]
+
+
+def _texts(column: Any) -> list[str]:
+    """Numbers with all their digits, and moments as ISO 8601 writes them."""
+    values = np.asarray(column)
+    if values.dtype.kind == "M":
+        return list(map(str, np.datetime_as_string(values)))
+    return [each if isinstance(each, str) else repr(each) for each in values.tolist()]
