@@ -1,6 +1,5 @@
 """Tables of other instruments: time and positions in their units, and the rows that are usable."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,24 +14,22 @@ from processing.units import conversion
 from rig.analysis.tables import Cells, Columns, Run, moments_ns, read_cells, runs_of
 from rig.analysis.tables.clock_times import M_SS, clock_form
 from rig.analysis.tables.column_units import unit_of_positions, unit_of_time
-from rig.analysis.tables.numbers import is_missing, is_moment
-from rig.analysis.tables.times import number, placed, read_times, rising
+from rig.analysis.tables.judged import (
+    SPREADSHEET_ZERO_NS,
+    judge_days,
+    judge_size,
+    judge_words,
+    judge_zones,
+    of_spreadsheet,
+)
+from rig.analysis.tables.numbers import is_moment
+from rig.analysis.tables.times import SORT, number, placed, read_times, rising
 from rig.analysis.trajectory import ANGLES, NOT_STATED, Trajectory
 
-_SORT: Final = (
-    "sort the rows or name the time column with --time; several runs need a blank line between them or a "
-    "column 'run'"
-)
 _NO_COMMAS: Final = (
     "its commas seem to be decimal commas as well as separators, which cannot be told apart: save it with "
     "semicolons or tabs between the columns, or with decimal points"
 )
-_LARGEST_RAD: Final = 1.1 * math.pi
-"""No pendulum swings further from its middle and comes back; a tenth for where the middle is taken to be."""
-_MOST_WORDS: Final = 0.25
-"""Of a column of positions that may be words; single ones are of an instrument that lost its signal."""
-_LARGEST: Final = 1e60
-"""Positions beyond it, or below its inverse, are no measurement, and squares leave the range of floats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +123,9 @@ class _Reading:
         inside = self._stretch(times_ns)
         times_ns, table = times_ns[inside], table[inside]
         self._left_out(good, lines[inside], table, [f"position {k + 1}" for k in range(len(p_columns))])
-        self._judge_words(p_columns)
-        self._judge_size(unit, table)
+        for k in p_columns:
+            judge_words(self._path, self._names[k], [row[k] for row in rows], self._cells.lines)
+        judge_size(self._path, unit, table)
         return Trajectory(
             times_ns=times_ns,
             positions=tuple(table.T),
@@ -187,16 +185,23 @@ class _Reading:
             good = np.array([one is not None for one in found])
             kept = [one for one in found if one is not None]
             times_ns = np.array([one - kept[0] for one in kept], dtype=np.int64)
-            rising(self._path, times_ns, [cell for cell, yes in zip(cells, good, strict=True) if yes], _SORT)
+            read = [cell for cell, yes in zip(cells, good, strict=True) if yes]
+            rising(self._path, times_ns, read, SORT)
+            judge_zones(self._path, read, times_ns)
             self._said.append(
                 f"time: {self._names[column]}, " + (f"as {form} ({source})" if form else "moments")
             )
             return times_ns, good, "s", kept[0]
         named = self._columns.named[column]
         unit, source = unit_of_time(self._path, self._names[column], named, self._asked.time_unit)
-        remedy = _SORT if not self._split_at_decimal_commas() else _NO_COMMAS
+        remedy = SORT if not self._split_at_decimal_commas() else _NO_COMMAS
         times_ns, good, first_ns = read_times(self._path, cells, unit, remedy)
+        if not self._asked.time_unit:
+            judge_days(self._path, self._names[column], source, first_ns, times_ns)
         self._said.append(f"time: {self._names[column]}, in {unit} ({source})")
+        if unit == "d" and of_spreadsheet(first_ns):
+            first_ns -= SPREADSHEET_ZERO_NS
+            self._said.append("time: days since 1899-12-30, as spreadsheets count")
         return times_ns, good, unit, first_ns
 
     def _position_unit(self, columns: Sequence[int]) -> str:
@@ -224,7 +229,8 @@ class _Reading:
         even = float(steps_s.max()) < 1.5 * step_s
         self._said.append(
             f"stretch: {since_s[inside][0]:.6g} to {since_s[inside][-1]:.6g} s of 0 to {since_s[-1]:.6g} s, "
-            f"{1 / step_s:.6g} rows a second" + ("" if even else ", unevenly")
+            f"{1 / step_s:.6g} rows a second"
+            + ("" if even else f", unevenly, up to {steps_s.max():.6g} s apart")
         )
         return np.asarray(inside)
 
@@ -248,37 +254,6 @@ class _Reading:
                     f"missing from the fit: {int(missing.sum())} values of {name} that are not "
                     f"numbers ({placed(lines[missing].tolist())})"
                 )
-
-    def _judge_words(self, columns: Sequence[int]) -> None:
-        """Refuse a column of which much is written so that it is not read: what is left would be no swing."""
-        for k in columns:
-            cells = [row[k] for row in self._cells.rows]
-            words = [n for n, cell in enumerate(cells) if math.isnan(number(cell)) and not is_missing(cell)]
-            if len(words) > _MOST_WORDS * len(cells):
-                raise DataError(
-                    f"{self._path}: {len(words)} of {len(cells)} values of {self._names[k]} are no numbers, "
-                    f"first {cells[words[0]]!r} (line {self._cells.lines[words[0]]}); write them as numbers, "
-                    "or name another column with --position"
-                )
-
-    def _judge_size(self, unit: str, table: NDArray[np.float64]) -> None:
-        """Refuse an angle that no pendulum swings by, and what no instrument measures in any unit."""
-        sizes = np.abs(table[np.isfinite(table) & (table != 0)])
-        if len(sizes) and not (sizes.max() < _LARGEST and np.median(sizes) > 1.0 / _LARGEST):
-            raise DataError(
-                f"{self._path}: the position is of the order of {np.median(sizes):.3g} {unit}, up to "
-                f"{sizes.max():.3g}, which no instrument measures; is it the right column (--position), and "
-                "are wrong values left out?"
-            )
-        if unit not in ANGLES or not np.isfinite(table).any():
-            return
-        span = float(np.nanmax(table, axis=0).max() - np.nanmin(table, axis=0).min())
-        each = float(np.max(np.nanmax(table, axis=0) - np.nanmin(table, axis=0)))
-        if 0.5 * min(span, each) * conversion(unit, "rad") > _LARGEST_RAD:
-            raise ConfigurationError(
-                f"{self._path}: the position goes over {each:.4g} {unit}, more than a turn: is that its "
-                "unit? State another with --unit, or use a stretch (--from, --to)"
-            )
 
     def _how_written(self) -> str:
         cells = self._cells

@@ -9,6 +9,8 @@ from processing.units import size
 from rig.analysis.tables.header_units import Named, known_unit
 from rig.analysis.trajectory import ANGLES, NOT_STATED
 
+NOT_STATED_TIME: Final = "nothing states another"
+"""Who says that a time is in s."""
 TIME_UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
 
 
@@ -41,7 +43,7 @@ def unit_of_time(path: Path, title: str, named: Named, asked: str) -> tuple[str,
             f"{path}: {named.strange!r} in {title!r} is not a known unit of time; state "
             f"--time-unit, one of {', '.join(TIME_UNITS)}"
         )
-    return (named.unit, "its header") if named.unit else ("s", "nothing states another")
+    return (named.unit, "its header") if named.unit else ("s", NOT_STATED_TIME)
 
 
 def unit_of_positions(

@@ -13,9 +13,20 @@ from processing.errors import DataError
 from processing.ticks import seconds
 from processing.units import conversion
 
+SORT: Final = (
+    "sort the rows or name the time column with --time; several runs need a blank line between them or a "
+    "column 'run'"
+)
+"""What to do about times that do not increase, where nothing more is known."""
 _LONGEST_S: Final = 1e9  # thirty years; 64 bits of nanoseconds hold nine times as much
 _EXACT: Final = 2**53
 """Largest whole number of ns that a floating-point number holds."""
+_HOUR_NS: Final = 3_600_000_000_000
+_HOUR_SHARE: Final = 0.01
+_TWICE: Final = (
+    "a row that stands there twice must be removed; of a clock whose digits do not tell the rows apart, give "
+    "the rate of the rows instead (--rate HZ), or name another time column with --time"
+)
 _LISTED: Final = 5
 """Lines that a message names one by one."""
 
@@ -37,12 +48,19 @@ def rising(path: Path, times_ns: NDArray[np.int64], cells: Sequence[str], remedy
     """Raise DataError where times do not increase."""
     if len(times_ns) < 2:
         raise DataError(f"{path}: {len(times_ns)} rows have a time; name the time column with --time")
-    backwards = np.nonzero(np.diff(times_ns) <= 0)[0]
+    steps_ns = np.diff(times_ns)
+    backwards = np.nonzero(steps_ns <= 0)[0]
     if len(backwards):
         row = int(backwards[0])
+        step_ns = float(np.median(steps_ns))
+        if abs(int(steps_ns[row]) + _HOUR_NS) < _HOUR_SHARE * _HOUR_NS + 2.0 * abs(step_ns):
+            remedy = (
+                "where a clock is set back from summer time, write the times with their zone (+02:00, then "
+                "+01:00) or in UTC"
+            )
         raise DataError(
             f"{path}: time does not increase after {cells[row]} (row {row + 1}): {cells[row + 1]} follows; "
-            f"{remedy}"
+            f"{remedy if steps_ns[row] else _TWICE}"
         )
 
 
@@ -77,6 +95,7 @@ def read_times(
         backwards = np.nonzero(np.diff(times_ns) <= 0)[0]
     if len(backwards):
         row = int(backwards[0])
+        remedy = _TWICE if times[row + 1] == times[row] and remedy is SORT else remedy
         raise DataError(
             f"{path}: time does not increase after {times[row]:.16g} {unit} (row {row + 1}): "
             f"{times[row + 1]:.16g} {unit} follows; {remedy}"
