@@ -141,7 +141,7 @@ class _Reading:
 
     def columns(self) -> Trajectory:
         """Time and any number of columns, whatever their units; all but the time where none is named."""
-        t_column = self._columns.time(self._asked.time, None)
+        t_column = self._columns.time(self._asked.time, None, self._asked.time_unit)
         assert t_column is not None
         chosen = [self._columns.place(name) for name in self._asked.positions] or [
             k for k in range(len(self._names)) if k != t_column
@@ -278,7 +278,7 @@ class _Reading:
         )
 
 
-def read_columns(path: Path, time: str | None, columns: list[str]) -> Trajectory:
+def read_columns(path: Path, columns: Sequence[str], time_unit: str = "") -> Trajectory:
     """Time and any number of columns of a table, all but the time without names; see `TableColumns`."""
-    asked = TableColumns(time, tuple(columns))
+    asked = TableColumns(None, tuple(columns), time_unit=time_unit)
     return _Reading(path, asked, Run("", read_cells(path))).columns()

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from processing.arrays import Floats, Ints
-from processing.errors import ConfigurationError, DataError, MissingPackage
+from processing.errors import ConfigurationError, DataError, MissingPackage, RigError
 from processing.fit import Witness
 from processing.ticks import nanoseconds, seconds
 from rig.analysis.position_table import read_columns
@@ -17,23 +17,38 @@ _SEISMIC = (".mseed", ".miniseed", ".ms", ".sac", ".seed")
 FIRST_UTC_S = 1e9
 """Times of a table from which on they count from 1970: this was in 2001, and no run lasts so long."""
 _SAME_TICK = 0.5
+_REMEDIES: Final = {
+    "name the time column with --time": "call the time column time_s",
+    "--time-unit": "--witness-time-unit",
+    "--position": "--witness-column",
+}
+"""Options of a table that is fitted, and what a witness has in their place."""
 
 
 @dataclass(frozen=True)
 class StatedWitness:
     """Which file holds a witness, which of its columns or channels, and what is added to its times.
 
-    `offset_s` None: the times stand as they are, and are sought where they explain nothing.
+    `offset_s` None: the times stand as they are, and are sought where they explain nothing. `time_unit` is
+    that of a table's times, where its header does not say it.
     """
 
     path: Path
     columns: tuple[str, ...] = ()
     offset_s: float | None = None
+    time_unit: str = ""
 
     def read(self) -> "WitnessRecord":
         """The file. Raises DataError or ConfigurationError in one line."""
-        read = _read_seismic if self.path.suffix.lower() in _SEISMIC else _read_table
-        found = read(self.path, self.columns)
+        if self.path.suffix.lower() not in _SEISMIC:
+            found = _read_table(self.path, self.columns, self.time_unit)
+        elif self.time_unit:
+            raise ConfigurationError(
+                f"--witness-time-unit {self.time_unit}: {self.path} has times of its own; leave the "
+                "option out"
+            )
+        else:
+            found = _read_seismic(self.path, self.columns)
         if self.offset_s is None:
             return found
         return replace(found, first_ns=found.first_ns + nanoseconds(self.offset_s), offset_stated=True)
@@ -77,8 +92,14 @@ class Begin:
     utc_ns: int | None = None
 
 
-def _read_table(path: Path, columns: Sequence[str]) -> WitnessRecord:
-    table = read_columns(path, None, list(columns))
+def _read_table(path: Path, columns: Sequence[str], time_unit: str) -> WitnessRecord:
+    try:
+        table = read_columns(path, columns, time_unit)
+    except RigError as error:
+        said = str(error)
+        for option, of_witness in _REMEDIES.items():
+            said = said.replace(option, of_witness)
+        raise type(error)(said) from None
     return WitnessRecord(
         path.name,
         table.times_ns,

@@ -95,6 +95,9 @@ def fit(
         float | None,
         typer.Option(help="Seconds to add to the witness's times; default: searched for if they do not fit."),
     ] = None,
+    witness_time_unit: Annotated[
+        str, typer.Option(help="Unit of the time of a witness's table, as --time-unit.", show_default=False)
+    ] = "",
     set_: Set = None,
 ) -> None:
     """Fit the contact laws to records, or to a CSV table.
@@ -105,7 +108,7 @@ def fit(
       rig fit decay.csv --unit arcsec --config mine.toml
       rig fit runs/first --witness seismometer.csv
     """
-    ground = _witness(witness, witness_column or (), witness_offset)
+    ground = _witness(witness, witness_column or (), witness_offset, witness_time_unit)
     if len(files) == 1 and files[0].suffix.lower() != ".mcap" and not files[0].is_dir():
         if files[0].suffix.lower() in (".json", ".toml"):
             raise ConfigurationError(
@@ -130,9 +133,9 @@ def fit(
             fit_trajectory(files[0], output, config, columns, set_ or [], table_report, law or [], ground)
         )
     of_tables = {
-        "--config": config, "--time": time, "--position": position, "--unit": unit, "--envelope": envelope,
-        "--frequency": frequency, "--rate": rate, "--from": begin, "--to": end, "--decimal": decimal,
-        "--run": run,
+        "--config": config, "--time": time, "--time-unit": time_unit, "--position": position, "--unit": unit,
+        "--envelope": envelope, "--frequency": frequency, "--rate": rate, "--from": begin, "--to": end,
+        "--decimal": decimal, "--run": run,
     }  # fmt: skip
     if stated := next((name for name, value in of_tables.items() if value), ""):
         raise ConfigurationError(f"{stated}: has no effect on records, only on a table; leave it out")
@@ -143,13 +146,20 @@ def fit(
     raise typer.Exit(fit_records(records, output, overrides=set_ or [], laws=law or [], witness=ground))
 
 
-def _witness(path: Path | None, columns: Sequence[str], offset_s: float | None) -> "StatedWitness | None":
+def _witness(
+    path: Path | None, columns: Sequence[str], offset_s: float | None, time_unit: str
+) -> "StatedWitness | None":
     from rig.analysis import StatedWitness
 
     if path is not None:
-        return StatedWitness(path, tuple(columns), offset_s)
-    if stated := "--witness-column" if columns else "--witness-offset" if offset_s is not None else "":
-        raise ConfigurationError(f"{stated}: has no effect without --witness")
+        return StatedWitness(path, tuple(columns), offset_s, time_unit)
+    stated = {
+        "--witness-column": bool(columns),
+        "--witness-offset": offset_s is not None,
+        "--witness-time-unit": bool(time_unit),
+    }
+    if name := next((name for name, given in stated.items() if given), ""):
+        raise ConfigurationError(f"{name}: has no effect without --witness")
     return None
 
 

@@ -169,6 +169,27 @@ def test_a_column_that_is_not_there_is_said(decay: Path) -> None:
         StatedWitness(decay / "witness.csv", ("up",)).read()
 
 
+def test_the_unit_of_its_times_can_be_stated_and_is_asked_for_by_its_option(tmp_path: Path) -> None:
+    path = tmp_path / "w.csv"
+    path.write_text("t,z\n" + "".join(f"{k // 60}:{k % 60:02d},{k % 7}\n" for k in range(300)))
+    with pytest.raises(
+        ConfigurationError, match=r"'0:00' in 't' may be .* state --witness-time-unit m:ss or"
+    ):
+        StatedWitness(path).read()
+    for unit, step_s in (("m:ss", 1), ("h:mm", 60)):
+        found = StatedWitness(path, time_unit=unit).read()
+        assert set(np.diff(found.times_ns).tolist()) == {step_s * 10**9}
+    backwards = csv(tmp_path / "b.csv", "t,z", np.arange(9.0)[::-1], np.arange(9.0))
+    with pytest.raises(DataError, match="call the time column time_s"):
+        StatedWitness(backwards).read()
+    in_ms = StatedWitness(
+        csv(tmp_path / "c.csv", "t,z", np.arange(9.0), np.arange(9.0)), time_unit="ms"
+    ).read()
+    assert in_ms.times_ns[-1] == 8_000_000
+    with pytest.raises(ConfigurationError, match=r"--witness-time-unit s: .* has times of its own"):
+        StatedWitness(tmp_path / "w.mseed", time_unit="s").read()
+
+
 def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> None:
     rows = (decay / "witness.csv").read_text().splitlines()
     head, *samples = (f"{row},{'name' if k == 0 else 'ABC'}" for k, row in enumerate(rows))

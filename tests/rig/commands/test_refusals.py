@@ -90,6 +90,8 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
             "--set fit.drag=true: has no effect without --config",
         ),
         (("fit", "run-1.mcap", "--unit", "arcsec"), "--unit: has no effect on records"),
+        (("fit", "run-1.mcap", "--time-unit", "ms"), "--time-unit: has no effect on records"),
+        (("fit", "run-1.mcap", "--witness-time-unit", "ms"), "--witness-time-unit: has no effect without"),
     ],
 )
 def test_a_slip_is_refused(tmp_path: Path, words: tuple[str | Path, ...], message: str) -> None:
