@@ -17,6 +17,7 @@ Element = ElementTree.Element
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
 _NAMES: Final = {"dcc": DCC, "si": SI}
+_ROOT: Final = "digitalCalibrationCertificate"
 _LARGEST = 64 << 20
 
 
@@ -65,17 +66,24 @@ def parse_certificate(data: bytes, name: str) -> Certificate:
     if len(data) > _LARGEST:
         raise ConfigurationError(f"{name}: has {len(data) >> 20} MB, a certificate at most {_LARGEST >> 20}")
     try:
-        root = ElementTree.fromstring(data)
+        root = ElementTree.fromstring(data, ElementTree.XMLParser(target=_Plain()))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise ConfigurationError(f"{name}: is not XML: {error}") from None
-    if root.tag != f"{{{DCC}}}digitalCalibrationCertificate":
-        other = root.tag.rpartition("}")[2]
-        raise ConfigurationError(f"{name}: is XML of {other!r}, not a digital calibration certificate (DCC)")
+    if root.tag != f"{{{DCC}}}{_ROOT}":
+        namespace, _, other = root.tag.rpartition("}")
+        where = f" in the namespace {namespace.removeprefix('{') or 'of none'}" if other == _ROOT else ""
+        remedy = f", whose namespace is {DCC}" if where else ""
+        raise ConfigurationError(
+            f"{name}: is XML of {other!r}{where}, not a digital calibration certificate (DCC){remedy}"
+        )
     schema = root.get("schemaVersion", "")
     if schema.partition(".")[0] != "3":
         raise ConfigurationError(f"{name}: is a certificate of schema {schema or '?'}; 3.x is read here")
+    if root.find(f".//{{{SI}}}*") is None and (other := _other_numbers(root)):
+        raise ConfigurationError(f"{name}: its numbers are in the namespace {other}; {SI} is read here")
     core = "dcc:administrativeData/dcc:coreData/dcc:"
-    performed = _date(root, f"{core}endPerformanceDate") or _date(root, f"{core}beginPerformanceDate")
+    began, ended = (_date(root, f"{core}{side}PerformanceDate", name) for side in ("begin", "end"))
+    performed = ended or began
     if performed is None:
         raise ConfigurationError(f"{name}: does not say when was calibrated (endPerformanceDate)")
     by = "dcc:administrativeData/dcc:statements/dcc:statement[@refType='basic_recalibration']/dcc:date"
@@ -85,10 +93,25 @@ def parse_certificate(data: bytes, name: str) -> Certificate:
         _text(root, f"{core}uniqueIdentifier"),
         _text(root, "dcc:administrativeData/dcc:calibrationLaboratory/dcc:contact/dcc:name/dcc:content"),
         performed,
-        _date(root, by),
+        _date(root, by, name),
         _text(root, "dcc:administrativeData/dcc:items/dcc:item/dcc:name/dcc:content"),
         tuple(each for result in found for each in _quantities(result, name)),
     )
+
+
+class _Plain(ElementTree.TreeBuilder):
+    """Refuses what declares entities: a text may then be any other, or of any length."""
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        raise ValueError(
+            f"it declares a document type ({name}), which no certificate needs; remove the DOCTYPE"
+        )
+
+
+def _other_numbers(root: Element) -> str:
+    """The namespace of elements called real that are none of D-SI; empty where there are none."""
+    tags = (each.tag.rpartition("}") for each in root.iter() if isinstance(each.tag, str))
+    return next((above.removeprefix("{") for above, _, tag in tags if tag in ("real", "hybrid")), "")
 
 
 def _quantities(result: Element, source: str) -> Iterator[CertifiedQuantity]:
@@ -137,6 +160,11 @@ def _real(number: Element, name: str, kinds: tuple[str, ...], source: str) -> It
     below = number if below is None else below
     for place, size in (("expandedUnc", "uncertainty"), ("expandedMU", "valueExpandedMU")):
         if (found := below.find(f"si:{place}", _NAMES)) is not None:
+            if not found.findtext("si:coverageFactor", "", _NAMES).strip():
+                raise ConfigurationError(
+                    f"{what}: its expanded uncertainty has no coverage factor, without which it is no "
+                    "standard uncertainty; ask the laboratory"
+                )
             k = _number(found.findtext("si:coverageFactor", "", _NAMES), f"{what}, coverage factor")
             probability = _number(found.findtext("si:coverageProbability", "nan", _NAMES), what)
             u = _over(_number(found.findtext(f"si:{size}", "", _NAMES), f"{what}, uncertainty"), k, what)
@@ -186,7 +214,7 @@ def _over(expanded: float, k: float, what: str) -> float:
     """The standard uncertainty of an expanded one, whose coverage factor must be one."""
     if math.isnan(expanded):
         return math.nan
-    if not k >= 1:
+    if not 1 <= k < math.inf:
         raise ConfigurationError(
             f"{what}: its coverage factor is {k:g}; an expanded uncertainty needs one from 1 on"
         )
@@ -202,16 +230,22 @@ def _unit(text: str) -> tuple[str, str]:
 
 def _number(text: str, what: str) -> float:
     try:
+        # what Python reads beyond XML's numbers
+        if "_" in text:
+            raise ValueError
         return float(text)
     except ValueError:
         raise ConfigurationError(f"{what}: {text!r} is not a number") from None
 
 
-def _date(root: Element, place: str) -> datetime.date | None:
-    try:
-        return datetime.date.fromisoformat(root.findtext(place, "", _NAMES).strip()[:10])
-    except ValueError:
+def _date(root: Element, place: str, name: str) -> datetime.date | None:
+    text = root.findtext(place, "", _NAMES).strip()
+    if not text:
         return None
+    try:
+        return datetime.date.fromisoformat(text[:10])
+    except ValueError:
+        raise ConfigurationError(f"{name}: {text!r} ({place.rpartition(':')[2]}) is no date") from None
 
 
 def _text(root: Element, place: str) -> str:

@@ -15,6 +15,7 @@ from rig.settings import validated
 
 _NO_RESULTS: Final = ("nominalValue", "measurementError", "toleranceLimit", "referenceValue")
 """Beginnings of reference types, less their prefix, of what is not the measured value."""
+_POSITIVE: Final = ("mass_kg", "arm_m", "pixel_pitch_m")
 _LONGEST_PITCH_M = 1e-3
 
 
@@ -34,7 +35,7 @@ def calibrate_mass(path: Path, filing: Filing) -> Path:
         raise ConfigurationError(f"{path}: is not a digital calibration certificate (XML)")
     found = parse_certificate(data, str(path))
     one = _only(path, found, "mass_kg", lambda _: True)
-    values = _value("mass_kg", one)
+    values = _value(path, "mass_kg", one)
     notes = []
     if any("conventional" in word.lower() for word in (*one.kinds, one.name)):
         notes.append(
@@ -62,7 +63,7 @@ def lever_of_certificate(
     for name, fits in (("arm_m", _is_arm), ("pixel_pitch_m", _is_pitch)):
         if name not in values:
             one = _only(path, found, name, fits)
-            values |= _value(name, one)
+            values |= _value(path, name, one)
             used.append(one)
     lever, faults = validated(Lever, values)
     if lever is None:
@@ -126,7 +127,7 @@ def _named_values(
             values[name] = int(one.value) if name == "binning" else one.value
             continue
         _require_unit(path, name, one)
-        values |= _value(name, one) if f"u_{name}" in names else {name: one.value}
+        values |= _value(path, name, one) if f"u_{name}" in names else {name: one.value}
         used.append(one)
     return values, used
 
@@ -141,7 +142,8 @@ def _only(path: Path, found: Certificate, name: str, fits: Callable[[float], boo
         and size(one.unit).powers == size(unit).powers
         and fits(one.value * conversion(one.unit, unit))
     ]
-    measured = [one for one in likely if not math.isnan(one.u)]
+    # one of zero is none, and a negative one is refused where it is used
+    measured = [one for one in likely if one.u > 0 or one.u < 0]
     result = [one for one in measured if not any(_is_no_result(kind) for kind in one.kinds)]
     what = name.removesuffix(f"_{unit}").replace("_", " ")
     if len(result) == 1:
@@ -183,9 +185,14 @@ def _require_unit(path: Path, name: str, one: CertifiedQuantity) -> None:
         )
 
 
-def _value(name: str, one: CertifiedQuantity) -> dict[str, float]:
+def _value(path: Path, name: str, one: CertifiedQuantity) -> dict[str, float]:
     """The number in the unit of its name, with its standard uncertainty."""
     unit = unit_of_name(name)
     factor = conversion(one.unit, "1" if unit in ("", "px") else unit)
     values = {name: one.value * factor}
+    where = f"{one.name} = {one.value:g} {one.unit}"
+    if not math.isfinite(one.value) or (name in _POSITIVE and not one.value > 0):
+        raise ConfigurationError(f"{path}: {where} is no {name.removesuffix(f'_{unit}').replace('_', ' ')}")
+    if not math.isnan(one.u) and not 0 <= one.u < math.inf:
+        raise ConfigurationError(f"{path}: {where} with an uncertainty of {one.u:g}, which is none")
     return values if math.isnan(one.u) else values | {f"u_{name}": one.u * factor}

@@ -104,6 +104,17 @@ def test_an_arm_and_a_pitch_make_a_lever(tmp_path: Path) -> None:
         ([quantity("Mass", real("1", r"\kilogram", "0.1", "0"))], "Mass: its coverage factor is 0"),
         ([quantity("Mass", real("one", r"\kilogram", "0.1"))], "Mass: 'one' is not a number"),
         ([], "states no mass (in a unit like kg); it has: no numbers"),
+        ([quantity("Mass", real("NaN", r"\gram", "0.1"))], "Mass = nan g is no mass"),
+        ([quantity("Mass", real("-406", r"\gram", "0.1"))], "Mass = -406 g is no mass"),
+        ([quantity("Mass", real("4_06", r"\gram", "0.1"))], "Mass: '4_06' is no number"),
+        ([quantity("Mass", real("406", r"\gram", "-0.1"))], "Mass = 406 g with an uncertainty of -0.05"),
+        ([quantity("Mass", real("406", r"\gram", "INF"))], "Mass = 406 g with an uncertainty of inf"),
+        ([quantity("Mass", real("406", r"\gram", "0"))], "Mass: states no uncertainty"),
+        ([quantity("Mass", real("406", r"\gram", "0.1", "INF"))], "Mass: its coverage factor is inf"),
+        (
+            [quantity("Mass", real("406", r"\gram", "0.1", ""))],
+            "Mass: its expanded uncertainty has no coverage factor",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_line(tmp_path: Path, quantities: list[str], said: str) -> None:
@@ -127,6 +138,35 @@ def test_a_file_that_is_no_certificate_is_refused(tmp_path: Path) -> None:
     certificate(xml, MASS)
     with pytest.raises(ConfigurationError, match="rig calibrate lever, or mass, makes a calibration"):
         fill_from_files(in_use(mass=xml))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("2025-03-02", "2025-02-30", r"'2025-02-30' \(endPerformanceDate\) is no date"),
+        ("2031-03-01", "2031-02-29", r"'2031-02-29' \(date\) is no date"),
+        (
+            "https://ptb.de/dcc",
+            "https://a.example",
+            "in the namespace https://a.example, not a digital .*is https://ptb",
+        ),
+        (
+            "https://ptb.de/si",
+            "https://a.example",
+            "its numbers are in the namespace https://a.example; https://ptb",
+        ),
+        ("?>", '?><!DOCTYPE x [<!ENTITY v "999">]>', r"declares a document type \(x\).*remove the DOCTYPE"),
+    ],
+)
+def test_nothing_is_read_in_place_of_what_it_says(tmp_path: Path, before: str, after: str, said: str) -> None:
+    """A day that there is not was the day before it, or none; an entity was a number that stands nowhere."""
+    xml = certificate(tmp_path / "m.xml", MASS, recalibrate_by="2031-03-01")
+    for encoding in ("utf-8", "utf-16"):
+        text = certificate(xml, MASS, recalibrate_by="2031-03-01").read_text().replace(before, after, 1)
+        xml.write_bytes(text.replace('"utf-8"', f'"{encoding}"').encode(encoding))
+        with pytest.raises(ConfigurationError, match=said):
+            calibrate_mass(xml, Filing(tmp_path / "c"))
+    assert not (tmp_path / "c").exists()
 
 
 def test_the_nominal_value_is_not_taken_for_the_measured_one(tmp_path: Path) -> None:
