@@ -9,6 +9,7 @@ import numpy as np
 
 from processing.damping import PARTS, Damping
 from processing.estimate import NOT_DETERMINED, Estimate
+from processing.quantity import OWN, PART, PER, Quantity
 from rig.analysis.encoding import Section
 
 _SURE = 3.0
@@ -20,7 +21,7 @@ _SHOWN = 9
 class DampingAt:
     """Time constant at an amplitude (in the decay's unit); quality factor where the frequency is known."""
 
-    amplitude: float
+    amplitude: Annotated[float, PART]
     time_constant_s: Estimate = NOT_DETERMINED
     quality_factor: Annotated[Estimate | None, Section] = None
 
@@ -34,13 +35,13 @@ class AmplitudeDamping:
     all three in order. `curve` goes from the first amplitude to the last.
     """
 
-    constant: Estimate = NOT_DETERMINED
-    linear: Estimate = NOT_DETERMINED
-    quadratic: Estimate = NOT_DETERMINED
+    constant: Annotated[Estimate, Quantity("", "friction", unit=OWN + PER + "s")] = NOT_DETERMINED
+    linear: Annotated[Estimate, Quantity("", "viscous damping", unit="1/s")] = NOT_DETERMINED
+    quadratic: Annotated[Estimate, Quantity("", "quadratic drag", unit="1/s" + PER + OWN)] = NOT_DETERMINED
     probabilities: tuple[float, ...] = ()
     needed: tuple[str, ...] = ()
     chi2_per_dof: float = float("nan")
-    curve: tuple[DampingAt, ...] = ()
+    curve: Annotated[tuple[DampingAt, ...], PART] = ()
 
 
 def amplitude_damping(

@@ -102,7 +102,7 @@ class RunResults:
     period_s: Estimate = NOT_DETERMINED
     log_decrement: Estimate = NOT_DETERMINED
     quality_factor: Estimate | None = None
-    damping: AmplitudeDamping | None = None
+    damping: Annotated[AmplitudeDamping | None, _IN_AMPLITUDE_UNIT] = None
     sealed: str | None = None
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:

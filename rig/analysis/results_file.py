@@ -125,6 +125,11 @@ def _decoded(tree: Any, path: Path) -> SessionResults | TableResults:
         )
     kind = TableResults if isinstance(tree, dict) and "trajectory" in tree else SessionResults
     runs = tree.get("runs" if kind is SessionResults else "decays") if isinstance(tree, dict) else None
+    if kind is TableResults and not runs:
+        raise RecordError(
+            f"{path}: an earlier version made it, which kept no single decays; rig fit {tree['trajectory']} "
+            "makes it again"
+        )
     if not isinstance(runs, list) or not runs:
         raise RecordError(f"{path}: names no runs; it was not made by rig run or rig fit")
     try:

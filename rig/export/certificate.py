@@ -1,5 +1,6 @@
 """Writes results as a digital calibration certificate: those of runs, or those of a calibration file."""
 
+import dataclasses
 import datetime
 import hashlib
 import math
@@ -62,7 +63,11 @@ def write_certificate_of_runs(runs: Sequence[tuple[ExportedRun, RunResults]], ou
     measured = [_measured(run, results) for run, results in runs]
     measured = [one for one in measured if one.groups]
     if not measured:
-        raise RecordError(f"{runs[0][1].record}: has no results to certify; rig fit makes some")
+        problem = next((results.problem for _, results in runs if results.problem), "")
+        raise RecordError(
+            f"{runs[0][1].record}: has no results to certify"
+            + (f": {problem}" if problem else "; rig fit makes some")
+        )
     days = [
         datetime.date.fromisoformat(text[:10]) for run, _ in runs for text in (run.began, run.ended) if text
     ]
@@ -106,6 +111,10 @@ def _measured(run: ExportedRun, results: RunResults) -> CertifiedMeasurement:
     if results.quality_factor is not None:
         plain["quality_factor"] = results.quality_factor
     groups.append(("the decay", [_number(key, *_pair(one)) for key, one in plain.items()]))
+    if (kind := results.instrument) is not None:
+        found = {each.name: getattr(kind, each.name) for each in dataclasses.fields(kind)}
+        numbers = [_number(key, *_pair(one)) for key, one in found.items() if isinstance(one, Estimate)]
+        groups.append((f"evaluation as {kind.kind}", numbers))
     return CertifiedMeasurement(
         run.name,
         "free decay of a pendulum that rolls on a ball",
@@ -133,7 +142,10 @@ def _number(key: str, value: float, u: float, unit: str = "", dof: float = math.
         # a power that is a parameter itself: of dimension one, as the radian is
         said, unit = f", in {unit}", "1"
     dof = dof if dof > 0 else math.inf
-    return ResultNumber(key, f"{shown.symbol}: {shown.name}{said}", value, unit, u, dof)
+    named = f"{shown.symbol}: {shown.name}"
+    if shown.symbol == shown.name:
+        named = key.removesuffix(f"_{unit_of_name(key)}").replace("_", " ")
+    return ResultNumber(key, f"{named}{said}", value, unit, u, dof)
 
 
 def _numbers_of(values: Mapping[str, object], *, only_with_u: bool = False) -> Iterator[ResultNumber]:

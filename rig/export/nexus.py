@@ -1,5 +1,6 @@
 """Writes HDF5 in NeXus layout: one NXentry per run, NXdata with units, the provenance as NXnote."""
 
+import io
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -8,7 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from acquisition.record.whole_file import being_written
+from acquisition.record.whole_file import write_new
 from processing.errors import MissingPackage
 from processing.units import in_ascii
 from rig.export.run import ExportedRun, columns_of
@@ -29,11 +30,15 @@ def write_nexus(path: Path, runs: Sequence[ExportedRun]) -> None:
         import h5py
     except ImportError:
         raise MissingPackage("--format hdf5", "h5py") from None
-    with being_written(path) as beside, h5py.File(beside, "x") as file:
+    # HDF5 that meets a full disk says so at every object that it closes, and may end the process: it is
+    # made in memory, beside which the runs' own arrays are large
+    image = io.BytesIO()
+    with h5py.File(image, "w") as file:
         file.attrs["NX_class"] = "NXroot"
         file.attrs["default"] = item_name(runs[0].name)
         for run in runs:
             _entry(file, run)
+    write_new(path, image.getvalue())
 
 
 def item_name(text: str) -> str:

@@ -77,7 +77,10 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
 def _export_latex(source: Path, output: Path) -> list[Path]:
     """The tables of the report, a file each."""
     made = []
-    for name, text in latex_tables(source).items():
+    tables = latex_tables(source)
+    if not tables:
+        raise RecordError(f"{source}: its results have no tables; rig fit makes some where a run is fitted")
+    for name, text in tables.items():
         path = output / name
         try:
             output.mkdir(parents=True, exist_ok=True)

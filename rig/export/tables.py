@@ -9,7 +9,7 @@ from pyarrow import csv, parquet
 
 from acquisition.record.whole_file import being_written
 from rig.export.run import ExportedRun, columns_of, flat_results
-from rig.presentation import harmless_text
+from rig.presentation import harmless_line, harmless_text
 
 TABLES = ("spots", "swings", "results")
 
@@ -23,7 +23,7 @@ def write_csv(folder: Path, run: ExportedRun) -> list[Path]:
         *(f"NOTE: {note}" for note in run.notes),
         *(f"{n}: {text}" for n, text in run.provenance.items()),
     ]
-    head = "".join(f"# {' '.join(line.split())}\n" for line in lines)
+    head = "".join(f"# {harmless_line(' '.join(line.split()))}\n" for line in lines)
     made = []
     for path, table in _tables(folder, run, "csv", harmless_text):
         with being_written(path) as beside, beside.open("xb") as file:

@@ -28,10 +28,11 @@ _WITH_U = re.compile(rf"\(?({_NUMBER}) ± ({_NUMBER})\)?(?: × 10([⁻⁰¹²³�
 _PLAIN = re.compile(rf"({_NUMBER})(?: × 10([⁻⁰¹²³⁴-⁹]+))?")
 
 
-def latex_table(content: Table) -> str:
+def latex_table(content: Table, label: str = "") -> str:
     """A table as a float with booktabs and siunitx; its numbers and symbols are those that are shown.
 
-    Rows are shown as the report has them: rounded, with standard uncertainties.
+    Rows are shown as the report has them: rounded, with standard uncertainties. `label` tells tables of
+    several runs apart; empty: the table's name.
     """
     head, rows = content.head or content.columns, content.shown
     unit_column = next((place for place, cell in enumerate(head) if cell == "unit"), -1)
@@ -39,7 +40,7 @@ def latex_table(content: Table) -> str:
         "% needs \\usepackage{booktabs,siunitx} and \\sisetup{separate-uncertainty=true}",
         r"\begin{table}",
         rf"\caption{{{_text(content.title)}}}",
-        rf"\label{{tab:{content.name}}}",
+        rf"\label{{tab:{label or content.name}}}",
         rf"\begin{{tabular}}{{l{'r' * (max(1, len(head)) - 1)}}}",
         r"\toprule",
     ]

@@ -21,4 +21,4 @@ def latex_tables(folder: Path) -> Mapping[str, str]:
     if source.series is not None:
         tables = (series_table(source.series), budget_table(source.series.budget, "series-budget"))
         found |= {f"{each.name}.tex": each for each in tables}
-    return {name: latex_table(each) for name, each in found.items() if each.shown}
+    return {name: latex_table(each, Path(name).stem) for name, each in found.items() if each.shown}

@@ -1,0 +1,133 @@
+"""Exports where the disk is full, where names are formulas, and of runs that were not fitted."""
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from processing.units import size
+from rig.analysis import read_results
+from rig.export.run import ExportedRun, read_run
+from rig.export.session_export import export_session
+from rig.export.tables import write_csv
+from tests.rig.command_line import rig
+
+OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+FORMULA = "=cmd|' /C calc'!A0"
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(measured_series: Path, tmp_path: Path) -> None:
+    """HDF5 told of it at every object that it closed, in thousands of lines, and ended the process.
+
+    The largest size of a file stands for the disk.
+    """
+    pytest.importorskip("h5py")
+    pytest.importorskip("resource")
+    code = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000)); "
+        "from rig.cli import main; sys.exit(main())"
+    )
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            code,
+            "export",
+            measured_series,
+            "--format",
+            "hdf5",
+            "-o",
+            tmp_path / "out.h5",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode in (1, 2), done.stderr[-500:]
+    assert re.fullmatch(r"rig: .*out\.h5: cannot be written: File too large\n", done.stderr)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_stands_above_the_columns_is_no_formula_in_any_cell(
+    measured_series: Path, tmp_path: Path
+) -> None:
+    """A spreadsheet splits those lines, too; what JSON says stays the same."""
+    run = read_run(measured_series / "run-1.mcap", None)
+    configuration = json.dumps({"a": f"x,{FORMULA}", "b": [f"{FORMULA}"], "c": "1,-2;+3", "d": [-1, -2.5e-3]})
+    about = {
+        **run.provenance,
+        "session.operator": f"Müller,{FORMULA}",
+        "session.sample": f'K8; {FORMULA}, "{FORMULA}", at 5,-3 or a|@b',
+        "configuration": configuration,
+    }
+    hostile = ExportedRun("run-1", run.spots[:2], run.swings[:2], {}, {}, about)
+    made = write_csv(tmp_path, hostile)
+    for path in made:
+        head = [line for line in path.read_text().splitlines() if line.startswith("# ")]
+        for separator in ",;\t|":
+            cells = [cell for row in csv.reader(head, delimiter=separator) for cell in row]
+            assert not [cell for cell in cells if re.match(r"[=+@-]|\s+[=@]", cell)], separator
+        (line,) = (line for line in head if line.startswith("# configuration: "))
+        assert json.loads(line.removeprefix("# configuration: ")) == json.loads(configuration)
+        assert f"# session.operator: Müller,'{FORMULA}" in head
+
+
+def test_every_number_of_the_damping_has_a_unit(measured_series: Path, tmp_path: Path) -> None:
+    made = export_session(measured_series, "csv", tmp_path)
+    rows = {
+        row["name"]: row
+        for row in csv.DictReader(
+            line for line in made[2].read_text().splitlines() if not line.startswith("#")
+        )
+    }
+    (run, *_) = read_results(measured_series).runs
+    assert run.damping is not None
+    for name, unit in (
+        ("constant.value", "arcsec/s"),
+        ("linear.standard_uncertainty", "1/s"),
+        ("quadratic.value", "1/arcsec/s"),
+        ("curve.0.amplitude", "arcsec"),
+    ):
+        assert size(rows[f"damping.{name}"]["unit"]) == size(unit)
+
+
+def test_the_same_table_of_two_runs_has_two_labels(measured_series: Path, tmp_path: Path) -> None:
+    labels = [
+        re.findall(r"\\label\{(.*?)\}", path.read_text())
+        for path in export_session(measured_series, "latex", tmp_path)
+    ]
+    flat = [label for each in labels for label in each]
+    assert len(flat) == len(set(flat)) > 4
+
+
+def test_what_was_not_fitted_to_the_contact_says_so(tmp_path: Path) -> None:
+    for kind, said in (
+        ("latex", "its results have no tables"),
+        ("dcc", "has no results to certify: the record has no cal"),
+    ):
+        done = rig("export", OLDER / "uncalibrated", "--format", kind, "-o", tmp_path / "out")
+        assert done.returncode in (1, 2)
+        assert said in done.stderr
+        assert len(done.stderr.splitlines()) == 1
+        assert not (tmp_path / "out").exists()
+    table = shutil.copytree(OLDER / "table", tmp_path / "table")
+    assert "an earlier version made it, which kept no single decays; rig fit decay.csv makes" in (
+        rig("export", table, "-o", tmp_path / "out").stderr
+    )
+
+
+def test_another_pendulum_is_certified_with_its_own_quantities(tmp_path: Path) -> None:
+    export_session(OLDER / "herbert", "dcc", tmp_path / "herbert.xml")
+    text = (tmp_path / "herbert.xml").read_text()
+    (run,) = read_results(OLDER / "herbert").runs
+    assert run.instrument is not None
+    assert run.instrument.time_hardness_s is not None
+    assert f"<si:value>{run.instrument.time_hardness_s.value!r}</si:value>" in text
+    assert f"{2 * run.instrument.time_hardness_s.standard_uncertainty!r}</si:uncertainty>" in text
+    assert ">time hardness</dcc:content>" in text
