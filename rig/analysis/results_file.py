@@ -33,8 +33,9 @@ def encoded(values: object) -> JsonObject:
     return tree
 
 
-def write_results(path: Path, results: SessionResults | TableResults | EnvelopeResults) -> None:
+def write_results(path: str | Path, results: SessionResults | TableResults | EnvelopeResults) -> None:
     """Write results.json; never over an existing one. Raises RecordError."""
+    path = Path(path)
     try:
         whole_file.write_new(path, (_text(encoded(results)) + "\n").encode())
     except FileExistsError:
@@ -62,14 +63,14 @@ def results_path(source: Path) -> Path:
     return max(later, key=lambda path: int(path.stem.removeprefix("results-")), default=source / RESULTS_NAME)
 
 
-def read_results(source: Path, *, sealed: bool = False) -> SessionResults:
+def read_results(source: str | Path, *, sealed: bool = False) -> SessionResults:
     """results.json of a session's folder, or a results file: of records, or of the decays of a table.
 
     Sealed ones are read where their folder was opened, and as they are where `sealed` allows it.
 
     Raises RecordError with one line: no such file, the key that cannot be understood, or that it is sealed.
     """
-    return runs_of(read_any_results(source, sealed=sealed))
+    return runs_of(read_any_results(Path(source), sealed=sealed))
 
 
 def read_any_results(source: Path, *, sealed: bool = False) -> SessionResults | TableResults:

@@ -1,6 +1,5 @@
 """Fits of records and of tables."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from rig.analysis import (
     model_curves,
     session_results,
 )
+from rig.scripting.given import column_of, overrides_of, path_of, refuse_twice, several
 from rig.scripting.record import Record
 from rig.scripting.session import Session
 from rig.settings import load_configuration
@@ -67,10 +67,11 @@ def fit(
     RigError
         A record cannot be read, or a key is unknown.
     """
-    changes = [f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items()]
-    several = [source] if isinstance(source, str | Path | Record | Session) else source
-    ground = None if witness is None else StatedWitness(Path(witness)).read()
-    runs = [analyse_record(path, changes, witness=ground) for one in several for path in _paths(one)]
+    changes = overrides_of(overrides)
+    paths = [path for one in several(source, (Record, Session), "source") for path in _paths(one)]
+    refuse_twice(paths)
+    ground = None if witness is None else StatedWitness(path_of(witness, "witness")).read()
+    runs = [analyse_record(path, changes, witness=ground) for path in paths]
     if laws := _laws(law, elastic):
         runs = [replace(run, results=replace(run.results, laws=laws_of(run, laws))) for run in runs]
     return session_results(runs, Path.cwd())
@@ -135,6 +136,9 @@ def fit_film(
 
 
 def _laws(law: Moment | None, elastic: Moment | None) -> tuple[Law | StatedLaw, ...]:
+    for name, moment in (("law", law), ("elastic", elastic)):
+        if moment is not None and not callable(moment):
+            raise ConfigurationError(f"{name}: a function of the angle is needed, not {moment!r}")
     if law is None:
         if elastic is not None:
             raise ConfigurationError("elastic: has no effect without law, the friction beside it")
@@ -149,7 +153,10 @@ def _paths(source: Recorded) -> list[Path]:
         case Record():
             return [source.path]
         case _:
-            return [Path(source)]
+            path = path_of(source, "source")
+            if path.is_dir():
+                raise ConfigurationError(f"{path}: is a folder; rig.open_session(folder) opens a session")
+            return [path]
 
 
 def fit_table(
@@ -157,8 +164,8 @@ def fit_table(
     unit: str,
     *,
     configuration: str | Path | None = None,
-    time: str | None = None,
-    positions: Sequence[str] = (),
+    time: str | int | None = None,
+    positions: str | int | Sequence[str | int] = (),
     time_unit: str = "",
     run: str = "",
     witness: str | Path | None = None,
@@ -203,9 +210,17 @@ def fit_table(
         raise ConfigurationError("witness: has no effect without configuration, which gives the pendulum")
     if law is not None and configuration is None:
         raise ConfigurationError("law: has no effect without configuration, which gives the pendulum")
-    ground = None if witness is None else StatedWitness(Path(witness)).read()
+    table = path_of(path, "path")
+    ground = None if witness is None else StatedWitness(path_of(witness, "witness")).read()
     config = None
     if configuration is not None:
-        config = load_configuration(Path(configuration), needs_camera=False)
-    columns = TableColumns(time, tuple(positions), unit, time_unit, run=run)
-    return analyse_table(Path(path), config, columns, ground, _laws(law, elastic)).results
+        config = load_configuration(path_of(configuration, "configuration"), needs_camera=False)
+    named = [positions] if isinstance(positions, str | int) else positions
+    columns = TableColumns(
+        None if time is None else column_of(time),
+        tuple(map(column_of, named)),
+        unit or "",
+        time_unit,
+        run=run,
+    )
+    return analyse_table(table, config, columns, ground, _laws(law, elastic)).results

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rig.campaigns import Campaign, StatedCampaign, answer_of, read_campaign, runs_of_folders, save_campaign
+from rig.scripting.given import path_of, several
 from rig.scripting.session import Session
 
 
@@ -38,7 +39,10 @@ def campaign(
     RigError
         Results cannot be read, a run is there twice, or something is stated that there is not.
     """
-    folders = [one.folder if isinstance(one, Session) else Path(one) for one in sessions]
+    folders = [
+        one.folder if isinstance(one, Session) else path_of(one, "sessions")
+        for one in several(sessions, (Session,), "sessions")
+    ]
     known = StatedCampaign() if stated is None else read_campaign(Path(stated))
     found = answer_of(runs_of_folders(folders), known, sample=sample)
     if output is not None:

@@ -1,0 +1,82 @@
+"""What scripts hand over, as this program takes it; anything else is refused in a line."""
+
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from acquisition.record.proof import measured_sha256_of
+from processing.errors import ConfigurationError
+
+_SAVED = "save what is in memory first (to_csv, numpy.save) and name the file"
+
+
+def path_of(value: object, what: str) -> Path:
+    """A path. Raises ConfigurationError for an array or a data frame in its place."""
+    if isinstance(value, str | os.PathLike):
+        return Path(value)
+    raise ConfigurationError(f"{what}: a path is needed, not {_named(value)}; {_SAVED}")
+
+
+def several(value: Any, single: tuple[type, ...], what: str) -> list[Any]:
+    """One, or a sequence of them, as a list; raises ConfigurationError for none, and for what is neither."""
+    if isinstance(value, (str, os.PathLike, *single)):
+        return [value]
+    # an array or a data frame would be gone through by its numbers or columns
+    if not isinstance(value, Iterable) or hasattr(value, "shape"):
+        raise ConfigurationError(f"{what}: paths, or what was opened, are needed, not {_named(value)}")
+    found = list(value)
+    if not found:
+        raise ConfigurationError(f"{what}: is empty; name at least one")
+    return found
+
+
+def overrides_of(changes: Mapping[str, object] | None) -> list[str]:
+    """``KEY=VALUE`` as on the command line; numbers of NumPy are numbers."""
+    if changes is None:
+        return []
+    if not isinstance(changes, Mapping):
+        raise ConfigurationError(
+            'overrides: a mapping from keys to values is needed, {"fit.robust": True}, '
+            f"not {_named(changes)}"
+        )
+    return [f"{_key(key)}={_written(str(key), value)}" for key, value in changes.items()]
+
+
+def column_of(value: object) -> str:
+    """The name of a column, or its number from 1."""
+    return value if isinstance(value, str) else str(value)
+
+
+def refuse_twice(paths: Sequence[Path]) -> None:
+    """Raise ConfigurationError where two records are one and the same run: it counts once in a series."""
+    first: dict[str, Path] = {}
+    for path in paths if len(paths) > 1 else ():
+        if not path.is_file():
+            continue
+        other = first.setdefault(measured_sha256_of(path), path)
+        if other is not path:
+            raise ConfigurationError(f"{path}: is the same run as {other}, which counts once in a series")
+
+
+def _key(key: object) -> str:
+    text = str(key)
+    if "=" in text or not text.isprintable():
+        raise ConfigurationError(f"overrides: {text!r} is no key of the configuration")
+    return text
+
+
+def _written(key: str, value: object) -> str:
+    plain = value.item() if hasattr(value, "item") and not hasattr(value, "__len__") else value
+    try:
+        return json.dumps(plain)
+    except TypeError:
+        raise ConfigurationError(
+            f"overrides: {key}: {_named(value)} is no value of a configuration; a number, a text, true or "
+            "false"
+        ) from None
+
+
+def _named(value: object) -> str:
+    return "None" if value is None else f"a {type(value).__name__}"

@@ -1,0 +1,91 @@
+"""`import rig` with what a stranger's script hands over: taken as meant, or refused in one line."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rig
+
+OLDER = Path(__file__).parent / "data" / "older"
+RECORD = OLDER / "uncalibrated" / "run-1.mcap"
+
+
+class Frame:
+    """What is gone through by the names of its columns, as a data frame is."""
+
+    shape = (3, 2)
+
+    def __iter__(self) -> Any:
+        return iter(("t", "x"))
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        (None, "source: paths, or what was opened, are needed, not None"),
+        (3, "not a int"),
+        (np.arange(9.0), "not a ndarray"),
+        (Frame(), "not a Frame"),
+        ([], "source: is empty; name at least one"),
+        ([np.arange(3.0)], "source: a path is needed, not a ndarray; save what is in memory first"),
+        (OLDER / "first", r"is a folder; rig.open_session\(folder\) opens a session"),
+        ([RECORD, rig.open_record(RECORD)], "is the same run as .*, which counts once in a series"),
+    ],
+)
+def test_what_is_no_record_is_refused(source: Any, said: str) -> None:
+    """A run that was named twice was two runs, and its uncertainty too small by the square root of two."""
+    with pytest.raises(rig.RigError, match=said):
+        rig.fit(source)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["fit.robust=true"], "overrides: a mapping from keys to values is needed"),
+        ("fit.robust=true", "overrides: a mapping"),
+        ({"fit.robust=true\nfit.drag": 1}, "is no key of the configuration"),
+        ({"fit.robust": np.ones(2)}, "fit.robust: a ndarray is no value of a configuration"),
+        ({"fit.robust": Path("x")}, "is no value of a configuration"),
+        ({"fit.u_ageing": np.float32("nan")}, "fit.u_ageing"),
+    ],
+)
+def test_what_is_no_change_is_refused(changes: Any, said: str) -> None:
+    with pytest.raises(rig.RigError, match=said):
+        rig.fit(RECORD, changes)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    found = rig.fit(RECORD, {"fit.robust": np.bool_(True), "fit.u_ageing": np.float32(0.25)})
+    assert found.runs[0].settings["robust"] is True
+    assert found.runs[0].settings["u_ageing"] == 0.25
+
+
+def test_columns_are_named_as_a_text_or_a_number_and_tables_by_their_file(tmp_path: Path) -> None:
+    time_s = 0.05 * np.arange(600)
+    table = np.column_stack([time_s, 10.0 * np.exp(-0.01 * time_s) * np.cos(2.5 * time_s)])
+    table[:, 1] += 0.01 * np.random.default_rng(1).standard_normal(len(table))
+    np.savetxt(tmp_path / "decay.csv", table, delimiter=",", header="time_s,x", comments="")
+    periods = {
+        rig.fit_table(tmp_path / "decay.csv", "mm", time=time, positions=positions).period_s
+        for time, positions in ((None, ()), ("time_s", "x"), (1, 2), (1, [2]), ("1", ["2"]))
+    }
+    assert len(periods) == 1
+    for given in (table, Frame()):
+        with pytest.raises(rig.RigError, match=r"path: a path is needed, not a .*to_csv"):
+            rig.fit_table(given, "mm")  # type: ignore[arg-type]
+
+
+def test_a_law_that_is_no_function_is_refused() -> None:
+    with pytest.raises(rig.RigError, match="law: a function of the angle is needed, not 'none'"):
+        rig.fit(RECORD, law="none")  # type: ignore[arg-type]
+
+
+def test_results_are_read_and_written_by_a_text_too(tmp_path: Path) -> None:
+    found = rig.read_results(str(OLDER / "first"))
+    rig.write_results(str(tmp_path / "results.json"), found)
+    with pytest.raises(rig.RigError, match="exists already and is not overwritten"):
+        rig.write_results(str(tmp_path / "results.json"), found)
+    with pytest.raises(rig.RigError, match="sessions: is empty"):
+        rig.campaign([])
