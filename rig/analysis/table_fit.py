@@ -30,7 +30,7 @@ from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.position_table import TableColumns
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
 from rig.analysis.results_file import relative_record
-from rig.analysis.second_frequency import second_frequency
+from rig.analysis.second_frequency import fast_oscillation, second_frequency
 from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
 from rig.analysis.surroundings import stated_surroundings
 from rig.analysis.swings_fit import analyse_swings
@@ -199,6 +199,13 @@ def _analyse(
         run = replace(run, witness=of_source(run.witness, witness))
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
+    oscillation = fast_oscillation(
+        trajectory.times_ns[inside],
+        deflection[inside],
+        [position[inside] for position in trajectory.positions],
+        trajectory.names,
+        summary.period_s.value,
+    )
     values = (
         _values(run)
         | decay_values(points, summary, scale, u_common=trajectory.u_common_in_noises * noise)
@@ -211,6 +218,7 @@ def _analyse(
             "warnings": (
                 *run.warnings,
                 *filter(None, [direction_warning(trajectory.positions, inside)]),
+                *filter(None, [oscillation]),
                 *_changes(summary),
             ),
         }

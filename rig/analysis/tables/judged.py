@@ -90,8 +90,8 @@ def judge_zones(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -
         )
     steps_s = seconds(np.diff(times_ns))
     step_s = float(np.median(steps_s))
-    forward = np.flatnonzero(np.abs(steps_s - step_s - _HOUR_S) < step_s) if step_s < 1.0 else []
-    if without and len(forward) == 1:
+    forward = np.flatnonzero(np.abs(steps_s - step_s - _HOUR_S) < step_s)
+    if without and len(forward) == 1 and step_s < 1.0:
         row = int(forward[0])
         raise DataError(
             f"{path}: {cells[row + 1]!r} follows {cells[row]!r}, an hour and one step later: was the clock "

@@ -53,3 +53,32 @@ def test_gaps_change_nothing() -> None:
     both = SWING + FAST
     both[400:420] = np.nan
     assert "1.7 Hz" in second_frequency(T_NS, both)
+
+
+def _warnings(path: Path, x: np.ndarray, y: np.ndarray) -> list[str]:
+    np.savetxt(path, np.column_stack([T_S, x, y]), delimiter=",", fmt="%.6f", header="t_s,x,y", comments="")
+    found = analyse_table(path, None, TableColumns("t_s", ("x", "y"), "arcsec"))
+    return [line for line in found.results.warnings if "second oscillation" in line]
+
+
+@pytest.mark.parametrize("size", [0.02, 0.1])
+def test_a_weak_fast_mode_in_one_column_is_named_as_the_reason_of_wide_uncertainties(
+    tmp_path: Path, size: float
+) -> None:
+    """It widened u(b) forty times, and the report said nothing of it."""
+    (said,) = _warnings(tmp_path / "a.csv", 3 * SWING + NOISE[0], SWING + 3 * size * FAST + NOISE[1])
+    assert "a second oscillation at 1.7 Hz" in said
+    assert "most of it in y" in said
+    assert "widens every uncertainty" in said
+    assert "--position" in said
+
+
+def test_noise_a_drift_overtones_and_gaps_are_no_fast_mode(tmp_path: Path) -> None:
+    bent = SWING + 0.02 * SWING**2 + 0.01 * SWING**3
+    drift = 0.5 * (T_S / 100.0) ** 2 + 0.1 * np.sin(2 * np.pi * T_S / 30.0)
+    for k, x in enumerate((SWING, bent, SWING + drift)):
+        assert not _warnings(tmp_path / f"{k}.csv", x + NOISE[0], 0.3 * x + NOISE[1])
+    with_gap = (bent + NOISE[0]).copy()
+    with_gap[400:460] = np.nan
+    assert not _warnings(tmp_path / "gap.csv", with_gap, 0.3 * bent + NOISE[1])
+    assert not _warnings(tmp_path / "digits.csv", np.round(SWING, 3), np.round(0.3 * SWING, 3))
