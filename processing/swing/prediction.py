@@ -136,11 +136,11 @@ def predict(
     return step_ns, following, carried, following[TIME] + after / rate
 
 
-@kernel
 def window(x: Vector, reference: float) -> tuple[float, float, float]:
     """Zero crossings before and after the turning point and the next turning point, s from the reference."""
+    # not a kernel, since once in a record pays no second copy of the waveform's machine code
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
     tabulate_state(x, x, reference, np.empty(0, dtype=np.int64), table, turn)
     before, after = zero_phases(table)
-    rate = x[RATE]
-    return x[TIME] + before / rate, x[TIME] + after / rate, x[TIME] + turn[0, 0] / rate
+    start, rate = float(x[TIME]), float(x[RATE])
+    return start + before / rate, start + after / rate, start + float(turn[0, 0]) / rate
