@@ -1,5 +1,6 @@
 """Kernels are compiled once, kept while nothing that they use has changed, and work without a cache."""
 
+import gc
 import importlib
 import json
 import os
@@ -17,6 +18,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from numba.core.errors import TypingError
 from numpy.typing import NDArray
 
 from processing.kernel import at_compilation, cache_of, kernel
@@ -136,6 +138,18 @@ def test_an_inner_kernel_is_compiled_for_types_and_not_for_values(folder: Path) 
     module = imported_again()
     assert compilations(module, ways=2)[0] == 22.0
     assert len(module.inner_kernel.scaled.signatures) == 1
+
+
+def test_garbage_is_collected_again_after_a_compilation_even_one_that_failed() -> None:
+    seen: list[bool] = []
+
+    def wrong(x: float) -> float:
+        return x.nothing  # type: ignore[attr-defined,no-any-return]
+
+    wrong.__code__ = wrong.__code__.replace(co_filename="<string>")  # nowhere to keep it
+    with at_compilation(lambda _: seen.append(gc.isenabled())), pytest.raises(TypingError):
+        kernel(wrong)(1.0)
+    assert (seen, gc.isenabled()) == ([False], True)
 
 
 def test_a_spoilt_cache_is_made_again(folder: Path) -> None:
