@@ -71,6 +71,11 @@ def write_certificate_of_runs(runs: Sequence[tuple[ExportedRun, RunResults]], ou
     days = [
         datetime.date.fromisoformat(text[:10]) for run, _ in runs for text in (run.began, run.ended) if text
     ]
+    if not days:
+        raise RecordError(
+            f"{runs[0][1].record}: a table does not say when it was measured, and a certificate must; export "
+            "its results in another format"
+        )
     about = runs[0][0].provenance
     content = "".join(results.sha256 for _, results in runs).encode()
     facts = CertificateFacts(

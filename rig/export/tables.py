@@ -74,7 +74,7 @@ def _tables(
                     "name": [text_of(name) for name, _ in rows],
                     "value": pa.array([v if isinstance(v, float) else None for _, v in rows], pa.float64()),
                     "text": [text_of(v) if isinstance(v, str) else "" for _, v in rows],
-                    "unit": [_unit(name, run.units) for name, _ in rows],
+                    "unit": [text_of(_unit(name, run.units)) for name, _ in rows],
                 }
             ),
         )

@@ -8,8 +8,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from processing.errors import RecordError
 from processing.units import size
 from rig.analysis import read_results
 from rig.export.run import ExportedRun, read_run
@@ -131,3 +133,20 @@ def test_another_pendulum_is_certified_with_its_own_quantities(tmp_path: Path) -
     assert f"<si:value>{run.instrument.time_hardness_s.value!r}</si:value>" in text
     assert f"{2 * run.instrument.time_hardness_s.standard_uncertainty!r}</si:uncertainty>" in text
     assert ">time hardness</dcc:content>" in text
+
+
+def test_a_table_whose_unit_is_a_formula_and_that_has_no_date(tmp_path: Path) -> None:
+    time_s = 0.05 * np.arange(600)
+    x = 10.0 * np.exp(-0.01 * time_s) * np.cos(2.5 * time_s)
+    x += 0.01 * np.random.default_rng(1).standard_normal(len(time_s))
+    np.savetxt(tmp_path / "decay.txt", np.column_stack([time_s, x]))
+    fitted = rig("fit", tmp_path / "decay.txt", "--unit", FORMULA, "-o", tmp_path / "fit")
+    assert fitted.returncode == 0, fitted.stderr
+    made = export_session(tmp_path / "fit", "csv", tmp_path / "csv")
+    rows = list(csv.DictReader(line for line in made[2].read_text().splitlines() if not line.startswith("#")))
+    assert {"'" + FORMULA, f"'{FORMULA}/(s)"} <= {row["unit"] for row in rows}
+    assert not [
+        cell for row in rows for cell in (row["name"], row["text"], row["unit"]) if cell[:1] in ("=", "@")
+    ]
+    with pytest.raises(RecordError, match=r"decay.txt: a table does not say when it was measured"):
+        export_session(tmp_path / "fit", "dcc", tmp_path / "decay.xml")
