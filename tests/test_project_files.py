@@ -92,10 +92,15 @@ def test_the_conda_recipe_needs_what_the_package_needs() -> None:
     assert recipe["build"]["python"]["entry_points"] == scripts
 
 
-def test_rattler_build_reads_the_conda_recipe() -> None:
+def test_rattler_build_reads_the_conda_recipe(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And finds the sdist where make release leaves it, under the version that is asked for."""
     rattler_build = pytest.importorskip("rattler_build", reason="py-rattler-build is not installed")
+    monkeypatch.setenv("VERSION", "9.8.7")
     (variant,) = rattler_build.Stage0Recipe.from_file(str(ROOT / "recipe/recipe.yaml")).render()
-    assert variant.recipe.package.name == PROJECT["project"]["name"]
+    package = variant.recipe.package
+    assert (package.name, str(package.version)) == (PROJECT["project"]["name"], "9.8.7")
+    (source,) = variant.recipe.to_dict()["source"]
+    assert source["path"] == "../dist/9.8.7/optical_pendulum_rig-9.8.7.tar.gz"
 
 
 def test_a_release_is_published_without_a_secret_and_from_a_tag_alone() -> None:
