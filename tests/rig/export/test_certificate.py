@@ -67,7 +67,7 @@ def test_the_results_of_runs_are_written_and_read_back_exactly(
     assert export_session(measured_series, "dcc", path) == [path]
     found = schema(shared_data)
     found.validate(str(path))
-    results = json.loads((measured_series / "results.json").read_text())["runs"]
+    results = json.loads((measured_series / "results.json").read_text(encoding="utf-8"))["runs"]
     tree = found.to_dict(str(path))
     measured = tree["dcc:measurementResults"]["dcc:measurementResult"]
     assert len(measured) == len(results)

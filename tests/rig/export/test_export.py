@@ -26,7 +26,11 @@ def truth(measured_series: Path) -> tuple[Any, Any, dict[str, Any]]:
     """Spots, swings and results of the first run as record and results.json hold them."""
     with RecordReader(measured_series / "run-1.mcap") as reader:
         spots, swings = reader.table("/spot"), reader.table("/swing")
-    return spots, swings, json.loads((measured_series / "results.json").read_text())["runs"][0]
+    return (
+        spots,
+        swings,
+        json.loads((measured_series / "results.json").read_text(encoding="utf-8"))["runs"][0],
+    )
 
 
 def test_csv_holds_every_digit_and_the_provenance(
@@ -37,7 +41,7 @@ def test_csv_holds_every_digit_and_the_provenance(
     assert [path.name for path in made] == [
         f"run-{number}-{what}.csv" for number in (1, 2) for what in ("spots", "swings", "results")
     ]
-    lines = made[1].read_text().splitlines()
+    lines = made[1].read_text(encoding="utf-8").splitlines()
     head = [line for line in lines if line.startswith("#")]
     assert f"# sha256: {results['sha256']}" in head
     assert any(line.startswith("# configuration: {") for line in head)
@@ -113,7 +117,7 @@ def test_what_a_record_lacks_is_said_in_every_file(
     said = capsys.readouterr().err
     assert "was cut short" in said
     assert "damaged, not used" in said
-    head = [line for line in spots.read_text().splitlines() if line.startswith("# NOTE: ")]
+    head = [line for line in spots.read_text(encoding="utf-8").splitlines() if line.startswith("# NOTE: ")]
     assert ["was cut short" in line for line in head] == [True, False]
     assert "damaged, not used" in head[1]
     table, *_ = export_session(path, "parquet", tmp_path / "parquet")
@@ -126,11 +130,11 @@ def test_what_a_record_lacks_is_said_in_every_file(
 
 def test_texts_are_no_formulas(measured_series: Path, tmp_path: Path) -> None:
     shutil.copy(measured_series / "run-1.mcap", tmp_path)
-    tree = json.loads((measured_series / "results.json").read_text())
+    tree = json.loads((measured_series / "results.json").read_text(encoding="utf-8"))
     tree["runs"][0]["notes"] = ["=HYPERLINK(0)", "@SUM(1)", "1 is no formula"]
     (tmp_path / "results.json").write_text(json.dumps(tree))
     made = export_session(tmp_path / "run-1.mcap", "csv", tmp_path / "out")
-    text = made[2].read_text()
+    text = made[2].read_text(encoding="utf-8")
     assert '"\'=HYPERLINK(0)"' in text
     assert '"\'@SUM(1)"' in text
     assert '"1 is no formula"' in text
