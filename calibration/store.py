@@ -126,7 +126,7 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
                 f"{name}: {field} has no offset from UTC; write it as 2026-01-31T12:00:00Z"
             )
     if kind is not None and found.kind != kind:
-        raise ConfigurationError(f"{name}: is a calibration of {found.kind}, one of {kind} is needed")
+        raise ConfigurationError(f"{name}: is a calibration of {found.kind}; one of {kind} is needed")
     return found
 
 

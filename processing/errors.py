@@ -4,6 +4,7 @@ A message names the item, the value received and what to do. Modules raise the m
 command line prints any `RigError` as one line and sets the exit status.
 """
 
+import re
 import sys
 
 
@@ -40,7 +41,7 @@ class DataError(RigError):
 
 def in_one_line(error: Exception) -> str:
     """The error as one line, with its kind where it is not one of these."""
-    text = " ".join(str(error).split())
+    text = re.sub(r"\s+", " ", f"{error}").strip()
     if isinstance(error, RigError):
         return text
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -58,7 +58,8 @@ def test_mutated_modules_are_programs(module: str) -> None:
 
 
 def test_the_nearest_tests_come_first() -> None:
-    assert room_of_tests(Path("rig/control/lasers/obis.py")) == Path("tests/rig/control")
+    assert room_of_tests(Path("rig/control/lasers/obis.py")) == Path("tests/rig/control/lasers")
+    assert room_of_tests(Path("rig/control/firmware/core.py")) == Path("tests/rig/control")
     files = nearest_first(Path("processing/fit/whiteness.py"), "whiteness")
     assert files[0] == Path("tests/processing/fit/test_whiteness.py")
     assert set(files) == set(Path("tests/processing/fit").rglob("test_*.py"))

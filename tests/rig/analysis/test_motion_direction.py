@@ -57,7 +57,7 @@ def test_a_swing_whose_direction_turns_is_said(tmp_path: Path) -> None:
     angle = np.radians(20.0) * (T_S / T_S[-1] - 0.5)
     found = fitted(tmp_path, np.sin(angle) * SWING + noise(1), np.cos(angle) * SWING + noise(2))
     (said,) = [one for one in found.decays[0].warnings if "direction" in one]
-    assert "goes −2 degrees" in said
+    assert "by −2 degrees" in said
     assert "11 degrees in the last" in said
     straight = fitted(tmp_path, np.sin(0.3) * SWING + noise(1), np.cos(0.3) * SWING + noise(2))
     assert not any("direction" in one for one in straight.decays[0].warnings)

@@ -69,7 +69,7 @@ def test_single_words_infinities_and_empty_cells_are_missing_and_counted(tmp_pat
     found = TableColumns().read(path)
     assert np.flatnonzero(~np.isfinite(found.positions[0])).tolist() == list(range(98, 104))
     assert (
-        "missing from the fit: 6 values of position 1 that are no numbers (lines 100 to 105)"
+        "missing from the fit: 6 values of position 1 that are not numbers (lines 100 to 105)"
         in found.understood
     )
 

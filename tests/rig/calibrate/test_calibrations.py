@@ -186,7 +186,7 @@ def test_stated_and_calibrated_differently_is_refused(tmp_path: Path) -> None:
     tree["camera"] = {"driver": "simulated"}
     with pytest.raises(ConfigurationError, match="leave one of them out"):
         fill_from_files(validate_configuration(tree, "test"))
-    with pytest.raises(ConfigurationError, match="is a calibration of lever, axes is wanted"):
+    with pytest.raises(ConfigurationError, match="is a calibration of lever; one of axes is needed"):
         fill_from_files(in_use(axes=path))
     with pytest.raises(ConfigurationError, match=r"^calibration\.axes = .*none\.toml': no such file; rig"):
         fill_from_files(in_use(axes=tmp_path / "none.toml"))

@@ -106,7 +106,7 @@ def test_an_arm_and_a_pitch_make_a_lever(tmp_path: Path) -> None:
         ([], "states no mass (in a unit like kg); it has: no numbers"),
         ([quantity("Mass", real("NaN", r"\gram", "0.1"))], "Mass = nan g is no mass"),
         ([quantity("Mass", real("-406", r"\gram", "0.1"))], "Mass = -406 g is no mass"),
-        ([quantity("Mass", real("4_06", r"\gram", "0.1"))], "Mass: '4_06' is no number"),
+        ([quantity("Mass", real("4_06", r"\gram", "0.1"))], "Mass: '4_06' is not a number"),
         ([quantity("Mass", real("406", r"\gram", "-0.1"))], "Mass = 406 g with an uncertainty of -0.05"),
         ([quantity("Mass", real("406", r"\gram", "INF"))], "Mass = 406 g with an uncertainty of inf"),
         ([quantity("Mass", real("406", r"\gram", "0"))], "Mass: states no uncertainty"),

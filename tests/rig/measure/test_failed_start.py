@@ -59,6 +59,7 @@ def test_a_session_killed_before_its_record_began_is_in_nobodys_way(tmp_path: Pa
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_resume_says_its_configuration_and_takes_another(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert rig("run", CONFIGS / "demo.toml", "-o", out, *SHORT).returncode == 0

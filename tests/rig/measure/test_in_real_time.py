@@ -49,7 +49,7 @@ def test_a_magnet_that_holds_nothing_is_said(tmp_path: Path) -> None:
     weak = {**MAGNET, "simulation.release.amplitude_arcsec": "2"}
     done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(weak))
     assert done.returncode == 1
-    assert "the magnet holds nothing" in done.stderr
+    assert "the magnet does not hold the pendulum" in done.stderr
     assert not list((tmp_path / "out").glob("*.mcap"))
 
 

@@ -52,5 +52,5 @@ def test_what_is_not_known_is_said(tmp_path: Path) -> None:
         ConfigurationError, match="--against wind: there is no such quantity; there are age, dwell"
     ):
         compare([folder], None, "wind")
-    with pytest.raises(RecordError, match="--against humidity_percent: known of 1 of 2 fitted runs"):
+    with pytest.raises(RecordError, match="--against humidity_percent: known for 1 of 2 fitted runs"):
         compare([folder], None, "humidity")
