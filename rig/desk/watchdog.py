@@ -49,11 +49,11 @@ _SCRIPT = """
     let shown = '';
     if (dead) {
       const what = ofPage[navigator.onLine ? 'desk lost' : 'network'];
-      const at = heardAt === null ? 'since this page was opened' : 'since ' + clock(heardAt);
+      const at = heardAt === null ? 'since this page was opened' : '(last heard at ' + clock(heardAt) + ')';
       shown = what.title.toUpperCase() + ' ' + at + (heardAt === null ? '' :
-        ': WHAT IS SHOWN IS OF THEN') + '\\n' + what.remedy;
+        ': WHAT IS SHOWN IS FROM THEN') + '\\n' + what.remedy;
     } else if (stale) {
-      shown = (old.who + ' says nothing since ' + old.at).toUpperCase() + ': WHAT IS SHOWN OF IT IS OF THEN';
+      shown = (old.who + ' has not answered since ' + old.at).toUpperCase() + ': WHAT IS SHOWN OF IT IS FROM THEN';
     }
     if (bar.dataset.shown !== shown) {
       bar.dataset.shown = shown;

@@ -26,7 +26,7 @@ def test_a_desk_that_dies_is_said_by_the_page_which_finds_the_next_one_with_all_
         page.fill("session.sample", "glass ball 7")
         page.wait_text("you act since")
         os.kill(desk.pid, signal.SIGSTOP)
-        page.wait_text("THE DESK SAYS NOTHING since")
+        page.wait_text("THE DESK DOES NOT ANSWER (last heard at")
         page.wait_text("start rig desk again: this page reconnects automatically")
         assert page.ask(GREY)
         page.wait("window.rigBeep")

@@ -256,7 +256,7 @@ def test_a_desk_that_says_nothing_shows_no_last_value(rig: Rig) -> None:
     page.wait(f"{LAMP.format('laser')} === 'laser on'")
     desk.kill()
     page.wait(f"{LAMP.format('laser')} === 'laser unknown'")
-    page.wait(f"{LAMP.format('age')}.includes('says nothing')")
+    page.wait(f"{LAMP.format('age')}.includes('does not answer')")
     page.wait("document.getElementById('light-off').innerText.includes('no connection: key switch')")
     page.point_at("document.getElementById('light-off')")
     page.wait_text("DID NOT REACH THE DESK")
