@@ -53,7 +53,8 @@ _SCRIPT = """
       shown = what.title.toUpperCase() + ' ' + at + (heardAt === null ? '' :
         ': WHAT IS SHOWN IS FROM THEN') + '\\n' + what.remedy;
     } else if (stale) {
-      shown = (old.who + ' has not answered since ' + old.at).toUpperCase() + ': WHAT IS SHOWN OF IT IS FROM THEN';
+      shown = (old.who + ' has not answered since ' + old.at).toUpperCase() +
+        ': WHAT IS SHOWN OF IT IS FROM THEN';
     }
     if (bar.dataset.shown !== shown) {
       bar.dataset.shown = shown;
