@@ -157,6 +157,8 @@ class BoardWitness(WitnessBuffer):
         try:
             if self._sensor is None:
                 self._sensor = controller.start_witness()
+                # it has not looked at its sensor yet
+                return
             for _ in range(_BLOCKS):
                 block = controller.witness_samples()
                 self._take(block, self._sensor, time.monotonic_ns())
