@@ -2,7 +2,6 @@
 
 import gc
 import os
-import signal
 import sys
 import warnings
 from collections.abc import Generator, Iterator
@@ -15,6 +14,7 @@ from hypothesis import settings
 from xdist.scheduler import LoadScopeScheduling
 
 from tests.orphans import leave_no_orphans
+from tests.signals import heed_signals
 
 # Shared machines are slow at times: an example is not judged by the clock. CI repeats the same
 # examples, a person's run looks for new ones.
@@ -26,12 +26,7 @@ settings.load_profile("ci" if os.environ.get("CI") else "here")
 # workers on few processors, wait for each other in loops and take up to five times the time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# A background job of a shell ignores Ctrl-C, and one under nohup a closed terminal; every process that is
-# started from here would ignore them, too. A signal with a handler has its default in the processes started.
-signal.signal(signal.SIGINT, signal.default_int_handler)
-if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
-    signal.signal(signal.SIGHUP, lambda number, frame: None)
-
+heed_signals()
 
 # A test that is killed, by its limit of time or by hand, ends nothing any more.
 leave_no_orphans()

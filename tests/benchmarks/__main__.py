@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.orphans import leave_no_orphans
+from tests.signals import heed_signals
 
 FOLDER = Path(__file__).parent
 
@@ -31,6 +32,7 @@ def main() -> int:
         parser.error(f"no benchmark {', '.join(sorted(unknown))}; there are {', '.join(known)}")
     names = wanted or known
     leave_no_orphans()
+    heed_signals()
     results: dict[str, Any] = {
         "machine": platform.platform(),
         "python": platform.python_version(),

@@ -6,6 +6,8 @@ import sys
 import time
 from collections.abc import Sequence
 
+from tests.orphans import leave_no_orphans
+from tests.signals import heed_signals
 from tests.validation import figure, page
 from tests.validation.catalogue import NOT_TESTED, ROWS, SPEED
 from tests.validation.kept import kept_now, program_commit, read_kept, write_kept
@@ -44,6 +46,8 @@ def main() -> int:
         rows = [] if words.page else chosen(words.names, quick=words.quick)
     except ValueError as error:
         parser.error(str(error))
+    leave_no_orphans()
+    heed_signals()
     short = 0
     for row in rows:
         kept = read_kept()

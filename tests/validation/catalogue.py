@@ -229,7 +229,7 @@ ROWS: tuple[Row, ...] = (
         benchmark("spot_speed", "following, ratio", part="against_sums", argument=200), "number", "", Limit(high=0.4),
         known="following it, 1280×1024"),
     Row("speed-pace", SPEED, "500 frames/s are recorded without a loss", "a camera from memory in real time: alone, with desk and viewer, in another process, 30 s twice",
-        benchmark("pace", "lost", part="slowest", argument=30), "number", "lost", Limit(0, 0), known="500 frames/s of 640×480"),
+        benchmark("pace", "dropped", part="slowest", argument=30), "number", "lost", Limit(0, 0), known="500 frames/s of 640×480"),
     Row("speed-fit", SPEED, "`rig fit` of a whole demonstration", "processor time of the whole process, the least of three",
         benchmark("commands", "rig fit of 119,000 spots, CPU s", part="fits", argument=3), "number", "s", Limit(high=2), known="`make demo`, 119,040"),
 )  # fmt: skip

@@ -53,13 +53,21 @@ def limit_of_share(cases: int, percent: float = 68.27) -> Limit:
 class Row:
     """One claim.
 
-    Attributes ---------- name Words joined by hyphens. The command line takes it, and every beginning of it
-    up to a hyphen. means How it is tested, and by what that shares nothing with the code. measure, number
-    What is called, and which of its numbers is meant. Rows with the same function share one call. quick It
-    takes seconds, and a test asks whether it still holds. known First cell of the line of
-    `docs/benchmarks.md` that has the number of an earlier measurement, shown as long as the row has not been
-    measured here. share Its number is a share of cases that an interval holds, drawn in the figure of all of
-    them.
+    Attributes
+    ----------
+    name
+        Words joined by hyphens. The command line takes it, and every beginning of it up to a hyphen.
+    means
+        How it is tested, and by what that shares nothing with the code.
+    measure, number
+        What is called, and which of its numbers is meant. Rows with the same function share one call.
+    quick
+        It takes seconds, and a test asks whether it still holds.
+    known
+        First cell of the line of `docs/benchmarks.md` that has the number of an earlier measurement, shown
+        as long as the row has not been measured here.
+    share
+        Its number is a share of cases that an interval holds, drawn in the figure of all of them.
     """
 
     name: str

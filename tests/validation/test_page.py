@@ -1,8 +1,10 @@
 """The page of claims follows from what is kept, and rows that take seconds still hold."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -10,7 +12,7 @@ import pytest
 from tests.acquisition.record.samples import write_sample
 from tests.validation import __main__ as program
 from tests.validation import figure, page
-from tests.validation.benchmarks import numbers_at, pooled_shares
+from tests.validation.benchmarks import _measured, _pooled, numbers_at, pooled_shares
 from tests.validation.catalogue import NOT_TESTED, ROWS, SPEED
 from tests.validation.kept import Kept, kept_now, read_kept, write_kept
 from tests.validation.known import known_number
@@ -53,6 +55,35 @@ def test_quick_rows_hold(row: Row) -> None:
     except Missing as missing:
         pytest.skip(str(missing))
     assert row.limit.holds(found.values) is (row.name not in SHORT), found
+
+
+def _source_of_benchmark(name: str) -> str:
+    """Its text, and that of what it imports from the tests."""
+    root = page.FILE.parents[1]
+    own = (root / f"tests/benchmarks/bench_{name}.py").read_text(encoding="utf-8")
+    modules = {
+        path
+        for module, names in re.findall(r"^from (tests[.\w]*) import ([^(\n]+)", own, re.MULTILINE)
+        for path in (module, *(f"{module}.{each}" for each in names.split(", ")))
+    }
+    files = [root / f"{module.replace('.', '/')}.py" for module in sorted(modules)]
+    return own + "".join(file.read_text(encoding="utf-8") for file in files if file.is_file())
+
+
+@pytest.mark.parametrize("row", ROWS, ids=[row.name for row in ROWS])
+def test_a_benchmark_has_the_numbers_that_its_row_looks_for(row: Row) -> None:
+    """Otherwise that is known only after the hours which it takes."""
+    measure = row.measure
+    if not isinstance(measure, partial) or measure.func not in (_measured, _pooled):
+        return
+    name, *_ = measure.args
+    keys = measure.args[4] if measure.func is _measured else (measure.args[1],)
+    source = _source_of_benchmark(name)
+    for key in keys:
+        # one half of a name may be put in by a loop
+        halves = {key, key.rpartition(": ")[2], key.partition(", ")[2] or key}
+        words = "|".join(map(re.escape, halves))
+        assert re.search(rf"""["':}}] ?,? ?({words})["']|\b({words})=""", source), key
 
 
 def test_numbers_that_are_known_from_benchmarks_are_found() -> None:
