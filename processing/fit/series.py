@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from scipy.special import chdtrc, stdtr, stdtrit
 
+from processing.angle import ARCSEC_RAD
 from processing.arrays import Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
@@ -288,7 +289,18 @@ def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
     if len(runs) < 2:
         raise DataError(f"{len(runs)} run: there is nothing to average")
     common = min(float(run.amplitude[0]) for run in runs)
-    starts = [int(np.nonzero(run.amplitude <= common)[0][0]) for run in runs]
+    starts = []
+    for number, run in enumerate(runs, start=1):
+        below = np.nonzero(run.amplitude <= common)[0]
+        if not len(below):
+            lowest, highest = (
+                f"{value / ARCSEC_RAD:.3g} arcsec" for value in (float(run.amplitude.min()), common)
+            )
+            raise DataError(
+                f"run {number} ends at {lowest}, above the {highest} at which another begins: "
+                "nothing to average"
+            )
+        starts.append(int(below[0]))
     shared: Ints | None = None
     for run, start in zip(runs, starts, strict=True):
         counted = run.index[start:] - run.index[start]

@@ -191,3 +191,13 @@ def test_one_run_is_no_series() -> None:
             call()
     with pytest.raises(DataError, match="run 2 does not determine c"):
         combine("c", [Estimate(1.0, 0.1), Estimate(1.0, float("inf"))])
+
+
+def test_runs_without_a_common_amplitude_are_not_averaged() -> None:
+    parameters, pendulum = paper_pair("silicon")
+    high, low = (
+        decay(parameters, pendulum, noise_arcsec=0.05, seed=1, first_arcsec=first, last_arcsec=last)
+        for first, last in ((124.0, 90.0), (60.0, 5.0))
+    )
+    with pytest.raises(DataError, match=r"run 1 ends at 90\.2 arcsec, above the 59\.9 arcsec"):
+        average_curves([high, low])
