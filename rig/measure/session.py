@@ -29,7 +29,7 @@ from rig.measure.session_file import RunState, SessionFile, withdraw_unrecorded
 from rig.measure.session_orders import await_leave, orders
 from rig.presentation import answer, failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
-from rig.terminal import Terminated
+from rig.terminal import Terminated, reason_of
 
 
 def measure_session(
@@ -151,6 +151,11 @@ def _make_runs(
             manner.notices.against.append(f"run {number} failed: {error}")
             failed = True
             break
+        except KeyboardInterrupt as interrupted:
+            # before it was recorded; what has a record says by itself how it ended
+            if not record.exists():
+                file.note(number, record.name, RunState.STOPPED, reason_of(interrupted))
+            raise
         if outcome.hangs:
             # the entry stays as it is: only when nothing writes any more can the record be repaired
             raise DeviceError(

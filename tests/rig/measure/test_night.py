@@ -17,10 +17,15 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from rig.analysis import read_results
+from rig.devices import Devices
 from rig.measure import measure_session, resume_session
 from rig.measure import night as night_module
+from rig.measure import session as session_module
 from rig.measure.night import measure_plan
+from rig.measure.run_parts import RunOutcome
+from rig.measure.run_setup import RunPlan
 from rig.settings import load_configuration, load_plan
+from rig.terminal import Terminated
 from tests.rig.command_line import CONFIGS, SMALL, figures_are_not_drawn, rig
 from tests.rig.measure.test_preparation import BY_HAND
 
@@ -234,3 +239,28 @@ def test_a_plan_that_is_resumed_tells_no_end_twice(tmp_path: Path) -> None:
         (out / "one" / "session.json").write_text(json.dumps({**state, "told": ""}))
         assert measure_plan(plan, out) == 0
     assert told.read_text() == "end end "
+
+
+def test_a_plan_that_is_ended_before_a_run_has_begun_says_so_of_that_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The terminal is closed between two runs: nothing was killed, and the night goes on from there."""
+    written(tmp_path / "a.toml", SMALL | {"session.max_duration_s": "4"})
+    plan, out = tmp_path / "plan.toml", tmp_path / "out"
+    plan.write_text('[[series]]\nname = "one"\nconfig = "a.toml"\nruns = 2\n')
+    measure_run = session_module.measure_run
+
+    def ended(made: RunPlan, devices: Devices) -> RunOutcome:
+        if made.record.name == "run-2.mcap":
+            raise Terminated("terminated: the terminal was closed")
+        return measure_run(made, devices)
+
+    with figures_are_not_drawn():
+        with monkeypatch.context() as closed:
+            closed.setattr(session_module, "measure_run", ended)
+            with pytest.raises(Terminated):
+                measure_plan(plan, out)
+        _, second = entries(out / "one")
+        assert (second["state"], second["reason"]) == ("stopped", "terminated: the terminal was closed")
+        measure_plan(plan, out)
+    assert [one["state"] for one in entries(out / "one")] == ["complete", "stopped", "complete"]
