@@ -41,11 +41,19 @@ class Notices:
         self._address = _address(settings.notify_webhook_file)
         self._folder = folder
         self.calls: list[threading.Thread] = []
+        self._heard: set[str] = set()
         self.against: list[str] = []
         self._alarms = 0
 
+    @property
+    def last_was_heard(self) -> bool:
+        """Whether what was told last has reached somebody for certain, by the command or the webhook."""
+        return bool(self._heard)
+
     def tell(self, kind: Literal["alarm", "end", "failure"], text: str) -> None:
         """Tell it; returns at once."""
+        # of this message: what was told before, and answers later, does not count for it
+        heard = self._heard = set()
         words = {"kind": kind, "text": text, "folder": str(self._folder.absolute())}
         command = f"session.notify_command: {' '.join(self._command[:1])}"
         for wanted, call, who in (
@@ -53,7 +61,7 @@ class Notices:
             (self._address, self._post, self._hook),
         ):
             if wanted:
-                thread = threading.Thread(target=call, args=(words,), name=who, daemon=True)
+                thread = threading.Thread(target=call, args=(words, heard), name=who, daemon=True)
                 thread.start()
                 self.calls.append(thread)
 
@@ -80,7 +88,7 @@ class Notices:
     def snapshot(self, snapshot: Snapshot) -> None:
         """The state is not reported."""
 
-    def _run(self, words: dict[str, str]) -> None:
+    def _run(self, words: dict[str, str], heard: set[str]) -> None:
         try:
             done = subprocess.run(
                 [*self._command, *words.values()],
@@ -97,8 +105,10 @@ class Notices:
         else:
             if done.returncode:
                 say(f"session.notify_command: {self._command[0]} ended with {done.returncode}", error=True)
+            else:
+                heard.add("the command")
 
-    def _post(self, words: dict[str, str]) -> None:
+    def _post(self, words: dict[str, str], heard: set[str]) -> None:
         # not at import: a session without a webhook begins without it
         import urllib.request
 
@@ -113,7 +123,7 @@ class Notices:
         try:
             request = urllib.request.Request(self._address, data, {"Content-Type": "application/json"})
             with urllib.request.build_opener(Unmoved).open(request, timeout=_CALL_S):
-                pass
+                heard.add("the webhook")
         # whatever it is, it ends no session; its text might hold the address
         except Exception as error:
             status = getattr(error, "code", 0)
@@ -159,10 +169,10 @@ class Outcome:
 def announced(settings: SessionSettings, folder: Path, file: SessionFile | None = None) -> Iterator[Outcome]:
     """Report the end or the failure of what is done in the block, as its exit status or its error says.
 
-    A session that goes on, and has nothing to make, ends as it did: that is not told twice. `file` is the
-    session's, where it is open already.
+    A session that goes on, and has nothing to make, ends as it did: that is not told twice, unless it has
+    reached nobody. `file` is the session's, where it is open already.
     """
-    outcome = Outcome(Notices(settings, folder))
+    outcome, told = Outcome(Notices(settings, folder)), ""
     try:
         yield outcome
     except BaseException as error:
@@ -179,9 +189,11 @@ def announced(settings: SessionSettings, folder: Path, file: SessionFile | None 
             text = ": ".join([text, *filter(None, ["; ".join(outcome.notices.against)])])
         if _told(folder) != f"{kind}: {text}":
             outcome.notices.tell(kind, text)
-            _note_told(folder, file, outcome.notices, f"{kind}: {text}")
+            told = f"{kind}: {text}"
     finally:
         outcome.notices.wait()
+        if told and outcome.notices.last_was_heard:
+            _note_told(folder, file, outcome.notices, told)
 
 
 def _told(folder: Path) -> str:

@@ -177,3 +177,20 @@ def test_an_address_that_is_none_is_refused_before_anything_is_lit(tmp_path: Pat
     assert SECRET not in str(refused.value)
     with pytest.raises(ConfigurationError, match="cannot be read: No such file"):
         Notices(SessionSettings(notify_webhook_file=tmp_path / "nowhere"), tmp_path)
+
+
+def test_an_end_that_reached_nobody_is_told_again(tmp_path: Path, webhook: Webhook) -> None:
+    """The network is away in the night: who starts the session again in the morning is told then."""
+    webhook.status = 503
+    told = {"session.notify_webhook_file": str(webhook.file)}
+    out = tmp_path / "out"
+    rig("run", CONFIGS / "demo.toml", "-o", out, *set_words({**SMALL, **told, "session.max_duration_s": "8"}))
+    again = [webhook.posted.get(timeout=WAIT_S)[1]["text"]]
+    for status in (204, 204):
+        webhook.status = status
+        rig("run", "--resume", out)
+        while not webhook.posted.empty():
+            again.append(webhook.posted.get()[1]["text"])
+    # once in vain, once heard, and then no more
+    assert len(again) == 2
+    assert again[0].startswith("not every run was measured and fitted")
