@@ -51,11 +51,12 @@ class ClockStep(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Frames whose times hold, what is to be said, and the step before the first of them."""
+    """Frames whose times hold, what is to be said, and a step: before which of the frames it was."""
 
     frames: list[Frame]
     note: str = ""
     step: ClockStep | None = None
+    after_step: int = 0
 
 
 class FrameClock:
@@ -189,9 +190,8 @@ class FrameClock:
     def _confirmed(self, frame: Frame) -> Seen:
         """One of the clocks confirms the time: those that waited were alone, or in one line with it."""
         in_line = self._in_line_with(frame) if self._waiting else []
-        alone = len(self._waiting) - len(in_line)
-        note = self._about_rejected(alone) if alone else ""
-        self.rejected += alone
+        kept = {one.sequence for one in in_line}
+        note = self._rejected([one for one in self._waiting if one[0].sequence not in kept])
         self._waiting.clear()
         return Seen([self._joined(one) for one in [*in_line, frame]], note)
 
@@ -308,9 +308,10 @@ class FrameClock:
         last = self._last
         assert last is not None
         rising = self._rising(last, waiting, float(step.step_ns))
+        kept = set(rising.kept)
+        alone = [one for place, one in enumerate(self._waiting) if place not in kept]
+        note = self._rejected(alone)
         self._waiting.clear()
-        alone = len(waiting) - len(rising.kept)
-        self.rejected += alone
         first = rising.first_after_step if rising.first_after_step is not None else len(waiting)
         before_ns, self._offset_ns = self._offset_ns, self._offset_ns - step.step_ns
         frames: list[Frame] = []
@@ -319,7 +320,8 @@ class FrameClock:
             offset_ns = before_ns if place < first else self._offset_ns
             frames.append(self._joined(one._replace(device_time_ns=one.device_time_ns + offset_ns)))
         if not step.step_ns:
-            return Seen(frames)
+            return Seen(frames, note)
+        after_step = sum(place < first for place in rising.kept)
         again = step.step_ns < 0 and any(abs(step.step_ns - ns) < _BY_HOST_NS for ns in self._steps_ns)
         self._steps_ns.append(step.step_ns)
         if again:
@@ -327,15 +329,16 @@ class FrameClock:
             counter = (
                 f"the camera's counter begins again every {-seconds(step.step_ns):.4g} s; its times continue"
             )
-            return Seen(frames, counter if self.wraps == 1 else "", step)
+            return Seen(frames, counter if self.wraps == 1 else note, step, after_step)
         u_s = seconds(max(step.u_ns, 1))
-        left_out = f", {alone} frames left out" if alone else ""
+        left_out = f", {_frames(len(alone))} left out" if alone else ""
         return Seen(
             frames,
             f"the camera's clock stepped by {seconds(step.step_ns):+.6g} s (u {u_s:.1g} s) before frame "
             f"{waiting[min(first, len(waiting) - 1)].sequence}; its times continue without "
             f"the step{left_out}",
             step,
+            after_step,
         )
 
     def _give_up(self) -> Seen:
@@ -370,10 +373,18 @@ class FrameClock:
         self._last = frame._replace(device_time_ns=round(time_ns))
         return self._last
 
-    def _about_rejected(self, alone: int) -> str:
-        frame, off_ns = self._waiting[0]
+    def _rejected(self, alone: list[tuple[Frame, float]]) -> str:
+        """Count them; what is said of them, where there are any."""
+        self.rejected += len(alone)
+        if not alone:
+            return ""
+        frame, off_ns = alone[0]
         off = "no time" if math.isinf(off_ns) else f"{S_PER_NS * off_ns:+.3g} s from what both clocks say"
         return (
-            f"{alone} frames left out from frame {frame.sequence} on: the camera's time "
+            f"{_frames(len(alone))} left out from frame {frame.sequence} on: the camera's time "
             f"{frame.device_time_ns} ns is {off}"
         )
+
+
+def _frames(count: int) -> str:
+    return "1 frame" if count == 1 else f"{count} frames"

@@ -249,16 +249,15 @@ class FrameStream:
         seen = Seen([frame]) if self.policy == "wait" else self._times.take(frame)
         if seen.note:
             self._events.append((EventKind.CAMERA_CLOCK, seen.note))
-        step, joined = seen.step, []
-        for sure in seen.frames:
+        joined = []
+        for place, sure in enumerate(seen.frames):
             frame, note = self._line.join(sure)
             if note:
                 self._events.append((EventKind.CAMERA_BACK, note))
-            for known in (step, self._line.take_step()):
+            for known in (seen.step if place == seen.after_step else None, self._line.take_step()):
                 # a counter's new round is known exactly, and no step of the clock
                 if known is not None and known.u_ns:
                     self._steps.append(RecordedClockStep(frame.time_ns, known.step_ns, known.u_ns))
-            step = None
             joined.append(frame)
         return joined
 

@@ -49,7 +49,7 @@ def mended_times(sequence: Integers, device_ns: Integers, host_ns: Integers) -> 
     for number, device, host in zip(sequence.tolist(), device_ns.tolist(), host_ns.tolist(), strict=True):
         seen = clock.take(Frame(_NO_IMAGE, number, device, host))
         if seen.step is not None:
-            steps.append((recorded[seen.frames[0].sequence], seen.step))
+            steps.append((recorded[seen.frames[seen.after_step].sequence], seen.step))
         for frame in seen.frames:
             kept.append(frame.sequence)
             added.append(frame.device_time_ns - recorded[frame.sequence])

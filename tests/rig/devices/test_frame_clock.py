@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from acquisition.frame import Frame
 from rig.devices.frame_clock import FrameClock
+from rig.devices.recorded_times import mended_times
 
 IMAGE = np.zeros((2, 2), np.uint8)
 RATE_HZ = 25.0
@@ -327,3 +328,20 @@ def test_a_wrong_time_among_frames_that_were_read_late_is_left_out_alone() -> No
     assert max(abs(one.device_time_ns - 10**9 - true[one.sequence]) for one in frames) == 0
     assert clock.rejected == 1
     assert len(notes) == 1
+    assert "1 frame left out from frame 130 on" in notes[0]
+
+
+@pytest.mark.parametrize("gap", [0, 5])
+def test_a_step_belongs_to_the_frame_after_it_however_many_waited_before(gap: int) -> None:
+    """As recorded, it is taken off the times from that frame on."""
+    true = rising_by([INTERVAL_NS * (1 + gap * (n == 120)) for n in range(1, 300)])
+    shown = [10**9 + t + 130_000_000 * (n >= 135) for n, t in enumerate(true)]
+    clock, places = FrameClock(), []
+    for n, (time_ns, host_ns) in enumerate(zip(shown, hanging(true, 110, 160), strict=True)):
+        seen = clock.take(Frame(IMAGE, n, time_ns, host_ns))
+        if seen.step is not None:
+            places.append(seen.frames[seen.after_step].sequence)
+    assert places == [135]
+    found = mended_times(np.arange(300), np.array(shown), np.array(hanging(true, 110, 160)))
+    assert found is not None
+    assert [time_ns for time_ns, _ in found.steps] == [shown[135]]
