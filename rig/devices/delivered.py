@@ -3,9 +3,10 @@
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +14,27 @@ from numpy.typing import NDArray
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
 from acquisition.frame import Frame
 from processing.errors import DeviceError, RigError, in_one_line
+from processing.ticks import seconds
 
 _log = logging.getLogger(__name__)
 
 _TYPES: Final = (np.dtype(np.uint8), np.dtype(np.uint16))
 _SEEN_ALONG: Final = 64
+_MOST_BUFFERS: Final = 8
+"""Images that are held: drivers that fill a ring of buffers have hardly more."""
 _NUMBERS: Final = ("sequence", "device_time_ns", "host_time_ns")
 _MOST: Final = 1 << 63
 _ENDS_S: Final = 10.0
 _LATEST_NS: Final = 1_000_000_000
 """A frame that arrived later than so long from now has the time of another clock, that of the day."""
+
+
+class _Seen(NamedTuple):
+    """An image that was delivered, and some of its pixels as they were."""
+
+    number: int
+    image: NDArray[Any]
+    pixels: NDArray[Any]
 
 
 class Delivered:
@@ -34,15 +46,14 @@ class Delivered:
 
     def __init__(self, *, in_real_time: bool = False) -> None:
         self._in_real_time = in_real_time
-        self.begin_again()
+        self._form: tuple[tuple[int, ...], np.dtype[Any]] | None = None
+        self._sequence: int | None = None
+        self._newest: deque[_Seen] = deque(maxlen=_MOST_BUFFERS)
 
     def begin_again(self) -> None:
         """The camera was started again: numbers begin anew. The form of its images stays what it was."""
-        self._sequence: int | None = None
-        self._image: NDArray[Any] | None = None
-        self._seen: NDArray[Any] | None = None
-
-    _form: tuple[tuple[int, ...], np.dtype[Any]] | None = None
+        self._sequence = None
+        self._newest.clear()
 
     def checked(self, frame: object) -> Frame:
         """The frame; raises DeviceError, in one line, for what no camera may deliver."""
@@ -53,7 +64,7 @@ class Delivered:
         since_ns = plain[2] - time.monotonic_ns()
         if self._in_real_time and since_ns > _LATEST_NS:
             raise _refusal(
-                f"host_time_ns of frame {number} is {plain[2]}, {since_ns / 1e9:+.4g} s from now",
+                f"host_time_ns of frame {number} is {plain[2]}, {seconds(since_ns):+.4g} s from now",
                 "it is what time.monotonic_ns() says when the frame arrives",
             )
         if self._sequence is not None and number <= self._sequence:
@@ -79,7 +90,7 @@ class Delivered:
     def _check_image(self, image: object, number: int) -> None:
         if not isinstance(image, np.ndarray):
             raise _refusal(f"the image of frame {number} is {type(image).__name__}", "make it a numpy array")
-        if image.ndim != 2 or image.dtype not in _TYPES or not image.dtype.isnative or not image.size:
+        if image.ndim != 2 or image.dtype not in _TYPES or not image.size:
             raise _refusal(
                 f"the image of frame {number} has shape {image.shape} and type {image.dtype}",
                 "(ny, nx) of uint8 or uint16, in this computer's order of bytes, is needed",
@@ -93,14 +104,15 @@ class Delivered:
                 f"{shape[1]} x {shape[0]} of {kind}",
                 "leave its settings alone while it runs, then measure again",
             )
-        before, seen = self._image, self._seen
-        if before is not None and seen is not None and not np.array_equal(_some(before), seen):
-            raise _refusal(
-                f"the image of frame {number - 1} has changed since it was delivered",
-                "its driver fills one buffer again and again; give each frame an image of its own: "
-                "image.copy()",
-            )
-        self._image, self._seen = image, _some(image).copy()
+        for before in self._newest:
+            may_have_changed = before is self._newest[-1] or np.may_share_memory(before.image, image)
+            if may_have_changed and not np.array_equal(_some(before.image), before.pixels):
+                raise _refusal(
+                    f"the image of frame {before.number} has changed since it was delivered",
+                    "its driver fills the same buffers again and again; give each frame an image of its own: "
+                    "image.copy()",
+                )
+        self._newest.append(_Seen(number, image, _some(image).copy()))
 
 
 def checked_info(info: object, driver: str) -> CameraInfo:

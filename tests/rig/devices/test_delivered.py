@@ -66,6 +66,24 @@ def test_a_buffer_that_is_filled_again() -> None:
         delivered.checked(frame(1, image=buffer))
 
 
+def test_the_image_that_has_changed_is_named_by_its_own_number_also_behind_a_gap() -> None:
+    delivered, buffer = Delivered(), np.zeros((480, 160), np.uint8)
+    delivered.checked(frame(3, image=buffer))
+    buffer[:] = 7
+    with pytest.raises(DeviceError, match="image of frame 3 has changed"):
+        delivered.checked(frame(9, image=buffer))
+
+
+@pytest.mark.parametrize("buffers", [1, 2, 4])
+def test_a_ring_of_buffers_is_found_as_one_buffer_is(buffers: int) -> None:
+    """Frames whose times are in doubt wait for others, and would be overwritten."""
+    delivered, ring = Delivered(), np.zeros((buffers, 480, 160), np.uint8)
+    with pytest.raises(DeviceError, match=r"image of frame 0 has changed.*copy"):
+        for number in range(buffers + 1):
+            ring[number % buffers] = 50 + number
+            delivered.checked(frame(number, image=ring[number % buffers]))
+
+
 def test_numbers_of_numpy_become_plain_ones_and_the_same_image_may_come_again() -> None:
     delivered, still = Delivered(), np.zeros((480, 160), np.uint16)
     for number in range(3):
