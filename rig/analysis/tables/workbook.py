@@ -18,7 +18,8 @@ _RELATION: Final = "{http://schemas.openxmlformats.org/officeDocument/2006/relat
 _LARGEST_BYTES: Final = 512 * 1024 * 1024
 _DATES: Final = {*range(14, 23), *range(45, 48)}
 """Numbers of Excel's own formats that show dates and times."""
-_NO_DATE: Final = re.compile(r'"[^"]*"|\[[^\]]*\]|\\.')
+_NO_DATE: Final = re.compile(r'"[^"]*"|\[(?!(?:h+|m+|s+)\])[^\]]*\]|\\.')
+"""Text in quotes, colours and such in brackets, which hold elapsed time, too: ``[ss]``."""
 _FIRST_DAY: Final = datetime(1899, 12, 30)
 _FIRST_DAY_1904: Final = datetime(1904, 1, 1)
 """Day 0 of workbooks that began on a Mac."""
@@ -26,6 +27,7 @@ _SHARE: Final = 0.25
 """Of the rows of the longest table, that another sheet must have to be one too."""
 _MOST_EMPTY: Final = 10_000
 """Rows without cells, one after another; a file may claim any number."""
+_MOST_COLUMNS: Final = 16_384
 _YES: Final = ("1", "true")
 
 
@@ -110,7 +112,7 @@ def _listed(archive: zipfile.ZipFile) -> tuple[datetime, list[tuple[str, str, bo
     """Day 0 of the workbook, and its sheets in order: title, place in the archive, whether it is hidden."""
     book = _tree(archive, "xl/workbook.xml")
     about = book.find(f"{_MAIN}workbookPr")
-    since_1904 = about is not None and about.attrib.get("date1904", "") in ("1", "true")
+    since_1904 = about is not None and about.attrib.get("date1904") in _YES
     targets = {}
     if "xl/_rels/workbook.xml.rels" in archive.namelist():
         for each in _tree(archive, "xl/_rels/workbook.xml.rels"):
@@ -149,7 +151,6 @@ def _date_styles(archive: zipfile.ZipFile) -> set[int]:
     own = {
         int(item.attrib["numFmtId"])
         for item in tree.iter(f"{_MAIN}numFmt")
-        # text in quotes and brackets shows no part of a date
         if re.search("[ymdhs]", _NO_DATE.sub("", item.attrib.get("formatCode", "").lower()))
     }
     cells = tree.find(f"{_MAIN}cellXfs")
@@ -174,7 +175,9 @@ def _rows(
             cells[place] = _text(cell, texts, dates, first_day)
             if cell.find(f"{_MAIN}f") is not None and not cells[place] and cell.attrib.get("t", "n") == "n":
                 unknown = unknown or reference or f"row {len(rows) + 1}"
-        rows.append([cells.get(place, "") for place in range(max(cells, default=-1) + 1)])
+        # a cell may have a style and nothing else, in the last column of all
+        filled = [place for place, text in cells.items() if text]
+        rows.append([cells.get(place, "") for place in range(max(filled, default=-1) + 1)])
         if row.attrib.get("hidden") in _YES:
             hidden.append(len(rows))
     width = max((len(row) for row in rows), default=0)
@@ -192,6 +195,8 @@ def _column(reference: str) -> int:
     number = 0
     for letter in re.sub(r"\d", "", reference):
         number = 26 * number + ord(letter) - ord("A") + 1
+    if not 0 < number <= _MOST_COLUMNS:
+        raise ValueError(f"no sheet has a cell {reference}")
     return number - 1
 
 
@@ -202,9 +207,15 @@ def _text(cell: ElementTree.Element, texts: list[str], dates: set[int], first_da
     found = cell.find(f"{_MAIN}v")
     value = (found.text or "") if found is not None else ""
     if kind == "s":
+        if int(value) >= len(texts):
+            raise ValueError(f"cell {cell.attrib.get('r', '')} refers to a text that is missing")
         return texts[int(value)]
     if kind == "n" and value and int(cell.attrib.get("s", 0)) in dates:
-        # a double of days keeps microseconds, not more
-        moment = first_day + timedelta(microseconds=round(float(value) * 86_400_000_000))
-        return moment.isoformat(sep=" ")
+        try:
+            # a double of days keeps microseconds, not more
+            moment = first_day + timedelta(microseconds=round(float(value) * 86_400_000_000))
+            return moment.isoformat(sep=" ")
+        except OverflowError:
+            # no date: the spreadsheet shows none either
+            return value
     return "" if kind == "e" else value

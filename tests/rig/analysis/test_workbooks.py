@@ -11,6 +11,7 @@ import pytest
 
 from processing.errors import DataError
 from rig.analysis.position_table import TableColumns
+from rig.analysis.tables.workbook import rows_of_workbook
 
 MAIN = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
 OFFICE = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
@@ -115,3 +116,72 @@ def test_runs_are_parted_by_rows_that_are_not_stored(tmp_path: Path) -> None:
     numbers = [*range(1, 102), *range(104, 204)]
     path = save(tmp_path / "decay.xlsx", {"A": Sheet([*ROWS, *ROWS[1:]], numbers=numbers)})
     assert [run.run for run in TableColumns().read_runs(path)] == ["1", "2"]
+
+
+def changed(path: Path, part: str, before: str, after: str) -> Path:
+    """The workbook with another text in one of its parts."""
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name).decode() for name in archive.namelist()}
+    assert before in parts[part]
+    parts[part] = parts[part].replace(before, after)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, text in parts.items():
+            archive.writestr(name, text)
+    return path
+
+
+@pytest.mark.parametrize("form", ["[ss].000", "[h]:mm:ss.000", '[Red]"t = "[mm]:ss.000'])
+def test_elapsed_time_is_stored_in_days_whatever_its_format_shows(tmp_path: Path, form: str) -> None:
+    rows = [ROWS[0], *((t / 86400.0, x) for t, x in ROWS[1:])]
+    path = save(tmp_path / "decay.xlsx", {"A": Sheet(rows)}, dates=True)
+    own = f"<numFmts><numFmt numFmtId='164' formatCode='{form}'/></numFmts><cellXfs>"
+    changed(path, "xl/styles.xml", "<cellXfs>", own)
+    changed(path, "xl/styles.xml", 'numFmtId="22"', 'numFmtId="164"')
+    found = TableColumns().read(path)
+    np.testing.assert_allclose(1e-9 * found.times_ns, TIME_S, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ('<c r="B9">', '<c r="B9" t="s">'),  # a text that is not there
+        ('<c r="B9">', '<c r="ZZZZZZ9">'),  # a column that no sheet has
+    ],
+)
+def test_a_damaged_workbook_is_refused_in_one_line(tmp_path: Path, before: str, after: str) -> None:
+    path = save(tmp_path / "decay.xlsx", {"A": Sheet([*ROWS[:8], (TIME_S[7], 9), *ROWS[9:]])})
+    changed(path, "xl/worksheets/sheet1.xml", before, after)
+    with pytest.raises(DataError, match=r"cannot be read as a workbook: .*9") as raised:
+        TableColumns().read(path)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_compressed_part_that_is_damaged_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = save(tmp_path / "decay.xlsx", {"A": Sheet(ROWS)})
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in parts.items():
+            archive.writestr(name, data)
+        start = archive.getinfo("xl/worksheets/sheet1.xml").header_offset + 60
+    raw = bytearray(path.read_bytes())
+    raw[start : start + 40] = b"\xff" * 40
+    path.write_bytes(raw)
+    with pytest.raises(DataError, match="cannot be read as a workbook"):
+        TableColumns().read(path)
+
+
+def test_a_number_that_is_shown_as_a_date_that_there_is_not_stays_a_number(tmp_path: Path) -> None:
+    """A column of large positions, by mistake in a format of dates: the spreadsheet shows ####."""
+    rows = [("x/px", "t/s"), *((x + 4e6, t) for t, x in ROWS[1:])]
+    found = TableColumns().read(save(tmp_path / "decay.xlsx", {"A": Sheet(rows)}, dates=True))
+    np.testing.assert_array_equal(found.positions[0], X + 4e6)
+
+
+def test_a_cell_that_has_a_style_and_no_value_makes_no_columns(tmp_path: Path) -> None:
+    numbers = [*range(1, 9), *range(10, 102)]
+    sheet = '<row r="9"><c r="A9"/><c r="XFD9" s="1"/></row>'
+    path = save(tmp_path / "decay.xlsx", {"A": Sheet([*ROWS[:8], *ROWS[9:]], numbers=numbers)})
+    changed(path, "xl/worksheets/sheet1.xml", '<row r="10">', f'{sheet}<row r="10">')
+    given = rows_of_workbook(path.read_bytes())
+    assert {len(row) for row in given.rows} == {2}
