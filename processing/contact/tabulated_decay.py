@@ -12,6 +12,9 @@ from processing.contact.law import HalfSwings
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
+_MOST_GROWTH = 2.0
+"""Of the first amplitude; a swing that has grown by more is no decay, and a search that tries such a law learns no more."""
+
 
 class SwingTable(NamedTuple):
     """Half-swings from amplitudes between `lowest` and the highest knot, of a law with k parameters.
@@ -40,14 +43,14 @@ def walk(
     index
         Rising half-cycle numbers, the first 0.
     """
-    last = int(index[-1])
+    last, most = int(index[-1]), _MOST_GROWTH * first
     amplitudes = [first]
     rows: list[Floats] = []
-    while len(amplitudes) <= last and amplitudes[-1] > 0:
+    while len(amplitudes) <= last and 0 < amplitudes[-1] <= most:
         table = table_from(amplitudes[-1])
         begun = len(amplitudes) - 1
         if table is not None:
-            _append(table, amplitudes, last)
+            _append(table, amplitudes, last, most)
         if table is None or len(amplitudes) == begun + 1:
             break
         log_a = np.log(amplitudes[begun:-1])
@@ -83,13 +86,13 @@ def _filled(where: Flags, values: Floats) -> Floats:
     return out
 
 
-def _append(table: SwingTable, amplitudes: list[float], last: int) -> None:
-    """Append amplitudes until the table or the wanted number ends."""
+def _append(table: SwingTable, amplitudes: list[float], last: int, most: float) -> None:
+    """Append amplitudes until the table or the wanted number ends, or one is larger than `most`."""
     c3, c2, c1, c0 = (row.tolist() for row in table.values.c[:, :, 0])
     knots = table.values.x.tolist()
     origin, step = knots[0], knots[1] - knots[0]
     here = amplitudes[-1]
-    while len(amplitudes) <= last and here >= table.lowest:
+    while len(amplitudes) <= last and table.lowest <= here <= most:
         log_a = log(here)
         k = min(max(int((log_a - origin) / step), 0), len(c0) - 1)
         d = log_a - knots[k]
