@@ -3,7 +3,6 @@
 import http
 import urllib.parse
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
 
 from starlette.datastructures import Headers
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
@@ -139,8 +138,11 @@ class Guard:
         return own and self._person(cookie, here=peer in _HERE) is not None
 
     def _person(self, cookies: str, *, here: bool) -> Person | None:
-        cookie = cookie_of(cookies, self._door.cookie)
-        return (self._people.by_key(cookie) if here else None) or self._people.by_login(cookie)
+        for cookie in cookies_of(cookies, self._door.cookie):
+            person = (self._people.by_key(cookie) if here else None) or self._people.by_login(cookie)
+            if person is not None:
+                return person
+        return None
 
     def _with_policy(self, send: Send, host: str, *, framed: bool) -> Send:
         door, name = self._door, host.rpartition(":")[0]
@@ -170,13 +172,12 @@ def let_in(answer: Response, door: Door, host: str, cookie: str) -> Response:
     return answer
 
 
-def cookie_of(header: str, name: str) -> str:
-    """The value of a cookie; empty without it."""
-    try:
-        found = SimpleCookie(header).get(name)
-    except CookieError:
-        return ""
-    return "" if found is None else found.value
+def cookies_of(header: str, name: str) -> list[str]:
+    """The values of the cookies of this name; any program of this host may have set others, well formed or
+    not.
+    """
+    parts = (part.strip().partition("=") for part in header.split(";"))
+    return [value for found, _, value in parts if found == name]
 
 
 def _is_here(scope: Scope) -> bool:

@@ -22,7 +22,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
 from rig.desk.few_visitors import FewVisitors
-from rig.desk.guard import LOOPBACK, PERSON, Door, Guard, let_in
+from rig.desk.guard import LOOPBACK, PERSON, Door, Guard, cookies_of, let_in
 from rig.desk.login import LOGIN, LOGOUT, login_page
 from rig.desk.off_switch import OffSwitch
 from rig.desk.page import build_page
@@ -251,7 +251,8 @@ def _application(desk: Desk, people: People, door: Door) -> FastAPI:
 
     @app.post(LOGOUT)
     async def leave(request: Request) -> Response:
-        people.leave(request.cookies.get(door.cookie, ""))
+        for cookie in cookies_of(request.headers.get("cookie", ""), door.cookie):
+            people.leave(cookie)
         answer = RedirectResponse(LOGIN, http.HTTPStatus.SEE_OTHER)
         answer.delete_cookie(door.cookie)
         return answer

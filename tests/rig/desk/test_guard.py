@@ -54,7 +54,7 @@ def ask(
         "path": path,
         "client": (peer, 50_000),
         "query_string": query.encode(),
-        "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
+        "headers": [(name.encode(), value.encode("latin-1")) for name, value in headers.items()],
     }
     asyncio.run(Guard(_app, people or People(KEY, WATCH_KEY), door)(scope, receive, send))  # type: ignore[arg-type]
     return answers[0]
@@ -249,3 +249,29 @@ def test_a_proxy_is_refused_where_it_would_open_too_much(more: dict[str, object]
     with pytest.raises(ConfigurationError, match=said):
         _ = Entrance(**more, **passwords).proxied  # type: ignore[arg-type]
     assert Entrance(behind="https://rig.lab:443", passwords=Path("p.txt")).proxied == "rig.lab"
+
+
+@pytest.mark.parametrize(
+    "foreign",
+    [
+        'settings={"dark": true, "size": [1, 2]}',
+        'half="unclosed',
+        "a b=c",
+        "alone",
+        "user@host=1",
+        "expires=1",
+        "caf\xe9=\xe9",
+        f"rig_desk_{PORT}=of-somebody-else",
+        "=",
+    ],
+)
+@pytest.mark.parametrize("order", ["before", "after"])
+def test_cookies_of_other_programs_on_this_machine_shut_nobody_out(foreign: str, order: str) -> None:
+    """A browser has one set for all ports of a host; who is shut out cannot switch the light off either."""
+    cookie = f"{foreign}; {COOKIE}" if order == "before" else f"{COOKIE}; {foreign}"
+    origin = f"http://{HOST}"
+    guard = Guard(_app, People(KEY, WATCH_KEY), HERE)
+    assert guard.admits("127.0.0.1:8643", origin, cookie, "127.0.0.1")
+    assert ask("websocket", host=HOST, cookie=cookie, origin=origin)["type"] == "websocket.accept"
+    without = foreign if order == "before" else f"x=1; {foreign}"
+    assert not guard.admits("127.0.0.1:8643", origin, without, "127.0.0.1")
