@@ -27,6 +27,12 @@ class Forecast(NamedTuple):
     u_remaining_s: float
 
 
+def prepare() -> None:
+    """Import what the first forecast would: a tenth of a second, in which no signal is heard."""
+    import scipy.linalg
+    import scipy.optimize  # noqa: F401
+
+
 def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: float) -> Forecast:
     """Predict when a decaying amplitude reaches `final` (same unit; positive).
 
@@ -93,7 +99,7 @@ class _Decay:
 
     def _fitted(self) -> Floats:
         """Parameters, as if the noise were all."""
-        # not at import: a session begins without it
+        # not at import: most commands make no forecast
         from scipy.optimize import least_squares
 
         u_t = self._u / (-self.slope * self._a)

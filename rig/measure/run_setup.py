@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from processing import decay_forecast
 from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
@@ -180,7 +181,8 @@ def _execute(
         planned=plan.planned,
     )
     prepare_kernels(optics.sensor, say)
-    # only now: compiling takes time, and a laser may be lit only while frames are processed
+    decay_forecast.prepare()
+    # only now: compiling and importing take time, and a laser may be lit only while frames are processed
     if lit := devices.light():
         say(lit)
     with display:

@@ -17,7 +17,8 @@ from types import FrameType
 BY_USER = "stopped by the user"
 _SAID = {"SIGTERM": "terminated", "SIGHUP": "terminated: the terminal was closed"}
 _AGAIN_S = 0.05
-"""So long after it was lost an interrupt is raised again: by then the callback has returned."""
+"""So long after it was lost, or held, an interrupt is raised again: by then the callback has returned."""
+_IMPORTING = "<frozen importlib._bootstrap>"
 
 
 class Terminated(KeyboardInterrupt):
@@ -44,15 +45,24 @@ def terminated_by_signals() -> Iterator[None]:
 
     An interrupt that comes up where nobody can catch it (in a finalizer, or in a callback of a library
     written in C, such as that by which compiled kernels are loaded) would be forgotten by Python, and with
-    it what the user asked for: Ctrl-C too is raised again after it. To be entered in the main thread.
+    it what the user asked for: Ctrl-C too is raised again after it. One that comes during an import waits
+    for its end: a module cut short may raise ImportError instead, and may be importable never again. To be
+    entered in the main thread.
     """
     known = [getattr(signal, name) for name in _SAID if hasattr(signal, name)]
     terminals = [fd for fd in (0, 1, 2) if os.isatty(fd)]
 
     heard = False
+    # whoever calls this may itself be imported
+    around = _imports(sys._getframe())
 
-    def end(number: int, _: FrameType | None) -> None:
+    def end(number: int, frame: FrameType | None) -> None:
         nonlocal heard
+        if _imports(frame) > around:
+            _raise_again(number)
+            return
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
         if heard:
             _silence([fd for fd in (1, 2) if _may_block(fd)])
             return
@@ -73,13 +83,13 @@ def terminated_by_signals() -> Iterator[None]:
         if isinstance(lost.exc_value, Terminated):
             number, heard = lost.exc_value.number, False
         # raised inside of this hook it would be lost once more
-        again = threading.Timer(_AGAIN_S, _interrupt_main, (number,))
-        again.daemon = True
-        again.start()
+        _raise_again(number)
 
     before = {each: signal.getsignal(each) for each in known}
     # None: a handler not set from Python, which could not be restored
     taken = {each: handler for each, handler in before.items() if handler not in (None, signal.SIG_IGN)}
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        taken[signal.SIGINT] = signal.default_int_handler
     try:
         sys.unraisablehook = discarded
         for each in taken:
@@ -89,6 +99,21 @@ def terminated_by_signals() -> Iterator[None]:
         sys.unraisablehook = usual
         for each, handler in taken.items():
             signal.signal(each, handler)
+
+
+def _imports(frame: FrameType | None) -> int:
+    """How many calls of Python's import are on the stack."""
+    found = 0
+    while frame is not None:
+        found += frame.f_code.co_filename == _IMPORTING
+        frame = frame.f_back
+    return found
+
+
+def _raise_again(number: int) -> None:
+    again = threading.Timer(_AGAIN_S, _interrupt_main, (number,))
+    again.daemon = True
+    again.start()
 
 
 def _interrupt_main(number: int) -> None:

@@ -1,6 +1,9 @@
 """The forecast of a decay's end agrees with simulated decays of the paper's three pairs."""
 
 import math
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -85,3 +88,24 @@ def test_too_little_and_too_late() -> None:
     assert forecast(t, np.exp(-t), np.full(40, 1e-3), 2.0).remaining_s == 0.0
     growing = forecast(t, np.exp(0.01 * t) + 5, np.full(40, 1e-3), 2.0)
     assert math.isnan(growing.remaining_s)
+
+
+FIRST_FORECAST = """
+import sys
+import numpy as np
+from processing import decay_forecast
+decay_forecast.prepare()
+before = set(sys.modules)
+times_s = np.linspace(0.0, 100.0, 50)
+amplitudes = np.exp(-times_s / 100.0)
+found = decay_forecast.forecast(times_s, amplitudes, np.full(50, 1e-3), 0.2)
+print(found.remaining_s > 0, sorted(set(sys.modules) - before))
+"""
+
+
+def test_nothing_is_imported_while_a_run_is_shown() -> None:
+    """The laser of a run whose main thread imports is not switched off by Ctrl-C before the import ends."""
+    words = [sys.executable, "-c", FIRST_FORECAST]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, env=environment, check=True)
+    assert done.stdout.strip() == "True []"

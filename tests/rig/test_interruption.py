@@ -1,10 +1,14 @@
 """Signals raise an exception once, in the main thread, and the previous handlers are restored."""
 
 import ctypes
+import os
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 from types import FrameType
 
 import pytest
@@ -77,3 +81,61 @@ def test_a_signal_that_python_discards_is_raised_again(
 def test_reasons() -> None:
     assert reason_of(KeyboardInterrupt()) == BY_USER == "stopped by the user"
     assert reason_of(Terminated("terminated")) == "terminated"
+
+
+CUT_SHORT = """
+import signal
+signal.raise_signal(signal.{number})
+whole = True
+"""
+TURNED = """
+try:
+    import cut_short
+except BaseException:
+    raise ImportError("multiarray failed to import") from None
+"""
+"""As a module written in C does, such as those of scipy, whatever is raised while it loads numpy."""
+DURING_AN_IMPORT = """
+import signal, sys, threading
+from rig.terminal import Terminated, terminated_by_signals
+signal.signal(signal.SIGINT, signal.default_int_handler)
+try:
+    with terminated_by_signals():
+        import turned
+        threading.Event().wait(60.0)
+except KeyboardInterrupt as error:
+    print(type(error).__name__)
+print(sys.modules["turned"].cut_short.whole)
+"""
+IMPORTED_ITSELF = """
+import signal
+from rig.terminal import terminated_by_signals
+signal.signal(signal.SIGINT, signal.default_int_handler)
+try:
+    with terminated_by_signals():
+        signal.raise_signal(signal.SIGINT)
+        print("held")
+except KeyboardInterrupt:
+    print("raised")
+"""
+
+
+def printed_by(program: str, folder: Path) -> list[str]:
+    """What a Python of its own prints, which imports from `folder` too."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), *filter(None, sys.path)])}
+    words = [sys.executable, "-c", program]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize(("number", "kind"), [("SIGINT", "KeyboardInterrupt"), ("SIGTERM", "Terminated")])
+def test_a_signal_during_an_import_waits_for_its_end(number: str, kind: str, tmp_path: Path) -> None:
+    (tmp_path / "cut_short.py").write_text(CUT_SHORT.format(number=number))
+    (tmp_path / "turned.py").write_text(TURNED)
+    assert printed_by(DURING_AN_IMPORT, tmp_path) == [kind, "True"]
+
+
+def test_a_program_that_is_itself_imported_can_be_interrupted(tmp_path: Path) -> None:
+    (tmp_path / "imported_itself.py").write_text(IMPORTED_ITSELF)
+    assert printed_by("import imported_itself", tmp_path) == ["raised"]
