@@ -59,9 +59,8 @@ def judge_size(path: Path, unit: str, table: NDArray[np.float64]) -> None:
         )
     if unit not in ANGLES:
         return
-    span = float(np.nanmax(table, axis=0).max() - np.nanmin(table, axis=0).min())
     each = float(np.max(np.nanmax(table, axis=0) - np.nanmin(table, axis=0)))
-    if 0.5 * min(span, each) * conversion(unit, "rad") > _LARGEST_RAD:
+    if 0.5 * each * conversion(unit, "rad") > _LARGEST_RAD:
         raise ConfigurationError(
             f"{path}: the position goes over {each:.4g} {unit}, more than a turn: is that its unit? State "
             "another with --unit, or use a stretch (--from, --to)"

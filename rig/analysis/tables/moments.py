@@ -1,7 +1,7 @@
 """Dates and times of day as nanoseconds."""
 
 from collections.abc import Sequence
-from datetime import UTC, date, datetime, timedelta, timezone
+from datetime import UTC, date, datetime
 from typing import Final
 
 from rig.analysis.tables.numbers import MOMENT
@@ -34,7 +34,11 @@ def moments_ns(cells: Sequence[str], *, minutes_first: bool = False) -> list[int
             continue
         value = clock
         if day is not None:
-            value += day * _DAY_NS - _zone_ns(match["zone"])
+            zone_ns = _zone_ns(match["zone"])
+            if clock > _DAY_NS or abs(zone_ns) > _DAY_NS:
+                found.append(None)
+                continue
+            value += day * _DAY_NS - zone_ns
         else:
             if before is not None and value < before - _DAY_NS // 2:
                 days += 1
@@ -74,7 +78,5 @@ def _day(text: str | None) -> int | None:
 def _zone_ns(text: str | None) -> int:
     if not text or text == "Z":
         return 0
-    sign = -1 if text[0] == "-" else 1
-    digits = text[1:].replace(":", "")
-    offset = timezone(timedelta(hours=int(digits[:2]), minutes=int(digits[2:]))).utcoffset(None)
-    return sign * round(offset.total_seconds()) * _SECOND_NS
+    ahead_min = 60 * int(text[1:3]) + int(text[-2:])
+    return (-1 if text[0] == "-" else 1) * ahead_min * 60 * _SECOND_NS

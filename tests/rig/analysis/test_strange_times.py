@@ -98,3 +98,21 @@ def test_days_of_a_spreadsheet_are_not_taken_for_seconds(tmp_path: Path) -> None
     assert found.times_ns[-1] == pytest.approx(0.05 * (N - 1) * 1e9, rel=1e-5)
     assert found.first_ns == pytest.approx(1_714_564_800_000_000_000, abs=1e6)
     assert TableColumns(time_unit="s").read(path).times_ns[-1] == pytest.approx(231_000, abs=200)
+
+
+@pytest.mark.parametrize("cell", ["2024-05-01T25:00:05Z", "2024-05-01T12:00:05+99:00"])
+def test_an_hour_or_a_zone_that_there_is_not_is_no_moment(tmp_path: Path, cell: str) -> None:
+    def time(k: int) -> str:
+        return cell if k == 100 else f"2024-05-01T12:00:{0.05 * k:06.3f}Z"
+
+    found = TableColumns().read(_table(tmp_path / "decay.csv", time))
+    assert len(found.times_ns) == N - 1
+    assert any("102" in line for line in found.understood)
+
+
+def test_zones_of_half_hours_west_and_east(tmp_path: Path) -> None:
+    """Noon in Newfoundland, and in India."""
+    for zone, utc_h in (("-03:30", 15.5), ("+0530", 6.5)):
+        rows = "".join(f"2024-05-01T12:00:{0.05 * k:06.3f}{zone},{np.cos(k / 8):.4f}\n" for k in range(N))
+        (path := tmp_path / "decay.csv").write_text(f"time,x_mm\n{rows}")
+        assert TableColumns().read(path).first_ns == (1_714_521_600 + round(3600 * utc_h)) * 10**9
