@@ -17,6 +17,12 @@ Element = ElementTree.Element
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
 _NAMES: Final = {"dcc": DCC, "si": SI}
+_STANDARD: Final = (
+    ("coverageInterval", "standardUnc"),
+    ("coverageIntervalMU", "standardMU"),
+    ("standardMU", "valueStandardMU"),
+)
+"""Where a standard uncertainty stands, in D-SI 1 and 2."""
 _ROOT: Final = "digitalCalibrationCertificate"
 _LARGEST = 64 << 20
 
@@ -168,11 +174,7 @@ def _real(number: Element, name: str, kinds: tuple[str, ...], source: str) -> It
             k = _number(found.findtext("si:coverageFactor", "", _NAMES), f"{what}, coverage factor")
             probability = _number(found.findtext("si:coverageProbability", "nan", _NAMES), what)
             u = _over(_number(found.findtext(f"si:{size}", "", _NAMES), f"{what}, uncertainty"), k, what)
-    for place, size in (
-        ("coverageInterval", "standardUnc"),
-        ("coverageIntervalMU", "standardMU"),
-        ("standardMU", "valueStandardMU"),
-    ):
+    for place, size in _STANDARD:
         if (stated := below.findtext(f"si:{place}/si:{size}", None, _NAMES)) is not None:
             u, k = _number(stated, f"{what}, uncertainty"), 1.0
     yield CertifiedQuantity(name, value, unit, u, k, probability, kinds, problem)
@@ -186,21 +188,25 @@ def _real_list(
     units = number.findtext("si:unitXMLList", "", _NAMES).split()
     below = number.find("si:measurementUncertaintyUnivariateXMLList", _NAMES)
     below = number if below is None else below
-    found = below.find("si:expandedUncXMLList", _NAMES)
-    found = below.find("si:expandedMUXMLList", _NAMES) if found is None else found
 
     def column(*places: str) -> list[float]:
-        texts = [] if found is None else [found.findtext(place, "", _NAMES) for place in places]
-        words = next((text.split() for text in texts if text.strip()), ["nan"])
+        texts = [
+            below.findtext("/".join(f"si:{part}XMLList" for part in place.split()), None, _NAMES)
+            for place in places
+        ]
+        words = next((text.split() for text in texts if text and text.strip()), ["nan"])
         return [_number(word, what) for word in _for_all(words, len(values), what)]
 
-    expanded = column("si:uncertaintyXMLList", "si:valueExpandedMUXMLList")
-    k = column("si:coverageFactorXMLList")
-    probability = column("si:coverageProbabilityXMLList")
+    expanded = column("expandedUnc uncertainty", "expandedMU valueExpandedMU")
+    k = column("expandedUnc coverageFactor", "expandedMU coverageFactor")
+    probability = column("expandedUnc coverageProbability", "expandedMU coverageProbability")
+    standard = column(*(" ".join(names) for names in _STANDARD))
     for at, text in enumerate(_for_all(units, len(values), what)):
         unit, problem = _unit(text)
-        u = _over(expanded[at], k[at], what)
-        yield CertifiedQuantity(name, values[at], unit, u, k[at], probability[at], kinds, problem)
+        u, factor = (
+            (_over(expanded[at], k[at], what), k[at]) if math.isnan(standard[at]) else (standard[at], 1.0)
+        )
+        yield CertifiedQuantity(name, values[at], unit, u, factor, probability[at], kinds, problem)
 
 
 def _for_all(words: list[str], count: int, what: str) -> list[str]:

@@ -6,6 +6,7 @@ halving lose no digit of a number, so that whoever reads it has the standard unc
 
 import datetime
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -18,6 +19,7 @@ SCHEMA: Final = "3.1.2"
 COVERAGE_FACTOR: Final = 2.0
 _INSTANCE: Final = "http://www.w3.org/2001/XMLSchema-instance"
 _UNKNOWN_COUNTRY: Final = "ZZ"
+_NOT_OF_XML: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _NOT_STATED: Final = "not stated"
 
 Element = ElementTree.Element
@@ -193,5 +195,5 @@ def _si(above: Element, name: str, text: str | None = None) -> Element:
 def _below(above: Element, tag: str, text: str | None) -> Element:
     found = ElementTree.SubElement(above, tag)
     # what XML has no way to write is no text of a certificate
-    found.text = text if text is None else "".join(c for c in text if c >= " " or c in "\t\n")
+    found.text = text if text is None else _NOT_OF_XML.sub("", text)
     return found

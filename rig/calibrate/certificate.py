@@ -124,7 +124,7 @@ def _named_values(
         if name in values:
             raise ConfigurationError(f"{path}: states {name} twice")
         if name.endswith("_dof") or name == "binning":
-            values[name] = int(one.value) if name == "binning" else one.value
+            values[name] = one.value
             continue
         _require_unit(path, name, one)
         values |= _value(path, name, one) if f"u_{name}" in names else {name: one.value}

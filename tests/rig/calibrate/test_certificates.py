@@ -203,14 +203,36 @@ def test_uncertainties_of_newer_schemas_and_lists_are_read(tmp_path: Path) -> No
         "<si:coverageProbabilityXMLList>0.95</si:coverageProbabilityXMLList></si:expandedUncXMLList>"
         "</si:realListXMLList>",
     )
-    path = certificate(tmp_path / "m.xml", newer, interval, f"<dcc:list>{listed}</dcc:list>")
+    intervals = quantity(
+        "Masses",
+        "<si:realListXMLList><si:valueXMLList>0.3 0.2</si:valueXMLList>"
+        r"<si:unitXMLList>\kilogram</si:unitXMLList><si:coverageIntervalXMLList>"
+        "<si:standardUncXMLList>1e-5 2e-5</si:standardUncXMLList>"
+        "<si:intervalMinXMLList>0 0</si:intervalMinXMLList>"
+        "<si:intervalMaxXMLList>1 1</si:intervalMaxXMLList>"
+        "<si:coverageProbabilityXMLList>0.95</si:coverageProbabilityXMLList></si:coverageIntervalXMLList>"
+        "</si:realListXMLList>",
+    )
+    path = certificate(tmp_path / "m.xml", newer, interval, f"<dcc:list>{listed}{intervals}</dcc:list>")
     found = parse_certificate(path.read_bytes(), "m.xml")
     assert [(each.value, each.unit, each.u) for each in found.quantities] == [
         (0.406, "kg", 1.5e-5),
         (0.406, "kg", 1.5e-5),
         (0.406, "kg", 1.5e-5),
         (0.1, "kg", 1e-5),
+        (0.3, "kg", 1e-5),
+        (0.2, "kg", 2e-5),
     ]
+
+
+@pytest.mark.parametrize("binning", ["2.5", "nan"])
+def test_a_part_of_a_binning_is_none(tmp_path: Path, binning: str) -> None:
+    """Nobody bins by 2.5 pixels, and 2 was made of it: the pitch of another image."""
+    arm = quantity("arm", real("1.2", r"\metre", "0.002"), "rig_arm_m")
+    pitch = quantity("pitch", real("4.8e-6", r"\metre", "1e-9"), "rig_pixel_pitch_m")
+    path = certificate(tmp_path / "l.xml", arm, pitch, quantity("bin", real(binning, r"\one"), "rig_binning"))
+    with pytest.raises(ConfigurationError, match=r"l\.xml: .*binning"):
+        calibrate_lever(path, Filing(tmp_path / "c"))
 
 
 def test_ptbs_example_is_read(shared_data: Path) -> None:

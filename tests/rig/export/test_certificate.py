@@ -1,5 +1,6 @@
 """Certificates that are written: valid, and read back to the last digit by libraries that are not ours."""
 
+import datetime
 import json
 import math
 import warnings
@@ -8,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from calibration import CertificateFacts, certificate_bytes, parse_certificate
 from calibration.store import read_calibration
 from processing.d_si import from_d_si, in_d_si
 from processing.errors import RigError
@@ -17,6 +19,7 @@ from rig.export.session_export import export_session
 from tests.rig.certificates import schema
 from tests.rig.command_line import rig
 
+DAY = datetime.date(2026, 3, 1)
 GEOMETRY = "[geometry]\narm_m = 1.2345678901234567\nu_arm_m = 0.0012345678901\npixel_pitch_m = 4.8e-6\n"
 GEOMETRY += "u_pixel_pitch_m = 1.1e-9\n"
 
@@ -156,3 +159,10 @@ def test_every_unit_of_the_table_has_a_name_or_is_a_count() -> None:
     assert set(D_SI) <= known
     assert in_d_si("e/DN") == r"\one"
     assert from_d_si(r"\kilo\metre\per\second\tothe{2}") == "km s^-2"
+
+
+def test_a_name_that_xml_cannot_write_makes_no_broken_certificate() -> None:
+    """A path of undecodable bytes, a BELL, a noncharacter."""
+    facts = CertificateFacts("1", "rig", "1", "caf\udce9 \a\ufffe\u00e9\U0001f52d", "1", "", DAY, DAY)
+    found = parse_certificate(certificate_bytes(facts, []), "written")
+    assert found.item == "caf \u00e9\U0001f52d"
