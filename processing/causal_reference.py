@@ -38,14 +38,14 @@ class _Axis:
         if math.isnan(self.level):
             if not math.isfinite(place):
                 return 0.0, 0.0
-            self.level, self.variance = place, u * u
-        else:
-            self.variance += self.walk
+            self.level = place
+        self.variance += self.walk
         if math.isfinite(place):
             self._learn(place, u * u)
-            part = self.variance / (self.variance + u * u) if u > 0 else 1.0
+            # of the first place nothing was known before
+            part = self.variance / (self.variance + u * u) if u > 0 and self.variance < math.inf else 1.0
             self.level += part * (place - self.level)
-            self.variance *= 1.0 - part
+            self.variance = part * u * u
             if self._of_datum < _DATUM:
                 self._of_datum += 1
                 self._datum += (place - self._datum) / self._of_datum

@@ -22,7 +22,7 @@ from rig.analysis import (
     model_curves,
     session_results,
 )
-from rig.scripting.given import column_of, overrides_of, path_of, refuse_twice, several
+from rig.scripting.given import overrides_of, path_of, refuse_twice, several
 from rig.scripting.record import Record
 from rig.scripting.session import Session
 from rig.settings import load_configuration
@@ -217,8 +217,8 @@ def fit_table(
         config = load_configuration(path_of(configuration, "configuration"), needs_camera=False)
     named = [positions] if isinstance(positions, str | int) else positions
     columns = TableColumns(
-        None if time is None else column_of(time),
-        tuple(map(column_of, named)),
+        None if time is None else str(time),
+        tuple(map(str, named)),
         unit or "",
         time_unit,
         run=run,

@@ -44,11 +44,6 @@ def overrides_of(changes: Mapping[str, object] | None) -> list[str]:
     return [f"{_key(key)}={_written(str(key), value)}" for key, value in changes.items()]
 
 
-def column_of(value: object) -> str:
-    """The name of a column, or its number from 1."""
-    return value if isinstance(value, str) else str(value)
-
-
 def refuse_twice(paths: Sequence[Path]) -> None:
     """Raise ConfigurationError where two records are one and the same run: it counts once in a series."""
     first: dict[str, Path] = {}

@@ -70,3 +70,11 @@ def test_what_the_gain_is_uncertain_by_is_in_it_and_blocks_do_not_matter() -> No
     assert variance - sure == pytest.approx((0.1 / 1.5 * moved) ** 2)
     nothing = taken(np.full((50, 2), np.nan), Estimate(1.5, 0.1))
     assert not np.any(nothing)
+
+
+def test_a_place_at_rest_that_was_seen_n_times_is_known_by_the_root_of_n_better() -> None:
+    """No frame counts twice, the first no more than others."""
+    place = noise(30)
+    moved, variance = taken(place, Estimate(1.0, 0.0))
+    assert variance == pytest.approx(np.repeat(U_PX**2 / np.arange(1.0, 31.0), 2).reshape(30, 2))
+    assert moved[-1] == pytest.approx(place.mean(axis=0) - place[:16].mean(axis=0))
