@@ -5,6 +5,7 @@ older than two seconds is unknown, never the last value.
 """
 
 from rig.control import STALE_S
+from rig.desk.tab import PRESSES
 from rig.presentation import palette
 
 DARK = "/dark"
@@ -54,7 +55,11 @@ html.night {{ scrollbar-color: var(--edge) var(--ground); }}
 
 def script(off_port: int) -> str:
     """What the bar does; `off_port` is that of the server beside the event loop."""
-    return _SCRIPT.replace("OFF_PORT", str(off_port)).replace("STALE_S", f"{STALE_S:g}").replace("DARK", DARK)
+    of_page = {"OFF_PORT": str(off_port), "STALE_S": f"{STALE_S:g}", "DARK": DARK, "PRESSES": PRESSES}
+    told = _SCRIPT
+    for name, value in of_page.items():
+        told = told.replace(name, value)
+    return told
 
 
 _SCRIPT = """
@@ -143,6 +148,7 @@ _SCRIPT = """
   // what lights, or allows light, takes a pointer, or a key that is held on the button: nothing that is typed
   const HOLD_MS = 1000;
   let holding = null;
+  window.PRESSES = {};
   const deliberate = target => target && target.closest && target.closest('[data-deliberate]');
   const release = () => { if (holding) { clearTimeout(holding); holding = null; } };
   for (const name of ['click', 'keydown', 'keyup'])
@@ -150,7 +156,10 @@ _SCRIPT = """
       const button = deliberate(event.target);
       if (!button) return;
       if (name === 'click') {
-        if (event.detail > 0 || button.rigHeld) return;
+        if (event.detail > 0 || button.rigHeld) {
+          window.PRESSES[button.id] = performance.now();
+          return;
+        }
       } else if (event.key !== 'Enter' && event.key !== ' ') {
         if (name === 'keydown') release();
         return;

@@ -2,6 +2,8 @@
 
 import asyncio
 import inspect
+import json
+import time
 from collections.abc import Awaitable, Callable
 
 from nicegui import context, ui
@@ -12,6 +14,10 @@ from rig.desk.people import Person, Role
 
 DELIBERATE = 'data-deliberate="true"'
 """Property of a button that lights, or allows light: a pointer presses it, or a key that is held on it."""
+PRESSES = "rigPresses"
+"""Of the page's `window`: when such a button was pressed last, by its id, in ms of the page's own clock."""
+_FRESH_S = 5.0
+"""A press that was made longer ago than this is nobody's leave any more: who made it has gone to look."""
 Handler = Callable[[], None] | Callable[[], Awaitable[None]]
 
 
@@ -105,7 +111,36 @@ class Tab:
 
     def button(self, text: str, do: Handler) -> ui.button:
         """A button for `act`; where the tab watches it is grey, and says why."""
-        return ui.button(text, on_click=self.act(do)).classes("acts")
+        button = ui.button(text).classes("acts")
+        acted = self.act(do)
+
+        async def pressed() -> None:
+            if DELIBERATE.partition("=")[0] in button.props and not await self._is_fresh(button.html_id):
+                self.tell(
+                    f"{text} was pressed more than {_FRESH_S:g} s before the desk heard of it: press it again"
+                )
+                return
+            await acted()
+
+        return button.on_click(pressed)
+
+    async def _is_fresh(self, button_id: str) -> bool:
+        """Whether a button was pressed just now.
+
+        At a desk that was frozen, or from a network that was away, what was pressed meanwhile comes late, and
+        may come after a LIGHT OFF that was pressed later. The page is asked: its clock need not agree with
+        this one.
+        """
+        pressed_ms = f"window.{PRESSES}?.[{json.dumps(button_id)}]"
+        asked_s = time.monotonic()
+        try:
+            age_ms = await self._client.run_javascript(
+                f"performance.now() - ({pressed_ms} ?? -Infinity)", timeout=_FRESH_S
+            )
+        except TimeoutError:
+            return False
+        # infinity comes as null
+        return isinstance(age_ms, int | float) and time.monotonic() - asked_s + age_ms / 1000 <= _FRESH_S
 
     def tell(self, problem: str) -> None:
         """An error as one line at the head of the page, where it covers nothing, until it is closed."""

@@ -260,3 +260,24 @@ def test_a_desk_that_says_nothing_shows_no_last_value(rig: Rig) -> None:
     page.wait("document.getElementById('light-off').innerText.includes('no connection: key switch')")
     page.point_at("document.getElementById('light-off')")
     page.wait_text("DID NOT REACH THE DESK")
+
+
+HELD_UP = """(() => {
+  const ws = window.socket.io.engine.transport.ws, send = ws.send.bind(ws);
+  ws.send = said => String(said).startsWith('42["event"') ? setTimeout(send, 7000, said) : send(said);
+  window.rigNormal = () => { ws.send = send; };
+})()"""
+"""What is pressed comes later, as from a network that was away, and at a desk that was frozen."""
+
+
+def test_what_is_heard_long_after_it_was_pressed_lights_nothing(rig: Rig) -> None:
+    """Who pressed in vain has gone to look why, into the beam's way."""
+    board, _, page, _ = rig
+    page.wait_text("No live picture yet")
+    page.ask(HELD_UP)
+    page.click("Live picture")
+    page.wait_text("s before the desk heard of it: press it again")
+    assert board.changes == []
+    page.ask("window.rigNormal()")
+    page.click("Live picture")
+    board.wait_lit(True)
