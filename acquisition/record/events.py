@@ -29,6 +29,8 @@ class EventKind(StrEnum):
     CAMERA_LOST = "camera lost"
     """Unplugged or reset."""
     CAMERA_BACK = "camera back"
+    CAMERA_STOP = "camera stop"
+    """The camera could not be stopped at the end; what it delivered before is whole."""
     RECORD = "record"
     """The record can no longer be written."""
     SLOW_DISK = "slow disk"

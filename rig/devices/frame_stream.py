@@ -55,6 +55,7 @@ class FrameStream:
         self._timeout_s = timeout_s
         self._reconnect_s = reconnect_s
         self._stop = threading.Event()
+        self._closed = False
         self._counts_before = CameraStatus()
         self._queue: FrameQueue | None = None
         self._backlog: Backlog | None = None
@@ -130,13 +131,20 @@ class FrameStream:
         self._stop.set()
 
     def close(self) -> None:
-        """End the thread; the camera is stopped, not closed. Its error is kept in `failure`."""
+        """End the thread, once; the camera is stopped, not closed.
+
+        A camera that cannot stop is an event: what it delivered is whole.
+        """
         self._stop.set()
+        if self._closed:
+            return
+        self._closed = True
         self._standstill.end()
         if self._queue is not None:
             self._queue.close()
         if remark := ended(self._camera.stop, "camera: stop()"):
-            self._fail(DeviceError(remark), remark)
+            _log.warning("%s", remark)
+            self._events.append((EventKind.CAMERA_STOP, remark))
         if self._thread is not None:
             self._thread.join(timeout=self._timeout_s + 1.0)
 

@@ -282,14 +282,6 @@ class Recording:
         swings = pipeline.finish()
         empty = pipeline.measure(np.empty(0, np.int64), [])
         empty = empty._replace(swings=swings, balances=[*empty.balances, *pipeline.finish_balance()])
-        end_event = Event(counts.last_ns, EventKind.STOP, self._stop.reason)
-        if rejected:
-            end_event = Event(counts.last_ns, EventKind.REJECTED, f"start not accepted: {rejected}")
-        if self._wall.text:
-            text = f"in all: {self._wall.text}"
-            self._recorder.put(Entry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
-        early = [] if rejected or self._stop.early is None else [end_event._replace(kind=self._stop.early)]
-        last = [*self._device_events(counts.last_ns), *early, end_event]
         features = {}
         if parts.camera is not None and temperature is not None:
             self._wall.past(_TEMPERATURE, None, temperature.close)
@@ -298,6 +290,17 @@ class Recording:
                     "the reading of the camera's features", b"", features_json, parts.camera
                 )
             }
+        if not rejected:
+            # the record says it where the camera cannot stop
+            self._stop.close_stream()
+        end_event = Event(counts.last_ns, EventKind.STOP, self._stop.reason)
+        if rejected:
+            end_event = Event(counts.last_ns, EventKind.REJECTED, f"start not accepted: {rejected}")
+        if self._wall.text:
+            text = f"in all: {self._wall.text}"
+            self._recorder.put(Entry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
+        early = [] if rejected or self._stop.early is None else [end_event._replace(kind=self._stop.early)]
+        last = [*self._device_events(counts.last_ns), *early, end_event]
         self._recorder.put(
             Entry(
                 block=empty,

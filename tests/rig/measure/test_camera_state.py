@@ -21,6 +21,33 @@ from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 
 
+class CannotStop(Usb3VisionCamera):
+    """A driver that measures well and cannot end."""
+
+    def stop(self) -> None:
+        super().stop()
+        raise OSError("it does not answer")
+
+
+def test_a_camera_that_cannot_stop_is_an_event_of_a_regular_run(tmp_path: Path) -> None:
+    camera = CannotStop(backend=InProcessBackend(VisionDevice(frames_inside=100_000)))
+    info = camera.open()
+    asked = CameraSettings(exposure_us=200.0, width_px=64, height_px=64, frame_rate_hz=100.0)
+    opened = OpenCamera(camera, info, (), camera.configure(asked), 0)
+    config = Configuration(camera={"driver": "simulated"})
+    optics = optics_of(config, 255)
+    path = tmp_path / "run.mcap"
+    record = RecordFile(path, config, Path(), opened, optics)
+    stream = FrameStream(camera, asked)
+    outcome = Run(RunParts(stream=stream, optics=optics, record=record, end=EndLimits(0.0, 1.0))).execute()
+    assert outcome.failure is None
+    assert outcome.snapshot.reason == "time limit of 1 s reached"
+    with RecordReader(path) as reader:
+        said = [(event.kind, event.text) for event in reader.events()]
+    assert said[-2] == ("camera stop", "camera: stop() failed: OSError: it does not answer")
+    assert said[-1] == ("stop", "time limit of 1 s reached")
+
+
 def test_features_and_temperature_are_in_the_record(tmp_path: Path) -> None:
     device = VisionDevice(frames_inside=100_000)
     device.poke(layout.TEMPERATURE, struct.pack("<f", 41.5))
