@@ -103,7 +103,7 @@ def fast_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
     return ReportFigure(
         "fig10-x",
         "Fig. 10: X(t)",
-        "Fast mode, and the part of the slow one that appears in X;  drawn like Y(t), on its own scale.",
+        "Fast mode, and the part of the slow one that appears in X; drawn like Y(t), on its own scale.",
         _motion_figure(motion.time_s, motion.x, "X", motion.unit.shown, palette.VERMILLION, period_s),
     )
 
