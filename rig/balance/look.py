@@ -12,8 +12,8 @@ from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
 from processing.ticks import nanoseconds, seconds
 from rig.balance.learned_turns import BalanceMeasurement
-from rig.devices import Devices, FrameStream, LightWatch, ask_leave, wait_for_command
-from rig.instrument import Block, camera_settings, frame_policy, optics_of, prepare_kernels
+from rig.devices import Devices, LightWatch, ask_leave, wait_for_command
+from rig.instrument import Block, optics_of, prepare_kernels
 from rig.presentation import say
 from rig.settings import Configuration
 from rig.view import Viewer, start_view
@@ -98,17 +98,10 @@ def look(
         ask_leave(devices)
         if lit := devices.light():
             say(lit)
-        camera.camera.start()
-        stream = FrameStream(
-            camera.camera,
-            camera_settings(config),
-            policy=frame_policy(config),
-            timeout_s=config.camera.patience_s,
-            permit=devices.permit,
-            applied=camera.applied,
-        )
+        stream = devices.stream(config, camera)
         light = LightWatch(devices)
         try:
+            stream.start_camera()
             first = stream.begin()
             if first is None:
                 raise DataError("the camera delivered no frame at all")

@@ -26,6 +26,7 @@ from rig.control import (
     simulated_controller,
 )
 from rig.devices.delivered import asking, checked_info, checked_settings, ended
+from rig.devices.frame_stream import FrameStream
 from rig.devices.ground_witness import GroundWitness, board_witness, ground_witness
 from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.lit_devices import LitDevices
@@ -34,6 +35,7 @@ from rig.devices.simulated_interlock import SimulatedInterlock
 from rig.instrument import (
     camera_settings,
     check_full_scale,
+    frame_policy,
     make_camera,
     pulse_faults,
     setting_differences,
@@ -175,6 +177,18 @@ class Devices(LitDevices):
                 # a terminal that was closed hears nothing, and holds nothing up
                 with suppress(OSError):
                     say(remark)
+
+    def stream(self, config: Configuration, camera: OpenCamera) -> FrameStream:
+        """The frames of that camera, read as the configuration says, and told to the light's permit."""
+        return FrameStream(
+            camera.camera,
+            camera_settings(config),
+            policy=frame_policy(config),
+            timeout_s=config.camera.patience_s,
+            permit=self.permit,
+            time_shift_ns=camera.time_shift_ns,
+            applied=camera.applied,
+        )
 
     def make_controller(self) -> Controller:
         """Make the configured controller without opening it; a simulated one acts on the simulated rig."""

@@ -8,13 +8,11 @@ from rich.console import Console
 
 from processing.errors import DataError, DeviceError
 from rig.channel import light_told
-from rig.devices import Devices, FrameStream, LightWatch, ask_leave
+from rig.devices import Devices, LightWatch, ask_leave
 from rig.instrument import (
     Snapshot,
-    camera_settings,
     check_materials,
     complete,
-    frame_policy,
     optics_of,
     prepare_kernels,
 )
@@ -41,15 +39,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     ):
         optics = optics_of(config, camera.info.full_scale_dn)
         phases = PhasesBeforeRecord(config, devices, camera, optics, _place(config))
-        stream = FrameStream(
-            camera.camera,
-            camera_settings(config),
-            policy=frame_policy(config),
-            timeout_s=config.camera.timeout_s,
-            permit=devices.permit,
-            time_shift_ns=camera.time_shift_ns,
-            applied=camera.applied,
-        )
+        stream = devices.stream(config, camera)
         prepare_kernels(optics.sensor, say)
         ask_leave(devices)
         if lit := devices.light():

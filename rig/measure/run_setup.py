@@ -10,8 +10,8 @@ from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from rig.channel import SessionNews
-from rig.devices import Devices, FrameStream, OpenCamera, TypedLeave
-from rig.instrument import Snapshot, camera_settings, frame_policy, optics_of, prepare_kernels
+from rig.devices import Devices, OpenCamera, TypedLeave
+from rig.instrument import Snapshot, optics_of, prepare_kernels
 from rig.measure.disk_room import free_bytes
 from rig.measure.end_of_run import EndLimits
 from rig.measure.live_fit import live_posterior
@@ -147,15 +147,7 @@ def _execute(
         )
     typed_leave = TypedLeave(devices)
     parts = RunParts(
-        stream=FrameStream(
-            camera.camera,
-            camera_settings(config),
-            policy=frame_policy(config),
-            timeout_s=config.camera.patience_s,
-            permit=devices.permit,
-            time_shift_ns=camera.time_shift_ns,
-            applied=camera.applied,
-        ),
+        stream=devices.stream(config, camera),
         optics=optics,
         record=RecordFile(record, config, plan.source, camera, optics),
         # without a lever the amplitude in arcsec is unknown, and only the time limit applies

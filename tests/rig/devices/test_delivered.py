@@ -4,19 +4,21 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from threading import Event
 from typing import Any
 
 import numpy as np
 import pytest
 
-from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
+from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, FrameTimeout
 from acquisition.frame import Frame
 from processing.errors import DeviceError
-from rig.devices import frame_stream
+from rig.devices import Devices, OpenCamera, frame_stream
 from rig.devices.delivered import Counts, Delivered, asking, checked_info, ended
 from rig.devices.frame_stream import FrameStream
 from rig.devices.hanging_read import HangingRead
+from rig.settings import validate_configuration
 
 
 def frame(number: int = 0, ny: int = 12, nx: int = 10, **instead: Any) -> Frame:
@@ -78,10 +80,12 @@ def test_the_image_that_has_changed_is_named_by_its_own_number_also_behind_a_gap
 def test_a_ring_of_buffers_is_found_as_one_buffer_is(buffers: int) -> None:
     """Frames whose times are in doubt wait for others, and would be overwritten."""
     delivered, ring = Delivered(), np.zeros((buffers, 480, 160), np.uint8)
+    for number in range(buffers):
+        ring[number] = 50 + number
+        delivered.checked(frame(number, image=ring[number]))
+    ring[0] = 0
     with pytest.raises(DeviceError, match=r"image of frame 0 has changed.*copy"):
-        for number in range(buffers + 1):
-            ring[number % buffers] = 50 + number
-            delivered.checked(frame(number, image=ring[number % buffers]))
+        delivered.checked(frame(buffers, image=ring[0]))
 
 
 def test_numbers_of_numpy_become_plain_ones_and_the_same_image_may_come_again() -> None:
@@ -194,3 +198,23 @@ def test_a_read_that_never_returns_ends_the_stream(monkeypatch: pytest.MonkeyPat
     assert taken == 6
     assert "read() has not returned for" in stream.ended
     assert isinstance(stream.failure, DeviceError)
+
+
+def test_a_slow_camera_is_waited_for_two_frame_times_whoever_reads_it(tmp_path: Path) -> None:
+    """`rig preflight` called one of a frame in ten seconds stalled after five; a run would have taken it."""
+    reads: list[float] = []
+
+    def nothing(number: int) -> object:
+        raise FrameTimeout(f"own: no frame {number}")
+
+    class Slow(Driver):
+        def read(self, timeout_s: float) -> object:
+            reads.append(timeout_s)
+            return super().read(timeout_s)
+
+    camera = {"driver": "simulated", "frame_rate_hz": 0.1, "timeout_s": 5.0}
+    config = validate_configuration({"camera": camera, "session": {"output": str(tmp_path)}}, "test")
+    stream = Devices(config).stream(config, OpenCamera(Slow(nothing), INFO, ()))  # type: ignore[arg-type]
+    with pytest.raises(FrameTimeout, match="no frame"):
+        stream.begin()
+    assert sum(reads) == pytest.approx(20.5)
