@@ -21,6 +21,7 @@ from rig.analysis.instrument_results import (
     DecrementTable,
     InstrumentResults,
     InstrumentSeries,
+    OverPlaces,
     PeriodTable,
     SwingPlane,
 )

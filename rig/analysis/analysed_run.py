@@ -73,14 +73,17 @@ def _series(runs: Sequence[AnalysedRun]) -> Series | None:
     if reductions:
         found = reduce_series(reductions)
         return None if found is None else Series(runs=len(reductions), instrument=found)
-    fitted = [run for run in runs if run.fits]
+    numbers = [number for number, run in enumerate(runs, start=1) if run.fits]
+    fitted = [runs[number - 1] for number in numbers]
     pendulum = fitted[0].results.pendulum if fitted else None
     if len(fitted) < 2 or pendulum is None:
         return None
-    return combined_series(
+    joint = combined_series(
         {name: [run.fits[name] for run in fitted] for name in fitted[0].fits},
         [run.points for run in fitted],
         pendulum,
         fitted[0].rig,
         printed_curvature=bool(fitted[0].results.settings.get("printed_055")),
     )
+    apart = tuple(replace(each, run=numbers[each.run - 1]) for each in joint.disagreements)
+    return replace(joint, combined_runs=tuple(numbers), disagreements=apart)

@@ -1,9 +1,11 @@
 """What results.json holds of pendulums that are not described by the contact's laws."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from processing.estimate import Estimate
 from processing.instruments import Check
+from processing.quantity import PART
 from rig.analysis.encoding import Floats
 
 
@@ -97,11 +99,11 @@ class InstrumentResults:
 class OverPlaces:
     """Mean over the places of a sample."""
 
-    value: float
-    standard_uncertainty: float
+    value: Annotated[float, PART]
+    standard_uncertainty: Annotated[float, PART]
     places: int
-    spread: float
-    expanded_uncertainty_95: float
+    spread: Annotated[float, PART]
+    expanded_uncertainty_95: Annotated[float, PART]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

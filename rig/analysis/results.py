@@ -4,11 +4,11 @@ Every field has a default: files of earlier versions, which lack some of them, a
 `rig.analysis.encoding` says how estimates, arrays and "not determined" are spelled in the file.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, nan
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from acquisition.frame_losses import FrameLosses
 from processing.contact import HertzContact, SurfaceEnergy
@@ -31,6 +31,7 @@ from rig.presentation import Verdict
 SCHEMA = 2
 """Version of the file. 1, the first, has no `amplitude_unit`, `record_bytes` and `turning_points`, and px
 under the names in arcsec of a record without a lever."""
+_Run = TypeVar("_Run")
 _IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitude_unit")
 
 
@@ -135,9 +136,14 @@ class AveragedCurves:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Series:
-    """A series of runs: each fit's parameters combined, in `fits` by the fit's name."""
+    """A series of runs: each fit's parameters combined, in `fits` by the fit's name.
+
+    `combined_runs` are the numbers of the runs that could be fitted, counted from 1 among all, in the order
+    of the lists `runs` of `fits`; empty in older files.
+    """
 
     runs: int = 0
+    combined_runs: tuple[int, ...] = ()
     fits: Annotated[Mapping[str, Mapping[str, Combined]], Entries] = field(default_factory=dict)
     surface_energy_j_per_m2: Annotated[SurfaceEnergy | None, Section] = None
     budget: Mapping[str, Budget] = field(default_factory=dict)
@@ -145,6 +151,10 @@ class Series:
     averaged_curves: Annotated[Annotated[AveragedCurves, Beside("parameters")] | None, Section] = None
     problems: tuple[str, ...] = ()
     instrument: InstrumentSeries | None = None
+
+    def combined(self, runs: Sequence[_Run]) -> Sequence[_Run]:
+        """Those of all runs that are combined."""
+        return [runs[number - 1] for number in self.combined_runs] or runs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from acquisition.record.whole_file import write_new
 from calibration import (
@@ -18,8 +19,9 @@ from calibration import (
 )
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Determinacy, Estimate
+from processing.fit import Budget, FitMethod
 from processing.units import size, unit_of_name
-from rig.analysis import RunResults
+from rig.analysis import OverPlaces, RunResults, Series, series_verdicts
 from rig.export.run import ExportedRun
 from rig.instrument import versions
 from rig.presentation import quantity, unit_of
@@ -58,9 +60,13 @@ def write_certificate_of_calibration(source: Path, output: Path) -> None:
     _write(output, facts, [measured])
 
 
-def write_certificate_of_runs(runs: Sequence[tuple[ExportedRun, RunResults]], output: Path) -> None:
-    """The results of runs as one certificate; raises RecordError where none has any."""
+def write_certificate_of_runs(
+    runs: Sequence[tuple[ExportedRun, RunResults]], output: Path, series: Series | None = None
+) -> None:
+    """The results of runs, and of their series, as one certificate; raises RecordError where none has any."""
     measured = [_measured(run, results) for run, results in runs]
+    if series is not None:
+        measured.append(_measured_together(series, [results for _, results in series.combined(runs)]))
     measured = [one for one in measured if one.groups]
     if not measured:
         problem = next((results.problem for _, results in runs if results.problem), "")
@@ -94,17 +100,10 @@ def write_certificate_of_runs(runs: Sequence[tuple[ExportedRun, RunResults]], ou
 
 def _measured(run: ExportedRun, results: RunResults) -> CertifiedMeasurement:
     verdicts = {each.name: each.verdict for each in results.identifiability}
-    open_ends = {name for name, verdict in verdicts.items() if verdict is not Determinacy.DETERMINED}
-    if "c" in open_ends:
-        open_ends |= {name for name in results.budget if name.startswith("surface_energy")}
+    open_ends = _open_ends(verdicts, results.budget)
     groups = []
     if results.budget:
-        stated = {name: item for name, item in results.budget.items() if name not in open_ends}
-        numbers = [
-            _number(name, item.value, item.standard_uncertainty, item.unit, item.degrees_of_freedom)
-            for name, item in stated.items()
-        ]
-        groups.append(("whole uncertainty, of swings and apparatus", numbers))
+        groups.append(("whole uncertainty, of swings and apparatus", _of_budget(results.budget, open_ends)))
     for name, fit in results.fits.items():
         numbers = [
             _number(key, one.value, one.standard_uncertainty)
@@ -117,20 +116,75 @@ def _measured(run: ExportedRun, results: RunResults) -> CertifiedMeasurement:
         plain["quality_factor"] = results.quality_factor
     groups.append(("the decay", [_number(key, *_pair(one)) for key, one in plain.items()]))
     if (kind := results.instrument) is not None:
-        found = {each.name: getattr(kind, each.name) for each in dataclasses.fields(kind)}
-        numbers = [_number(key, *_pair(one)) for key, one in found.items() if isinstance(one, Estimate)]
-        groups.append((f"evaluation as {kind.kind}", numbers))
+        groups.append((f"evaluation as {kind.kind}", list(_estimates(kind))))
     return CertifiedMeasurement(
         run.name,
         "free decay of a pendulum that rolls on a ball",
-        [
-            ResultGroup(name, known, sorted(quantity(key).symbol for key in open_ends))
-            for name, numbers in groups
-            if (known := [one for one in numbers if math.isfinite(one.value) and math.isfinite(one.u)])
-        ],
+        _groups(groups, open_ends),
         {results.record: results.sha256},
         run.notes,
     )
+
+
+def _measured_together(series: Series, runs: Sequence[RunResults]) -> CertifiedMeasurement:
+    groups = []
+    open_ends = set[str]()
+    for name, fit in series.fits.items():
+        verdicts = {key: each.verdict for key, each in series_verdicts(fit).items()}
+        of_fit = _open_ends(verdicts, series.budget)
+        if name == FitMethod.EXACT:
+            open_ends = of_fit
+        numbers = [
+            _number(key, one.value, one.standard_uncertainty, dof=one.degrees_of_freedom)
+            for key, one in fit.items()
+            if key not in of_fit
+        ]
+        groups.append((f"{name} fit, uncertainty of the swings and of the scatter between runs", numbers))
+    if series.budget:
+        whole = ("whole uncertainty, of swings and apparatus", _of_budget(series.budget, open_ends))
+        groups.insert(0, whole)
+    if (kind := series.instrument) is not None:
+        groups.append((f"evaluation as {kind.kind}", list(_estimates(kind))))
+    return CertifiedMeasurement(
+        f"series of {series.runs} runs",
+        "free decays of a pendulum that rolls on a ball, combined",
+        _groups(groups, open_ends),
+        {run.record: run.sha256 for run in runs},
+        series.problems,
+    )
+
+
+def _open_ends(verdicts: Mapping[str, Determinacy], budget: Mapping[str, Budget]) -> set[str]:
+    """What the data do not determine, and what follows from it."""
+    found = {name for name, verdict in verdicts.items() if verdict is not Determinacy.DETERMINED}
+    return found | {name for name in budget if "c" in found and name.startswith("surface_energy")}
+
+
+def _of_budget(budget: Mapping[str, Budget], open_ends: set[str]) -> list[ResultNumber]:
+    return [
+        _number(name, item.value, item.standard_uncertainty, item.unit, item.degrees_of_freedom)
+        for name, item in budget.items()
+        if name not in open_ends
+    ]
+
+
+def _groups(groups: Sequence[tuple[str, list[ResultNumber]]], open_ends: set[str]) -> list[ResultGroup]:
+    """Those with numbers."""
+    return [
+        ResultGroup(name, known, sorted(quantity(key).symbol for key in open_ends))
+        for name, numbers in groups
+        if (known := [one for one in numbers if math.isfinite(one.value) and math.isfinite(one.u)])
+    ]
+
+
+def _estimates(values: Any) -> Iterator[ResultNumber]:
+    """Every value with an uncertainty of a pendulum that has no contact's law, and of its parts."""
+    for each in dataclasses.fields(values):
+        one = getattr(values, each.name)
+        if isinstance(one, Estimate | OverPlaces):
+            yield _number(each.name, one.value, one.standard_uncertainty)
+        elif dataclasses.is_dataclass(one):
+            yield from _estimates(one)
 
 
 def _pair(one: Estimate) -> tuple[float, float]:

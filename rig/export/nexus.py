@@ -1,4 +1,6 @@
-"""Writes HDF5 in NeXus layout: one NXentry per run, NXdata with units, the provenance as NXnote."""
+"""Writes HDF5 in NeXus layout: one NXentry per run and one of the series, NXdata with units, the provenance
+as NXnote.
+"""
 
 import io
 import json
@@ -12,13 +14,14 @@ from numpy.typing import NDArray
 from acquisition.record.whole_file import write_new
 from processing.errors import MissingPackage
 from processing.units import in_ascii
-from rig.export.run import ExportedRun, columns_of
+from rig.export.run import ExportedResults, ExportedRun, columns_of
 
 _NEXUS_UNITS = {"px": "pixel", "DN": "count", "1": "", "°C": "degC", "%": "percent"}
 
 
-def write_nexus(path: Path, runs: Sequence[ExportedRun]) -> None:
-    """One file: ``/run_1/spots``, ``/run_1/swings``, ``/run_1/results``, ``/run_1/provenance``.
+def write_nexus(path: Path, runs: Sequence[ExportedRun], series: ExportedResults | None = None) -> None:
+    """One file: ``/run_1/spots``, ``/run_1/swings``, ``/run_1/results``, ``/run_1/provenance``, and
+    ``/series/results``, ``/series/provenance`` of a series.
 
     Field names are the record's. Standard uncertainties ``u_NAME`` are also there as
     ``NAME_errors``, where NeXus readers look for them. What NeXus does not allow in a name becomes ``_``.
@@ -38,6 +41,8 @@ def write_nexus(path: Path, runs: Sequence[ExportedRun]) -> None:
         file.attrs["default"] = item_name(runs[0].name)
         for run in runs:
             _entry(file, run)
+        if series is not None:
+            _described(file, series)
     write_new(path, image.getvalue())
 
 
@@ -48,16 +53,22 @@ def item_name(text: str) -> str:
 
 def _entry(file: Any, run: ExportedRun) -> None:
     about = run.provenance
-    entry = _group(file, item_name(run.name), "NXentry")
+    entry = _described(file, run)
     entry.attrs["default"] = "swings"
-    entry["title"] = about.get("session.sample", run.name)
     entry["start_time"], entry["end_time"] = run.began, run.ended
-    entry["entry_identifier"] = about["sha256"]
-    entry["program_name"] = "optical-pendulum-rig"
-    entry["program_name"].attrs["version"] = about.get("versions.optical-pendulum-rig", "")
     _about_the_rig(entry, about)
     _data(entry, "spots", run.spots, ("y_rad", "y_deflection_px", "position_1"), run)
     _data(entry, "swings", run.swings, ("amplitude",), run)
+
+
+def _described(file: Any, run: ExportedResults) -> Any:
+    """An entry with results and what they come from."""
+    about = run.provenance
+    entry = _group(file, item_name(run.name), "NXentry")
+    entry["title"] = about.get("session.sample", run.name)
+    entry["entry_identifier"] = about["sha256"]
+    entry["program_name"] = "optical-pendulum-rig"
+    entry["program_name"].attrs["version"] = about.get("versions.optical-pendulum-rig", "")
     note = _group(entry, "provenance", "NXnote")
     note["type"] = "application/json"
     note["description"] = json.dumps(dict(about))
@@ -69,6 +80,7 @@ def _entry(file: Any, run: ExportedRun) -> None:
         results = _group(entry, "results", "NXcollection")
         results["json"] = json.dumps(run.results)
         _tree(_group(results, "values", "NXcollection"), run.results, run.units)
+    return entry
 
 
 def _about_the_rig(entry: Any, about: Mapping[str, str]) -> None:

@@ -16,27 +16,45 @@ from acquisition.record.topics import SPOT, SWING
 from acquisition.record.utc import utc
 from processing.errors import RecordError
 from processing.units import unit_of_name
-from rig.analysis import RESULTS_NAME, JsonObject, RunResults, TableDecay, encoded, read_results, units_of
+from rig.analysis import (
+    RESULTS_NAME,
+    JsonObject,
+    RunResults,
+    Series,
+    TableDecay,
+    encoded,
+    read_results,
+    units_of,
+)
 from rig.instrument import CONFIGURATION_NAME
 
 
 @dataclass(frozen=True)
-class ExportedRun:
-    """One run: structured arrays by the record's own field names, results as (name, value) rows.
+class ExportedResults:
+    """Results of a run or of a series, as they stand in results.json.
 
-    `results` is empty if the run was not fitted; `units` are those of its numbers by dotted name.
-    `provenance` maps names to texts, including the record's hash and its complete configuration. `notes` say
-    what the record lacks: that it was cut short, what is damaged. `began` and `ended` are the UTC of its
-    first and its last message, as ISO 8601; `column_units` are units of columns whose names do not say them.
+    `units` are those of their numbers by dotted name. `provenance` maps names to texts. `notes` say what the
+    records lack: that one was cut short, what is damaged.
     """
 
     name: str
-    spots: NDArray[Any]
-    swings: NDArray[Any]
     results: JsonObject
     units: Mapping[str, str]
     provenance: Mapping[str, str]
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportedRun(ExportedResults):
+    """One run: also structured arrays by the record's own field names.
+
+    `results` is empty if the run was not fitted; `provenance` includes the record's hash and its complete
+    configuration. `began` and `ended` are the UTC of its first and its last message, as ISO 8601;
+    `column_units` are units of columns whose names do not say them.
+    """
+
+    spots: NDArray[Any]
+    swings: NDArray[Any]
     began: str = ""
     ended: str = ""
     column_units: Mapping[str, str] = field(default_factory=dict)
@@ -62,6 +80,11 @@ def runs_in(source: Path) -> list[tuple[str, Path, RunResults | None]]:
         runs = read_results(source.parent).runs
         results = next((run for run in runs if run.record == source.name), None)
     return [(source.stem, source, results)]
+
+
+def series_in(source: Path) -> Series | None:
+    """What the runs of a results file, or of its folder, say together; None for one record."""
+    return read_results(source).series if source.is_dir() or source.suffix == ".json" else None
 
 
 def _name(run: RunResults, decay: int | None) -> str:
@@ -95,7 +118,17 @@ def read_run(path: Path, results: RunResults | None) -> ExportedRun:
     if results is not None:
         units = units_of(results, found)
         units |= {f"settings.{key}": unit for key in results.settings if (unit := unit_of_name(key))}
-    return ExportedRun(path.stem, spots, swings, found, units, provenance, notes, began, ended)
+    return ExportedRun(
+        path.stem,
+        found,
+        units,
+        provenance,
+        notes,
+        spots=spots,
+        swings=swings,
+        began=began,
+        ended=ended,
+    )
 
 
 def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:

@@ -7,8 +7,9 @@ from acquisition.record.whole_file import write_new
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import TableDecay
 from rig.export.certificate import write_certificate_of_calibration, write_certificate_of_runs
-from rig.export.nexus import write_nexus
-from rig.export.run import read_run, runs_in
+from rig.export.nexus import item_name, write_nexus
+from rig.export.run import read_run, runs_in, series_in
+from rig.export.series import SERIES_NAME, exported_series
 from rig.export.table_run import read_table_decay
 from rig.export.tables import TABLES, table_path, write_csv, write_parquet
 from rig.presentation import say
@@ -24,9 +25,9 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     """Export a session's folder, that of a table's results, or one record; returns the files made.
 
     What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, three
-    files a run. HDF5: `output` is the file, one NXentry a run. DCC: `output` is a digital calibration
-    certificate of the results, or of those of a calibration file. LaTeX: a folder with the tables of the
-    report. Nothing that exists is written over.
+    files a run, and one with what the runs say together. HDF5: `output` is the file, one NXentry a run and
+    one for the series. DCC: `output` is a digital calibration certificate of the results, or of those of a
+    calibration file. LaTeX: a folder with the tables of the report. Nothing that exists is written over.
 
     Raises RecordError for a source without records, ConfigurationError for a file that exists.
     """
@@ -38,9 +39,13 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
         return _export_latex(source, output)
     found = runs_in(source)
     suffix = "csv" if kind == "csv" else "parquet"
+    series = series_in(source)
     names = [name for name, _, _ in found]
     made = [table_path(output, name, what, suffix) for name in names for what in TABLES]
-    if len(set(made)) < len(made):
+    if series is not None:
+        names.append(SERIES_NAME)
+        made.append(table_path(output, SERIES_NAME, "results", suffix))
+    if len(set(made)) < len(made) or (kind == "hdf5" and len(set(map(item_name, names))) < len(names)):
         raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
     for path in [output] if kind in ONE_FILE else made:
         if path.exists():
@@ -56,20 +61,22 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     for run in runs:
         for note in run.notes:
             say(f"{run.name}: {note}" if source.is_dir() else note)
+    fitted = [(run, results) for run, (_, _, results) in zip(runs, found, strict=True) if results]
     if kind == "dcc":
-        fitted = [(run, results) for run, (_, _, results) in zip(runs, found, strict=True) if results]
         if not fitted:
             raise RecordError(f"{source}: has no results to certify; rig fit makes some")
-        write_certificate_of_runs(fitted, output)
+        write_certificate_of_runs(fitted, output, series)
         return [output]
+    together = None if series is None else exported_series(source, series, fitted)
     try:
         if kind == "hdf5":
             output.parent.mkdir(parents=True, exist_ok=True)
-            write_nexus(output, runs)
+            write_nexus(output, runs, together)
             return [output]
         output.mkdir(parents=True, exist_ok=True)
         write = write_csv if kind == "csv" else write_parquet
-        return [path for run in runs for path in write(output, run)]
+        everything = runs if together is None else [*runs, together]
+        return [path for run in everything for path in write(output, run)]
     except OSError as error:
         raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
 

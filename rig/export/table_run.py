@@ -39,11 +39,11 @@ def read_table_decay(folder: Path, decay: TableDecay, name: str) -> ExportedRun:
     }
     return ExportedRun(
         name,
-        _table(columns),
-        _table(swings),
         found,
         units_of(decay, found),
         provenance,
+        spots=_table(columns),
+        swings=_table(swings),
         column_units={key: unit for key in (*columns, *swings) if key.endswith(f"_{suffix}")},
     )
 

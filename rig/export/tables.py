@@ -1,4 +1,4 @@
-"""Writes CSV and Parquet files: spots, swings and results of each run."""
+"""Writes CSV and Parquet files: spots, swings and results of each run, and the results of the series."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping
@@ -8,13 +8,13 @@ import pyarrow as pa
 from pyarrow import csv, parquet
 
 from acquisition.record.whole_file import being_written
-from rig.export.run import ExportedRun, columns_of, flat_results
+from rig.export.run import ExportedResults, ExportedRun, columns_of, flat_results
 from rig.presentation import harmless_line, harmless_text
 
 TABLES = ("spots", "swings", "results")
 
 
-def write_csv(folder: Path, run: ExportedRun) -> list[Path]:
+def write_csv(folder: Path, run: ExportedResults) -> list[Path]:
     """Write CSV files; lines that begin with ``#`` contain the provenance, followed by one header line.
 
     What the record lacks comes first.
@@ -34,7 +34,7 @@ def write_csv(folder: Path, run: ExportedRun) -> list[Path]:
     return made
 
 
-def write_parquet(folder: Path, run: ExportedRun) -> list[Path]:
+def write_parquet(folder: Path, run: ExportedResults) -> list[Path]:
     """Write Parquet files; provenance (JSON), notes on what the record lacks (JSON) and units are in the
     metadata of schema and fields.
     """
@@ -53,18 +53,18 @@ def write_parquet(folder: Path, run: ExportedRun) -> list[Path]:
 
 
 def _tables(
-    folder: Path, run: ExportedRun, suffix: str, text_of: Callable[[str], str]
+    folder: Path, run: ExportedResults, suffix: str, text_of: Callable[[str], str]
 ) -> Iterator[tuple[Path, pa.Table]]:
-    tables = {"spots": columns_of(run.spots), "swings": columns_of(run.swings)}
-    for name, columns in tables.items():
-        fields = [
-            pa.field(key, pa.from_numpy_dtype(values.dtype), metadata={"unit": run.unit_of(key)})
-            for key, values in columns.items()
-        ]
-        yield (
-            table_path(folder, run.name, name, suffix),
-            pa.table(list(columns.values()), schema=pa.schema(fields)),
-        )
+    if isinstance(run, ExportedRun):
+        for name, columns in (("spots", columns_of(run.spots)), ("swings", columns_of(run.swings))):
+            fields = [
+                pa.field(key, pa.from_numpy_dtype(values.dtype), metadata={"unit": run.unit_of(key)})
+                for key, values in columns.items()
+            ]
+            yield (
+                table_path(folder, run.name, name, suffix),
+                pa.table(list(columns.values()), schema=pa.schema(fields)),
+            )
     if run.results:
         rows = flat_results(run.results)
         yield (

@@ -5,8 +5,7 @@ from pathlib import Path
 
 from rig.presentation import Table, latex_table
 from rig.report.source import read_source
-from rig.report.tables import run_tables
-from rig.report.tables_uncertainty import budget_table, series_table
+from rig.report.tables import run_tables, series_tables
 
 
 def latex_tables(folder: Path) -> Mapping[str, str]:
@@ -19,6 +18,5 @@ def latex_tables(folder: Path) -> Mapping[str, str]:
     for number, run in enumerate(source.runs, start=1):
         found |= {f"run-{number}-{each.name}.tex": each for each in run_tables(run, None)}
     if source.series is not None:
-        tables = (series_table(source.series), budget_table(source.series.budget, "series-budget"))
-        found |= {f"{each.name}.tex": each for each in tables}
+        found |= {f"{each.name}.tex": each for each in series_tables(source.series)}
     return {name: latex_table(each, Path(name).stem) for name, each in found.items() if each.shown}

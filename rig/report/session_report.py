@@ -27,8 +27,7 @@ from rig.report.figures_witness import witness_figure
 from rig.report.run_data import ReportSource, RunData
 from rig.report.source import read_source
 from rig.report.summary import notes_of, sentence, summary_of, title_of
-from rig.report.tables import run_tables
-from rig.report.tables_uncertainty import budget_table, series_table
+from rig.report.tables import run_tables, series_tables
 
 _DEFAULT_PERIOD_S = 4.0
 
@@ -80,8 +79,7 @@ def draw_run(source: Path, number: int) -> list[ReportFigure]:
 
 
 def _series(series: Series, files: Path) -> list[str]:
-    tables = [series_table(series), budget_table(series.budget, "series-budget")]
-    tables = [table for table in tables if table.rows]
+    tables = [table for table in series_tables(series) if table.rows]
     apart = [
         f"Run {item.run} disagrees with the others in {quantity(item.name).symbol}: "
         f"{item.deviation:+.1f} standard uncertainties."

@@ -9,6 +9,7 @@ from processing.fit import FitMethod
 from rig.analysis import (
     Curves,
     RunResults,
+    Series,
     bound_text,
     encoded,
     law_table,
@@ -19,8 +20,13 @@ from rig.analysis import (
 )
 from rig.presentation import NOT_KNOWN, Cell, Table, Verdict, plain, quantity, with_uncertainty
 from rig.report.run_data import RunData
-from rig.report.tables_instruments import instrument_table
-from rig.report.tables_uncertainty import budget_table, identifiability_table, monte_carlo_table
+from rig.report.tables_instruments import instrument_series_table, instrument_table
+from rig.report.tables_uncertainty import (
+    budget_table,
+    identifiability_table,
+    monte_carlo_table,
+    series_table,
+)
 
 
 def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
@@ -43,6 +49,13 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
     if results.laws is not None:
         tables += [law_table(results.laws), waveform_table(results.laws), moments_table(results.laws)]
     return [table for table in tables if table.rows]
+
+
+def series_tables(series: Series) -> list[Table]:
+    """The tables of a series."""
+    if series.instrument is not None:
+        return [instrument_series_table(series.instrument)]
+    return [series_table(series), budget_table(series.budget, "series-budget")]
 
 
 _CONDITIONS = ("condition", "verdict", "measured", "limit", "reason")

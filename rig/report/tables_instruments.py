@@ -65,6 +65,19 @@ def instrument_table(results: RunResults) -> Table:
     )  # fmt: skip
 
 
+def instrument_series_table(series: InstrumentSeries) -> Table:
+    """What the places of a sample say together, and their ratio to a reference."""
+    found = [*_ratios(series), *_of_places(series)]
+    if series.reference_time_s is not None:
+        found.append(Reported("damping time of the reference", series.reference_time_s, "s"))
+    rows: list[list[Cell]] = [[*row] for row in _numbers(encoded(series))]
+    return Table(
+        "series", "The series",
+        ("quantity", "value", "standard_uncertainty"), rows, ("", "value ± u", "unit"),
+        [[item.name, item.text, item.unit] for item in found],
+    )  # fmt: skip
+
+
 def _results(values: InstrumentResults) -> Iterator[Reported]:
     """What the kind is made to measure, first things first."""
     if values.time_hardness_s is not None:

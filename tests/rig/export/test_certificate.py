@@ -73,9 +73,9 @@ def test_the_results_of_runs_are_written_and_read_back_exactly(
     results = json.loads((measured_series / "results.json").read_text(encoding="utf-8"))["runs"]
     tree = found.to_dict(str(path))
     measured = tree["dcc:measurementResults"]["dcc:measurementResult"]
-    assert len(measured) == len(results)
+    assert len(measured) == len(results) + 1, "and the series"
     stated = 0
-    for one, run in zip(measured, results, strict=True):
+    for one, run in zip(measured[:-1], results, strict=True):
         open_ends = {item["name"] for item in run["identifiability"] if item["verdict"] != "determined"}
         for result in one["dcc:results"]["dcc:result"]:
             (name,) = [content["$"] for content in result["dcc:name"]["dcc:content"]]

@@ -39,7 +39,8 @@ def test_csv_holds_every_digit_and_the_provenance(
     spots, swings, results = truth
     made = export_session(measured_series, "csv", tmp_path / "csv")
     assert [path.name for path in made] == [
-        f"run-{number}-{what}.csv" for number in (1, 2) for what in ("spots", "swings", "results")
+        *(f"run-{number}-{what}.csv" for number in (1, 2) for what in ("spots", "swings", "results")),
+        "series-results.csv",
     ]
     lines = made[1].read_text(encoding="utf-8").splitlines()
     head = [line for line in lines if line.startswith("#")]
@@ -75,7 +76,7 @@ def test_hdf5_is_laid_out_as_nexus(
     (made,) = export_session(measured_series, "hdf5", tmp_path / "out.h5")
     with h5py.File(made) as file:
         assert file.attrs["NX_class"] == "NXroot"
-        assert sorted(file) == ["run_1", "run_2"]
+        assert sorted(file) == ["run_1", "run_2", "series"]
         entry = file["run_1"]
         assert entry.attrs["NX_class"] == "NXentry"
         data = entry["swings"]

@@ -68,7 +68,7 @@ def test_what_stands_above_the_columns_is_no_formula_in_any_cell(
         "session.sample": f'K8; {FORMULA}, "{FORMULA}", at 5,-3 or a|@b',
         "configuration": configuration,
     }
-    hostile = ExportedRun("run-1", run.spots[:2], run.swings[:2], {}, {}, about)
+    hostile = ExportedRun("run-1", {}, {}, about, spots=run.spots[:2], swings=run.swings[:2])
     made = write_csv(tmp_path, hostile)
     for path in made:
         head = [line for line in path.read_text().splitlines() if line.startswith("# ")]

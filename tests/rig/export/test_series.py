@@ -1,0 +1,199 @@
+"""What the runs of a series say together is in every format, and read back by libraries that are not ours."""
+
+import csv
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from processing.errors import ConfigurationError
+from processing.estimate import Estimate
+from processing.fit import FitMethod
+from processing.units import size
+from rig.analysis import (
+    DampingResults,
+    InstrumentResults,
+    InstrumentSeries,
+    OverPlaces,
+    Series,
+    read_results,
+    write_results,
+)
+from rig.analysis.analysed_run import session_results
+from rig.analysis.record_fit import analyse_record
+from rig.export.certificate import write_certificate_of_runs
+from rig.export.run import ExportedRun
+from rig.export.session_export import export_session
+from rig.report.figures_contact import series_figure
+from rig.report.latex_files import latex_tables
+from tests.rig.certificates import schema
+
+
+def numbers_of(tree: Any, above: str = "") -> Iterator[tuple[str, float]]:
+    """Every number of a JSON tree by its dotted name."""
+    for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree):
+        if isinstance(value, dict | list):
+            yield from numbers_of(value, f"{above}{key}.")
+        elif value is None or isinstance(value, int | float):
+            yield f"{above}{key}", math.nan if value is None else float(value)
+
+
+@pytest.fixture
+def series(measured_series: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((measured_series / "results.json").read_text(encoding="utf-8"))[
+        "series"
+    ]
+    return found
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_tables_hold_every_number_of_the_series(
+    measured_series: Path, series: dict[str, Any], tmp_path: Path, kind: Any
+) -> None:
+    path = export_session(measured_series, kind, tmp_path)[-1]
+    assert path.name == f"series-results.{kind}"
+    if kind == "csv":
+        lines = path.read_text(encoding="utf-8").splitlines()
+        rows: list[dict[str, Any]] = list(csv.DictReader(line for line in lines if line[0] != "#"))
+        about = "\n".join(line for line in lines if line[0] == "#")
+    else:
+        rows = parquet.read_table(path).to_pylist()
+        about = parquet.read_schema(path).metadata[b"provenance"].decode()
+    found = {
+        row["name"]: float(math.nan if row["value"] in ("", None) else row["value"])
+        for row in rows
+        if not row["text"]
+    }
+    wanted = dict(numbers_of(series))
+    assert len(wanted) > 200
+    assert found.keys() >= wanted.keys()
+    np.testing.assert_array_equal([found[name] for name in wanted], list(wanted.values()))
+    unit = {row["name"]: row["unit"] for row in rows}
+    assert size(unit["exact.gamma_pa.expanded_uncertainty_95"]) == size("Pa")
+    assert "SIMULATED: 2 of 2 runs" in about
+    for run in read_results(measured_series).runs:
+        assert run.sha256 in about
+
+
+def test_hdf5_has_an_entry_for_the_series(
+    measured_series: Path, series: dict[str, Any], tmp_path: Path
+) -> None:
+    h5py = pytest.importorskip("h5py")
+    export_session(measured_series, "hdf5", tmp_path / "out.h5")
+    with h5py.File(tmp_path / "out.h5") as file:
+        entry = file["series"]
+        assert entry.attrs["NX_class"] == "NXentry"
+        assert json.loads(entry["results/json"][()]) == series
+        b = entry["results/values/exact/b"]
+        assert b["expanded_uncertainty_95"][()] == series["exact"]["b"]["expanded_uncertainty_95"]
+        assert entry["results/values/budget/gamma_pa/value"].attrs["units"] == "Pa"
+
+
+def test_a_certificate_states_what_the_runs_determine_together(
+    measured_series: Path, series: dict[str, Any], shared_data: Path, tmp_path: Path
+) -> None:
+    export_session(measured_series, "dcc", tmp_path / "runs.xml")
+    found = schema(shared_data)
+    found.validate(str(tmp_path / "runs.xml"))
+    tree = found.to_dict(str(tmp_path / "runs.xml"))
+    *_, together = tree["dcc:measurementResults"]["dcc:measurementResult"]
+    assert together["dcc:name"]["dcc:content"][0]["$"] == "series of 2 runs"
+    (exact,) = (
+        one
+        for one in together["dcc:results"]["dcc:result"]
+        if one["dcc:name"]["dcc:content"][0]["$"][:5] == "exact"
+    )
+    stated = {each["@refType"][0]: each["si:real"] for each in exact["dcc:data"]["dcc:quantity"]}
+    n, unc = series["exact"]["n"], stated["rig_n"]["si:expandedUnc"]
+    assert stated["rig_n"]["si:value"] == n["value"]
+    assert unc["si:uncertainty"] / unc["si:coverageFactor"] == n["standard_uncertainty"]
+    # Student's t of one degree of freedom: P(|t| < 2) = 2 arctan(2) / pi
+    assert unc["si:coverageProbability"] == pytest.approx(2 * math.atan(2) / math.pi, abs=1e-6)
+    for name, item in series["exact"].items():
+        if item["standard_uncertainty"] > 0.1 * abs(item["value"]):
+            assert f"rig_{name}" not in stated
+
+
+def test_a_run_without_fit_shifts_no_number(measured_series: Path, tmp_path: Path) -> None:
+    """The report blamed run 2 where run 3 stood apart, as runs that could not be fitted were not counted."""
+    first = analyse_record(measured_series / "run-1.mcap")
+    second = analyse_record(measured_series / "run-2.mcap")
+    unfitted = replace(first, fits={}, results=replace(first.results, fits={}, problem="too short"))
+    exact = second.fits[FitMethod.EXACT]
+    odd = replace(exact, values=exact.values + 50 * exact.standard_uncertainty)
+    apart = replace(second, fits={**second.fits, FitMethod.EXACT: odd})
+    results = session_results([unfitted, first, first, apart], tmp_path)
+    assert results.series is not None
+    assert results.series.combined_runs == (2, 3, 4)
+    assert {each.run for each in results.series.disagreements} == {4}
+    ticks = [label.get_text() for label in series_figure(results.series).figure.axes[0].get_xticklabels()]
+    assert ticks == ["2", "3", "4"]
+
+
+KOENIG = InstrumentSeries(
+    kind="koenig",
+    time_s=OverPlaces(80.8, 0.1, 3, 0.17, 0.43),
+    swings=OverPlaces(57.7, 0.08, 3, 0.14, 0.34),
+    reference_time_s=Estimate(250.0, 0.5),
+    ratio=Estimate(0.323, 0.0008),
+)
+
+
+def test_places_of_a_sample_have_units_and_tables(measured_series: Path, tmp_path: Path) -> None:
+    """Damping times over places had no unit, and the ratio to the glass was in no table."""
+    found = read_results(measured_series)
+    runs = tuple(replace(run, record=str((measured_series / run.record).resolve())) for run in found.runs)
+    of_places = Series(runs=3, instrument=KOENIG)
+    write_results(tmp_path / "results.json", replace(found, runs=runs, series=of_places))
+    path = export_session(tmp_path, "csv", tmp_path / "csv")[-1]
+    rows = csv.DictReader(line for line in path.read_text().splitlines() if line[0] != "#")
+    unit = {row["name"]: row["unit"] for row in rows}
+    for key in ("value", "standard_uncertainty", "spread", "expanded_uncertainty_95"):
+        assert unit[f"instrument.time_s.{key}"] == "s"
+    text = latex_tables(tmp_path)["series.tex"]
+    assert "ratio of damping times" in text
+    assert "0.323" in text
+
+
+def test_a_damping_time_is_certified(measured_series: Path, shared_data: Path, tmp_path: Path) -> None:
+    """A Koenig pendulum "has no results to certify", as its time stands one step further down."""
+    (first, *_) = read_results(measured_series).runs
+    koenig = InstrumentResults(
+        kind="koenig", damping=DampingResults(6.0, 3.0, Estimate(80.8, 0.1), Estimate(57.7, 0.1), 0)
+    )
+    run = replace(first, fits={}, budget={}, identifiability=(), instrument=koenig)
+    nothing = np.empty(0)
+    exported = ExportedRun("run-1", {}, {}, {}, spots=nothing, swings=nothing, began="2026-01-01T00:00:00")
+    series = Series(runs=3, instrument=KOENIG)
+    write_certificate_of_runs([(exported, run)], tmp_path / "k.xml", series)
+    found = schema(shared_data)
+    found.validate(str(tmp_path / "k.xml"))
+    one, together = found.to_dict(str(tmp_path / "k.xml"))["dcc:measurementResults"]["dcc:measurementResult"]
+    for measured, value in ((one, 80.8), (together, 80.8)):
+        (result,) = (
+            each
+            for each in measured["dcc:results"]["dcc:result"]
+            if "koenig" in each["dcc:name"]["dcc:content"][0]["$"]
+        )
+        stated = {each["@refType"][0]: each["si:real"] for each in result["dcc:data"]["dcc:quantity"]}
+        assert stated["rig_time_s"]["si:value"] == value
+        assert stated["rig_time_s"]["si:unit"] == r"\second"
+
+
+def test_two_names_that_are_one_in_nexus(measured_series: Path, tmp_path: Path) -> None:
+    """``a b`` and ``a_b`` ended in h5py's ValueError."""
+    pytest.importorskip("h5py")
+    found = read_results(measured_series)
+    for name, run in zip(("a b.mcap", "a_b.mcap"), found.runs, strict=True):
+        (tmp_path / name).write_bytes((measured_series / run.record).read_bytes())
+    runs = tuple(replace(run, record=n) for n, run in zip(("a b.mcap", "a_b.mcap"), found.runs, strict=True))
+    write_results(tmp_path / "results.json", replace(found, runs=runs))
+    with pytest.raises(ConfigurationError, match="several records of one name"):
+        export_session(tmp_path, "hdf5", tmp_path / "x.h5")
+    assert len(export_session(tmp_path, "csv", tmp_path / "csv")) == 7
