@@ -30,7 +30,7 @@ ALLOWED = {
     "rig/desk/jobs.py": "what a program prints",
     "rig/archive/checking.py": "how far a check has come, which a cut only makes shorter",
     # no content that anybody keeps
-    "rig/channel/loopback.py": "a live port, gone with its process",
+    "rig/channel/server.py": "a live port, gone with its process",
     "processing/byte_lock.py": "a lock",
     "rig/control/safety_state.py": "a lock",
     "rig/desk/kept.py": "a lock",

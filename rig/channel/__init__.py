@@ -7,16 +7,8 @@ waits for a reader, and without one nothing is prepared.
 
 from rig.channel.event_log import newest_first
 from rig.channel.few_connections import MOST_CONNECTIONS, FewConnections
-from rig.channel.loopback import (
-    CHANNEL_NAME,
-    Channel,
-    Line,
-    NoSession,
-    Orders,
-    SessionBusy,
-    SessionPicture,
-    Stranger,
-    running_sessions,
-)
+from rig.channel.line import Line, NoSession, SessionBusy, SessionPicture, Stranger, running_sessions
+from rig.channel.loopback import CHANNEL_NAME
 from rig.channel.of_commands import devices_now, light_told
+from rig.channel.server import Channel, Orders
 from rig.channel.session_news import SessionNews

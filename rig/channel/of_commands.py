@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rig.channel.loopback import Channel
+from rig.channel.server import Channel
 from rig.channel.session_news import SessionNews
 from rig.devices import Devices
 from rig.settings import Configuration

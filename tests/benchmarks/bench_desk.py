@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from rig.channel import Channel, SessionNews
-from rig.channel.loopback import _Handler
+from rig.channel.server import _Handler
 from rig.desk.sessions import SessionIndex
 from rig.instrument.snapshot import Snapshot
 from rig.measure.screen import RunDisplay
