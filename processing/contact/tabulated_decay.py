@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 _MOST_GROWTH = 2.0
-"""Of the first amplitude; a swing that has grown by more is no decay, and such a law is searched no further."""
+"""Of the first amplitude; a swing that grows by more is no decay, and such a law is searched no further."""
 
 
 class SwingTable(NamedTuple):

@@ -15,27 +15,16 @@ from acquisition.frame import Frame
 from processing.ticks import S_PER_NS, seconds
 from rig.devices.host_clock import NO_TIME_NS
 from rig.devices.rising_times import RisingTimes, rising_times
+from rig.devices.usual_times import BY_HOST_NS, REGULAR, SMOOTHING, UsualTimes
 
-_LEARNED = 8
-"""Frames after which the frame time is known."""
 _ALIKE = 3
 """Frames that agree on a step, until it is believed."""
 _MOST_WAITING = 12
 """Frames in doubt, after which it is decided, unless their reader is behind; each holds an image."""
 _LONGEST_WAIT, _MOST_WAITING_BYTES = 2000, 64 * 1024 * 1024
 """Of a reader that is behind: frames that it takes late do not say when they came."""
-_SMOOTHING = 0.1
-_OF_ARRIVALS = 0.02
-"""Part of a deviation by which the usual delay, and its scatter, follow each frame."""
-_LEAST_NS = 2_000_000.0
-"""Smaller disagreements are those of the computer's readings of frames, or of the exposure."""
-_BY_HOST_NS = 60_000_000.0
-"""Disagreements with the computer's clock that late readings explain."""
 _BEHIND_NS = 800_000_000.0
-"""The same of a frame that its reader had not waited for, which may have lain in the driver as long."""
-_REGULAR = 0.2
-"""Mean deviation of frame times, of one, up to which a camera keeps a rate."""
-_LEAST_SCATTER_NS = 20_000.0
+"""The same where a frame's reader had not waited for it, which may have lain in the driver as long."""
 _COUNTERS_NS: Final = tuple((1 << 32) * tick_ns for tick_ns in (1, 8, 10, 16, 20, 40, 100, 1000))
 """After which counters of 32 bits begin again, of usual ticks."""
 
@@ -69,18 +58,14 @@ class FrameClock:
         self.rejected = 0
         self.wraps = 0
         self._steps_ns: list[float] = []
-        self._scatter_ns = _LEAST_NS
+        self._usual = UsualTimes()
         self.begin_again()
 
     def begin_again(self) -> None:
         """The camera was opened again: whatever its clock shows now is new."""
-        self._last: Frame | None = None
-        self._waited_for = False
-        self._interval_ns = self._deviation_ns = 0.0
-        self._learned = 0
+        self._usual.begin_again()
         self._waiting: list[tuple[Frame, float]] = []
         self._offset_ns = 0
-        self._delay_ns = math.nan
         self._given_up = False
 
     def take(self, frame: Frame) -> Seen:
@@ -88,10 +73,10 @@ class FrameClock:
         if frame.device_time_ns < 0:
             return Seen([frame])
         if self._given_up:
-            return Seen([self._carried(frame)])
+            return Seen([self._usual.carried(frame)])
         moved = frame._replace(device_time_ns=frame.device_time_ns + self._offset_ns)
         has_time = frame.device_time_ns < NO_TIME_NS
-        last = self._last
+        last = self._usual.last
         off_ns = math.inf
         if has_time and last is not None:
             found_ns = self._off_ns(moved, last)
@@ -101,7 +86,7 @@ class FrameClock:
         elif has_time:
             return self._confirmed(moved)
         self._waiting.append((frame, off_ns))
-        allowed_ns = self._allowed_ns
+        allowed_ns = self._usual.allowed_ns
         agreed = [one for one in self._waiting if abs(one[1] - off_ns) < allowed_ns]
         waiting = len(self._waiting)
         decides = waiting >= _MOST_WAITING and (self._reader_is_up or self._is_full)
@@ -119,14 +104,10 @@ class FrameClock:
         return len(self._waiting)
 
     @property
-    def _regular(self) -> bool:
-        return self._learned >= _LEARNED and self._deviation_ns < _REGULAR * self._interval_ns
-
-    @property
     def _reader_is_up(self) -> bool:
         """Whether the newest frames were waited for; a reader that hung, even twice, takes many at once."""
         came_ns = [frame.host_time_ns for frame, _ in self._waiting[-1 - _ALIKE :]]
-        return all(later - sooner > 0.5 * self._interval_ns for sooner, later in pairwise(came_ns))
+        return all(later - sooner > 0.5 * self._usual.interval_ns for sooner, later in pairwise(came_ns))
 
     @property
     def _is_full(self) -> bool:
@@ -135,24 +116,20 @@ class FrameClock:
         size = waiting * self._waiting[-1][0].image.nbytes
         return waiting >= _LONGEST_WAIT or (waiting >= 4 * _MOST_WAITING and size >= _MOST_WAITING_BYTES)
 
-    @property
-    def _allowed_ns(self) -> float:
-        return max(_LEAST_NS, 10 * self._deviation_ns) if self._regular else _BY_HOST_NS
-
     def _off_ns(self, frame: Frame, last: Frame) -> float | None:
         """How far a time lies from what is expected of it; None where one of the clocks confirms it."""
         passed_ns = float(frame.device_time_ns - last.device_time_ns)
         by_host_ns = float(frame.host_time_ns - last.host_time_ns)
         numbers = frame.sequence - last.sequence
-        by_rate_ns = numbers * self._interval_ns if numbers > 0 else by_host_ns
-        if not self._regular:
+        by_rate_ns = numbers * self._usual.interval_ns if numbers > 0 else by_host_ns
+        if not self._usual.is_regular:
             # it came when the computer says, or was read late; so was the one before, of those that had
             # gathered while nobody read
-            latest_ns = by_host_ns + (_BY_HOST_NS if self._waited_for else _BEHIND_NS)
-            by_rate = self._learned > 0 and abs(passed_ns - by_rate_ns) < _REGULAR * by_rate_ns
+            latest_ns = by_host_ns + (BY_HOST_NS if self._usual.waited_for else _BEHIND_NS)
+            by_rate = self._usual.learned > 0 and abs(passed_ns - by_rate_ns) < REGULAR * by_rate_ns
             return None if passed_ns > 0 and (passed_ns <= latest_ns or by_rate) else passed_ns - by_host_ns
         off_ns = passed_ns - by_rate_ns
-        if passed_ns > 0 and (abs(off_ns) < self._allowed_ns or self._by_computer(frame, last, off_ns)):
+        if passed_ns > 0 and (abs(off_ns) < self._usual.allowed_ns or self._by_computer(frame, last, off_ns)):
             return None
         return off_ns
 
@@ -164,28 +141,19 @@ class FrameClock:
         before = last if before is None else before._replace(device_time_ns=self._time_ns(before))
         passed_ns = frame.device_time_ns - before.device_time_ns
         by_host_ns = frame.host_time_ns - before.host_time_ns
-        if passed_ns <= 0 or by_host_ns < 0.5 * min(passed_ns, self._interval_ns):
+        if passed_ns <= 0 or by_host_ns < 0.5 * min(passed_ns, self._usual.interval_ns):
             return False
-        early_ns = abs(self._early_ns(frame))
-        if self._waited_for:
+        early_ns = abs(self._usual.early_ns(frame))
+        if self._usual.waited_for:
             by_last_ns = (frame.device_time_ns - last.device_time_ns) - (
                 frame.host_time_ns - last.host_time_ns
             )
             early_ns = min(early_ns, abs(by_last_ns))
-        return early_ns < min(self._allowed_by_arrival_ns, 0.5 * abs(off_ns))
-
-    @property
-    def _allowed_by_arrival_ns(self) -> float:
-        return max(3 * _LEAST_NS, 6 * self._scatter_ns)
+        return early_ns < min(self._usual.allowed_by_arrival_ns, 0.5 * abs(off_ns))
 
     def _time_ns(self, frame: Frame) -> int:
         """Of a frame that waits, as if its clock had not stepped again."""
         return frame.device_time_ns + self._offset_ns
-
-    def _early_ns(self, moved: Frame) -> float:
-        """How much sooner than usual it came, by its time: as much as the clock has stepped, less what it was
-        read late."""
-        return moved.device_time_ns - (moved.host_time_ns - self._delay_ns)
 
     def _confirmed(self, frame: Frame) -> Seen:
         """One of the clocks confirms the time: those that waited were alone, or in one line with it."""
@@ -193,16 +161,19 @@ class FrameClock:
         kept = {one.sequence for one in in_line}
         note = self._rejected([one for one in self._waiting if one[0].sequence not in kept])
         self._waiting.clear()
-        return Seen([self._joined(one) for one in [*in_line, frame]], note)
+        return Seen([self._usual.joined(one) for one in [*in_line, frame]], note)
 
     def _in_line_with(self, frame: Frame) -> list[Frame]:
         """Those that wait and rise to this one, which the computer confirms and the rate does not: frames
         without numbers are missing, or the rate has changed, and they were read too late to be confirmed.
         """
-        last = self._last
-        if last is None or not self._regular:
+        last = self._usual.last
+        if last is None or not self._usual.is_regular:
             return []
-        if len(self._waiting) < _ALIKE and abs(self._off_by_rate_ns(frame, last)) < self._allowed_ns:
+        if (
+            len(self._waiting) < _ALIKE
+            and abs(self._usual.off_by_rate_ns(frame, last)) < self._usual.allowed_ns
+        ):
             return []
         rising = self._rising(last, [*(one for one, _ in self._waiting), self._unmoved(frame)])
         found = [self._waiting[place][0] for place in rising.kept if place < len(self._waiting)]
@@ -216,39 +187,9 @@ class FrameClock:
         return rising_times(
             [float(self._time_ns(one) - last.device_time_ns) for one in frames],
             [one.sequence - last.sequence for one in frames],
-            self._interval_ns,
+            self._usual.interval_ns,
             step_ns,
         )
-
-    def _off_by_rate_ns(self, frame: Frame, last: Frame) -> float:
-        """How far a time lies from what the camera's rate lets expect."""
-        return (
-            frame.device_time_ns - last.device_time_ns - (frame.sequence - last.sequence) * self._interval_ns
-        )
-
-    def _joined(self, frame: Frame) -> Frame:
-        last, self._last = self._last, frame
-        if last is not None:
-            passed_ns = frame.device_time_ns - last.device_time_ns
-            self._waited_for = frame.host_time_ns - last.host_time_ns > 0.5 * passed_ns
-        if last is not None and frame.sequence > last.sequence:
-            each_ns = (frame.device_time_ns - last.device_time_ns) / (frame.sequence - last.sequence)
-            if self._learned:
-                self._deviation_ns += _SMOOTHING * (abs(each_ns - self._interval_ns) - self._deviation_ns)
-            self._interval_ns += (_SMOOTHING if self._learned else 1.0) * (each_ns - self._interval_ns)
-            self._learned += 1
-        delay_ns = float(frame.host_time_ns - frame.device_time_ns)
-        if math.isnan(self._delay_ns) or self._learned < _LEARNED:
-            # the first ones may be late
-            self._delay_ns = min(delay_ns, delay_ns if math.isnan(self._delay_ns) else self._delay_ns)
-        elif self._waited_for:
-            # one that was not has lain in the driver, as long as nobody read
-            later_ns = delay_ns - self._delay_ns
-            most_ns = 2 * self._scatter_ns
-            self._delay_ns += _OF_ARRIVALS * min(max(later_ns, -most_ns), most_ns)
-            wider_ns = min(abs(later_ns), most_ns) - self._scatter_ns
-            self._scatter_ns = max(self._scatter_ns + _OF_ARRIVALS * wider_ns, _LEAST_SCATTER_NS)
-        return frame
 
     def _step_of(self, agreed: list[tuple[Frame, float]], last: Frame, *, decides: bool) -> ClockStep | None:
         """Size of a step: by the camera's rate where the computer agrees with it, else by the computer.
@@ -257,55 +198,57 @@ class FrameClock:
         read late may explain the difference.
         """
         by_host_ns = max(
-            self._early_ns(frame._replace(device_time_ns=self._time_ns(frame))) for frame, _ in agreed
+            self._usual.early_ns(frame._replace(device_time_ns=self._time_ns(frame))) for frame, _ in agreed
         )
-        if not self._regular:
+        if not self._usual.is_regular:
             # times go on after the last one, however late that was read
             most_ns = agreed[0][0].device_time_ns + self._offset_ns - last.device_time_ns - 1
             beyond_ns = max(by_host_ns - most_ns, 0.0)
-            return ClockStep(round(by_host_ns - beyond_ns), round(self._scatter_ns + beyond_ns))
+            return ClockStep(round(by_host_ns - beyond_ns), round(self._usual.scatter_ns + beyond_ns))
         by_rate_ns = sum(off_ns for _, off_ns in agreed) / len(agreed)
-        counters = [-round_ns for round_ns in _COUNTERS_NS if abs(by_rate_ns + round_ns) < self._allowed_ns]
+        counters = [
+            -round_ns for round_ns in _COUNTERS_NS if abs(by_rate_ns + round_ns) < self._usual.allowed_ns
+        ]
         if counters:
             return ClockStep(counters[0], 0)
         numbers = max(agreed[-1][0].sequence - last.sequence, 1)
-        if abs(by_rate_ns - by_host_ns) < min(self._allowed_by_arrival_ns, 0.5 * abs(by_rate_ns)):
-            u_ns = self._deviation_ns * (1.0 + _SMOOTHING * numbers) + 1.0
+        if abs(by_rate_ns - by_host_ns) < min(self._usual.allowed_by_arrival_ns, 0.5 * abs(by_rate_ns)):
+            u_ns = self._usual.deviation_ns * (1.0 + SMOOTHING * numbers) + 1.0
             return ClockStep(round(by_rate_ns), math.ceil(u_ns))
         if decides and not self._reader_is_up:
             # read late by nobody knows how much, and frames without numbers may be missing
             return ClockStep(round(by_rate_ns), math.ceil(abs(by_rate_ns - by_host_ns)))
-        if decides and abs(by_host_ns) < self._allowed_by_arrival_ns:
+        if decides and abs(by_host_ns) < self._usual.allowed_by_arrival_ns:
             # the camera lost frames that have no number, and its clock is right
             return ClockStep(0, 0)
-        return ClockStep(round(by_host_ns), round(self._scatter_ns)) if decides else None
+        return ClockStep(round(by_host_ns), round(self._usual.scatter_ns)) if decides else None
 
     def _step_by_arrivals(self) -> ClockStep | None:
         """What has happened where the rate is no help, which may have changed: the newest frames were waited
         for, and say together how far the clock is off; None where they say nothing in common.
         """
-        last = self._last
-        if last is None or not self._regular or math.isnan(self._delay_ns):
+        last = self._usual.last
+        if last is None or not self._usual.is_regular or math.isnan(self._usual.delay_ns):
             return None
         waiting = [one for one, _ in self._waiting]
         newest = [one._replace(device_time_ns=self._time_ns(one)) for one in waiting[-1 - _ALIKE :]]
-        early_ns = [self._early_ns(one) for one in newest]
+        early_ns = [self._usual.early_ns(one) for one in newest]
         step_ns = round(max(early_ns))
         if not self._reader_is_up:
             # there is no room to wait for more; if their times rise as a camera's do, they are believed
             step_ns = 0
-        elif max(early_ns) - min(early_ns) > self._allowed_by_arrival_ns:
+        elif max(early_ns) - min(early_ns) > self._usual.allowed_by_arrival_ns:
             return None
-        elif abs(step_ns) < self._allowed_by_arrival_ns:
+        elif abs(step_ns) < self._usual.allowed_by_arrival_ns:
             step_ns = 0
         if len(self._rising(last, waiting, float(step_ns)).kept) < 0.5 * len(waiting):
             return None
-        return ClockStep(step_ns, round(self._scatter_ns) if step_ns else 0)
+        return ClockStep(step_ns, round(self._usual.scatter_ns) if step_ns else 0)
 
     def _stepped(self, step: ClockStep) -> Seen:
         """What waits agrees: the clock has stepped, and goes on from where it would be."""
         waiting = [one for one, _ in self._waiting]
-        last = self._last
+        last = self._usual.last
         assert last is not None
         rising = self._rising(last, waiting, float(step.step_ns))
         kept = set(rising.kept)
@@ -318,11 +261,11 @@ class FrameClock:
         for place in rising.kept:
             one = waiting[place]
             offset_ns = before_ns if place < first else self._offset_ns
-            frames.append(self._joined(one._replace(device_time_ns=one.device_time_ns + offset_ns)))
+            frames.append(self._usual.joined(one._replace(device_time_ns=one.device_time_ns + offset_ns)))
         if not step.step_ns:
             return Seen(frames, note)
         after_step = sum(place < first for place in rising.kept)
-        again = step.step_ns < 0 and any(abs(step.step_ns - ns) < _BY_HOST_NS for ns in self._steps_ns)
+        again = step.step_ns < 0 and any(abs(step.step_ns - ns) < BY_HOST_NS for ns in self._steps_ns)
         self._steps_ns.append(step.step_ns)
         if again:
             self.wraps += 1
@@ -345,10 +288,10 @@ class FrameClock:
         """No two of the times agree: from here on they are the computer's, at the camera's rate."""
         self._given_up = True
         waited, self._waiting = self._waiting, []
-        if math.isnan(self._delay_ns):
-            self._delay_ns = 0.0
-        frames = [self._carried(one) for one, _ in waited]
-        u_ns = round(self._scatter_ns)
+        if math.isnan(self._usual.delay_ns):
+            self._usual.delay_ns = 0.0
+        frames = [self._usual.carried(one) for one, _ in waited]
+        u_ns = round(self._usual.scatter_ns)
         return Seen(
             frames,
             f"the camera's clock is abandoned from frame {waited[0][0].sequence} on, where it shows "
@@ -356,22 +299,6 @@ class FrameClock:
             "the camera before the next run",
             ClockStep(0, u_ns),
         )
-
-    def _carried(self, frame: Frame) -> Frame:
-        """The frame with the time of its arrival less the usual delay, smoothed by the camera's rate."""
-        arrived_ns = frame.host_time_ns - self._delay_ns
-        last = self._last
-        time_ns = arrived_ns
-        if last is not None:
-            numbers = frame.sequence - last.sequence
-            by_rate_ns = last.device_time_ns + numbers * self._interval_ns
-            later_ns = arrived_ns - by_rate_ns
-            if self._learned >= _LEARNED and numbers > 0 and abs(later_ns) < _BY_HOST_NS:
-                most_ns = 2 * self._scatter_ns
-                time_ns = by_rate_ns + _OF_ARRIVALS * min(max(later_ns, -most_ns), most_ns)
-            time_ns = max(time_ns, last.device_time_ns + 1)
-        self._last = frame._replace(device_time_ns=round(time_ns))
-        return self._last
 
     def _rejected(self, alone: list[tuple[Frame, float]]) -> str:
         """Count them; what is said of them, where there are any."""
