@@ -125,6 +125,8 @@ class _Reading:
         self._left_out(good, lines[inside], table, [f"position {k + 1}" for k in range(len(p_columns))])
         for k in p_columns:
             judge_words(self._path, self._names[k], [row[k] for row in rows], self._cells.lines)
+        if (empty := np.all(np.isnan(table), axis=0)).any():
+            raise self._without_numbers(p_columns[int(np.argmax(empty))])
         judge_size(self._path, unit, table)
         return Trajectory(
             times_ns=times_ns,
@@ -151,8 +153,7 @@ class _Reading:
         table = table[good]
         empty: NDArray[np.bool_] = np.all(np.isnan(table), axis=0)
         if self._asked.positions and empty.any():
-            name = self._names[chosen[int(np.argmax(empty))]]
-            raise DataError(f"{self._path}: column {name!r} has no numbers; name another one")
+            raise self._without_numbers(chosen[int(np.argmax(empty))])
         if empty.all():
             raise DataError(f"{self._path}: no column beside {self._names[t_column]!r} has numbers")
         names = [self._names[k] for k in chosen]
@@ -233,6 +234,10 @@ class _Reading:
             + ("" if even else f", unevenly, up to {steps_s.max():.6g} s apart")
         )
         return np.asarray(inside)
+
+    def _without_numbers(self, column: int) -> DataError:
+        name = self._names[column]
+        return DataError(f"{self._path}: column {name!r} has no numbers; name another one")
 
     def _left_out(
         self,
