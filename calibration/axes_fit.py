@@ -158,7 +158,7 @@ def fit_axes(
         notes.append("the handedness is assumed; push the pendulum to a known side and state it (fast_began)")
     rotation, u_rotation = along.rotation_rad_per_s, along.u_rotation_rad_per_s
     if abs(rotation) > 3.0 * u_rotation:
-        notes.append(f"the slow direction rotates by {rotation:.3g} +- {u_rotation:.2g} rad/s")
+        notes.append(f"the slow direction rotates by {rotation:.3g} ± {u_rotation:.2g} rad/s")
     if abs(non_orthogonality) >= 0.5:
         raise DataError(
             f"axes: the angle between the modes is {math.degrees(0.5 * math.pi + non_orthogonality):.0f} "

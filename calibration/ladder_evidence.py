@@ -105,7 +105,7 @@ def notes_of(evidence: ScaleEvidence) -> list[str]:
     notes = []
     if evidence.bent > _SAID:
         notes.append(
-            f"not linear: a cubic part of {evidence.cubic:.2g} +- {evidence.u_cubic:.2g} of the way at the "
+            f"not linear: a cubic part of {evidence.cubic:.2g} ± {evidence.u_cubic:.2g} of the way at the "
             f"ladder's end, probability {evidence.bent:.2g}; the scale is that at zero: look for what bends "
             "the reference or the light's path"
         )

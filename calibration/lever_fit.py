@@ -110,7 +110,7 @@ def fit_ladder(
     scale, u_scale = evidence.scale, evidence.u_scale
     if not scale > 5.0 * u_scale:
         raise DataError(
-            f"lever: the spot does not follow the {kind}s (scale {scale:.4g} +- {u_scale:.2g} px per unit); "
+            f"lever: the spot does not follow the {kind}s (scale {scale:.4g} ± {u_scale:.2g} px per unit); "
             "check the order of the steps"
         )
     loo = leave_one_out(steps, kind, way, nonlinear, *used.scale())
@@ -122,11 +122,11 @@ def fit_ladder(
                 + ("uncertainties were enlarged" if side == "across" or evidence.birge > 1.0 else _EXPLAINED)
             )
     if nonlinear:
-        notes.append(f"not linear: skew {bent.values[4]:.3g} +- {bent.u(4):.2g} is part of the lever")
+        notes.append(f"not linear: skew {bent.values[4]:.3g} ± {bent.u(4):.2g} is part of the lever")
     elif kind == "tilt" and bent.u(4) > _ASKEW:
         notes.append(
             "the tilt of the sensor relative to the beam is known only to "
-            f"{math.degrees(math.atan(bent.u(4))):.0f} degrees (skew {bent.values[4]:.2g} +- "
+            f"{math.degrees(math.atan(bent.u(4))):.0f} degrees (skew {bent.values[4]:.2g} ± "
             f"{bent.u(4):.2g}, taken as 0): set the sensor perpendicular to the beam"
         )
     worst = int(np.nanargmax(np.abs(loo)))
@@ -140,7 +140,7 @@ def fit_ladder(
         hysteresis, u_hysteresis = float(used.values[used.fixed - 1]), used.u(used.fixed - 1)
         if abs(hysteresis) > 3.0 * u_hysteresis:
             notes.append(
-                f"hysteresis of {hysteresis:.3g} +- {u_hysteresis:.2g} between upward and downward steps"
+                f"hysteresis of {hysteresis:.3g} ± {u_hysteresis:.2g} between upward and downward steps"
             )
     kx, ky = used.values[2], used.values[3]
     u_across = math.sqrt(

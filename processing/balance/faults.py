@@ -83,7 +83,7 @@ def find_faults(balance: Balance, height: tuple[float, float], limits: BalanceLi
             limits.rest_arcsec, "mass centre too far towards " + ("+Y" if b.rest_y > 0 else "-Y"),
         ),
         Fault(
-            "mass centre", height[0] * 1e6, height[1] * 1e6, "um", limits.height_m * 1e6,
+            "mass centre", height[0] * 1e6, height[1] * 1e6, "µm", limits.height_m * 1e6,
             "too high: the period is long" if height[0] > 0 else "too low: the period is short",
         ),
         Fault(

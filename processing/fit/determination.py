@@ -295,7 +295,7 @@ def _determination(
             verdict = Determinacy.UPPER_BOUND
             lower = 0.0 if not_negative else lower
     texts = {
-        Determinacy.DETERMINED: f"{name} = {value:.5g} +- {u:.2g}",
+        Determinacy.DETERMINED: f"{name} = {value:.5g} ± {u:.2g}",
         Determinacy.INTERVAL: f"{name} between {lower:.2g} and {upper:.2g} (95 %)",
         Determinacy.UPPER_BOUND: f"{name} below {upper:.2g} (95 %)",
         Determinacy.LOWER_BOUND: f"{name} above {lower:.2g} (95 %)",

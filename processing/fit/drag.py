@@ -81,7 +81,7 @@ class Drag:
         """In one line."""
         value, u = self.drag_s
         return (
-            f"{self.finding}: drag {value:.3g} +- {u:.2g} s, F = {self.f_statistic:.3g} "
+            f"{self.finding}: drag {value:.3g} ± {u:.2g} s, F = {self.f_statistic:.3g} "
             f"(p = {self.p_value:.2g})"
         )
 

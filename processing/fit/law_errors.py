@@ -67,9 +67,9 @@ class Change:
         # no power of ten above 100 %
         percent, u = float(f"{100 * self.size:.2g}"), float(f"{100 * self.u_size:.1g}")
         what = {
-            ChangeKind.KNOCK: f"a knock moves the swing by {percent:g} +- {u:g} % of its amplitude",
-            ChangeKind.FRICTION: f"the friction changes by {percent:+g} +- {u:g} %: the contact slipped "
+            ChangeKind.KNOCK: f"a knock moves the swing by {percent:g} ± {u:g} % of its amplitude",
+            ChangeKind.FRICTION: f"the friction changes by {percent:+g} ± {u:g} %: the contact slipped "
             "or was touched",
-            ChangeKind.PERIOD: f"the period changes by {percent:+g} +- {u:g} %: something shifted",
+            ChangeKind.PERIOD: f"the period changes by {percent:+g} ± {u:g} %: something shifted",
         }[self.kind]
         return f"at half-cycle {self.half_cycle} ({self.time_s:.0f} s on the clock of the data) {what}"

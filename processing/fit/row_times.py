@@ -51,14 +51,14 @@ class Alternation:
         size, u = abs(self.delay_s_per_rad), self.u_delay_s_per_rad
         return (
             "turning times at the two ends alternate as with a rolling shutter, but none is stated "
-            f"({size:.3g} +- {u:.1g} s/rad): this was subtracted; state shutter.row_time_s"
+            f"({size:.3g} ± {u:.1g} s/rad): this was subtracted; state shutter.row_time_s"
         )
 
     def text(self, rad_per_px: float) -> str:
         """Of a second harmonic, in one line; `rad_per_px` is the tilt that moves the spot by a pixel."""
         size, u = (1e6 * abs(value) * rad_per_px for value in (self.delay_s_per_rad, self.u_delay_s_per_rad))
         return (
-            f"the swing's second harmonic is that of rows exposed in turn, {size:.3g} +- {u:.1g} us a row "
+            f"the swing's second harmonic is that of rows exposed in turn, {size:.3g} ± {u:.1g} us a row "
             "along the swing, beyond what shutter.row_time_s states: rig calibrate shutter measures it"
         )
 

@@ -123,7 +123,7 @@ _TABLE = (
         "damping", 12 * DEGREE_RAD, 4 * DEGREE_RAD, mass_kg=0.500, mass_tolerance_kg=0.1e-3,
         support_radius_m=4e-3, support_distance_m=0.050, period_s=Limits(1.00, 0.02),
         glass_time_s=Limits(430.0, 10.0), temperature_c=_AIR[0], humidity_percent=_AIR[1],
-        note="sources disagree on the time on glass: at least 420 s, or 430 s +- 10 s (assumed here); "
+        note="sources disagree on the time on glass: at least 420 s, or 430 s ± 10 s (assumed here); "
         "they give the period as about 1 s, its tolerance is assumed",
     ),
     Description(

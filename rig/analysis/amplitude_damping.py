@@ -80,8 +80,7 @@ def damping_lines(results: AmplitudeDamping, unit: str) -> list[str]:
     said = []
     for name, probability in zip(PARTS, results.probabilities, strict=True):
         part = with_uncertainty(*getattr(results, name))
-        needed = "needed" if name in results.needed else "not needed"
-        said.append(f"damping, {name} part {part}{units[name]}: {needed} (probability {probability:.2g})")
+        said.append(f"damping, {name} part {part}{units[name]}, needed with probability {probability:.2g}")
         value, u = getattr(results, name)
         if value < -_SURE * u:
             said.append(f"a negative {name} part fits the decay but is not friction: something else changes")

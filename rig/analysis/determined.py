@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from processing.estimate import WELL_DETERMINED, Determinacy, Estimate
 from processing.fit import Combined, Determination
-from rig.presentation import law_parameters, plain, quantity
+from rig.presentation import interval, law_parameters, plain, quantity
 
 
 def determined_text(name: str, found: Estimate, verdicts: Mapping[str, Determination]) -> str:
@@ -39,7 +39,7 @@ def bound_text(verdict: Determination, scale: float = 1.0) -> str:
     """`low … high` or a bound, 95 %."""
     low, high = verdict.lower_95 * scale, verdict.upper_95 * scale
     if verdict.verdict in (Determinacy.INTERVAL, Determinacy.DETERMINED):
-        return f"{plain(low, 3)} … {plain(high, 3)} (95 %)"
+        return f"{interval(low, high)} (95 %)"
     if verdict.verdict is Determinacy.UPPER_BOUND:
         return f"< {plain(high, 2)} (95 %)"
     if verdict.verdict is Determinacy.LOWER_BOUND:

@@ -40,7 +40,7 @@ def remarks(run: RunResults) -> list[str]:
         names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
         lines.append(f"Strongly correlated in this run: {names}.".replace("-", "−"))
     lines += [
-        f"{quantity(item.name).symbol} is not determined: {_bound(item)}."
+        f"Not determined: {quantity(item.name).symbol}, {_bound(item)}."
         for item in run.identifiability
         if item.verdict is not Determinacy.DETERMINED
     ]
@@ -103,7 +103,7 @@ def _cost(ground: Ground) -> str:
     if not widened or not ground.seen:
         return ""
     listed = ", ".join(
-        f"{quantity(name).symbol} {plain(factor, 2)}"
+        f"{plain(factor, 2)} ({quantity(name).symbol})"
         for name, factor in sorted(widened.items(), key=lambda item: -item[1])
     )
     return (
@@ -117,26 +117,28 @@ def _worth_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
     gained = {name: one for name, one in worth.get(WAVEFORM, {}).items() if one > _MUCH}
     if not gained:
         return ""
-    listed = ", ".join(
-        f"{quantity(name).symbol} {plain(one, 2)}" if isfinite(one) else f"{quantity(name).symbol} open"
-        for name, one in sorted(gained.items(), key=lambda item: -item[1])
-    )
-    return f"Without the waveform of the swing the uncertainties would be larger, by factors of {listed}."
+    ordered = sorted(gained.items(), key=lambda item: -item[1])
+    listed = ", ".join(f"{plain(one, 2)} ({quantity(name).symbol})" for name, one in ordered if isfinite(one))
+    said = [f"the uncertainties would be larger, by factors of {listed}"] if listed else []
+    lost = " and ".join(quantity(name).symbol for name, one in ordered if not isfinite(one))
+    said += [f"{lost} would not be determined at all"] if lost else []
+    return f"Without the waveform of the swing {', and '.join(said)}."
 
 
 def _drag_sentence(drag: Drag) -> str:
     """What the data say of a drag, and whose value stands where they say nothing."""
     shown = quantity("drag_s")
-    by_b, by_c = (f"{100 * shift:+.3g} %" for shift in (drag.relative_shift_b, drag.relative_shift_c))
+    by_b, by_c = (f"{100 * shift:+.2g} %" for shift in (drag.relative_shift_b, drag.relative_shift_c))
     moved = f"it changes b by {by_b} and c by {by_c}"
     match drag.finding:
         case DragFinding.SEEN:
             said = f"{shown.text(*drag.drag_s)} s; {moved}"
         case DragFinding.OPEN if _by_the_data(drag):
-            said = (
-                f"it is below {plain(drag.upper_95_s, 2)} s (95 %); the range left, "
-                f"{shown.text(*drag.of_data_s)} s, is part of every uncertainty; {moved}"
-            )
+            return (
+                f"This decay cannot distinguish a drag below {plain(drag.upper_95_s, 2)} s (95 %) from "
+                f"friction; what it allows, {shown.text(*drag.of_data_s)} s, is part of every uncertainty; "
+                f"{moved}."
+            ).replace("-", "−")
         case DragFinding.OPEN if drag.known_s is not None:
             said = (
                 f"the drag expected of the air, {shown.text(*drag.known_s)} s, is used; its uncertainty is "

@@ -39,7 +39,7 @@ def drag_headline(drag: Drag | None, *, fitted: bool) -> str:
         return f"{text}."
     if drag is None or not drag.significant:
         return ""
-    shift = f"{100 * drag.relative_shift_b:+.3g} %".replace("-", "−")
+    shift = f"{100 * drag.relative_shift_b:+.2g} %".replace("-", "−")
     seen = f"The drag of the air is seen, {shown.text(*drag.drag_s)} s"
     return f"{seen}; without it b would differ by {shift}."
 

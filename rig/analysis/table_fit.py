@@ -104,8 +104,8 @@ def analyse_trajectory(
             "--position choose others"
         )
         raise DataError(
-            f"{path}: {most} usable half-cycles ({len(swings) - most} more are flagged or of other decays), "
-            f"at least {_USABLE} are needed: {reason}"
+            f"{path}: {most} usable half-cycle{'' if most == 1 else 's'} ({len(swings) - most} more are "
+            f"flagged or of other decays), at least {_USABLE} are needed: {reason}"
         )
     decays = [_analyse(path, part, trajectory, deflection, noise, config, laws, witness) for part in usable]
     longest = max(decays, key=lambda decay: decay.summary.half_cycles)

@@ -68,7 +68,9 @@ def _told(use: WitnessUse) -> list[str]:
     responses = "; ".join(map(_response_text, use.responses))
     lines = [f"Witness of the ground: {explained}. Its response: {responses}."]
     saved = ", ".join(
-        f"{quantity(name).symbol} {plain(factor, 3)}" for name, factor in use.saved.items() if factor > _WELL
+        f"{plain(factor, 3)} ({quantity(name).symbol})"
+        for name, factor in use.saved.items()
+        if factor > _WELL
     )
     if saved:
         lines.append(f"The witness reduces the uncertainties by factors of {saved}.")

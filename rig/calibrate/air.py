@@ -109,7 +109,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
     found = air_of_vanes(runs, pendulums[0], by_ratio=by_ratio)
     if not found.drag_s.value > 0:
         raise DataError(
-            f"the runs give a drag of {found.drag_s.value:.2g} +- {found.drag_s.standard_uncertainty:.2g} s, "
+            f"the runs give a drag of {found.drag_s.value:.2g} ± {found.drag_s.standard_uncertainty:.2g} s, "
             "which no air exerts: larger vanes, or longer runs, are needed"
         )
     values = {"drag_s": found.drag_s.value, "u_drag_s": found.drag_s.standard_uncertainty}

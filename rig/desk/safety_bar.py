@@ -75,7 +75,7 @@ _SCRIPT = """
     for (const name of ['laser', 'interlock', 'recording']) {
       const lamp = told[name], old = !lamp || lamp.age_s === null ? Infinity : lamp.age_s + since;
       const known = old <= STALE_S && lamp.kind !== 'unknown', shown = at('lamp-' + name);
-      const text = (name === 'recording' ? 'records ' : name + ' ') + (known ? lamp.text : 'unknown');
+      const text = (name === 'recording' ? 'recording ' : name + ' ') + (known ? lamp.text : 'unknown');
       if (shown.textContent !== text) shown.textContent = text;
       shown.className = 'lamp ' + (known ? lamp.kind : 'unknown');
       if (name !== 'recording' && lamp && lamp.age_s !== null) oldest = Math.max(oldest, old);
@@ -88,7 +88,7 @@ _SCRIPT = """
     off.classList.toggle('gone', gone);
     at('lamp-age').textContent = dead ? 'the desk does not answer' + (heard === null ? '' :
       ' for ' + since.toFixed(0) + ' s') : told.laser && told.laser.age_s !== null ?
-      oldest.toFixed(1) + ' s old' : 'nothing is heard of the laser';
+      oldest.toFixed(1) + ' s old' : 'no news of the laser';
     const heardOf = told.laser && told.laser.age_s !== null;
     const late = dead || (heardOf && oldest > STALE_S);
     at('lamp-age').className = 'lamp ' + (late ? 'unknown' : heardOf ? 'go' : 'dim');

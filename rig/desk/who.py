@@ -44,7 +44,7 @@ class Who:
         self._take.set_visibility(tab.may_act and not mine)
         waits = self._desk.acting.waits(tab.name)
         self._take.set_text("asked …" if waits else "Take over")
-        self._name.set_text(tab.operator_name or "who are you?")
+        self._name.set_text(tab.operator_name or "enter your name")
         wished = mine and actor is not None and bool(actor.asked_by)
         if actor is not None and wished:
             self._wish_text.set_text(f"{actor.asked_by} asks to act")
@@ -80,7 +80,7 @@ def _said(actor: Actor | None, *, mine: bool, may_act: bool) -> str:
     since = time.strftime("%H:%M", time.localtime(actor.since_s))
     name = actor.name or "another tab"
     if mine:
-        return f"you act since {since}"
-    return f"{reads}this tab only watches; {name} acts since {since}" + (
+        return f"you have acted since {since}"
+    return f"{reads}this tab only watches; {name} has acted since {since}" + (
         "" if actor.here else ", not connected"
     )

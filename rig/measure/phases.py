@@ -150,7 +150,7 @@ class PhasesBeforeRecord:
             limit = phases.rest_limit_arcsec
             if self._unit is DeflectionUnit.PX:
                 limit = _RESTING_NOISES * max(_frame_noise(recent.x), _frame_noise(recent.y))
-            self._wait.progress = f"spread {spread:.2f} {shown} of {limit:.3g}"
+            self._wait.progress = f"spread {spread:.2f} {shown} (limit {limit:.3g})"
             if spread <= limit:
                 return True
             if frames.now_ns - braked_ns >= _BRAKE_AGAIN_NS and spread > 2 * limit:

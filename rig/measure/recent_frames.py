@@ -142,6 +142,9 @@ class Stopped(Exception):
     """The operator stopped the wait, or the frames have ended."""
 
 
+_ENDS = {Phase.REST: "reached", Phase.RELEASE: "seen"}
+
+
 class PhaseWait:
     """Waits for one phase after another: takes frames, reports the state, collects events.
 
@@ -194,7 +197,7 @@ class PhaseWait:
             asked_ns = frames.now_ns if due else asked_ns
             if due and frames.now_ns and reached():
                 so_far = f", {self.progress}" if self.progress else ""
-                self.note(EventKind(phase), f"reached after {elapsed_s:.1f} s{so_far}")
+                self.note(EventKind(phase), f"{_ENDS.get(phase, 'finished')} after {elapsed_s:.1f} s{so_far}")
                 return
             if elapsed_s > limit_s:
                 raise DataError(

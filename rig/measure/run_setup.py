@@ -70,7 +70,7 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
             "are needed to begin; nothing was started: free some, or name another folder"
         )
     if plan.config.simulated:
-        _say_if_heard(f"{plan.title}: SIMULATED, no camera is read and every number is invented")
+        _say_if_heard(f"{plan.title}: SIMULATED (no camera is read; every number is the simulated rig's)")
     with devices.camera(plan.config) as camera:
         for line in camera.notes:
             _say_if_heard(line)

@@ -259,8 +259,8 @@ class RunDisplay:
             return aim, f"{'unknown: no lever' if math.isnan(self._final) else 'too early to say'}{most}"
         end = time.strftime("%H:%M", time.localtime(time.time() + left_s))
         if u_s == 0:
-            return "to the limit of time", f"{_clock(left_s)}, in real time at {end}"
-        return aim, f"{_clock(left_s)} ± {_clock(u_s)}, in real time at {end}"
+            return "to the time limit", f"{_clock(left_s)}, at {end}"
+        return aim, f"{_clock(left_s)} ± {_clock(u_s)}, at {end}"
 
     def _predicted(self) -> Forecast:
         table = np.array(list(self._swings))

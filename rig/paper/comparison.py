@@ -38,7 +38,7 @@ _BOTH = (FitMethod.EXACT, FitMethod.ASYMPTOTIC)
 
 
 def table1() -> Table:
-    """Contact after Hertz, calculated from the materials, without simulation."""
+    """Contact according to Hertz, calculated from the materials, without simulation."""
     rows: list[list[Cell]] = []
     shown = []
     for pair in PAIRS:

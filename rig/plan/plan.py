@@ -142,9 +142,10 @@ def plan_table(plan: Plan) -> Table:
         rows,
         ("amplitudes, arcsec", "runs", "min", *(f"u({quantity(name).symbol})" for name in names)),
         shown,
-        "Standard uncertainties from the swings alone, in per cent of the value; total time of all runs. One "
-        f"amplitude is measured to {plain(conditions.u_amplitude_rad / ARCSEC_RAD, 2)} arcsec; the drive of "
-        f"the ground is {plain(conditions.ground_rad_per_s2_rthz, 2)} rad/s²/√Hz{witnessed}.{too_long}",
+        "Standard uncertainties from the swings alone, in per cent of the value where no unit is given; "
+        "total time of all runs. One amplitude is measured to "
+        f"{plain(conditions.u_amplitude_rad / ARCSEC_RAD, 2)} arcsec; the drive of the ground is "
+        f"{plain(conditions.ground_rad_per_s2_rthz, 2)} rad/s²/√Hz{witnessed}.{too_long}",
     )
 
 

@@ -81,6 +81,18 @@ def plain(value: float, digits: int = 4) -> str:
     return mantissa.replace("-", MINUS) + power(exponent)
 
 
+def interval(low: float, high: float) -> str:
+    """Both ends to as many digits as tell them apart, and two more."""
+    if not (math.isfinite(low) and math.isfinite(high)) or high <= low:
+        return f"{plain(low, 3)} … {plain(high, 3)}"
+    digits = 2 + max(0, math.ceil(math.log10(max(abs(low), abs(high)) / (high - low))))
+    exponent = math.floor(math.log10(max(abs(low), abs(high))))
+    if -2 <= exponent <= 4:
+        return f"{plain(low, digits)} … {plain(high, digits)}"
+    unit = 10.0**exponent
+    return f"({plain(low / unit, digits)} … {plain(high / unit, digits)}){power(exponent)}"
+
+
 def percent(fraction: float, digits: int = 2) -> str:
     """A fraction in per cent, with so many significant digits: `0.25 %`, `130 %`, `2.0 × 10⁻⁵ %`."""
     text = f"{100 * fraction:.{digits}g}"

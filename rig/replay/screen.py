@@ -92,7 +92,7 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked:
     """Print one line if nothing differs, else a short table of spots and half-cycles."""
     if comparison.identical:
         flagged = comparison.swings_flagged
-        apart = f" ({flagged} flagged, which no fit takes)" if flagged else ""
+        apart = f" ({flagged} flagged and not fitted)" if flagged else ""
         print_line(
             f"{comparison.spots} spots and {comparison.swings_replayed} half-cycles{apart}, "
             "equal bit for bit to the recorded ones"

@@ -106,7 +106,7 @@ def _verdict(source: ReportSource) -> list[tuple[str, str]]:
     elif judged:
         names = ", ".join(dict.fromkeys(item.name for item in doubtful))
         lines.append(
-            ("Conditions met" + (f", with a warning of {names}" if names else " in all respects"), "good")
+            (f"Conditions met, with a warning of {names}" if names else "All conditions met", "good")
         )
     return lines
 

@@ -77,7 +77,7 @@ def _judged(item: Verdict) -> str:
 
 
 def hertz_table(results: RunResults) -> Table:
-    """Contact after Hertz (Table 1 of the paper), and with adhesion where that is seen."""
+    """Contact according to Hertz (Table 1 of the paper), and with adhesion where that is seen."""
     rows: list[list[Cell]] = []
     shown = []
     if results.hertz is not None:
@@ -98,11 +98,11 @@ def hertz_table(results: RunResults) -> Table:
                 shown.append([f"{form.symbol}, {theory}", form.text(*value), form.unit])
         note = (
             "With adhesion the spot is larger than Hertz's and the surface energy smaller. The Tabor "
-            f"parameter of {results.adhesion.tabor:.2g} (atoms 0.3 nm apart) selects "
+            f"parameter of {results.adhesion.tabor:.2g} (equilibrium separation 0.3 nm) selects "
             f"{results.adhesion.holds}; all other values follow the paper, with Hertz's theory."
         )
     return Table(
-        "hertz", "Contact after Hertz, and with adhesion" if note else "Contact after Hertz",
+        "hertz", "Contact according to Hertz, and with adhesion" if note else "Contact according to Hertz",
         ("quantity", "value", "standard_uncertainty"), rows, ("", "value", "unit"), shown, note,
     )  # fmt: skip
 
@@ -145,12 +145,12 @@ def drag_table(results: RunResults) -> Table:
         ["linear drag", f"{quantity('drag_s').text(*drag.drag_s)} s"],
         ["by decay and waveform alone", f"{quantity('drag_s').text(*drag.of_data_s)} s"],
         *_of_air(drag.of_air),
-        ["F-test", f"F = {plain(drag.f_statistic, 3)}, chance without drag {plain(drag.p_value, 2)}"],
+        ["F-test", f"F = {plain(drag.f_statistic, 3)}, p-value without a drag {plain(drag.p_value, 2)}"],
     ]
     if math.isfinite(drag.relative_shift_b):
         shown += [
-            ["b moves by", f"{100 * drag.relative_shift_b:+.2f} %".replace("-", "−")],
-            ["c moves by", f"{100 * drag.relative_shift_c:+.2f} %".replace("-", "−")],
+            ["b changes by", _signed_percent(drag.relative_shift_b)],
+            ["c changes by", _signed_percent(drag.relative_shift_c)],
         ]
     shown.append(["verdict", drag.finding])
     note = ""
@@ -166,12 +166,16 @@ def drag_table(results: RunResults) -> Table:
     return Table("drag", "Is there a linear drag?", ("quantity", "value"), rows, ("", ""), shown, note)
 
 
+def _signed_percent(fraction: float) -> str:
+    return f"{100 * fraction:+.2g} %".replace("-", "−")
+
+
 def _of_air(found: ExpectedDrag | None) -> list[list[str]]:
     if found is None:
         return []
     bar = f"bar of {found.length_m:.2g} m × {found.width_m:.2g} m"
     air = f"{found.air_density_kg_per_m3:.3f} kg/m³, {1e6 * found.air_viscosity_pa_s:.1f} µPa s"
-    return [["air would give", f"about {found.drag_s:.1g} s"], ["of it", f"{bar} in {air}"]]
+    return [["air would give", f"about {found.drag_s:.1g} s"], ["assumed for it", f"{bar} in {air}"]]
 
 
 def correlation_table(results: RunResults) -> Table:

@@ -13,7 +13,7 @@ from rig.analysis import (
     determined_text,
     series_verdicts,
 )
-from rig.presentation import SOURCES, Cell, Table, plain, power, quantity
+from rig.presentation import SOURCES, Cell, Table, interval, plain, quantity
 
 _NEGLIGIBLE = 0.005
 """Share of the variance below which a source is shown with others in one line."""
@@ -35,7 +35,7 @@ def identifiability_table(results: RunResults) -> Table:
         shown.append(
             [
                 shown_as.symbol, item.verdict, plain(relative, 2),
-                _interval(item.lower_95 * shown_as.factor, item.upper_95 * shown_as.factor), shown_as.unit,
+                interval(item.lower_95 * shown_as.factor, item.upper_95 * shown_as.factor), shown_as.unit,
                 "profile likelihood" if item.profile_likelihood else "covariance",
             ]
         )  # fmt: skip
@@ -45,18 +45,6 @@ def identifiability_table(results: RunResults) -> Table:
          "profile_likelihood"),
         rows, ("", "verdict", "u relative", "95 % interval", "unit", "by"), shown,
     )  # fmt: skip
-
-
-def _interval(low: float, high: float) -> str:
-    """Both ends to as many digits as tell them apart, and two more."""
-    if not (math.isfinite(low) and math.isfinite(high)) or high <= low:
-        return f"{plain(low, 3)} … {plain(high, 3)}"
-    digits = 2 + max(0, math.ceil(math.log10(max(abs(low), abs(high)) / (high - low))))
-    exponent = math.floor(math.log10(max(abs(low), abs(high))))
-    if -3 <= exponent <= 4:
-        return f"{plain(low, digits)} … {plain(high, digits)}"
-    unit = 10.0**exponent
-    return f"({plain(low / unit, digits)} … {plain(high / unit, digits)}){power(exponent)}"
 
 
 def budget_table(budget: Mapping[str, Budget], name: str = "budget") -> Table:
@@ -113,8 +101,8 @@ def monte_carlo_table(results: RunResults) -> Table:
         shown.append(
             [
                 quantity(name).label, quantity(name).text(mean, u),
-                _interval(low * scale, high * scale),
-                _interval((value - half) * scale, (value + half) * scale),
+                interval(low * scale, high * scale),
+                interval((value - half) * scale, (value + half) * scale),
                 "agrees" if item.gum_holds else "take Monte Carlo's",
             ]
         )  # fmt: skip

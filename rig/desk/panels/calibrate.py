@@ -100,7 +100,7 @@ def build(desk: Desk, tab: Tab) -> None:
             with ui.element("div").classes("full-width"):
                 LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk))
             lighting = tab.button("Live picture", look).props(f"outline {DELIBERATE}")
-            ui.html("what came out", tag="h3", sanitize=False).classes("title")
+            ui.html("result", tag="h3", sanitize=False).classes("title")
             using = tab.button("Use it", use).props('color="positive" size="lg"')
             result = ui.html(sanitize=False).classes("full-width")
             drawn_here = ui.column().classes("full-width")

@@ -97,8 +97,8 @@ def build(desk: Desk, tab: Tab) -> None:
             RunCharts(desk, tab)
         with ui.column().classes("stack"):
             told = ui.column().classes("box shrinks")
-            with told.props('role="region" aria-label="messages of the run" tabindex="0"'):
-                ui.html("messages of the run", tag="h3", sanitize=False).classes("title")
+            with told.props('role="region" aria-label="state of the run" tabindex="0"'):
+                ui.html("state of the run", tag="h3", sanitize=False).classes("title")
                 learned = ui.html(sanitize=False).classes("full-width")
                 state = ui.html(sanitize=False).classes("full-width")
             with ui.column().classes("box grows"):

@@ -54,7 +54,7 @@ def build(desk: Desk, tab: Tab) -> None:
             with ui.expansion("passed").classes("full-width") as folded:
                 passing = ui.html(sanitize=False).classes("full-width")
         with ui.column().classes("box"):
-            ui.html("what a run will tell", tag="h3", sanitize=False).classes("title")
+            ui.html("expected uncertainties", tag="h3", sanitize=False).classes("title")
             with ui.row().classes("items-center"):
                 ui.button("Plan", on_click=plan).props("outline")
                 working = ui.spinner().props('aria-label="it is planned"')
@@ -136,10 +136,9 @@ def _expected(desk: Desk) -> tuple[list[tables.Bar], str]:
         value = quantity(name).text(plan.values[name], plan.runs[0].u[name])
         shown = percent(part)
         rows.append(tables.Bar(quantity(name).label, shown, filled, mark, kind, value))
-    table = plan_table(plan)
-    words = ", ".join(
-        f"{name} {cell}"
-        for name, cell in zip(table.head, table.shown[0], strict=True)
-        if not name.startswith("u(")
+    run = plan.runs[0]
+    words = (
+        f"One run from {session.initial_amplitude_arcsec:g} to {session.final_amplitude_arcsec:g} arcsec "
+        f"takes {run.duration_s / 60:.3g} min{'' if run.complete else ' (the ground ends it earlier)'}."
     )
-    return rows, f"{words}. {table.note}"
+    return rows, f"{words} {plan_table(plan).note}"

@@ -43,7 +43,7 @@ _CHARTS: Mapping[str, tuple[str, Sequence[Curve]]] = {
 }
 _MOST_PARAMETERS = 3
 _SPECTRA = ("spectrum", "ground")
-FIRST_FIT = f"the first fit comes after {FIRST_HALF_CYCLES} half-cycles"
+FIRST_FIT = f"the first fit is made from {FIRST_HALF_CYCLES} half-cycles on"
 _LEFT = (Curve("left_density_rad_per_rthz"),)
 _GROUND = (
     Curve("ground_m_per_s2_rthz", name="at most the ground"),

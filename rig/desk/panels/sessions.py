@@ -122,7 +122,7 @@ def build(desk: Desk, tab: Tab) -> None:
             later = ui.button("Older", on_click=lambda: turn(1)).props("outline dense")
             count = ui.label().classes("dim")
     with ui.column().classes("full-width box q-mt-sm"):
-        ui.label("what the commands say").classes("title")
+        ui.label("output of the commands").classes("title")
         links = ui.row()
         words_of = ui.label().classes("full-width").props('role="log"')
         words_of.style("white-space: pre; overflow: auto; max-height: 300px; font: 13px monospace")

@@ -106,13 +106,13 @@ def test_the_terminal_shows_the_whole_uncertainty_and_that_of_the_swings_alone_w
 @pytest.mark.parametrize(
     ("of_data", "known", "words"),
     [
-        (Estimate(1e-7, 1e-6), Estimate(1.8e-3, 1.3e-3), "it is below 2.0 × 10⁻⁶ s (95 %)"),
+        (Estimate(1e-7, 1e-6), Estimate(1.8e-3, 1.3e-3), "a drag below 2.0 × 10⁻⁶ s (95 %)"),
         (
             Estimate(1e-3, 5e-3),
             Estimate(1.8e-3, 1.3e-3),
             "the drag expected of the air, (1.8 ± 1.3) × 10⁻³ s, is used",
         ),
-        (Estimate(1e-3, 5e-3), None, "it is below"),
+        (Estimate(1e-3, 5e-3), None, "a drag below"),
     ],
 )
 def test_whose_drag_it_is(of_data: Estimate, known: Estimate | None, words: str) -> None:

@@ -140,7 +140,7 @@ def test_through_the_proxy_one_enters_by_password_acts_and_logs_out(
             for field, text in (("name", "ada"), ("password", PASSWORD)):
                 page.ask(f"document.querySelector('[name={field}]').value = {text!r}")
             page.ask("document.querySelector('form').submit()")
-            page.wait_text("you act since")
+            page.wait_text("you have acted since")
             page.wait("window.socket?.io?.engine?.transport?.name === 'websocket'")
             (cookie,) = [
                 one for one in page.browser.call("Network.getCookies")["cookies"] if "rig_desk" in one["name"]

@@ -24,7 +24,7 @@ def test_a_desk_that_dies_is_said_by_the_page_which_finds_the_next_one_with_all_
     with desk_page(browser, config) as (desk, page):
         page.key("4")
         page.fill("session.sample", "glass ball 7")
-        page.wait_text("you act since")
+        page.wait_text("you have acted since")
         os.kill(desk.pid, signal.SIGSTOP)
         page.wait_text("THE DESK DOES NOT ANSWER (last heard at")
         page.wait_text("start rig desk again: this page reconnects automatically")
@@ -39,7 +39,7 @@ def test_a_desk_that_dies_is_said_by_the_page_which_finds_the_next_one_with_all_
             page.wait(f"!{GREY} && document.querySelector('.q-tab--active').innerText === 'MEASURE'")
             page.wait(f"{VALUE.format('session.sample')} === 'glass ball 7'")
             page.wait(f"{VALUE.format('session.notes')} === 'typed without a desk'")
-            page.wait_text("you act since")
+            page.wait_text("you have acted since")
             page.wait("!window.rigBeep")
             page.ask("location.reload()")
             page.wait(f"{VALUE.format('session.notes')} === 'typed without a desk'")
@@ -63,7 +63,7 @@ def test_a_page_that_is_only_fetched_acts_not_and_the_link_for_watching_never_do
         with browser.another() as tab:
             page = Page(tab)
             page.open(desk.address)
-            page.wait_text("you act since", 20.0)
+            page.wait_text("you have acted since", 20.0)
             # another kind of browser: it has no cookie yet
             page.browser.call("Network.clearBrowserCookies")
             page.open(desk.watching)

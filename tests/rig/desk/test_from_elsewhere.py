@@ -68,7 +68,7 @@ def test_a_tablet_enters_with_a_password_and_acts_or_watches(
             page = Page(tab)
             page.browser.call("Security.enable")
             page.browser.call("Security.setIgnoreCertificateErrors", ignore=True)
-            for name, shown in (("guest", "read only"), ("ada", "you act since")):
+            for name, shown in (("guest", "read only"), ("ada", "you have acted since")):
                 page.browser.call("Network.clearBrowserCookies")
                 page.browser.open(f"https://{address}:{parts.port}/?{parts.query}")
                 page.wait("document.querySelector('[name=password]') !== null")

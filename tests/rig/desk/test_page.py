@@ -139,7 +139,7 @@ def test_at_night_the_page_gives_red_light_only_also_after_it_is_opened_again(sh
     assert red > 200
     page.ask("location.reload()")
     page.wait(f"document.querySelector('.q-tab') !== null && {is_night}")
-    page.wait_text("you act since")
+    page.wait_text("you have acted since")
     page.key("n")
     page.wait(f"!{is_night}")
 
@@ -201,7 +201,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         page.wait_text("the brake: does not answer; see its cable")
         page.click("close")
         assert taken == ["on"]
-        page.click("who are you?")
+        page.click("enter your name")
         page.wait("document.querySelector('.q-dialog input') === document.activeElement")
         page.type("Ada\r")
         page.wait_text("Ada")
@@ -318,7 +318,7 @@ def test_a_second_tab_watches_until_it_takes_over(shown: Shown) -> None:
     # nobody gets it because another one has gone
     page.wait_text("not connected")
     page.click("Take over")
-    page.wait_text("you act since")
+    page.wait_text("you have acted since")
 
 
 def test_everything_that_can_be_pressed_or_filled_has_a_name(shown: Shown) -> None:

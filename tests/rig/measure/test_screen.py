@@ -99,7 +99,7 @@ def test_the_time_left_is_to_the_end_that_comes_first(longest_s: float, is_limit
     Console(file=output, width=118, height=40).print(shown.screen(seen))
     if is_limit:
         assert (values["remaining_s"], values["u_remaining_s"], values["done"]) == (40.0, 0.0, 0.6)
-        assert "to the limit of time" in output.getvalue()
+        assert "to the time limit" in output.getvalue()
     else:
         assert values["u_remaining_s"] > 0
         assert 300 < values["remaining_s"] < 1500
