@@ -32,6 +32,7 @@ from rig.desk.safety_bar import DARK
 from rig.desk.sessions import SERVED, served_file
 from rig.desk.theme import themed_report
 from rig.presentation import say
+from rig.terminal import told_of_hang_up
 
 _PORT = 8642
 _MOST_PX = 2000
@@ -183,12 +184,17 @@ def _serve(
         ws_per_message_deflate=False,
         ssl_certfile=entrance.certificate,
         ssl_keyfile=entrance.certificate_key,
-        # a browser that keeps its connection does not answer the goodbye of TLS
-        timeout_graceful_shutdown=None if tls is None else _GOODBYE_S,
+        # a browser that keeps its connection does not answer the goodbye of TLS, and who reads slowly none
+        timeout_graceful_shutdown=_GOODBYE_S,
     )
+    server = uvicorn.Server(settings)
+
+    def hung_up() -> None:
+        server.should_exit = True
+
     try:
-        with contextlib.suppress(KeyboardInterrupt):
-            uvicorn.Server(settings).run(sockets=[listening])
+        with contextlib.suppress(KeyboardInterrupt), told_of_hang_up(hung_up):
+            server.run(sockets=[listening])
     finally:
         switch.close()
     return 0

@@ -11,7 +11,7 @@ import signal
 import stat
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 
 BY_USER = "stopped by the user"
@@ -114,6 +114,31 @@ def _raise_again(number: int) -> None:
     again = threading.Timer(_AGAIN_S, _interrupt_main, (number,))
     again.daemon = True
     again.start()
+
+
+@contextlib.contextmanager
+def told_of_hang_up(do: Callable[[], None]) -> Iterator[None]:
+    """Within `terminated_by_signals`: call `do` when the terminal is closed, where nothing may be raised.
+
+    An event loop that is left by an exception leaves threads that wait for it for ever. A hang-up that is
+    ignored stays so. To be entered in the main thread.
+    """
+    number = getattr(signal, "SIGHUP", None)
+    before = None if number is None else signal.getsignal(number)
+    if number is None or before in (None, signal.SIG_IGN):
+        yield
+        return
+    terminals = [fd for fd in (0, 1, 2) if os.isatty(fd)]
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        _silence(terminals)
+        do()
+
+    signal.signal(number, end)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)
 
 
 def _interrupt_main(number: int) -> None:

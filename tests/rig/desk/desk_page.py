@@ -219,6 +219,14 @@ class DeskProcess:
             self._process.send_signal(signal.SIGINT)
         return [line for line in self._process.communicate(timeout=30)[1].splitlines() if line]
 
+    def send(self, number: signal.Signals) -> None:
+        self._process.send_signal(number)
+
+    def ended(self, within_s: float) -> tuple[int, str]:
+        """Waits for its end; exit status, and what it has written on stderr."""
+        _, said = self._process.communicate(timeout=within_s)
+        return self._process.returncode, said
+
     def kill(self) -> None:
         self._process.kill()
         with contextlib.suppress(ValueError):

@@ -17,8 +17,7 @@ from acquisition.frame import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RigError
 from processing.spot import Spot
-from rig.channel import Channel, SessionNews
-from rig.channel import line
+from rig.channel import Channel, SessionNews, line
 from rig.channel.loopback import CHANNEL_NAME
 from rig.desk.desk import Desk
 from rig.desk.following import Following

@@ -1,0 +1,45 @@
+"""A desk whose terminal is closed, or that is told to end, ends."""
+
+import contextlib
+import http.client
+import signal
+import urllib.parse
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.rig.desk.desk_page import DeskProcess
+
+ENDED_WITHIN_S = 40.0
+
+
+def fetch(address: str, path: str, cookie: str = "") -> http.client.HTTPResponse:
+    told = urllib.parse.urlsplit(address)
+    assert told.hostname is not None
+    connection = http.client.HTTPConnection(told.hostname, told.port, timeout=30.0)
+    with contextlib.closing(connection):
+        connection.request("GET", path, headers={"Cookie": cookie})
+        answer = connection.getresponse()
+        answer.read()
+        return answer
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM])
+def test_a_desk_that_has_served_ends_when_it_is_told(
+    desk_configuration: Callable[[str], Path], number: signal.Signals
+) -> None:
+    desk = DeskProcess(desk_configuration(""))
+    try:
+        address = desk.address
+        entered = fetch(address, f"/?{urllib.parse.urlsplit(address).query}")
+        cookie = str(entered.headers["Set-Cookie"]).partition(";")[0]
+        # made in a thread of the server, which waits for more
+        assert fetch(address, "/picture", cookie).status == 200
+        desk.send(number)
+        status, said = desk.ended(ENDED_WITHIN_S)
+        assert status == 0
+        assert "Traceback" not in said
+    finally:
+        desk.kill()
