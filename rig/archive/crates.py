@@ -129,8 +129,9 @@ def described_files(metadata: bytes, where: str) -> dict[str, str | None]:
             name = urllib.parse.unquote(entity["@id"]).removeprefix("./")
             # what lies on the web is described, too
             if "File" in kinds and "://" not in name:
-                found[name] = entity.get("sha256")
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
+                sha256 = entity.get("sha256")
+                found[name] = sha256 and sha256.lower()
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise RecordError(f"{where}: {METADATA} is not the description of an RO-Crate: {error!r}") from None
     return found
 

@@ -93,6 +93,9 @@ class _Eln:
             if entry.flag_bits & _ENCRYPTED:
                 raise RecordError(f"{path}: is encrypted; unpack it with its password, and add the folder")
             self._entries[name] = entry
+        for name in self._entries:
+            if above := {str(folder) for folder in PurePosixPath(name).parents} & self._entries.keys():
+                raise RecordError(f"{path}: {above.pop()!r} in it is a file and a folder")
         if len(roots) != 1 or METADATA not in self._entries:
             raise RecordError(f"{path}: is not an .eln file: it must hold one folder, and in that {METADATA}")
         self.metadata = b"".join(self.blocks(METADATA))

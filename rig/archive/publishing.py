@@ -52,7 +52,14 @@ def publish_runs(
         )
     if not statement.title.strip() or not statement.authors:
         raise ConfigurationError("a publication needs a title and an author: --title TEXT --author NAME")
+    known: dict[str, str] = {}
     for author in statement.authors:
+        if not author.partition("http")[0].strip(" ,"):
+            raise ConfigurationError(f"--author {author!r}: has no name; write it before the address")
+        if (address := author[author.find("http") :] if "http" in author else "") in known:
+            raise ConfigurationError(f"--author {author!r}: has the address of {known[address]!r}")
+        if address:
+            known[address] = author
         if "orcid" in author.lower() and not _has_orcid(author):
             raise ConfigurationError(
                 f"--author {author!r}: is not an ORCID; copy it from the person's page, as "

@@ -45,6 +45,13 @@ def test_a_crate_is_described_proved_and_read_again(archive: Path, tmp_path: Pat
     other = [word if word != crate else tmp_path / "other" for word in words]
     wrong = rig(*other, "--author", "Ada https://orcid.org/0000-0000-0000-0002")
     assert (wrong.returncode, "is not an ORCID" in wrong.stderr) == (2, True)
+    # one of two people with one address was lost, and a person without a name is nobody
+    for author, said in (
+        ("Bob https://orcid.org/0000-0000-0000-0001", "has the address of 'Ada Example"),
+        ("https://orcid.org/0000-0002-1825-0097", "has no name"),
+    ):
+        wrong = rig(*other, "--author", author)
+        assert (wrong.returncode, said in wrong.stderr) == (2, True), wrong.stderr
     assert root["license"]["@id"] == "https://spdx.org/licenses/CC-BY-4.0"
     assert root["author"]["@id"] == "https://orcid.org/0000-0000-0000-0001"
     files = {path.relative_to(crate).as_posix() for path in crate.rglob("*") if path.is_file()}
@@ -227,6 +234,11 @@ def test_a_file_for_notebooks_is_as_its_format_asks_and_imported_again(tmp_path:
     assert "exists already and is not overwritten" in rig(*words).stderr
 
 
+def sha256_in(metadata: bytes, name: str) -> bytes:
+    (digest,) = (one["sha256"] for one in json.loads(metadata)["@graph"] if one["@id"] == name)
+    return str(digest).encode()
+
+
 def test_a_damaged_or_foreign_file_for_notebooks_is_refused(archive: Path, tmp_path: Path) -> None:
     good = tmp_path / "good.eln"
     words = ("--where", "state = 'whole'", "-o", good, *SAID, "--archive", archive)
@@ -260,8 +272,16 @@ def test_a_damaged_or_foreign_file_for_notebooks_is_refused(archive: Path, tmp_p
     for name in ("good/../../a.txt", "/good/a.txt", "good/C:/a.txt", "good/..\\a.txt"):
         assert "would lie outside" in said({**content, name: b""})
     metadata = "good/ro-crate-metadata.json"
-    for text in (b"", b"[]", b'{"@graph": [{"@id": 1}]}', b"\xff"):
+    for text in (b"", b"[]", b'{"@graph": [{"@id": 1}]}', b"\xff", b"[" * 100_000):
         assert "is not the description" in said({**content, metadata: text})
+    assert "'a' in it is a file and a folder" in said({**content, "good/a": b"", "good/a/b": b""})
+    # digests are as good in capitals, as other notebooks write them
+    shouted = tmp_path / "capitals.eln"
+    with zipfile.ZipFile(shouted, "w") as eln:
+        for name, each in content.items():
+            digest = sha256_in(content[metadata], record.removeprefix("good/"))
+            eln.writestr(name, each.replace(digest, digest.upper()) if name == metadata else each)
+    assert rig("archive", "add", shouted, "--archive", tmp_path / "other").returncode == 0
     # a folder of its name that is another one stays
     (tmp_path / "good").mkdir()
     (tmp_path / "good" / "mine.txt").write_text("kept")

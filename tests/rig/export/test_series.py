@@ -46,9 +46,8 @@ def numbers_of(tree: Any, above: str = "") -> Iterator[tuple[str, float]]:
 
 @pytest.fixture
 def series(measured_series: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((measured_series / "results.json").read_text(encoding="utf-8"))[
-        "series"
-    ]
+    text = (measured_series / "results.json").read_text(encoding="utf-8")
+    found: dict[str, Any] = json.loads(text)["series"]
     return found
 
 
