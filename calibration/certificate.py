@@ -7,6 +7,7 @@ import datetime
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Final
 from xml.etree import ElementTree
 
@@ -89,6 +90,8 @@ def parse_certificate(data: bytes, name: str) -> Certificate:
         raise ConfigurationError(f"{name}: its numbers are in the namespace {other}; {SI} is read here")
     core = "dcc:administrativeData/dcc:coreData/dcc:"
     began, ended = (_date(root, f"{core}{side}PerformanceDate", name) for side in ("begin", "end"))
+    if began and ended and began > ended:
+        raise ConfigurationError(f"{name}: its calibration ended ({ended}) before it began ({began})")
     performed = ended or began
     if performed is None:
         raise ConfigurationError(f"{name}: does not say when was calibrated (endPerformanceDate)")
@@ -173,7 +176,8 @@ def _real(number: Element, name: str, kinds: tuple[str, ...], source: str) -> It
                 )
             k = _number(found.findtext("si:coverageFactor", "", _NAMES), f"{what}, coverage factor")
             probability = _number(found.findtext("si:coverageProbability", "nan", _NAMES), what)
-            u = _over(_number(found.findtext(f"si:{size}", "", _NAMES), f"{what}, uncertainty"), k, what)
+            expanded = _number(found.findtext(f"si:{size}", "", _NAMES), f"{what}, uncertainty")
+            u = _over(expanded, k, probability, what)
     for place, size in _STANDARD:
         if (stated := below.findtext(f"si:{place}/si:{size}", None, _NAMES)) is not None:
             u, k = _number(stated, f"{what}, uncertainty"), 1.0
@@ -204,7 +208,9 @@ def _real_list(
     for at, text in enumerate(_for_all(units, len(values), what)):
         unit, problem = _unit(text)
         u, factor = (
-            (_over(expanded[at], k[at], what), k[at]) if math.isnan(standard[at]) else (standard[at], 1.0)
+            (_over(expanded[at], k[at], probability[at], what), k[at])
+            if math.isnan(standard[at])
+            else (standard[at], 1.0)
         )
         yield CertifiedQuantity(name, values[at], unit, u, factor, probability[at], kinds, problem)
 
@@ -216,15 +222,34 @@ def _for_all(words: list[str], count: int, what: str) -> list[str]:
     return words * count if len(words) == 1 else words
 
 
-def _over(expanded: float, k: float, what: str) -> float:
-    """The standard uncertainty of an expanded one, whose coverage factor must be one."""
+def _over(expanded: float, k: float, probability: float, what: str) -> float:
+    """The standard uncertainty of an expanded one, whose coverage factor must be one.
+
+    A factor that covers the probability of no distribution, from an arcsine's to Student's of one degree of
+    freedom, would make a standard uncertainty that is wrong by as much.
+    """
     if math.isnan(expanded):
         return math.nan
     if not 1 <= k < math.inf:
         raise ConfigurationError(
             f"{what}: its coverage factor is {k:g}; an expanded uncertainty needs one from 1 on"
         )
+    if not math.isnan(probability):
+        if not 0 < probability < 1:
+            raise ConfigurationError(f"{what}: its coverage probability is {probability:g}; 0.95 is 95 %")
+        normal = NormalDist().inv_cdf((1 + probability) / 2)
+        narrowest = min(normal, math.sqrt(2) * _sine(probability))
+        widest = math.tan(math.pi / 2 * probability)
+        if not 0.99 * narrowest <= k <= max(1.01 * widest, 1.0):
+            raise ConfigurationError(
+                f"{what}: its coverage factor {k:g} and its coverage probability {probability:g} do not "
+                f"belong together (a normal distribution: {normal:.3g}); ask the laboratory which is right"
+            )
     return expanded / k
+
+
+def _sine(probability: float) -> float:
+    return math.sin(math.pi / 2 * probability)
 
 
 def _unit(text: str) -> tuple[str, str]:

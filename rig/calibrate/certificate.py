@@ -85,6 +85,12 @@ def _filed(
     """A certificate states no validity but by a date of recalibration; else its day of filing counts."""
     performed = datetime.datetime.combine(found.performed, datetime.time(), datetime.UTC)
     now = datetime.datetime.now(datetime.UTC)
+    # the day of its own place may be one ahead
+    if performed > now + datetime.timedelta(days=1):
+        raise ConfigurationError(
+            f"{path}: was calibrated on {found.performed}, which has not come yet (endPerformanceDate); ask the "
+            "laboratory, or set the computer's clock"
+        )
     until = now + datetime.timedelta(days=filing.valid_days)
     if found.recalibrate_by is not None:
         until = datetime.datetime.combine(found.recalibrate_by, datetime.time(23, 59, 59), datetime.UTC)

@@ -155,6 +155,17 @@ def test_a_file_that_is_no_certificate_is_refused(tmp_path: Path) -> None:
             "https://a.example",
             "its numbers are in the namespace https://a.example; https://ptb",
         ),
+        ("2025-03-02", "2099-03-02", "was calibrated on 2099-03-02, which has not come yet"),
+        ("2025-03-01", "2025-03-05", r"ended \(2025-03-02\) before it began \(2025-03-05\)"),
+        # k = 1 covers 0.68: u would be three times too large
+        ("Factor>3<", "Factor>1<", "coverage factor 1 and its coverage probability 0.9973 do not belong"),
+        ("Factor>3<", "Factor>300<", "coverage factor 300 and its coverage probability 0.9973 do not belong"),
+        ("Probability>0.9973<", "Probability>95<", "coverage probability is 95; 0.95 is 95 %"),
+        (
+            "Probability>0.9973<",
+            "Probability>0.5<",
+            "factor 3 and its coverage probability 0.5 do not belong",
+        ),
         ("?>", '?><!DOCTYPE x [<!ENTITY v "999">]>', r"declares a document type \(x\).*remove the DOCTYPE"),
     ],
 )
@@ -167,6 +178,25 @@ def test_nothing_is_read_in_place_of_what_it_says(tmp_path: Path, before: str, a
         with pytest.raises(ConfigurationError, match=said):
             calibrate_mass(xml, Filing(tmp_path / "c"))
     assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize(
+    ("k", "probability"),
+    [
+        ("2", "0.9545"),
+        ("1", "0.6827"),
+        ("1.645", "0.95"),
+        ("1.41", "0.95"),
+        ("12.7", "0.95"),
+        ("3.18", "0.95"),
+    ],
+)
+def test_factors_of_every_usual_distribution_are_taken(tmp_path: Path, k: str, probability: str) -> None:
+    """Normal, rectangular, arcsine, Student of one and of three degrees of freedom."""
+    number = real("0.4", r"\kilogram", "0.0004", k, probability)
+    xml = certificate(tmp_path / "m.xml", quantity("mass", number))
+    found = read_calibration(calibrate_mass(xml, Filing(tmp_path / "c")))
+    assert found.values["u_mass_kg"] == 0.0004 / float(k)
 
 
 def test_the_nominal_value_is_not_taken_for_the_measured_one(tmp_path: Path) -> None:
