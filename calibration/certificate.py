@@ -238,18 +238,14 @@ def _over(expanded: float, k: float, probability: float, what: str) -> float:
         if not 0 < probability < 1:
             raise ConfigurationError(f"{what}: its coverage probability is {probability:g}; 0.95 is 95 %")
         normal = NormalDist().inv_cdf((1 + probability) / 2)
-        narrowest = min(normal, math.sqrt(2) * _sine(probability))
-        widest = math.tan(math.pi / 2 * probability)
-        if not 0.99 * narrowest <= k <= max(1.01 * widest, 1.0):
+        arcsine = math.sqrt(2) * math.sin(math.pi / 2 * probability)
+        student = math.tan(math.pi / 2 * probability)
+        if not 0.99 * min(normal, arcsine) <= k <= max(1.01 * student, 1.0):
             raise ConfigurationError(
                 f"{what}: its coverage factor {k:g} and its coverage probability {probability:g} do not "
-                f"belong together (a normal distribution: {normal:.3g}); ask the laboratory which is right"
+                f"belong together (a normal distribution has {normal:.3g}); ask the laboratory which is right"
             )
     return expanded / k
-
-
-def _sine(probability: float) -> float:
-    return math.sin(math.pi / 2 * probability)
 
 
 def _unit(text: str) -> tuple[str, str]:

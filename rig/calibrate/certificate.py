@@ -88,8 +88,8 @@ def _filed(
     # the day of its own place may be one ahead
     if performed > now + datetime.timedelta(days=1):
         raise ConfigurationError(
-            f"{path}: was calibrated on {found.performed}, which has not come yet (endPerformanceDate); ask the "
-            "laboratory, or set the computer's clock"
+            f"{path}: was calibrated on {found.performed}, which has not come yet (endPerformanceDate); ask "
+            "the laboratory, or set the computer's clock"
         )
     until = now + datetime.timedelta(days=filing.valid_days)
     if found.recalibrate_by is not None:

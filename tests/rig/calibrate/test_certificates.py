@@ -164,7 +164,7 @@ def test_a_file_that_is_no_certificate_is_refused(tmp_path: Path) -> None:
         (
             "Probability>0.9973<",
             "Probability>0.5<",
-            "factor 3 and its coverage probability 0.5 do not belong",
+            "factor 3 and its coverage probability 0.5 do not",
         ),
         ("?>", '?><!DOCTYPE x [<!ENTITY v "999">]>', r"declares a document type \(x\).*remove the DOCTYPE"),
     ],
