@@ -22,6 +22,7 @@ from acquisition.camera import CameraLost, CameraStatus, ColourPlane
 from acquisition.cameras.colour_plane import plane_of
 from acquisition.cameras.pixel_formats import Format
 from acquisition.cameras.reading import Reading
+from acquisition.cameras.usb3vision.block_numbers import BlockNumbers
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
 from acquisition.cameras.usb3vision.packets import (
     TRAILER_START,
@@ -30,6 +31,7 @@ from acquisition.cameras.usb3vision.packets import (
     parse_leader,
     parse_trailer,
 )
+from acquisition.cameras.usb3vision.payload import Payload
 from acquisition.cameras.usb3vision.registers import TransferPlan
 from acquisition.cameras.usb3vision.transfers import Transfers
 from acquisition.frame import Frame
@@ -39,16 +41,9 @@ logger = logging.getLogger(__name__)
 
 # Bus errors for longer than this without a frame in between: the connection is lost.
 _PATIENCE_S: Final = 0.3
-# A larger jump of the block number means that the counter was reset, not that frames were lost.
-_LARGEST_GAP: Final = 1 << 31
 # So many frames in a row that are sent in another way than planned: this camera does so.
 _LEARNED_AFTER: Final = 2
 _UNLEARNED_AFTER: Final = 6
-# Sizes of block counters that are shorter than the standard's 64 bits, and the largest loss across their end.
-_COUNTERS: Final = (1 << 16, 1 << 32)
-_LARGEST_LOSS: Final = 1000
-# So many frames in a row whose old numbers rise again: the camera counts again, none of them is late.
-_RESTARTED_AFTER: Final = 3
 # So many consecutive frames of a wrong size or format are a wrong setting and not an error of the bus.
 _MOST_MISFITS: Final = 10
 
@@ -105,35 +100,20 @@ class UsbFrameStream:
         self._parts = self._planned_parts
         self._ring: deque[tuple[_Part, int, NDArray[np.uint8]]] = deque()
         self._next_part = 0
-        self._payload = np.empty(0, np.uint8)  # buffer of the frame for which reads are being queued
+        self._buffer = np.empty(0, np.uint8)  # buffer of the frame for which reads are being queued
         self._leader: Leader | None = None
-        self._received = 0
-        self._pieces: list[NDArray[np.uint8]] = []
-        self._last_block: int | None = None
-        self._last_timestamp = 0
+        self._arrived = Payload()
         self._deviations, self._deviated = 0, False
-        self._last_sequence = -1
-        self._lost_parts = 0
         self._misfits = 0
-        self._disturbed = False
         self._trouble_since_s: float | None = None
-        self._by_camera = self._by_bus = self._incomplete = 0
-        self._faulty = self._error_status = self._wrong_id = 0
-        self._stale: list[Leader] = []
+        self._numbers = BlockNumbers(link.name, has_clock=expected.has_clock)
         self.reading = Reading(self._step, transfers.cancel)
         with suppress(RigError):  # the first step meets it again, and deals with it
             self._fill()
 
     @property
     def status(self) -> CameraStatus:
-        return CameraStatus(
-            delivered=self.reading.delivered,
-            dropped_by_camera=self._by_camera,
-            dropped_by_bus=self._by_bus,
-            incomplete=self._incomplete + self._lost_parts - self._faulty,
-            error_status=self._error_status + self._faulty,
-            wrong_id=self._wrong_id,
-        )
+        return self._numbers.status(self.reading.delivered)
 
     def _step(self, timeout_s: float) -> Frame | None:
         """Take one transfer; the frame that it completes, if any."""
@@ -156,7 +136,7 @@ class UsbFrameStream:
             frame = self._take_trailer(data, arrived.host_time_ns)
             if part is _Part.EMPTY:  # which this camera sends, but not at this size
                 self._parts = self._planned_parts
-                self._disturbed = True
+                self._numbers.disturbed = True
                 self._resume_at(0)
             return frame
         else:
@@ -177,10 +157,10 @@ class UsbFrameStream:
             part, size = self._parts[self._next_part]
             if part is _Part.PAYLOAD:
                 # one buffer for all payload transfers of a frame, so that the image needs no copy
-                if self._next_part == 1 or not self._payload.size:
-                    self._payload = np.empty(sum(self._plan.payload), np.uint8)
+                if self._next_part == 1 or not self._buffer.size:
+                    self._buffer = np.empty(sum(self._plan.payload), np.uint8)
                 start = sum(size for _, size in self._parts[1 : self._next_part])
-                buffer = self._payload[start : start + size]
+                buffer = self._buffer[start : start + size]
             else:
                 buffer = np.empty(size, np.uint8)
             self._submit(part, size, buffer)
@@ -196,11 +176,11 @@ class UsbFrameStream:
             # Later reads may already have received bytes, which are lost by cancelling them, so that the next
             # part is unknown: search for a leader.
             next_part = -1
-        if next_part <= 0 and self._lost_parts >= _UNLEARNED_AFTER:
+        if next_part <= 0 and self._numbers.lost_parts >= _UNLEARNED_AFTER:
             self._parts = self._planned_parts  # what was learned does not hold (any more)
         self._transfers.cancel()
         self._ring.clear()
-        self._payload = np.empty(0, np.uint8)
+        self._buffer = np.empty(0, np.uint8)
         self._next_part = next_part
 
     def _after_trouble(self, trouble: StreamHalted) -> None:
@@ -211,14 +191,14 @@ class UsbFrameStream:
         elif now_s - self._trouble_since_s > _PATIENCE_S:
             raise CameraLost(f"{trouble}, again and again; unplug it and plug it in again")
         self._lose_frame()
-        self._disturbed = True
+        self._numbers.disturbed = True
         self._resume_at(-1)
         self._link.clear_halt(self._link.stream_in)
         time.sleep(0.01)
 
     def _lose_frame(self) -> None:
         if self._leader is not None:
-            self._lost_parts += 1
+            self._numbers.lost_parts += 1
         self._leader = None
 
     def _deviates(self) -> bool:
@@ -236,7 +216,7 @@ class UsbFrameStream:
         *before, trailer = self._parts
         if self._deviates():
             self._parts = (*before, (_Part.EMPTY, trailer[1]), trailer)
-        self._disturbed = True
+        self._numbers.disturbed = True
         self._resume_at(len(self._parts) - 1)
         if self._next_part < 0:
             self._lose_frame()
@@ -244,12 +224,12 @@ class UsbFrameStream:
     def _take_leader(self, data: NDArray[np.uint8], *, in_rhythm: bool) -> None:
         self._lose_frame()
         leader = parse_leader(data[:256].tobytes()) if data.size <= self._plan.leader else None
-        self._pieces, self._received = [], 0
+        self._arrived = Payload()
         if leader is None:
             self._refuse_other_payload(data[:256].tobytes())
-            self._disturbed = True
+            self._numbers.disturbed = True
             if in_rhythm:
-                self._lost_parts += 1
+                self._numbers.lost_parts += 1
             # A trailer is followed by a leader; after any other data the next part is unknown.
             self._resume_at(0 if data[:4].tobytes() == TRAILER_START else -1)
             return
@@ -259,7 +239,7 @@ class UsbFrameStream:
             self._resume_at(1)
             if self._next_part != 1:
                 self._lose_frame()
-                self._disturbed = True
+                self._numbers.disturbed = True
 
     def _refuse_other_payload(self, leader: bytes) -> None:
         kind = announced_type(leader)
@@ -274,22 +254,21 @@ class UsbFrameStream:
 
     def _take_payload(self, data: NDArray[np.uint8], planned: int, host_time_ns: int) -> Frame | None:
         # A camera that announced more than it sends: its trailer is in place of payload or right behind it.
-        at = max(self._expected.image_bytes - self._received, 0)
+        at = max(self._expected.image_bytes - self._arrived.byte_count, 0)
         if data.size < planned and self._leader is not None and at < data.size <= at + self._plan.trailer:
             trailer = parse_trailer(data[at : at + 256].tobytes())
             if trailer is not None and trailer.block == self._leader.block:
-                payload = self._parts[1 : 1 + len(self._pieces) + bool(at)]
+                payload = self._parts[1 : 1 + len(self._arrived) + bool(at)]
                 end = () if at else ((_Part.TRAILER, self._plan.trailer),)
                 if at:
-                    self._pieces.append(data[:at])
-                    self._received += at
+                    self._arrived.append(data[:at])
                 sent = (self._parts[0], *payload, *end)
                 is_new = sent != self._parts
                 is_learned = is_new and self._deviates()
                 frame = self._take_trailer(data[at:], host_time_ns)
                 if is_new:
                     self._parts = sent if is_learned else self._parts
-                    self._disturbed = True
+                    self._numbers.disturbed = True
                     self._resume_at(0)
                 return frame
         # A short transfer may be a trailer (the camera ended the frame early) or a leader (the rest of the
@@ -297,17 +276,16 @@ class UsbFrameStream:
         if data.size < planned and data.size <= max(self._plan.leader, self._plan.trailer):
             head = data[:256].tobytes()
             trailer = parse_trailer(head)
-            is_short = self._received + data.size < self._expected.image_bytes
+            is_short = self._arrived.byte_count + data.size < self._expected.image_bytes
             if is_short and trailer is not None and self._leader and trailer.block == self._leader.block:
                 self._lose_frame()
-                self._disturbed = True
+                self._numbers.disturbed = True
                 self._resume_at(0)
                 return None
             if is_short and parse_leader(head) is not None:
                 self._take_leader(data, in_rhythm=False)
                 return None
-        self._pieces.append(data)
-        self._received += data.size
+        self._arrived.append(data)
         return None
 
     def _take_trailer(self, data: NDArray[np.uint8], host_time_ns: int) -> Frame | None:
@@ -315,7 +293,7 @@ class UsbFrameStream:
         assert leader is not None
         trailer = parse_trailer(data[:256].tobytes()) if data.size <= self._plan.trailer else None
         if trailer is None:
-            self._disturbed = True
+            self._numbers.disturbed = True
             if parse_leader(data[:256].tobytes()) is not None:
                 self._take_leader(data, in_rhythm=False)
             else:
@@ -324,9 +302,13 @@ class UsbFrameStream:
             return None
         wanted = self._expected
         image_bytes = wanted.pixel_format.byte_count(wanted.width_px, wanted.height_px, leader.x_padding)
-        whole = trailer.status == 0 and trailer.valid_bytes >= image_bytes and self._received >= image_bytes
+        whole = (
+            trailer.status == 0
+            and trailer.valid_bytes >= image_bytes
+            and self._arrived.byte_count >= image_bytes
+        )
         if trailer.block != leader.block or not whole or not self._fits(leader):
-            self._faulty += trailer.block == leader.block and trailer.status != 0
+            self._numbers.faulty += trailer.block == leader.block and trailer.status != 0
             self._lose_frame()
             return None
         self._misfits = 0
@@ -350,75 +332,16 @@ class UsbFrameStream:
         return False
 
     def _delivered_frame(self, leader: Leader, host_time_ns: int) -> Frame | None:
-        # Number of frames since the last one delivered. Before the first one there is no block number to
-        # compare with; damaged frames count nevertheless.
-        step = 1 + self._lost_parts if self._last_block is None else leader.block - self._last_block
-        if step <= 0 and self._is_stale(leader):
-            # sent again, or overtaken by another one, which was when it counted as lost
-            logger.warning("%s: block %d came again or too late", self._link.name, leader.block)
-            self._wrong_id += 1
-            self._leader = None
-            self._refuse_restart(leader)
+        number = self._numbers.number(leader)
+        if number is None:
             return None
-        self._stale.clear()
-        if step < 0:
-            step = next((step + n for n in _COUNTERS if 0 < step + n <= _LARGEST_LOSS), step)
-        if not 0 < step <= _LARGEST_GAP:
-            logger.warning(
-                "%s: block number went from %s to %d", self._link.name, self._last_block, leader.block
-            )
-            step = 1 + self._lost_parts
-        missing = step - 1
-        incomplete = min(self._lost_parts, missing)
-        faulty = min(self._faulty, incomplete)
-        self._incomplete += incomplete - faulty
-        self._error_status += faulty
-        if self._disturbed:
-            self._by_bus += missing - incomplete
-        else:
-            self._by_camera += missing - incomplete
-        self._lost_parts, self._disturbed, self._trouble_since_s = 0, False, None
-        self._faulty = 0
+        self._trouble_since_s = None
         self._deviations, self._deviated = self._deviations * self._deviated, False
-        self._last_block, self._last_timestamp = leader.block, leader.timestamp
-        self._last_sequence += step
         wanted = self._expected
         image = wanted.pixel_format.image(
-            self._whole_payload(), wanted.width_px, wanted.height_px, leader.x_padding
+            self._arrived.whole(), wanted.width_px, wanted.height_px, leader.x_padding
         )
         image = plane_of(image, wanted.pixel_format.colours, wanted.plane)
         image.flags.writeable = False
         device_time_ns = leader.timestamp if wanted.has_clock else -1
-        return Frame(image, self._last_sequence, device_time_ns, host_time_ns)
-
-    def _refuse_restart(self, leader: Leader) -> None:
-        """Raise CameraLost where old block numbers and times rise again: the camera has reset itself."""
-        before = self._stale[-1:]
-        if before and leader.block <= before[0].block:
-            self._stale.clear()
-        self._stale.append(leader)
-        if len(self._stale) >= _RESTARTED_AFTER:
-            raise CameraLost(
-                f"{self._link.name}: its block numbers and its clock have begun again, at {leader.block} "
-                f"after {self._last_block}: it has reset itself; see its supply and its cable"
-            )
-
-    def _is_stale(self, leader: Leader) -> bool:
-        """Whether a frame whose block number does not rise is an old one, by its time if it has one."""
-        if self._expected.has_clock:
-            return leader.timestamp <= self._last_timestamp
-        return leader.block == self._last_block
-
-    def _whole_payload(self) -> NDArray[np.uint8]:
-        """The payload as one array: without a copy if its pieces are contiguous in one buffer."""
-        first = self._pieces[0]
-        if len(self._pieces) == 1:
-            return first
-        base = first.base
-        lie_together = isinstance(base, np.ndarray) and all(piece.base is base for piece in self._pieces)
-        if lie_together and isinstance(base, np.ndarray) and base.size >= self._received:
-            ends = np.cumsum([piece.size for piece in self._pieces])
-            starts = [piece.ctypes.data - base.ctypes.data for piece in self._pieces]
-            if starts[0] == 0 and starts[1:] == list(ends[:-1]):
-                return base[: self._received]
-        return np.concatenate(self._pieces)
+        return Frame(image, number, device_time_ns, host_time_ns)
