@@ -18,7 +18,7 @@ from rig.devices import Audited, Devices, FrameStream, OpenCamera, goes_dark_by_
 from rig.instrument import Optics, Phase, Snapshot
 from rig.measure.disk_room import free_bytes
 from rig.measure.end_of_run import StopRequest
-from rig.measure.preflight import TrialFrames, device_checks, frame_checks, vault_checks
+from rig.measure.preflight import TrialFrames, device_checks, frame_checks, rest_checks, vault_checks
 from rig.measure.recent_frames import PhaseWait, RecentFrames, Stopped, Watch
 from rig.presentation import Verdict, failures
 from rig.settings import Configuration
@@ -184,7 +184,7 @@ class PhasesBeforeRecord:
                 f"drift {drift:.2f} {self._unit.shown}/min" if math.isfinite(drift) else "no spot is seen"
             )
             if self._unit is DeflectionUnit.PX:
-                self._wait.progress += f", not checked: {frame_checks.NO_LEVER}"
+                self._wait.progress += f", not checked: {rest_checks.NO_LEVER}"
                 return True
             return drift <= phases.warm_up_drift_arcsec_per_min
 

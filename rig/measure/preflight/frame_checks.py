@@ -1,47 +1,25 @@
-"""What some seconds of frames say before a run: spot, exposure, noise, rest position, rate, clock, disk.
+"""What some seconds of frames say before a run: spot, exposure, rate, clock, disk.
 
 Each check turns plain values into one verdict with reason and remedy.
 """
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from acquisition.frame import Frame
-from calibration import Stability, relate_clocks, stability
-from processing.arrays import Floats
-from processing.deflections import Deflections, DeflectionUnit
+from calibration import relate_clocks
 from processing.errors import DataError
-from processing.ground_at_rest import ground_at_rest
-from processing.spot import Spot, SpotFlag, SpotModel
+from processing.spot import Spot, SpotFlag
 from processing.ticks import seconds
-from rig.analysis import base_motion, drive_text
 from rig.devices import MOST_PPM, wrong_rate
 from rig.instrument import beam_quality
+from rig.measure.preflight.rest_checks import ground, rest_position, stillness
+from rig.measure.preflight.trial_frames import TrialFrames
 from rig.presentation import Verdict
-from rig.settings import Configuration, PendulumSettings, PreflightSettings
+from rig.settings import Configuration, PreflightSettings
 
 _SPOT_BYTES = 260
-_SHORT_S = 50.0
-NO_LEVER = "no lever: values in px have no limit in arcsec"
-
-
-@dataclass(frozen=True, slots=True)
-class TrialFrames:
-    """Some seconds of frames, with the spots and deflections measured in them.
-
-    `resting` is False if the pendulum may be swinging. `model` is what the tracker has chosen for the beam;
-    None while it has not. `references` are the reference's spots, where the frames have one.
-    """
-
-    frames: Sequence[Frame]
-    spots: Sequence[Spot]
-    deflections: Deflections
-    resting: bool
-    model: SpotModel | None = None
-    references: Sequence[Spot] = ()
 
 
 def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
@@ -96,118 +74,6 @@ def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
         measured=f"{100 * part:.1f} % of frames",
         limit=f"{100 * limits.max_saturated_fraction:g} %",
     )
-
-
-def noise_and_vibration(
-    x: Stability | None, y: Stability | None, unit: DeflectionUnit, limits: PreflightSettings
-) -> list[Verdict]:
-    """Check the noise of one frame and the strongest spectral line of a spot at rest."""
-    noise_limit = f"{limits.max_noise_arcsec:g} arcsec"
-    line_limit = f"{limits.max_vibration_arcsec:g} arcsec"
-    if x is None or y is None:
-        return [_too_few_spots("noise floor", noise_limit), _too_few_spots("vibration", line_limit)]
-    noise = max(x.noise, y.noise) / unit.shown_size
-    lines = sorted([*x.lines, *y.lines], key=lambda line: -line.amplitude)
-    strongest = lines[0].amplitude / unit.shown_size if lines else 0.0
-    named = f" ({lines[0].name})" if lines and lines[0].name else ""
-    words = (
-        f"{strongest:.3f} {unit.shown} at {lines[0].frequency_hz:.1f} Hz{named}"
-        if lines
-        else "none stands out"
-    )
-    quiet, still = noise <= limits.max_noise_arcsec, strongest <= limits.max_vibration_arcsec
-    verdicts = [
-        Verdict(
-            "noise floor",
-            quiet,
-            "" if quiet else "the spot is too noisy",
-            "" if quiet else "more light, a smaller gain; shield the beam from air",
-            measured=f"{noise:.4f} {unit.shown} a frame",
-            limit=noise_limit,
-        ),
-        Verdict(
-            "vibration",
-            still,
-            "" if still else "the base shakes",
-            "" if still else "find what runs at this frequency; decouple the table",
-            measured=words,
-            limit=line_limit,
-        ),
-    ]
-    return [_against_arcsec(verdict, unit) for verdict in verdicts]
-
-
-def ground(
-    look: TrialFrames, pendulum: PendulumSettings | None, limits: PreflightSettings | None = None
-) -> Verdict:
-    """What the ground does at the pendulum's frequency: it limits results, and forbids a measurement only
-    where a limit is stated.
-
-    Needs eight periods at rest, in `preflight.duration_s`.
-    """
-    at = look.deflections
-    most = None if limits is None else limits.max_ground_rad_per_s2_rthz
-    limit = "" if most is None else f"{most:g} rad/s²/√Hz"
-    if not look.resting:
-        return not_at_rest("ground", limit)
-    try:
-        found = ground_at_rest(at.times_s, at.y)
-    except DataError as error:
-        reason = f"{error}{longer(at)}"
-        if most is None:
-            return Verdict("ground", True, reason, measured="not measured", made=False)
-        return Verdict(
-            "ground", False, str(error), longer(at).removeprefix("; "), measured="not measured", limit=limit
-        )
-    of_angle = pendulum if at.unit is DeflectionUnit.RAD else None
-    base = base_motion(found.density, found.upper_95, found.period_s, of_angle)
-    words = drive_text(found.density, found.upper_95, base, seen=found.density.value > 0, unit=at.unit)
-    words = f"{words}, in {at.times_s[-1]:.0f} s"
-    if most is None:
-        return Verdict("ground", True, measured=words)
-    quiet = found.density.value <= most
-    verdict = Verdict(
-        "ground",
-        quiet,
-        "" if quiet else "it moves too much",
-        "" if quiet else "wait for a quieter hour, or allow more",
-        measured=words,
-        limit=limit,
-    )
-    return verdict if at.unit is DeflectionUnit.RAD else replace(verdict, ok=True, reason=NO_LEVER, remedy="")
-
-
-def longer(at: Deflections) -> str:
-    """What a longer preflight would give; empty where it was long."""
-    return "; preflight.duration_s = 60 would measure it" if at.times_s[-1] < _SHORT_S else ""
-
-
-def rest_position(look: TrialFrames, limits: PreflightSettings) -> Verdict:
-    """Check the rest position against the reference of the lever (without one, the sensor's centre)."""
-    limit = f"{limits.max_rest_offset_arcsec:g} arcsec"
-    at = look.deflections
-    if not look.resting:
-        return not_at_rest("rest position", limit)
-    if not at.found.any():
-        return Verdict(
-            "rest position",
-            False,
-            "nothing to measure",
-            "find the spot first",
-            measured="no spot",
-            limit=limit,
-        )
-    x, y = np.nanmedian(at.shown_x), np.nanmedian(at.shown_y)
-    ok = math.hypot(x, y) <= limits.max_rest_offset_arcsec
-    verdict = Verdict(
-        "rest position",
-        ok,
-        "" if ok else "the swing will not be centred on the sensor",
-        "" if ok else "rig balance says which weight to turn; or move the camera",
-        measured=f"X {x:+.1f}, Y {y:+.1f} {at.unit.shown}",
-        limit=limit,
-    )
-    return _against_arcsec(verdict, at.unit)
 
 
 def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool = False) -> Verdict:
@@ -342,45 +208,3 @@ def check_look(
             windows=config.record.windows,
         ),
     ]
-
-
-def stillness(look: TrialFrames, limits: PreflightSettings) -> list[Verdict]:
-    """Check noise and vibration of the spot of a pendulum at rest; one that may swing has neither."""
-    at = look.deflections
-    if not look.resting:
-        names = ("noise floor", limits.max_noise_arcsec), ("vibration", limits.max_vibration_arcsec)
-        return [not_at_rest(name, f"{limit:g} arcsec") for name, limit in names]
-    return noise_and_vibration(
-        _still(at.times_s, at.x, at.u_x), _still(at.times_s, at.y, at.u_y), at.unit, limits
-    )
-
-
-def _too_few_spots(name: str, limit: str) -> Verdict:
-    return Verdict(
-        name,
-        False,
-        "too few frames with a spot to judge by",
-        "raise preflight.duration_s; find the spot",
-        measured="not measured",
-        limit=limit,
-    )
-
-
-def not_at_rest(name: str, limit: str) -> Verdict:
-    """Of a check that needs the pendulum at rest, where it may be swinging."""
-    reason = "the pendulum may be swinging (start.way = 'at once')"
-    return Verdict(name, True, reason, measured="not measured", limit=limit, made=False)
-
-
-def _against_arcsec(verdict: Verdict, unit: DeflectionUnit) -> Verdict:
-    """The verdict on a limit in arcsec; marked as not made if the value is in px."""
-    if unit is DeflectionUnit.RAD:
-        return verdict
-    return replace(verdict, ok=True, reason=NO_LEVER, remedy="", made=False)
-
-
-def _still(times_s: Floats, values: Floats, u: Floats) -> Stability | None:
-    try:
-        return stability(times_s, values, u)
-    except DataError:
-        return None

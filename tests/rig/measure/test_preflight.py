@@ -15,7 +15,7 @@ from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from rig.control import ControlState, DevicesNow, LaserNow, Light
-from rig.measure.preflight import TrialFrames, device_checks, frame_checks
+from rig.measure.preflight import TrialFrames, device_checks, frame_checks, rest_checks
 from rig.presentation import failures
 from rig.presentation.verdict import Verdict
 from rig.presentation.verdict_table import print_verdicts
@@ -88,10 +88,10 @@ def test_a_line_of_vibration_is_named_with_its_frequency() -> None:
     shaken = stability(
         times, noise + 0.5 * ARCSEC_RAD * np.sin(2 * math.pi * 50.0 * times), np.full(2000, 0.01 * ARCSEC_RAD)
     )
-    floor, still = frame_checks.noise_and_vibration(quiet, quiet, DeflectionUnit.RAD, LIMITS)
+    floor, still = rest_checks.noise_and_vibration(quiet, quiet, DeflectionUnit.RAD, LIMITS)
     assert floor.ok
     assert still.ok
-    _, shaking = frame_checks.noise_and_vibration(quiet, shaken, DeflectionUnit.RAD, LIMITS)
+    _, shaking = rest_checks.noise_and_vibration(quiet, shaken, DeflectionUnit.RAD, LIMITS)
     assert_no(shaking)
     assert "50.0 Hz (mains" in shaking.measured
 
@@ -100,7 +100,7 @@ SWINGING = TrialFrames([], [], Deflections(*[np.empty(0)] * 5, DeflectionUnit.RA
 
 
 def test_a_swinging_pendulum_has_no_noise_floor_and_that_is_no_fault() -> None:
-    verdicts = frame_checks.stillness(SWINGING, LIMITS)
+    verdicts = rest_checks.stillness(SWINGING, LIMITS)
     assert all(v.ok and not v.made and v.measured == "not measured" and v.reason for v in verdicts)
 
 
@@ -108,14 +108,14 @@ def test_a_resting_spot_seen_too_seldom_is_no_go() -> None:
     """Below 25 frames/s four seconds were too short, and that passed as go."""
     few = look(0.0, 0.0, DeflectionUnit.RAD)
     few = replace(few, deflections=few.deflections[:80])
-    for verdict in frame_checks.stillness(few, LIMITS):
+    for verdict in rest_checks.stillness(few, LIMITS):
         assert_no(verdict)
         assert verdict.made
 
 
 def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
     verdicts = [
-        *frame_checks.stillness(SWINGING, LIMITS),
+        *rest_checks.stillness(SWINGING, LIMITS),
         frame_checks.spot_found(spots(100), LIMITS),
         device_checks.laser(LaserNow(Light.ON, 0.5e-3), goes_dark_by_itself=False),
         frame_checks.disk(1, 5000.0, 500.0, 3600.0),
@@ -140,7 +140,7 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
 def test_the_ground_is_said_once_the_look_is_long_enough() -> None:
     """A swing of 1 arcsec that nothing drives: a bound, with the acceleration that it means."""
     short = look(3e-8, 0.0, DeflectionUnit.RAD)
-    said = frame_checks.ground(short, None)
+    said = rest_checks.ground(short, None)
     assert said.ok
     assert not said.made
     assert "preflight.duration_s" in said.reason
@@ -150,15 +150,15 @@ def test_the_ground_is_said_once_the_look_is_long_enough() -> None:
     u = np.full(1500, 3e-8)
     at = Deflections(times_ns, noise, swing + noise, u, u, DeflectionUnit.RAD)
     pendulum = PendulumSettings(mass_kg=0.4, ball_radius_m=3e-3, mass_centre_height_m=2e-4)
-    said = frame_checks.ground(replace(short, deflections=at), pendulum)
+    said = rest_checks.ground(replace(short, deflections=at), pendulum)
     assert said.made
     assert said.measured.startswith("below ")
     assert "mass centre 0.200 mm high" in said.measured
     assert said.measured.endswith("in 60 s")
-    assert not frame_checks.ground(SWINGING, pendulum).made
+    assert not rest_checks.ground(SWINGING, pendulum).made
     # nothing drives it: it is quiet enough for any limit
-    assert_go(frame_checks.ground(replace(short, deflections=at), None, asking(1e-9)))
-    assert_no(frame_checks.ground(short, None, asking(1e-9)))
+    assert_go(rest_checks.ground(replace(short, deflections=at), None, asking(1e-9)))
+    assert_no(rest_checks.ground(short, None, asking(1e-9)))
 
 
 def asking(ground: float) -> PreflightSettings:
@@ -175,14 +175,14 @@ def test_a_ground_above_its_limit_is_a_no_go() -> None:
     times_ns, u = np.round(times_s * 1e9).astype(np.int64), np.full(1500, 1e-8)
     at = Deflections(times_ns, 0 * swing, swing, u, u, DeflectionUnit.RAD)
     shaken = replace(look(1e-8, 0.0, DeflectionUnit.RAD), deflections=at)
-    said = frame_checks.ground(shaken, None, asking(1e-9))
+    said = rest_checks.ground(shaken, None, asking(1e-9))
     assert not said.ok
     assert said.limit == "1e-09 rad/s²/√Hz"
     assert "quieter hour" in said.remedy
-    assert_go(frame_checks.ground(shaken, None, asking(1.0)))
-    in_px = frame_checks.ground(replace(shaken, deflections=replace_unit(at)), None, asking(1e-9))
+    assert_go(rest_checks.ground(shaken, None, asking(1.0)))
+    in_px = rest_checks.ground(replace(shaken, deflections=replace_unit(at)), None, asking(1e-9))
     assert in_px.ok
-    assert in_px.reason == frame_checks.NO_LEVER
+    assert in_px.reason == rest_checks.NO_LEVER
 
 
 def replace_unit(at: Deflections) -> Deflections:
@@ -190,8 +190,8 @@ def replace_unit(at: Deflections) -> Deflections:
 
 
 def test_rest_position_far_from_the_reference() -> None:
-    assert_go(frame_checks.rest_position(look(3e-8, 0.0, DeflectionUnit.RAD), LIMITS))
-    assert_no(frame_checks.rest_position(look(3e-8, 70 * ARCSEC_RAD, DeflectionUnit.RAD), LIMITS))
+    assert_go(rest_checks.rest_position(look(3e-8, 0.0, DeflectionUnit.RAD), LIMITS))
+    assert_no(rest_checks.rest_position(look(3e-8, 70 * ARCSEC_RAD, DeflectionUnit.RAD), LIMITS))
 
 
 def test_px_are_called_px_and_not_held_against_limits_in_arcsec() -> None:
@@ -205,8 +205,8 @@ def test_px_are_called_px_and_not_held_against_limits_in_arcsec() -> None:
             np.full(2000, size_px),
         )
         verdicts = [
-            *frame_checks.noise_and_vibration(shaken, shaken, DeflectionUnit.PX, LIMITS),
-            frame_checks.rest_position(look(size_px, 70 * size_px, DeflectionUnit.PX), LIMITS),
+            *rest_checks.noise_and_vibration(shaken, shaken, DeflectionUnit.PX, LIMITS),
+            rest_checks.rest_position(look(size_px, 70 * size_px, DeflectionUnit.PX), LIMITS),
         ]
         for verdict in verdicts:
             assert " px" in verdict.measured

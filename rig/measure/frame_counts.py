@@ -1,0 +1,107 @@
+"""The frames of one run, numbered and counted, and what the record gets for them."""
+
+from collections.abc import Sequence
+
+from acquisition.frame import Frame
+from acquisition.record.events import Event, EventKind
+from processing.spot import BeamUse, SpotFlag, SpotModel
+from processing.ticks import nanoseconds, seconds
+from rig.instrument import Block, Pipeline
+from rig.measure.recorder import Entry, cut_window
+
+_LOST_IMAGE_INTERVAL_S = 1.0
+
+
+class FrameCounts:
+    """Counts of one run; its frames are numbered from its first frame, not by the camera's numbers."""
+
+    def __init__(self, first: Frame, full_frame_interval_ns: int, *, keep_windows: bool) -> None:
+        self.start_ns = first.time_ns
+        self.last_ns = first.time_ns
+        self.frames = 0
+        self.missing = 0
+        self.lost_spots = 0
+        self.beam = BeamUse()
+        self._model: SpotModel | None = None
+        self._first_number = first.sequence
+        self._interval_ns = full_frame_interval_ns
+        self._keep_windows = keep_windows
+        self._next_image_ns = first.time_ns
+        self._next_lost_image_ns = first.time_ns
+        self._sequence = -1
+        self._lost = False
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time from the first frame to the last one counted."""
+        return seconds(self.last_ns - self.start_ns)
+
+    @property
+    def beam_text(self) -> str:
+        """The model of the beam, and whether it is chosen yet."""
+        return self.beam.text if self._model is not None else f"{self.beam.text}, being judged"
+
+    def numbered(self, frames: Sequence[Frame]) -> list[Frame]:
+        """The frames with numbers counted from the first frame of the run."""
+        if not self._first_number:
+            return list(frames)
+        return [frame._replace(sequence=frame.sequence - self._first_number) for frame in frames]
+
+    def entry(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> Entry:
+        """The entry that the record gets for these (numbered) frames."""
+        events: list[Event] = []
+        images: list[Frame] = []
+        windows = []
+        for frame, spot in zip(frames, block.spots, strict=True):
+            time_ns = frame.time_ns
+            gap = frame.sequence - self._sequence - 1
+            if gap > 0:
+                self.missing += gap
+                events.append(
+                    Event(time_ns, EventKind.GAP, f"{gap} frames missing before frame {frame.sequence}")
+                )
+            self._sequence = frame.sequence
+            lost = bool(spot.flags & SpotFlag.LOST)
+            if lost != self._lost:
+                events.append(
+                    Event(
+                        time_ns,
+                        EventKind.SPOT_LOST if lost else EventKind.SPOT_FOUND,
+                        f"at frame {frame.sequence}",
+                    )
+                )
+            self._lost = lost
+            self.lost_spots += lost
+            if time_ns >= self._next_image_ns:
+                images.append(frame)
+                self._next_image_ns = time_ns + self._interval_ns
+            elif lost and time_ns >= self._next_lost_image_ns:
+                images.append(frame)
+                self._next_lost_image_ns = time_ns + nanoseconds(_LOST_IMAGE_INTERVAL_S)
+            bounds = (
+                None
+                if lost or not self._keep_windows
+                else pipeline.tracker.record_window(spot, frame.image.shape)
+            )
+            windows.append(cut_window(frame, spot, bounds))
+        events += self._beam_events(frames, block, pipeline)
+        self.frames += len(frames)
+        self.last_ns = frames[-1].time_ns
+        return Entry(
+            sequences=[frame.sequence for frame in frames],
+            device_times_ns=[frame.device_time_ns for frame in frames],
+            host_times_ns=[frame.host_time_ns for frame in frames],
+            block=block,
+            windows=windows,
+            images=images,
+            events=events,
+        )
+
+    def _beam_events(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> list[Event]:
+        """An event when the tracker has chosen its model of the beam, or has begun to choose again."""
+        self.beam.take([frame.sequence for frame in frames], [spot.flags for spot in block.spots])
+        before, self._model = self._model, pipeline.tracker.model
+        if self._model is before:
+            return []
+        text = self.beam.text if self._model is not None else "it has changed; its model is chosen again"
+        return [Event(frames[-1].time_ns, EventKind.BEAM, text)]
