@@ -2,7 +2,8 @@
 
 from rig.control.beside import darken_beside
 from rig.control.board_witness import BoardWitness
-from rig.control.controller import Controller, Trip
+from rig.control.controller import Controller
+from rig.control.controller_answers import Trip
 from rig.control.device_nodes import udev_board, udev_matches
 from rig.control.environment import EnvironmentService
 from rig.control.laser_service import LONGEST_JOB_S, LaserService

@@ -1,15 +1,19 @@
 """Synchronous driver of the rig controller; `service.ControlService` calls it from a thread."""
 
 import contextlib
-import math
 import secrets
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from enum import StrEnum
 
-from processing.air import is_possible
 from processing.errors import DeviceError
 from rig.control.board_witness import BoardSamples, BoardSensor, samples_of, sensor_of
+from rig.control.controller_answers import (
+    AirReading,
+    ControllerIdentity,
+    ControllerStatus,
+    Latch,
+    floats_of,
+    status_of,
+)
 from rig.control.link import CommandRefused, ControllerReset, Link
 from rig.control.protocol import BoardEvent
 from rig.control.serial_port import PortLost, SerialLine, SerialPort
@@ -27,80 +31,6 @@ class InterlockOpen(DeviceError):
 
 class PowerLimit(DeviceError):
     """The requested laser power exceeds a limit."""
-
-
-class Trip(StrEnum):
-    """Why the board switched its outputs off by itself, in the words of its protocol."""
-
-    NONE = "NONE"
-    WATCHDOG = "WATCHDOG"
-    INTERLOCK = "INTERLOCK"
-    OUTPUT = "OUTPUT"
-    """The laser's output did not follow what it was set to."""
-    POWER = "POWER"
-    """The board has started."""
-
-
-@dataclass(frozen=True, slots=True)
-class Latch:
-    """A trip that waits on the board for its acknowledgement; `lit` as the laser was when it came."""
-
-    number: int
-    cause: Trip
-    lit: bool
-
-
-@dataclass(frozen=True, slots=True)
-class ControllerIdentity:
-    """Identity of the controller, and the power limit stored on it."""
-
-    serial: str
-    firmware: str
-    laser_max_w: float
-
-
-@dataclass(frozen=True, slots=True)
-class ControllerStatus:
-    """The board's outputs and inputs in its last reply to a heartbeat.
-
-    `latch` is the trip that waits for its acknowledgement, `readback` whether the pin of the laser's relay is
-    high, `light_seen` whether a photodiode sees light (None without one), `errors_waiting` the number
-    of entries in its error queue.
-    """
-
-    uptime_ms: int
-    interlock_closed: bool
-    laser_on: bool
-    laser_power_w: float
-    magnet_on: bool
-    starter_on: bool
-    clamp_closed: bool
-    brake_on: bool
-    errors_waiting: int
-    latch: Latch | None = None
-    readback: bool = False
-    light_seen: bool | None = None
-
-    @property
-    def trip(self) -> Trip:
-        """Cause of the latched trip."""
-        return Trip.NONE if self.latch is None else self.latch.cause
-
-
-@dataclass(frozen=True, slots=True)
-class AirReading:
-    """Temperature, humidity and pressure of the air; NaN without a sensor."""
-
-    temperature_c: float = math.nan
-    humidity_percent: float = math.nan
-    pressure_pa: float = math.nan
-
-    @property
-    def possible(self) -> "AirReading":
-        """The same without what no air has: NaN for what a broken sensor or wire says."""
-        return AirReading(
-            **{name: value if is_possible(name, value) else math.nan for name, value in asdict(self).items()}
-        )
 
 
 class Controller:
@@ -162,9 +92,9 @@ class Controller:
                 f"{link.name}: the controller's firmware is {firmware}, wanted {FIRMWARE}; flash the one "
                 "that came with this version (docs/controller.md, Flashing)"
             )
-        self.found = _status(link.ask("SYST:STAT?")).latch
+        self.found = status_of(link.ask("SYST:STAT?")).latch
         token = secrets.token_hex(8).upper()
-        (stored_w,) = _floats(link.ask(f"SYST:SESS {token},{round(self._settings.watchdog_s * 1000)}"), 1)
+        (stored_w,) = floats_of(link.ask(f"SYST:SESS {token},{round(self._settings.watchdog_s * 1000)}"), 1)
         self._limit_w = min(stored_w, self._laser_max_w)
         link.ask(f"LAS:POW:LIM {_floor_w(self._limit_w)}")
         return ControllerIdentity(serial, firmware, stored_w)
@@ -186,11 +116,11 @@ class Controller:
 
     def heartbeat(self) -> ControllerStatus:
         """Restart the board's watchdog time; returns the board's state."""
-        return _status(self._ask("SYST:HEAR?"))
+        return status_of(self._ask("SYST:HEAR?"))
 
     def status(self) -> ControllerStatus:
         """The board's state, without restarting its watchdog time."""
-        return _status(self._ask("SYST:STAT?"))
+        return status_of(self._ask("SYST:STAT?"))
 
     def acknowledge(self, number: int) -> None:
         """Clear the board's latch of this number, after a person said so; `CommandRefused` for another number
@@ -200,7 +130,7 @@ class Controller:
 
     def environment(self) -> AirReading:
         """Reading of the controller's own sensor; NaN without one, and for what no air has."""
-        return AirReading(*_floats(self._ask("ENV?"), 3)).possible
+        return AirReading(*floats_of(self._ask("ENV?"), 3)).possible
 
     def start_witness(self) -> BoardSensor:
         """Keep samples of the board's accelerometer from now on, until the session ends."""
@@ -314,45 +244,3 @@ def _floor_w(power_w: float) -> str:
     """Seven digits, the single precision of the board, rounded down so that no limit is exceeded."""
     text = f"{power_w:.7g}"
     return text if float(text) <= power_w else f"{power_w * (1 - 1e-6):.7g}"
-
-
-def _floats(values: str, count: int) -> list[float]:
-    try:
-        numbers = [float(value) for value in values.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count:
-        raise DeviceError(f"the controller answered {values!r}; {count} numbers were expected")
-    return numbers
-
-
-def _status(values: str) -> ControllerStatus:
-    fields = values.split(",")
-    if len(fields) != 14:
-        raise DeviceError(f"the controller answered {values!r}; a status of 14 fields was expected")
-    uptime_ms, interlock, laser, power_w, magnet, starter, clamp, brake, trip, errors, *latch = fields
-    number, lit, readback, light = latch
-    try:
-        return ControllerStatus(
-            latch=Latch(int(number), Trip(trip), _is_one(lit)) if number != "0" else None,
-            readback=_is_one(readback),
-            light_seen=None if light == "-" else _is_one(light),
-            uptime_ms=int(uptime_ms),
-            interlock_closed=_is_one(interlock),
-            laser_on=_is_one(laser),
-            laser_power_w=float(power_w),
-            magnet_on=_is_one(magnet),
-            starter_on=_is_one(starter),
-            clamp_closed=_is_one(clamp),
-            brake_on=_is_one(brake),
-            errors_waiting=int(errors),
-        )
-    except ValueError:
-        raise DeviceError(f"the controller answered {values!r}, which is not a status") from None
-
-
-def _is_one(field: str) -> bool:
-    """Raises ValueError for anything but 0 and 1: an unknown state must not pass for dark or closed."""
-    if field not in ("0", "1"):
-        raise ValueError(field)
-    return field == "1"

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 
 from processing.errors import DeviceError
 from processing.ticks import seconds
-from rig.control.controller import AirReading
+from rig.control.controller_answers import AirReading
 from rig.control.device_thread import DeviceThread
 from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
 from rig.control.settings import EnvironmentSettings

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from serial.tools import list_ports
 
 from processing.errors import DeviceError
-from rig.control.controller import Controller, ControllerStatus
+from rig.control.controller import Controller
+from rig.control.controller_answers import ControllerStatus
 from rig.control.environment import parse_environment
 from rig.control.lasers import LaserSettings, make_laser
 from rig.control.link import ReplyTimeout

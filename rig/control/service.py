@@ -14,7 +14,8 @@ from typing import TypeVar
 
 from processing.errors import DeviceError
 from rig.control.board_witness import BoardWitness
-from rig.control.controller import AirReading, Controller, ControllerIdentity, ControllerStatus, Latch, Trip
+from rig.control.controller import Controller
+from rig.control.controller_answers import AirReading, ControllerIdentity, ControllerStatus, Latch, Trip
 from rig.control.device_thread import DeviceThread
 from rig.control.light_permit import Interlock, LightPermit, LightRefused
 from rig.control.link import ControllerReset, ReplyTimeout

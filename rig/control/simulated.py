@@ -12,7 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from rig.control.board_witness import BoardSensor
-from rig.control.controller import AirReading, Controller
+from rig.control.controller import Controller
+from rig.control.controller_answers import AirReading
 from rig.control.firmware import adxl355
 from rig.control.firmware.core import Firmware
 from rig.control.serial_port import PortLost, SerialLine

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from pydantic import TypeAdapter
 
-from rig.control.controller import ControllerStatus
+from rig.control.controller_answers import ControllerStatus
 from rig.control.safety_state import LatchedTrip
 from rig.control.service import ControlState
 

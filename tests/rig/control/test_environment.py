@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control import environment as environment_module
-from rig.control.controller import AirReading
+from rig.control.controller_answers import AirReading
 from rig.control.environment import EnvironmentService, parse_environment
 from rig.control.firmware.bme280 import Bme280, Calibration, compensate
 from rig.control.serial_port import PortLost, SerialLine

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from processing.errors import DeviceError
 from rig.control import controller as controller_module
-from rig.control.controller import AirReading, Controller, InterlockOpen, PowerLimit
+from rig.control.controller import Controller, InterlockOpen, PowerLimit
+from rig.control.controller_answers import AirReading
 from rig.control.firmware.core import VERSION
 from rig.control.link import CommandRefused, ControllerReset, ReplyTimeout
 from rig.control.protocol import checksum, encode

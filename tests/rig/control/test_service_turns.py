@@ -5,7 +5,8 @@ from collections.abc import Callable
 import pytest
 
 from processing.errors import DeviceError
-from rig.control.controller import AirReading, Controller, InterlockOpen, PowerLimit
+from rig.control.controller import Controller, InterlockOpen, PowerLimit
+from rig.control.controller_answers import AirReading
 from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, LightRefused, Stage
 from rig.control.link import CommandRefused
 from rig.control.safety_state import SafetyState, TripCause

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from rig.control.controller import AirReading, InterlockOpen, PowerLimit
+from rig.control.controller import InterlockOpen, PowerLimit
+from rig.control.controller_answers import AirReading
 from rig.control.environment import EnvironmentService
 from rig.control.light_permit import LightRefused
 from rig.control.service import ControlService, ControlState

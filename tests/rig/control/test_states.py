@@ -17,7 +17,7 @@ from rig.control import (
     Trip,
     TripCause,
 )
-from rig.control.controller import ControllerStatus, Latch
+from rig.control.controller_answers import ControllerStatus, Latch
 from rig.desk.following import Following
 from rig.measure.preflight import device_checks
 from rig.presentation import plain_values
