@@ -6,6 +6,7 @@ python docs/pictures/desk.py
 import os
 import sys
 import tempfile
+import time
 from contextlib import chdir
 from pathlib import Path
 
@@ -40,7 +41,12 @@ height_px = 640
 way = "let go"
 """
 HANDED_OVER = "[...document.querySelectorAll('button')].some(b => b.offsetParent && b.innerText === 'REPORT')"
+STILL = (
+    "document.getAnimations().every(a => a.playState !== 'running' || "
+    "a.effect.getComputedTiming().endTime === Infinity)"
+)
 SHOWN_FROM_HALF_CYCLES = 44
+SHARPNESS_S = 6.0
 
 
 def main() -> None:
@@ -60,6 +66,7 @@ def photograph(page: Page) -> None:
     page.click("Live picture")
     page.wait_text("clean spot")
     page.wait("document.querySelectorAll('[aria-label=\"histogram\"] svg path').length > 30")
+    time.sleep(SHARPNESS_S)
     save(page, "align")
     page.click("Stop")
     page.key("3")
@@ -77,8 +84,9 @@ def photograph(page: Page) -> None:
     page.wait_text("rig desk")
     page.click("Start …")
     page.in_dialog()
-    half_cycles = "parseInt(document.body.innerText.match(/([0-9]+) half-cycles/)[1])"
+    half_cycles = "parseInt(document.body.innerText.match(/elapsed\\s.*?([0-9]+) half-cycles/)[1])"
     page.wait(f"{half_cycles} > {SHOWN_FROM_HALF_CYCLES}", 400.0)
+    page.wait_text("b / rad", 200.0)
     save(page, "measure")
     page.click("Stop")
     page.click("Stop it")
@@ -110,7 +118,8 @@ def ladder() -> list[str]:
 
 
 def save(page: Page, panel: str) -> None:
-    """Save a picture of a panel."""
+    """Save a picture of a panel, once labels and buttons have stopped moving."""
+    page.wait(STILL, 20.0)
     page.picture(HERE / f"desk-{panel}.png")
     print(f"desk-{panel}.png")
 

@@ -62,7 +62,7 @@ def check_archive(archive: Path, *, records: bool = False, repair: bool = False,
     failed = len(found.flaws)
     for name in found.unknown:
         print(f"{archive / name}: belongs to no archive")
-    told = f"{found.proved} files proved, {failed} damaged or missing"
+    told = f"{found.proved} files verified, {failed} damaged or missing"
     if found.unproved:
         told += f", {found.unproved} of an earlier version, which nothing proves"
     if records and not failed:

@@ -141,9 +141,7 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
     cells = [[_cell(value) for value in row] for row in rows]
     summary = f"{len(rows)} run{'s' if len(rows) != 1 else ''}"
     if any(_is_doubtful(names[place], row, at) for place in shown_places for row in rows):
-        summary += (
-            f"; {_DOUBT.strip()}: the run's data do not determine it, its report says between which bounds"
-        )
+        summary += f"; {_DOUBT.strip()}: the run's data do not determine it; its report gives bounds"
     return Table("runs", "", names, cells, head, shown, summary)
 
 

@@ -80,8 +80,8 @@ class Chart:
         options = chart_options(
             quantity(self._x, unit), self._curves, points, unit, self._logarithmic, marks, ends, empty
         )
-        if below and any(map(len, points)):
-            options["graphic"].append(in_last_row(self._curves, below))
+        # a chart in the browser merges what it gets: words go only where others, or none, replace them
+        options["graphic"].append(in_last_row(self._curves, below if any(map(len, points)) else ""))
         if self._small:
             for axis in options["yAxis"]:
                 axis["splitNumber"] = 2

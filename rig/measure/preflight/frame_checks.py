@@ -147,7 +147,11 @@ def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: Prefligh
         "frame rate",
         not (wrong or lossy),
         f"{asked_hz:g} Hz was requested" if wrong else "frames are being lost" if lossy else "",
-        "exposure too long, or the bus too slow" if wrong else "another port or cable" if lossy else "",
+        "exposure too long, or the bus too slow"
+        if wrong
+        else "close other programs; use another port or cable"
+        if lossy
+        else "",
         measured=f"{rate_hz:.2f} Hz, {100 * lost:.2f} % lost",
         limit=limit,
     )

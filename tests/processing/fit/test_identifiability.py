@@ -147,7 +147,7 @@ def test_at_the_rigs_noise_every_parameter_is_determined() -> None:
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=2)
     for item in identifiability(points, pendulum, fit_exact(points, pendulum)):
         assert item.verdict == "determined"
-        assert "+-" in item.text
+        assert "±" in item.text
 
 
 def test_what_noise_hides_is_an_interval_or_a_bound() -> None:

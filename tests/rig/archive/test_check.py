@@ -82,7 +82,7 @@ def test_an_archive_as_it_was_written_is_proved(
     folders = {path.relative_to(archive).parts[0] for path in files(archive)}
     assert folders == {"archive.json", "facts", "sessions", "refits", "merged", "remarks", "blind"}
     assert check_archive(whole) == 0
-    assert capsys.readouterr().out == f"{len(files(whole))} files proved, 0 damaged or missing\n"
+    assert capsys.readouterr().out == f"{len(files(whole))} files verified, 0 damaged or missing\n"
 
 
 def check_flips(archive: Path, per_file: int, seed: int) -> tuple[int, int, int]:

@@ -7,12 +7,15 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
+from nicegui import Client
+from nicegui.page import page
+
 from acquisition.frame import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from rig.channel import Channel, SessionNews
 from rig.desk.chart_options import Curve, Ends, chart_options
-from rig.desk.charts import trajectory
+from rig.desk.charts import Chart, trajectory
 from rig.presentation import quantity
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page
@@ -49,6 +52,18 @@ def test_ends_of_a_trajectory_are_labels(high: float) -> None:
             assert low <= extent[0] < extent[1] <= top
             assert low / step == pytest.approx(round(low / step), abs=1e-9)
             assert 3 <= round((top - low) / step) <= 7
+
+
+def test_words_in_an_empty_row_go_when_it_is_filled() -> None:
+    curves = (Curve("amplitude"), Curve("amplitude_residual_in_u", row=1))
+    with Client(page("/")):
+        chart = Chart("decay", "elapsed_s", curves)
+        chart.show([[(0.0, 2.0)], []], below="no fit yet")
+        words = [[one["style"]["text"] for one in chart.element.options["graphic"]]]
+        chart.show([[(0.0, 2.0)], [(0.0, 1.0)]])
+        words += [[one["style"]["text"] for one in chart.element.options["graphic"]]]
+    # the browser merges options: an element that is no longer named would stay
+    assert words == [["", "no fit yet"], ["", ""]]
 
 
 class ChartsOptions:
