@@ -158,7 +158,7 @@ def test_what_noise_hides_is_an_interval_or_a_bound() -> None:
     assert c.verdict in ("interval", "upper bound")
     assert c.lower_95 <= parameters.c <= c.upper_95
     assert c.profile_likelihood
-    assert "+-" not in c.text
+    assert "±" not in c.text
     assert "95 %" in c.text
 
 
