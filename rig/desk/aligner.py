@@ -13,7 +13,7 @@ from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError, RigError
 from rig.align import AlignmentFrame, take_look
 from rig.control import LightPermit, LightRefused, SafetyNow, SafetyState, Stage
-from rig.devices import Devices, LightWatch, find_exposure, watch_latest
+from rig.devices import Delivered, Devices, LightWatch, find_exposure, watch_latest
 from rig.instrument import complete, optics_of, prepare_kernels
 from rig.settings import Configuration
 
@@ -23,6 +23,7 @@ class LitCamera:
 
     def __init__(self, camera: Camera, info: CameraInfo, permit: LightPermit) -> None:
         self._camera, self._info, self._permit = camera, info, permit
+        self._delivered = Delivered()
 
     def open(self) -> CameraInfo:
         return self._info
@@ -31,11 +32,14 @@ class LitCamera:
         return self._camera.configure(settings)
 
     def start(self) -> None:
+        # another region has images of another size
+        self._delivered = Delivered()
         self._camera.start()
 
     def read(self, timeout_s: float) -> Frame | None:
         frame = self._camera.read(timeout_s)
         if frame is not None:
+            frame = self._delivered.checked(frame)
             self._permit.frame_read(frame.image)
         # whoever reads looks at once
         self._permit.moved(Stage.PROCESSING)

@@ -7,6 +7,7 @@ from collections.abc import Generator
 from acquisition.camera import Camera
 from acquisition.frame import Frame
 from acquisition.frame_queue import FrameQueue
+from rig.devices.delivered import Delivered
 
 _LOOK_S = 0.2
 _TIMEOUT_S = 5.0
@@ -22,15 +23,16 @@ def watch_latest(
     """Yield blocks of `at_least` frames, at most one per `interval_s`; the queue drops older frames.
 
     The camera must be configured and stopped. It runs until the monotonic time `end_s`, until its
-    source ends, or until the caller stops iterating, and is then stopped. Errors of the camera are
-    raised here.
+    source ends, or until the caller stops iterating, and is then stopped. Errors of the camera, and
+    frames that no camera may deliver, are raised here.
     """
     errors: list[Exception] = []
+    delivered = Delivered()
 
     def acquire() -> None:
         try:
-            while (frame := camera.read(_TIMEOUT_S)) is not None and queue.put(frame) is not None:
-                if ended.is_set():
+            while (frame := camera.read(_TIMEOUT_S)) is not None:
+                if queue.put(delivered.checked(frame)) is None or ended.is_set():
                     break
         except Exception as error:
             errors.append(error)

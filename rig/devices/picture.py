@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.frame import Frame, Image
 from processing.errors import DeviceError
+from rig.devices.delivered import Delivered
 
 _FLOOR = 0.1
 # sqrt(A / B) for exp(-u) - 0.1 where it is positive, u = r^2 / (2 s^2), u0 = ln 10:
@@ -156,13 +157,14 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
 
 def _look(camera: Camera, info: CameraInfo) -> PictureFigures:
     camera.start()
+    delivered = Delivered()
     try:
         seen: list[PictureFigures] = []
         while len(seen) < _FRAMES:
             frame = camera.read(_TIMEOUT_S)
             if frame is None:
                 raise DeviceError(f"{info.model}: no more frames; finding an exposure needs a live camera")
-            seen.append(figures(frame.image, info.full_scale_dn))
+            seen.append(figures(delivered.checked(frame).image, info.full_scale_dn))
     finally:
         camera.stop()
     return PictureFigures(
