@@ -199,7 +199,7 @@ class Desk:
         if self.following.running or self.session_state is Started.RUNNING:
             return None
         newest = next(iter(self.sessions.page(None, most=1).rows), None)
-        return newest.folder if newest is not None and newest.resumable else None
+        return newest.folder if newest is not None and newest.died else None
 
     def hand_over(self) -> HandOver | None:
         """What the last session hands over; None without a record. Read again when that changes."""

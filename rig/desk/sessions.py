@@ -34,8 +34,8 @@ _LAST_LINES = 14
 class SessionRow:
     """A session: its folder, when it began, what of, by whom, how many runs are complete, what is the matter.
 
-    `conditions` are the amplitudes it was to run between. `resumable` is True for one that was killed: its
-    missing runs can be made.
+    `conditions` are the amplitudes it was to run between. `resumable`: it lacks runs, which can be made;
+    `died`: it was killed.
     """
 
     folder: Path
@@ -46,6 +46,7 @@ class SessionRow:
     operator: str = ""
     conditions: str = ""
     resumable: bool = False
+    died: bool = False
     text: str = field(default="", compare=False)
 
     @property
@@ -154,8 +155,9 @@ def session_row(folder: Path) -> SessionRow:
     conditions = "" if first is None or last is None else f"{float(first):g} to {float(last):g} arcsec"
     notes = str(stated.get("notes", ""))
     text = " ".join((folder.name, when, sample, operator, state, notes)).lower()
-    is_killed = ended is RunState.INTERRUPTED
-    return SessionRow(folder, when, sample, runs, state, operator, conditions, is_killed, text)
+    lacks = ended not in (None, RunState.COMPLETE)
+    died = ended is RunState.INTERRUPTED
+    return SessionRow(folder, when, sample, runs, state, operator, conditions, lacks, died, text)
 
 
 def sparkline(folder: Path) -> str:

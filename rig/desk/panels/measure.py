@@ -30,7 +30,7 @@ _SIZE = (420, 300)
 _IF_SOUND = "Stop the session? The record is closed and fitted; nothing is lost."
 _IF_FROZEN = (
     "The session does not answer. End its process? The laser is switched off; the record stays, at worst "
-    "without its last second, and is fitted by Fit again."
+    "without its last second, and is fitted by Fit again; Resume makes the missing runs."
 )
 
 

@@ -71,7 +71,9 @@ def build(desk: Desk, tab: Tab) -> None:
         (folder,) = chosen()
         row = marked[str(folder)]
         if not row.resumable:
-            raise ConfigurationError(f"{folder}: is {row.state}; only an interrupted session can be resumed")
+            raise ConfigurationError(
+                f"{folder}: is {row.state}; only a session that lacks runs can be resumed"
+            )
         resume(folder)
 
     resume = resume_dialog(desk, tab)
