@@ -11,6 +11,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from rig.desk.login import LOGIN, refused_page
 from rig.desk.people import People, Person
 from rig.desk.sessions import SERVED
+from rig.rerun import cookies_of
 
 LOOPBACK = "127.0.0.1"
 PERSON = "rig.person"
@@ -170,14 +171,6 @@ def let_in(answer: Response, door: Door, host: str, cookie: str) -> Response:
     secure = door.tls or door.is_proxied(host)
     answer.set_cookie(door.cookie, cookie, httponly=True, samesite="strict", secure=secure)
     return answer
-
-
-def cookies_of(header: str, name: str) -> list[str]:
-    """The values of the cookies of this name; any program of this host may have set others, well formed or
-    not.
-    """
-    parts = (part.strip().partition("=") for part in header.split(";"))
-    return [value for found, _, value in parts if found == name]
 
 
 def _is_here(scope: Scope) -> bool:

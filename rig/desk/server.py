@@ -22,7 +22,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
 from rig.desk.few_visitors import FewVisitors
-from rig.desk.guard import LOOPBACK, PERSON, Door, Guard, cookies_of, let_in
+from rig.desk.guard import LOOPBACK, PERSON, Door, Guard, let_in
 from rig.desk.login import LOGIN, LOGOUT, login_page
 from rig.desk.off_switch import OffSwitch
 from rig.desk.page import build_page
@@ -32,6 +32,7 @@ from rig.desk.safety_bar import DARK
 from rig.desk.sessions import SERVED, served_file
 from rig.desk.theme import themed_report
 from rig.presentation import say
+from rig.rerun import cookies_of
 from rig.terminal import told_of_hang_up
 
 _PORT = 8642

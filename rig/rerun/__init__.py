@@ -1,5 +1,6 @@
 """The programs of the Rerun viewer, which run in processes of their own: messages to them, drawing, start."""
 
+from rig.rerun.cookies import cookies_of
 from rig.rerun.messages import (
     LENGTH,
     BalanceNumbers,

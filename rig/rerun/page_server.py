@@ -20,9 +20,9 @@ import sys
 import threading
 import time
 import urllib.parse
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
 
+from rig.rerun.cookies import cookies_of
 from rig.rerun.ports import LOOPBACK, free_port
 from rig.rerun.process_group import start_python
 from rig.rerun.rerun_program import start_program
@@ -174,10 +174,8 @@ class PageHandler(http.server.BaseHTTPRequestHandler):
             self.close_connection = True
             self.send_error(http.HTTPStatus.MISDIRECTED_REQUEST)
             return False
-        if not key:
-            with contextlib.suppress(CookieError, KeyError):
-                key = SimpleCookie(self.headers.get("Cookie", ""))[self._cookie_name].value
-        if not hmac.compare_digest(key.encode(), self.key.encode()):
+        told = [key] if key else cookies_of(self.headers.get("Cookie", ""), self._cookie_name)
+        if not any(hmac.compare_digest(one.encode(), self.key.encode()) for one in told):
             self.close_connection = True
             self.send_error(http.HTTPStatus.FORBIDDEN, "open the address that rig has printed")
             return False

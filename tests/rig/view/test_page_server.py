@@ -83,3 +83,11 @@ def test_nobody_else_is_answered(port: int) -> None:
     for path, headers in (("/", {}), ("/?key=guess", {}), ("/", {"Cookie": f"rig_page_{port}=guess"})):
         assert asked(port, "GET", path, **headers)[0] == 403
     assert asked(port, "POST", "/read", b"abc")[0] == 403
+
+
+@pytest.mark.parametrize("foreign", ['settings={"dark": true}', "a b=c", "alone", "rig_page_{}=of-another"])
+def test_cookies_of_other_programs_on_this_host_do_not_shut_the_page(port: int, foreign: str) -> None:
+    own, other = f"rig_page_{port}={KEY}", foreign.replace("{}", str(port))
+    for cookies in (f"{own}; {other}", f"{other}; {own}"):
+        assert asked(port, "GET", "/", Cookie=cookies)[0] == 200
+    assert asked(port, "GET", "/", Cookie=other)[0] == 403
