@@ -38,5 +38,6 @@ from processing.contact.one_half_swing import OneHalfSwing, tabulated_half_swing
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
 from processing.contact.period_law import frequency_drop, period
 from processing.contact.start_values import fit_decay, period_start
-from processing.contact.stated_law import Moment, StatedLaw
+from processing.contact.stated_law import StatedLaw
+from processing.contact.stated_moment import Moment
 from processing.contact.steady_swing import moment_loop

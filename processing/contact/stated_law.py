@@ -26,13 +26,12 @@ from processing.contact.moments import weight_moment
 from processing.contact.parameters import PendulumOnBall
 from processing.contact.quadrature import quarter_nodes
 from processing.contact.start_values import StartValues
+from processing.contact.stated_moment import Moment, called, refuse_odd
 from processing.contact.tabulated_decay import walk
 from processing.errors import DataError
 from processing.periods import reference_amplitude
 from processing.swing import TurningPoints
 
-Moment = Callable[..., Floats]
-"""Of |phi| in rad and of parameters by name, over m g R; their defaults are where a fit begins."""
 _ELASTIC = ("n", "gamma_pa")
 """Of Eq. 3, which is fitted where no other elastic moment is stated."""
 _LOWEST = 1e-5
@@ -251,7 +250,7 @@ def _as_the_papers(
     with np.errstate(all="ignore"):
         try:
             found = least_squares(off, np.array(list(start.values())) / scale, x_scale="jac")
-        except ValueError:  # a friction that is not finite on the way
+        except (ValueError, DataError):  # a friction that is not finite on the way, or that refuses it
             return []
     return [dict(zip(start, (found.x * scale).tolist(), strict=True))]
 
@@ -259,9 +258,11 @@ def _as_the_papers(
 def _law(
     stated: StatedLaw, points: TurningPoints, pendulum: PendulumOnBall, like: Mapping[str, float]
 ) -> Law:
-    friction, elastic, name = stated.friction, stated.elastic, stated.name
-    start = _starts_of(friction)
+    elastic, name = stated.elastic, stated.name
+    start = _starts_of(stated.friction)
     own = tuple(start)
+    friction = called(stated.friction, name)
+    refuse_odd(friction, start, points, name)
     if elastic is None:
         if taken := set(own) & set(_ELASTIC):
             raise DataError(f"{name}: its parameter {min(taken)} is one of Eq. 3, which is fitted with it")
@@ -269,7 +270,10 @@ def _law(
     else:
         if taken := set(own) & set(_starts_of(elastic)):
             raise DataError(f"{name}: its parameter {min(taken)} is one of the elastic moment, too")
-        start |= _starts_of(elastic)
+        of_elastic = _starts_of(elastic)
+        elastic = called(elastic, getattr(elastic, "__name__", "elastic"))
+        refuse_odd(elastic, of_elastic, points, f"{name}, elastic")
+        start |= of_elastic
     names = tuple(start)
     weight = weight_moment(pendulum)
     paper = dict.fromkeys((each.key for each in PAPER.parameters), 0.0) | {"p": 1.0, PERIOD: 1.0}
@@ -280,14 +284,6 @@ def _law(
         values = {**paper, **{key: known[key] for key in _ELASTIC}}
         found = PAPER.branch_moments(phi_rad, np.ones_like(phi_rad), values, pendulum)
         return np.asarray(found.elastic_n_m / weight)
-
-    probe = np.geomspace(1e-3, 1, 9) * float(points.amplitude.max())
-    found = np.asarray(friction(probe, **{key: start[key] for key in own}), dtype=np.float64)
-    if found.shape not in ((), probe.shape) or not np.all(np.isfinite(found)):
-        raise DataError(
-            f"{name}: returns an array of shape {found.shape} for {len(probe)} angles, with "
-            f"{int(np.isfinite(found).sum())} finite numbers; one for each angle is needed"
-        )
 
     def moments(
         phi_rad: Floats, direction: Floats, values: Mapping[str, float], pendulum: PendulumOnBall
@@ -324,7 +320,7 @@ def _law(
     )
     return Law(
         name=name,
-        title=(inspect.getdoc(friction) or "stated").splitlines()[0].rstrip("."),
+        title=(inspect.getdoc(stated.friction) or "stated").splitlines()[0].rstrip("."),
         source="stated",
         parameters=parameters,
         branch_moments=moments,

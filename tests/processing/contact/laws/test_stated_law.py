@@ -1,12 +1,16 @@
 """A law stated as a function: the paper's own is fitted as the paper's, on ground and in air, too."""
 
+import math
+
 import numpy as np
 import pytest
 
-from processing.contact import DEFAULT_LAW, StatedLaw
+from processing.contact import DEFAULT_LAW, Moment, StatedLaw
 from processing.errors import DataError
 from processing.fit import fit_exact
 from tests.processing.fit.decays import decay, paper_pair
+
+EQ3 = {"n": 0.09, "gamma_pa": 29e6}
 
 
 def eq1(phi_rad, c=1e-8, b=4e-3, p=0.95):  # type: ignore[no-untyped-def]
@@ -78,3 +82,56 @@ def test_what_is_no_law_is_told(friction, said: str) -> None:  # type: ignore[no
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=60)
     with pytest.raises(DataError, match=said):
         StatedLaw(friction).of(points, pendulum, {"period0_s": 4.0, "n": 0.1, "gamma_pa": 3e7})
+
+
+def fails_later(phi_rad, k=0.05):  # type: ignore[no-untyped-def]
+    if k != 0.05:
+        raise ValueError("k is odd")
+    return k * phi_rad
+
+
+def overwrites(phi_rad, k=0.05):  # type: ignore[no-untyped-def]
+    phi_rad *= k
+    return phi_rad
+
+
+@pytest.mark.parametrize(
+    ("friction", "said"),
+    [
+        (
+            lambda phi_rad, k=0.05: {}["x"],  # type: ignore[index]
+            r"stated: raises KeyError \('x'\) for an array of 9 angles and k = 0.05",
+        ),
+        (
+            lambda phi_rad, k=0.05: k * math.sin(phi_rad),
+            "stated: raises TypeError .* a value for each",
+        ),
+        (
+            lambda phi_rad, k=0.05: k * phi_rad + 1j,
+            "stated: returns complex128 for k = 0.05; one real",
+        ),
+        (lambda phi_rad, k=0.05: None, "stated: returns object"),
+        (fails_later, r"fails_later: raises ValueError \(k is odd\) .* and k = 0.0"),
+    ],
+)
+def test_what_a_stated_law_raises_is_one_line_with_its_name(friction: Moment, said: str) -> None:
+    """It passed through as it was, and imaginary parts were left out with a warning."""
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=100)
+    with pytest.raises(DataError, match=said):
+        fit_exact(points, pendulum, law=StatedLaw(friction).of(points, pendulum, {"period0_s": 4.07} | EQ3))
+
+
+def test_a_stated_law_has_angles_of_its_own() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=100)
+    phi_rad = np.array([1e-4, 2e-4])
+    found = [
+        StatedLaw(friction)
+        .of(points, pendulum, {"period0_s": 4.07} | EQ3)
+        .branch_moments(phi_rad, np.ones(2), {"k": 0.05} | EQ3, pendulum)
+        .friction_n_m
+        for friction in (overwrites, lambda phi_rad, k=0.05: k * phi_rad)
+    ]
+    np.testing.assert_array_equal(found[0], found[1])
+    assert phi_rad.tolist() == [1e-4, 2e-4]
