@@ -27,7 +27,9 @@ from processing.swing import TurningPoints
 
 _SURELY_PARABOLIC = 0.01
 """Relative standard uncertainty up to which chi2 is taken as a parabola, without a look at its profile."""
-_MOST_EVALUATIONS = 40
+_MOST_EVALUATIONS, _MORE_EVALUATIONS = 40, 120
+"""Of a refit, and of one that has not converged: its chi2 is too large, so that it may show that a limit lies
+farther, but not that one was passed."""
 _STEPS = 20
 """Values at which a parameter is held on each side, at most."""
 _ALIKE = 0.15
@@ -178,6 +180,9 @@ def profile_likelihood(
     def at(z: float) -> float:
         return float(value * np.exp(z)) if logarithmic else value + z
 
+    def root_of(cost: float) -> float:
+        return float(np.sqrt(max(2 * (cost - lowest_cost), 0.0) / scale))
+
     def side(sign: float) -> float:
         unit = min(u / value, 1.0) if logarithmic else u
         farthest = 14.0 if logarithmic else 10 * target * unit
@@ -195,16 +200,20 @@ def profile_likelihood(
         for _ in range(_STEPS):
             start = held.follow(at(sign * low), free, at(sign * z))
             start = np.clip(start, low_end + 1e-9, high_end - 1e-9)
-            solution = _refitted(refitted, held.at(at(sign * z)), start)
-            if solution is None:
+            model_there = held.at(at(sign * z))
+            solution = _refitted(refitted, model_there, start, _MOST_EVALUATIONS)
+            if solution is not None and not solution.converged and root_of(solution.cost) >= target:
+                solution = _refitted(refitted, model_there, solution.values, _MORE_EVALUATIONS)
+            if solution is None or (not solution.converged and root_of(solution.cost) >= target):
                 # its uncertainty may be thousands of times what the law allows
                 farthest_step = (z - low) * (0.5 if low else 0.1)
                 z = low + farthest_step
                 nearest, there = at(sign * low), at(sign * z)
                 if z - low < 1e-3 * low or abs(there - nearest) < 1e-9 * abs(nearest):
-                    return float("nan")
+                    z = high
+                    break
                 continue
-            root = float(np.sqrt(max(2 * (solution.cost - lowest_cost), 0.0) / scale))
+            root = root_of(solution.cost)
             trace.append((at(sign * z), root**2))
             is_below = root < target
             if abs(root - target) < 0.01 * target:
@@ -232,8 +241,10 @@ def profile_likelihood(
             else:
                 wanted = z * target / root if root > 0 else 2 * z
                 z = min(float(np.clip(1.02 * wanted, 1.05 * z, 2.5 * z)), low + farthest_step, farthest)
-        # the number of steps is exhausted without reaching the target: no limit was found
-        return at(sign * z) if np.isfinite(high) or abs(root - target) < 0.01 * target else float("nan")
+        else:
+            # no step is left: the limit lies somewhere before the end that is known to be beyond it
+            z = high
+        return at(sign * z) if np.isfinite(z) else float("nan")
 
     if not np.all(np.isfinite(model(best)[0])):
         raise DataError(f"the fitted parameters do not reach the last half-cycle; no profile of {name}")
@@ -254,11 +265,14 @@ def _widened(result: FitResult, name: str) -> float:
 
 
 def _refitted(
-    refit: Callable[..., Solution], model: Callable[[Floats], tuple[Floats, Floats]], start: Floats
+    refit: Callable[..., Solution],
+    model: Callable[[Floats], tuple[Floats, Floats]],
+    start: Floats,
+    max_evaluations: int,
 ) -> Solution | None:
     """The other parameters fitted again; None where the law has no value to begin with."""
     try:
-        return refit(model, start, max_evaluations=_MOST_EVALUATIONS)
+        return refit(model, start, max_evaluations=max_evaluations)
     except DataError:
         return None
 
