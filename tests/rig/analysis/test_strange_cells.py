@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.errors import DataError
+from processing.errors import ConfigurationError, DataError
 from rig.analysis.position_table import TableColumns
 
 TIME_S = 0.05 * np.arange(400)
@@ -86,3 +86,11 @@ def test_a_second_position_that_was_never_measured_is_named(tmp_path: Path) -> N
     (path := tmp_path / "decay.csv").write_text(f"t_s,x_deg,y_deg\n{rows}")
     with pytest.raises(DataError, match="y_deg"):
         TableColumns(positions=("x_deg", "y_deg")).read(path)
+
+
+def test_an_angle_may_swing_about_any_place_of_its_circle_but_not_by_more_than_a_turn(tmp_path: Path) -> None:
+    """An encoder counts from its own zero, and a column called t is in seconds, which are no days."""
+    found = TableColumns().read(_table(tmp_path / "far.csv", lambda x: f"{300.0 + x:.4f}", "t,x_deg"))
+    np.testing.assert_allclose(found.positions[0], 300.0 + X, atol=1e-4)
+    with pytest.raises(ConfigurationError, match="more than a turn"):
+        TableColumns().read(_table(tmp_path / "mm.csv", lambda x: f"{40.0 * x:.4f}", "t,x_deg"))

@@ -1,6 +1,7 @@
 """Workbooks as spreadsheets keep them: several sheets, hidden parts, formulas, days since 1904."""
 
 import io
+import re
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -185,3 +186,24 @@ def test_a_cell_that_has_a_style_and_no_value_makes_no_columns(tmp_path: Path) -
     changed(path, "xl/worksheets/sheet1.xml", '<row r="10">', f'{sheet}<row r="10">')
     given = rows_of_workbook(path.read_bytes())
     assert {len(row) for row in given.rows} == {2}
+
+
+def test_rows_and_cells_without_references_follow_one_another(tmp_path: Path) -> None:
+    """The references are optional, and some writers leave them out."""
+    path = save(tmp_path / "decay.xlsx", {"A": Sheet(ROWS)})
+    with zipfile.ZipFile(path) as archive:
+        sheet = archive.read("xl/worksheets/sheet1.xml").decode()
+    changed(path, "xl/worksheets/sheet1.xml", sheet, re.sub(r' r="[A-Z]*\d+"', "", sheet))
+    (run,) = TableColumns().read_runs(path)
+    np.testing.assert_array_equal(run.positions[0], X)
+
+
+def test_a_workbook_that_says_that_it_unpacks_to_more_than_memory_holds_is_not_unpacked(
+    tmp_path: Path,
+) -> None:
+    path = save(tmp_path / "decay.xlsx", {"A": Sheet(ROWS)})
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("xl/media/image1.png", b"")
+        archive.getinfo("xl/media/image1.png").file_size = 600 << 20
+    with pytest.raises(DataError, match="unpacks to more than 512 MiB"):
+        TableColumns().read(path)
