@@ -116,3 +116,14 @@ def test_zones_of_half_hours_west_and_east(tmp_path: Path) -> None:
         rows = "".join(f"2024-05-01T12:00:{0.05 * k:06.3f}{zone},{np.cos(k / 8):.4f}\n" for k in range(N))
         (path := tmp_path / "decay.csv").write_text(f"time,x_mm\n{rows}")
         assert TableColumns().read(path).first_ns == (1_714_521_600 + round(3600 * utc_h)) * 10**9
+
+
+def test_twenty_four_o_clock_is_the_next_midnight(tmp_path: Path) -> None:
+    midnight = datetime(2024, 5, 2, tzinfo=UTC)
+
+    def time(k: int) -> str:
+        moment = midnight + (k - 200) * STEP
+        return "2024-05-01T24:00:00.000Z" if k == 200 else moment.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+    found = TableColumns().read(_table(tmp_path / "decay.csv", time))
+    assert set(np.diff(found.times_ns).tolist()) == {50_000_000}

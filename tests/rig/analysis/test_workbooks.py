@@ -190,12 +190,13 @@ def test_a_cell_that_has_a_style_and_no_value_makes_no_columns(tmp_path: Path) -
 
 def test_rows_and_cells_without_references_follow_one_another(tmp_path: Path) -> None:
     """The references are optional, and some writers leave them out."""
-    path = save(tmp_path / "decay.xlsx", {"A": Sheet(ROWS)})
+    path = save(tmp_path / "decay.xlsx", {"A": Sheet(ROWS, hidden_rows=range(40, 41))})
     with zipfile.ZipFile(path) as archive:
         sheet = archive.read("xl/worksheets/sheet1.xml").decode()
     changed(path, "xl/worksheets/sheet1.xml", sheet, re.sub(r' r="[A-Z]*\d+"', "", sheet))
     (run,) = TableColumns().read_runs(path)
     np.testing.assert_array_equal(run.positions[0], X)
+    assert "hidden in the workbook, yet read: line 40" in run.understood
 
 
 def test_a_workbook_that_says_that_it_unpacks_to_more_than_memory_holds_is_not_unpacked(
