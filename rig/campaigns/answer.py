@@ -40,7 +40,7 @@ from rig.campaigns.results import (
     likelihood_tree,
 )
 from rig.campaigns.stated import StatedCampaign, StatedEffect
-from rig.campaigns.stated_model import model_of, names_of
+from rig.campaigns.stated_model import model_of, names_of, refuse_other_contacts
 
 _BAD = 0.5
 _FEW = 0.05
@@ -81,6 +81,7 @@ def answer_of(
     if not entered:
         raise DataError(f"no run can enter the campaign: {'; '.join(left_out)}")
     runs = [run for _, run in entered]
+    refuse_other_contacts(stated, runs)
     names = names_of(stated, runs)
     model = model_of(stated, names, reference_rad, runs)
     sampled = sample_campaign(runs, model, seed=stated.seed) if sample else None

@@ -7,7 +7,7 @@ how uneven the profiles are, which values are only bounded.
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import inf, isfinite, log
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from processing.contact.laws import AMPLITUDE, DEFAULT_LAW
 from processing.estimate import Determinacy, Estimate
 from processing.fit import Determination, FitMethod
 from rig.analysis import Fit, RunResults
+from rig.campaigns.stated import SURROUNDING_COVARIATES
 
 _AIR, _MISFIT, _AGEING, _PERIOD_DRIFT = "air", "misfit", "ageing", "period_drift"
 _NORMAL_95 = 1.959964
@@ -28,7 +29,6 @@ _WELL = 0.5
 _UNEVEN = 0.1
 """Asymmetry of a profile from which on it counts."""
 _MOST_UNEVEN = 0.8
-_RUN_COVARIATES: Final = ("temperature_c", "humidity_percent", "pressure_pa", "dwell_s", "age_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,7 +220,7 @@ def _asymmetry(names: Sequence[str], verdicts: Mapping[str, Determination]) -> d
 
 def _covariates(run: RunResults, fit: Fit, u: Mapping[str, float]) -> dict[str, Estimate]:
     known = {} if run.surroundings is None else asdict(run.surroundings)
-    found = {name: float(known[name]) for name in _RUN_COVARIATES if isfinite(known.get(name, inf))}
+    found = {name: float(known[name]) for name in SURROUNDING_COVARIATES if isfinite(known.get(name, inf))}
     for name in ("dwell_s", "age_s"):
         if name in found:
             # parameters are those of the middle of the run

@@ -1,13 +1,18 @@
 """What is stated of a campaign: campaign.toml."""
 
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Final, Self
 
 from pydantic import BaseModel, Field, model_validator
 
-from processing.campaign import FRICTION, Effect, Form
+from processing.campaign import FRICTION, ORDER, Effect, Form
 from processing.errors import ConfigurationError
 from rig.settings import read_toml, validated
+
+SURROUNDING_COVARIATES: Final = ("humidity_percent", "temperature_c", "pressure_pa", "dwell_s", "age_s")
+"""Covariates that are quantities of the surroundings."""
+COVARIATES: Final = (*SURROUNDING_COVARIATES, "first_amplitude_rad", "load_n", ORDER)
+"""All that a parameter may depend on."""
 
 
 class StatedEffect(BaseModel, frozen=True, extra="forbid"):
@@ -15,13 +20,11 @@ class StatedEffect(BaseModel, frozen=True, extra="forbid"):
 
     parameter: str = Field(description="b, p, c, n, period0_s, gamma_pa, drag_s, or friction: b and c alike")
     form: Form
-    covariate: str = Field(
-        default="",
-        description="humidity_percent, temperature_c, pressure_pa, dwell_s, age_s, first_amplitude_rad, "
-        "load_n, order",
-    )
+    covariate: str = Field(default="", description=", ".join(COVARIATES))
     reference: float = Field(
-        default=0.0, description="value at which the effect is zero, or position of the step"
+        default=0.0,
+        allow_inf_nan=False,
+        description="value at which the effect is zero, or position of the step",
     )
     contact: str = Field(default="", description="the only contact that has it; default: all have it alike")
     margin: float | None = Field(
@@ -32,6 +35,8 @@ class StatedEffect(BaseModel, frozen=True, extra="forbid"):
     def _has_covariate(self) -> Self:
         if self.form is not Form.DURING and not self.covariate:
             raise ValueError("covariate: is missing; state what the parameter depends on")
+        if self.covariate:
+            _refuse_unknown(self.covariate)
         if self.form is Form.DURING and self.parameter != FRICTION:
             raise ValueError("form = 'during': is of parameter = 'friction'")
         return self
@@ -77,12 +82,27 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
         default=(), description="parameters that may have become other ones at some run"
     )
     prior: dict[str, StatedLevel] = Field(default_factory=dict, description="by parameter")
-    size: dict[str, float] = Field(
+    size: dict[str, Annotated[float, Field(gt=0, allow_inf_nan=False)]] = Field(
         default_factory=dict,
         description="by parameter, how far an effect may move it and how far runs may scatter; of b, "
         "c, gamma_pa as a fraction of it",
     )
-    u: dict[str, float] = Field(default_factory=dict, description="standard uncertainty by covariate")
+    u: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = Field(
+        default_factory=dict, description="standard uncertainty by covariate"
+    )
+
+    @model_validator(mode="after")
+    def _says_each_once(self) -> Self:
+        for covariate in self.u:
+            _refuse_unknown(covariate)
+        for what, stated in (
+            ("parameters", self.parameters),
+            ("effect", self.effect),
+            ("candidate", self.candidate),
+        ):
+            if len(set(stated)) < len(stated):
+                raise ValueError(f"{what}: the same is stated twice")
+        return self
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -96,6 +116,11 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
     @property
     def candidates(self) -> tuple[Effect, ...]:
         return tuple(one.effect() for one in self.candidate)
+
+
+def _refuse_unknown(covariate: str) -> None:
+    if covariate not in COVARIATES:
+        raise ValueError(f"there is no covariate {covariate!r}; a campaign has {', '.join(COVARIATES)}")
 
 
 def read_campaign(path: Path) -> StatedCampaign:

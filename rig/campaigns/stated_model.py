@@ -5,7 +5,7 @@ from math import log
 
 import numpy as np
 
-from processing.campaign import POSITIVE, CampaignModel, CompressedRun
+from processing.campaign import FRICTION, POSITIVE, CampaignModel, CompressedRun
 from processing.contact import DRAG
 from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError
@@ -18,8 +18,22 @@ def names_of(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> tuple[str
     known = (*DEFAULT_LAW.names(), DRAG.key)
     if unknown := [name for name in stated.parameters if name not in known]:
         raise ConfigurationError(f"parameters: there is no {unknown[0]!r}; a campaign has {', '.join(known)}")
+    if unknown := [name for name in stated.size if name not in (*known, FRICTION)]:
+        raise ConfigurationError(
+            f"size.{unknown[0]}: there is no such parameter; a campaign has {', '.join(known)}"
+        )
     seen = {name for run in runs for name in (*run.names, *run.bounds)}
     return stated.parameters or tuple(name for name in known if name in seen)
+
+
+def refuse_other_contacts(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> None:
+    """Raise ConfigurationError for an effect of a contact of which no run enters."""
+    contacts = list(dict.fromkeys(run.contact for run in runs))
+    for one in (*stated.effect, *stated.candidate):
+        if one.contact and one.contact not in contacts:
+            raise ConfigurationError(
+                f"contact = {one.contact!r}: no such contact; the runs are of {', '.join(contacts)}"
+            )
 
 
 def model_of(

@@ -130,6 +130,9 @@ def test_without_priors_stands_beside(tmp_path: Path) -> None:
     assert value.without_priors.value == pytest.approx(0.944, abs=0.002)
 
 
+EFFECT = '[[effect]]\nparameter = "c"\nform = "linear"\n'
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -138,8 +141,21 @@ def test_without_priors_stands_beside(tmp_path: Path) -> None:
         ('[[effect]]\nparameter = "c"\nform = "cubic"\ncovariate = "order"', "effect.0.form"),
         (
             '[[effect]]\nparameter = "c"\nform = "linear"\ncovariate = "phase_of_moon"',
-            "phase_of_moon: known of 0",
+            "there is no covariate 'phase_of_moon'; a campaign has humidity_percent",
         ),
+        (EFFECT + 'covariate = "pressure_pa"', "pressure_pa: known of 0"),
+        (EFFECT + 'covariate = "order"\nreference = nan', "effect.0.reference"),
+        (
+            EFFECT + 'covariate = "order"\ncontact = "tuesday"',
+            "'tuesday': no such contact; the runs",
+        ),
+        (2 * (EFFECT + 'covariate = "order"\n'), "effect: the same is stated twice"),
+        ('parameters = ["c", "c"]', "parameters: the same is stated twice"),
+        ("[u]\nhumidity_percent = nan", "u.humidity_percent"),
+        ("[u]\nhumidity_percent = -2.0", "u.humidity_percent"),
+        ("[u]\nhumidty = 2.0", "there is no covariate 'humidty'"),
+        ("[size]\nb = -0.5", "size.b"),
+        ("[size]\nbb = 0.5", "size.bb: there is no such parameter"),
         ("[prior.p]\nvalue = 1", "prior.p.u: is missing"),
         ("draw = 3", "draw: unknown key; did you mean draws?"),
     ],
