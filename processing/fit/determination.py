@@ -27,9 +27,10 @@ from processing.swing import TurningPoints
 
 _SURELY_PARABOLIC = 0.01
 """Relative standard uncertainty up to which chi2 is taken as a parabola, without a look at its profile."""
-_MOST_EVALUATIONS, _MORE_EVALUATIONS = 40, 120
-"""Of a refit, and of one that has not converged: its chi2 is too large, so that it may show that a limit lies
-farther, but not that one was passed."""
+_MOST_EVALUATIONS = 40
+"""Of the model in one refit; once more as many where it would set a limit and has not converged."""
+_MOST_IN_VAIN = 1
+"""After so many of those that never converge on one side, another one ends the search there."""
 _STEPS = 20
 """Values at which a parameter is held on each side, at most."""
 _ALIKE = 0.15
@@ -154,6 +155,8 @@ def profile_likelihood(
     logarithmic scale if their estimates are positive. The search ends at ten standard uncertainties (b and
     gamma: at a factor of a million), or at zero for parameters that cannot be negative. Where the fit itself
     lies below zero, the rise counts from the best fit at zero: a limit is never one of impossible values.
+    A refit that has not converged shows that chi2 rises by no more than it says: it may be passed, but sets
+    no limit. The search goes nearer then, and soon ends without one.
     """
     if result.method is not FitMethod.EXACT:
         raise DataError("a profile likelihood belongs to an exact fit")
@@ -180,8 +183,11 @@ def profile_likelihood(
     def at(z: float) -> float:
         return float(value * np.exp(z)) if logarithmic else value + z
 
-    def root_of(cost: float) -> float:
-        return float(np.sqrt(max(2 * (cost - lowest_cost), 0.0) / scale))
+    def rise_root(solution: Solution) -> float:
+        return float(np.sqrt(max(2 * (solution.cost - lowest_cost), 0.0) / scale))
+
+    def is_open(solution: Solution) -> bool:
+        return not solution.converged and rise_root(solution) > 0.99 * target
 
     def side(sign: float) -> float:
         unit = min(u / value, 1.0) if logarithmic else u
@@ -197,14 +203,20 @@ def profile_likelihood(
         high, high_root, root = np.inf, np.inf, 0.0
         z = farthest_step = min(target * unit, farthest)
         was_below: bool | None = None
+        in_vain = 0
         for _ in range(_STEPS):
             start = held.follow(at(sign * low), free, at(sign * z))
             start = np.clip(start, low_end + 1e-9, high_end - 1e-9)
             model_there = held.at(at(sign * z))
-            solution = _refitted(refitted, model_there, start, _MOST_EVALUATIONS)
-            if solution is not None and not solution.converged and root_of(solution.cost) >= target:
-                solution = _refitted(refitted, model_there, solution.values, _MORE_EVALUATIONS)
-            if solution is None or (not solution.converged and root_of(solution.cost) >= target):
+            solution = _refitted(refitted, model_there, start)
+            if solution is not None and is_open(solution):
+                solution = _refitted(refitted, model_there, solution.values)
+                if solution is not None and is_open(solution):
+                    solution, in_vain = None, in_vain + 1
+                    if in_vain > _MOST_IN_VAIN:
+                        z = high
+                        break
+            if solution is None:
                 # its uncertainty may be thousands of times what the law allows
                 farthest_step = (z - low) * (0.5 if low else 0.1)
                 z = low + farthest_step
@@ -213,7 +225,7 @@ def profile_likelihood(
                     z = high
                     break
                 continue
-            root = root_of(solution.cost)
+            root = rise_root(solution)
             trace.append((at(sign * z), root**2))
             is_below = root < target
             if abs(root - target) < 0.01 * target:
@@ -268,11 +280,10 @@ def _refitted(
     refit: Callable[..., Solution],
     model: Callable[[Floats], tuple[Floats, Floats]],
     start: Floats,
-    max_evaluations: int,
 ) -> Solution | None:
     """The other parameters fitted again; None where the law has no value to begin with."""
     try:
-        return refit(model, start, max_evaluations=max_evaluations)
+        return refit(model, start, max_evaluations=_MOST_EVALUATIONS)
     except DataError:
         return None
 

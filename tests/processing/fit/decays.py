@@ -76,5 +76,10 @@ def without(points: TurningPoints, missing: NDArray[np.int64]) -> TurningPoints:
     return TurningPoints(*(getattr(points, name)[kept] for name in points.__slots__))
 
 
+def first_of(points: TurningPoints, count: int) -> TurningPoints:
+    """So many of the first."""
+    return without(points, points.index[count:])
+
+
 def truth(parameters: ContactParameters, names: tuple[str, ...]) -> NDArray[np.float64]:
     return np.array([getattr(parameters, name) for name in names if hasattr(parameters, name)])

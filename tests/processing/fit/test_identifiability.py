@@ -15,7 +15,7 @@ from processing.fit.drag import DragFinding, drag_verdict
 from processing.fit.evidence import Evidence
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
-from tests.processing.fit.decays import decay, paper_pair
+from tests.processing.fit.decays import decay, first_of, paper_pair
 from tests.processing.fit.driven import driven_decay
 
 
@@ -218,6 +218,23 @@ def test_a_refit_that_was_given_up_is_no_limit(flat: str, seed: int, name: str) 
             inner = beyond[0] if limit == profile.lower else before[-1]
             # where a limit is, chi2 has risen by what 95 % asks, and does not leap there from less
             assert inner > 0.9
+
+
+def test_a_refit_that_has_not_converged_sets_no_limit() -> None:
+    """Of 28 half-cycles with drag, b was said to be above 0.044: that of a refit that had not converged."""
+    parameters, pendulum = paper_pair("glass_k8", 1.7e-3)
+    points = first_of(decay(parameters, pendulum, noise_arcsec=0.02, seed=2, last_arcsec=50), 28)
+    found = profile_likelihood(points, pendulum, fit_exact(points, pendulum, drag=True), "b")
+    assert not found.lower > parameters.b
+    assert not found.upper < parameters.b
+
+
+def test_where_only_such_a_refit_would_bound_a_parameter_it_is_undetermined() -> None:
+    """At c = 2.4e-6 chi2 seemed to rise by 15: it rises by 1.4, and by 1.9 at five times as much."""
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=4, last_arcsec=110)
+    (c,) = [one for one in identifiability(points, pendulum, fit_exact(points, pendulum)) if one.name == "c"]
+    assert not c.upper_95 < 1.2e-5
 
 
 def test_period0_and_n_are_named_as_hard_to_tell_apart() -> None:
