@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 from processing.d_si import from_d_si
 from processing.errors import ConfigurationError
+from processing.plain_xml import parsed_xml
 
 Element = ElementTree.Element
 DCC: Final = "https://ptb.de/dcc"
@@ -73,7 +74,7 @@ def parse_certificate(data: bytes, name: str) -> Certificate:
     if len(data) > _LARGEST:
         raise ConfigurationError(f"{name}: has {len(data) >> 20} MB, a certificate at most {_LARGEST >> 20}")
     try:
-        root = ElementTree.fromstring(data, ElementTree.XMLParser(target=_Plain()))
+        root = parsed_xml(data)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise ConfigurationError(f"{name}: is not XML: {error}") from None
     if root.tag != f"{{{DCC}}}{_ROOT}":
@@ -106,15 +107,6 @@ def parse_certificate(data: bytes, name: str) -> Certificate:
         _text(root, "dcc:administrativeData/dcc:items/dcc:item/dcc:name/dcc:content"),
         tuple(each for result in found for each in _quantities(result, name)),
     )
-
-
-class _Plain(ElementTree.TreeBuilder):
-    """Refuses what declares entities: a text may then be any other, or of any length."""
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        raise ValueError(
-            f"it declares a document type ({name}), which no certificate needs; remove the DOCTYPE"
-        )
 
 
 def _other_numbers(root: Element) -> str:

@@ -200,7 +200,7 @@ def profile_likelihood(
             farthest = min(farthest, room if parameter.lower == 0 else 0.999 * room)
         free = free_at_lowest
         low, low_root = 0.0, 0.0
-        high, high_root, root = np.inf, np.inf, 0.0
+        high, high_root = np.inf, np.inf
         z = farthest_step = min(target * unit, farthest)
         was_below: bool | None = None
         in_vain = 0

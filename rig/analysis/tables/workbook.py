@@ -10,6 +10,7 @@ from datetime import datetime, timedelta
 from typing import Final, NamedTuple
 from xml.etree import ElementTree
 
+from processing.plain_xml import parsed_xml
 from rig.analysis.tables.numbers import is_missing, is_moment, is_number
 from rig.analysis.tables.times import placed
 
@@ -129,15 +130,11 @@ def _listed(archive: zipfile.ZipFile) -> tuple[datetime, list[tuple[str, str, bo
     return (_FIRST_DAY_1904 if since_1904 else _FIRST_DAY), sheets
 
 
-class _Plain(ElementTree.TreeBuilder):
-    """Refuses what declares entities, in any encoding and wherever it does: they unpack to any length."""
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        raise ValueError(f"a part of it declares a document type ({name})")
-
-
 def _tree(archive: zipfile.ZipFile, name: str) -> ElementTree.Element:
-    return ElementTree.fromstring(archive.read(name), ElementTree.XMLParser(target=_Plain()))
+    try:
+        return parsed_xml(archive.read(name))
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
 
 
 def _shared_texts(archive: zipfile.ZipFile) -> list[str]:
