@@ -208,3 +208,10 @@ def test_a_workbook_that_says_that_it_unpacks_to_more_than_memory_holds_is_not_u
         archive.getinfo("xl/media/image1.png").file_size = 600 << 20
     with pytest.raises(DataError, match="unpacks to more than 512 MiB"):
         TableColumns().read(path)
+
+
+def test_a_part_that_declares_entities_is_refused_by_its_name(tmp_path: Path) -> None:
+    path = save(tmp_path / "decay.xlsx", {"A": Sheet(ROWS)})
+    changed(path, "xl/worksheets/sheet1.xml", "<worksheet", '<!DOCTYPE w [<!ENTITY a "9">]><worksheet')
+    with pytest.raises(DataError, match=r"as a workbook: xl/worksheets/sheet1.xml: .*document type \(w\)"):
+        TableColumns().read(path)
