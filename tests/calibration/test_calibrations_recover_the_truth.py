@@ -14,6 +14,7 @@ def table() -> dict[str, list[float]]:
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 
+@pytest.mark.slow
 def test_no_quantity_is_biased(table: dict[str, list[float]]) -> None:
     # the mean of 25 unit deviates has the standard deviation 0.2; of 15 quantities none beyond 3.5 of it
     for name, z in table.items():

@@ -48,6 +48,7 @@ def test_times_far_from_zero_keep_their_nanoseconds() -> None:
     assert np.abs(again - (host + 2**60)).max() < 2e5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("memory_s", "least"), [(0.0, 0.9), (0.5, 0.7)])
 def test_the_rate_s_uncertainty_is_its_scatter_also_where_many_frames_in_a_row_are_late(
     memory_s: float, least: float

@@ -93,6 +93,7 @@ def test_a_ladder_that_hardly_determines_the_tilt_of_the_sensor_says_so() -> Non
     assert any("tilt of the sensor" in note for note in fit_ladder(coarse, "tilt").notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "share", "beyond"),
     [

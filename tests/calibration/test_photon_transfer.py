@@ -9,6 +9,7 @@ from processing.errors import DataError
 from tests.calibration.simulated_sensor import even_frames, random_sensor, transfer_frames
 
 
+@pytest.mark.slow
 def test_gain_and_read_noise_come_back_without_bias() -> None:
     rng = np.random.default_rng(11)
     deviations = []

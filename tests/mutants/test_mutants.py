@@ -48,6 +48,7 @@ def test_each_place_is_changed_by_itself_and_words_by_none() -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["processing/swing/arc.py", "rig/control/firmware/core.py"])
 def test_mutated_modules_are_programs(module: str) -> None:
     source = Path(module).read_bytes()

@@ -60,6 +60,7 @@ def deviations(b: Balance) -> list[float]:
     ]
 
 
+@pytest.mark.slow
 def test_values_and_uncertainties() -> None:
     runs = 12
     # every second estimate: neighbours share samples
@@ -131,6 +132,7 @@ def test_lost_spots() -> None:
     assert np.abs(np.array([deviations(b)[:4] for b in found])).max() < 5.0
 
 
+@pytest.mark.slow
 def test_memory_stays_flat() -> None:
     estimator = BalanceEstimator()
     sizes = []

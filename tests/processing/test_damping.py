@@ -44,6 +44,7 @@ def test_friction_that_does_not_depend_on_speed_ends_the_swing() -> None:
     assert amplitude_at(T, 1.0, 0.1, 0.2, 0.0)[-1] == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_time_constant_at_every_amplitude_is_within_its_uncertainty(kind: str) -> None:
     parts, truth = KINDS[kind], true_amplitude(KINDS[kind])

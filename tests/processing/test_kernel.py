@@ -82,6 +82,7 @@ def test_compiled_once_and_then_loaded(folder: Path) -> None:
     assert compilations(imported_again()) == (21.0, [])
 
 
+@pytest.mark.slow
 def test_a_kernel_called_by_another_and_by_python_is_loaded_for_both(folder: Path) -> None:
     program = "import outer_kernel; print(outer_kernel.outer(1.0, 1), outer_kernel.filled(2).tolist())"
     for _ in range(2):  # compiled, then loaded in a process that has compiled nothing
@@ -106,6 +107,7 @@ def test_compiled_again_after_a_change(folder: Path, name: str, old: str, new: s
     assert compilations(imported_again()) == (result, [True])
 
 
+@pytest.mark.slow
 def test_compiled_again_when_a_module_of_what_it_calls_is_gone(folder: Path) -> None:
     """As after an update of the program: the machine code names the modules that it was made from."""
     source = folder / "outer_kernel.py"
@@ -168,6 +170,7 @@ print(outer_kernel.outer(1.0, 1))
 """
 
 
+@pytest.mark.slow
 def test_code_that_was_not_kept_is_not_taken_for_what_was_kept_before(folder: Path) -> None:
     """A disk may have room for the cache's index and not for the machine code."""
     assert compilations(imported_again()) == (21.0, [True])
@@ -204,6 +207,7 @@ print(result, sum(stats.cache_misses.values()), sum(stats.cache_hits.values()))
 """
 
 
+@pytest.mark.slow
 def test_processes_that_need_a_kernel_at_once_compile_it_once(folder: Path) -> None:
     running = [
         subprocess.Popen(
@@ -303,6 +307,7 @@ def run_as_nobody(folder: Path, *words: str) -> str:
     return done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_works_where_nothing_can_be_written(for_everyone: Path) -> None:
     (for_everyone / "outer_kernel.py").write_text(OUTER)
     (for_everyone / "inner_kernel.py").write_text(INNER)
@@ -353,6 +358,7 @@ def _sums(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
     return float(x.sum()), x.copy()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="timers are those of POSIX")
 def test_an_interrupt_in_a_kernel_that_makes_arrays_is_an_interrupt() -> None:
     """Ctrl-C comes up while numba hands the arrays over, which it calls an error of its own."""

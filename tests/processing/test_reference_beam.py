@@ -73,6 +73,7 @@ def errors(position: Floats, run: Tracked) -> Floats:
     return np.asarray(off - off.mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_pointing_is_taken_off_and_what_is_left_is_within_its_uncertainty(seed: int) -> None:
     run = tracked(seed)
@@ -101,6 +102,7 @@ def test_a_filter_takes_less_of_the_reference_than_all_and_more_of_its_motion_th
     assert np.all(common.u[common.known] < 0.75 * np.median(run.u_reference))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4])
 def test_an_unrelated_reference_is_refused(seed: int) -> None:
     run = tracked(seed, related=False)

@@ -11,6 +11,7 @@ def steps_in(values: np.ndarray, least: float = 3.0) -> list[Step]:
     return [step for k, value in enumerate(values) if (step := watch.take(k, float(value))) is not None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [10.0, -10.0, 4.0])
 @pytest.mark.parametrize("noise", [1e-3, 0.2])
 def test_a_step_is_noticed_once_with_its_size_and_place(size: float, noise: float) -> None:

@@ -16,6 +16,7 @@ def swing(
     return time_s, np.column_stack([x, 0.1 * x]) + noise_px * rng.standard_normal((count, 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise_px", [0.0, 0.01, 0.1, 1.0])
 @pytest.mark.parametrize("per_period", [12.0, 50.0, 300.0])
 def test_swings_have_none(noise_px: float, per_period: float) -> None:

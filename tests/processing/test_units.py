@@ -11,6 +11,7 @@ from processing.units import conversion, size, unit_of_name, units_like
 IN_PINT = {"px": "pixel", "DN": "count", "°C": "delta_degC", "%": "percent", "e": "elementary_charge"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("unit", "into"),
     [

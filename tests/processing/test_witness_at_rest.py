@@ -54,6 +54,7 @@ def minutes() -> tuple[Floats, Floats, Floats]:
     return shaken(60.0, 60)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "late_s"), [(0.1, 0.0), (0.3, 0.4), (1.0, 0.0)])
 def test_the_factor_lies_within_its_bounds(
     minutes: tuple[Floats, Floats, Floats], noise: float, late_s: float
@@ -73,6 +74,7 @@ def test_the_factor_lies_within_its_bounds(
         assert factor == pytest.approx(true, rel=0.15)
 
 
+@pytest.mark.slow
 def test_unrelated_records_agree_by_chance_as_often_as_is_stated(
     minutes: tuple[Floats, Floats, Floats],
 ) -> None:

@@ -46,6 +46,7 @@ def state(tree: Path) -> tuple[str, str, str]:
     return git(tree, "rev-parse", "HEAD"), git(tree, "tag"), git(tree, "status", "--porcelain")
 
 
+@pytest.mark.slow
 def test_two_builds_have_the_same_bytes(tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     one = build(tree, tmp_path / "one")
     other_place = tmp_path / "a longer path" / "to it"
@@ -165,6 +166,7 @@ def test_a_failure_at_the_end_leaves_nothing(tree: Path, monkeypatch: pytest.Mon
     assert not list((tree / "dist").iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("makers")
 def test_a_release_has_all_its_files(tree: Path) -> None:
     folder = command.release(tree, "9.8.7", [[sys.executable, "-c", ""]], DAY)

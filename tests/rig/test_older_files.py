@@ -128,6 +128,7 @@ def test_the_reader_gives_numbers_pixels_and_configuration() -> None:
         )
 
 
+@pytest.mark.slow
 def test_a_fit_gives_what_it_gave() -> None:
     # those versions asked for no drag
     rig("fit series/run-1.mcap --set fit.drag=vacuum -o again")
@@ -189,12 +190,14 @@ def test_compare(folder: Path) -> None:
     assert Path("compared.html").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_replay() -> None:
     text = rig("replay series/run-1.mcap")
     # on another processor the last bit may differ, and a table says so
     assert f"{SPOTS} spots and {SWINGS} half-cycles, equal" in text or "largest change" in text
 
 
+@pytest.mark.slow
 def test_retracking_changes_little() -> None:
     rig("replay series/run-1.mcap --retrack --set fit.drag=vacuum -o again")
     (new,), (old,) = results("again/results.json")["runs"], results("series/results.json")["runs"]
@@ -203,6 +206,7 @@ def test_retracking_changes_little() -> None:
         assert abs(after["value"] - before["value"]) < 3 * before["standard_uncertainty"], name
 
 
+@pytest.mark.slow
 def test_replay_of_a_cut_record_says_so() -> None:
     assert "was cut short" in rig("replay series/run-2.mcap")
 
@@ -226,6 +230,7 @@ def test_export(format_: str) -> None:
         assert Path("exported").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["measuring", "analysing"])
 def test_view(layout: str) -> None:
     for name in ("series", "uncalibrated"):

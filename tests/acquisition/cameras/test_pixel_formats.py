@@ -16,6 +16,7 @@ def test_the_numbers_are_those_of_the_naming_convention() -> None:
         assert (item.code >> 16) & 0xFF == item.transport_bits
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["Mono8", "Mono10", "Mono12", "Mono14", "Mono16", "Mono10p", "Mono10Packed", "Mono12p", "Mono12Packed"],

@@ -85,6 +85,7 @@ def flip_everywhere(tmp_path: Path, whole: bytes, places: list[int]) -> None:
             assert reader.epoch_offset_ns == EPOCH_OFFSET_NS
 
 
+@pytest.mark.slow
 def test_any_flipped_byte_is_found(tmp_path: Path, whole: bytes) -> None:
     rng = np.random.default_rng(3)
     flip_everywhere(tmp_path, whole, rng.choice(len(whole), 250, replace=False).tolist())

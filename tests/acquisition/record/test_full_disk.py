@@ -126,6 +126,7 @@ def test_no_room_for_the_reserve_is_said_at_the_opening(small_disk: Path) -> Non
     assert list(small_disk.glob("*.mcap")) == []
 
 
+@pytest.mark.slow
 def test_recovering_onto_a_full_disk_leaves_nothing_behind(small_disk: Path, tmp_path: Path) -> None:
     source, copy = tmp_path / "run.mcap", small_disk / "whole.mcap"
     write_sample(source, 1024, window_px=96)

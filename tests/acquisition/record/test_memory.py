@@ -58,6 +58,7 @@ def bytes_per_spot(path: Path, spots: int, block: int) -> float:
     return float(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="resident memory is read from /proc")
 def test_memory_grows_by_the_chunk_index_alone(tmp_path: Path) -> None:
     """In a folder of memory where there is one: thousands of flushes to a busy disk take minutes."""

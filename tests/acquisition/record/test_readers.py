@@ -62,6 +62,7 @@ def read_with_node(folder: Path, path: Path, mode: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["indexed", "stream"])
 def test_foxgloves_reader_sees_the_same(mcap_packages: Path, record: Path, mode: str) -> None:
     found = read_with_node(mcap_packages, record, mode)

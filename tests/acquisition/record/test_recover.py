@@ -187,6 +187,7 @@ repaired(Path(sys.argv[1]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="killed by a signal of POSIX")
 @pytest.mark.parametrize(
     ("module", "function"),

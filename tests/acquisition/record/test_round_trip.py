@@ -61,6 +61,7 @@ def bits(values: tuple[Any, ...]) -> list[Any]:
     return [struct.pack("<d", value) if isinstance(value, float) else value for value in values]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ALL_TYPES, ids=lambda kind: kind.full_name)
 @given(data=st.data())
 @settings(max_examples=60, deadline=None)

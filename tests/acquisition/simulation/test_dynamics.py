@@ -90,6 +90,7 @@ def reference_turns(mode: ModeConstants, angle_rad: float, count: int) -> NDArra
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "contact", [GLASS, SILICON, STEEL, {"drag_s": 1e-4}, {"b": 1e-5, "p": 0.4, "n": 0.0}]
 )

@@ -109,6 +109,7 @@ def test_level_half_way_is_the_mean_of_the_models_in_db() -> None:
     assert acceleration_density(truth, f)[0] == pytest.approx(1.0e-6, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["acceleration", "tilt"])
 def test_linear_oscillator_answers_with_its_transfer_function(by: str) -> None:
     """Both modes without friction, with drag: the spectrum from 0.02 Hz to the band's end."""

@@ -212,6 +212,7 @@ def test_light_is_the_integral_over_each_pixel(
     assert light_e == pytest.approx(integrated(beam, 64, 80), abs=max(2e-7 * 7000, 1e-3))
 
 
+@pytest.mark.slow
 def test_light_of_a_very_long_ellipse_is_all_there() -> None:
     beam = GaussianBeam(200.2, 150.7, 45.0, 3.0, 0.6, 7000.0)
     light_e = np.zeros((300, 400))

@@ -214,6 +214,7 @@ def test_equivalence_needs_a_narrow_band() -> None:
     assert within(found, slope, 1e-4) < 0.5
 
 
+@pytest.mark.slow
 def test_a_sampler_agrees() -> None:
     pytest.importorskip("emcee")
     runs = made(world(), 8, np.random.default_rng(10), names=("c",)).runs

@@ -47,6 +47,7 @@ EXPONENTS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("p", EXPONENTS)
 def test_closed_form_is_the_integral_over_the_whole_range(p: float) -> None:
     for c in (0.0, 1e-30, 1e-12, 1e-9, 1e-8, 1e-6, 1e-3):

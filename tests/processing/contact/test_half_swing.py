@@ -57,6 +57,7 @@ def integrated(
     return np.array(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drag_s", [0.0, 1e-3])
 @pytest.mark.parametrize("flat", PAIRS)
 def test_agrees_with_integration_over_some_half_cycles(flat: str, drag_s: float) -> None:

@@ -50,6 +50,7 @@ def test_the_age_between_two_runs_is_seen_as_well_as_their_friction() -> None:
     assert later.u_ageing_per_s == pytest.approx(apart.u_ageing_per_s / 2, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_age_of_integrated_runs_is_found_within_its_uncertainty() -> None:
     """Two runs of a contact that grows by 0.2 % from the first turning point to the last, an hour between."""
     still, turn, _ = changing_path(PARAMETERS, PENDULUM, World(), q=0.0, seed=1)

@@ -28,6 +28,7 @@ def test_asymptotic_fit_has_its_known_bias(flat: str) -> None:
     assert result.arae_period < 0.0004
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drag_s", [0.0, 1e-3])
 @pytest.mark.parametrize("flat", PAIRS)
 def test_exact_fit_returns_the_truth_without_noise(flat: str, drag_s: float) -> None:
@@ -42,6 +43,7 @@ def test_exact_fit_returns_the_truth_without_noise(flat: str, drag_s: float) -> 
     assert result.estimate("initial_amplitude_rad").value == pytest.approx(124 * ARCSEC, rel=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise_arcsec", [0.0005, 0.005, 0.05, 0.5])
 @pytest.mark.parametrize("flat", PAIRS)
 def test_exact_fit_is_within_its_uncertainty(flat: str, noise_arcsec: float) -> None:
@@ -88,6 +90,7 @@ def random_contact(seed: int) -> tuple[ContactParameters, float]:
     return parameters, float(10 ** rng.uniform(-3.3, -0.5))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_exact_fit_converges_from_any_reasonable_decay(seed: int) -> None:
     parameters, noise = random_contact(seed)
@@ -175,6 +178,7 @@ def test_where_the_model_does_not_describe_the_decay_it_says_so() -> None:
     assert any(warning.startswith("n is at the limit") for warning in result.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy"])
 def test_robust_loss_lists_and_outlives_outliers(loss: str) -> None:
     parameters, pendulum = paper_pair("silicon")
@@ -214,6 +218,7 @@ def test_printed_curvature_is_an_option() -> None:
     assert printed != fit_asymptotic(points, pendulum).estimate("n").value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["asymptotic", "exact"])
 def test_stated_uncertainties_are_the_scatter(kind: str) -> None:
     """Thirty seeded runs: their scatter against the mean of what they state."""
@@ -229,6 +234,7 @@ def test_stated_uncertainties_are_the_scatter(kind: str) -> None:
     np.testing.assert_allclose(stated, scatter, rtol=0.45)
 
 
+@pytest.mark.slow
 def test_short_coverage_of_the_intervals() -> None:
     """Forty seeds by six parameters; the full count is the benchmark's."""
     parameters, pendulum = paper_pair("glass_k8")

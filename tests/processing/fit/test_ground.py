@@ -94,6 +94,7 @@ def test_with_a_drive_alone_the_residuals_are_errors_of_one_step() -> None:
         assert found[1, i + 1] == pytest.approx(expected, rel=5e-2, abs=5e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flat", "q"),
     [("glass_k8", 1e-9), ("glass_k8", 1e-8), ("glass_k8", 1e-7), ("silicon", 1e-8), ("steel", 1e-8)],
@@ -130,6 +131,7 @@ def test_fits_that_see_no_drive_were_wrong_by_many_uncertainties() -> None:
     assert np.abs((values[:SIX] - truth(parameters, PAPER.names())) / u[:SIX]).max() > 5
 
 
+@pytest.mark.slow
 def test_eqs_5_and_6_state_the_scatter_that_the_drive_gives() -> None:
     """Eight seeds: a standard deviation is known to 27 %."""
     parameters, pendulum = paper_pair("glass_k8")

@@ -19,6 +19,7 @@ from tests.processing.fit.decays import decay, first_of, paper_pair
 from tests.processing.fit.driven import driven_decay
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flat", ["glass_k8", "silicon"])
 def test_drag_is_seen_where_it_is_and_not_where_it_is_not(flat: str) -> None:
     for drag_s in (0.0, 1e-3):
@@ -69,6 +70,7 @@ def test_a_verdict_is_the_same_from_a_fit_with_drag_and_one_without() -> None:
         drag_verdict(points, pendulum, fit_asymptotic(points, pendulum))
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_a_drag_agrees_with_its_test_along_a_curved_valley() -> None:
     """Turning points alone: by the curvature of chi2 this drag lies 5 u from none, by its rise 1 u."""
     parameters, pendulum = paper_pair("glass_k8", 1.7e-3)
@@ -163,6 +165,7 @@ def test_what_noise_hides_is_an_interval_or_a_bound() -> None:
     assert "95 %" in c.text
 
 
+@pytest.mark.slow
 def test_a_short_run_without_adhesion_gives_bounds_not_numbers() -> None:
     """Thirty half-cycles at large amplitude: nothing of c, and little of n."""
     parameters, pendulum = paper_pair("steel")
@@ -252,6 +255,7 @@ def test_a_profile_belongs_to_an_exact_fit() -> None:
         profile_likelihood(points, pendulum, fit_asymptotic(points, pendulum), "c")
 
 
+@pytest.mark.slow
 def test_a_bound_lies_where_the_parameter_can_be() -> None:
     """Where the best fit has a negative c, the profile used to end below zero: "c below -5.5e-09"."""
     parameters, pendulum = paper_pair("glass_k8")

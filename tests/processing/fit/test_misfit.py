@@ -54,6 +54,7 @@ def test_two_integrations_agree() -> None:
     assert np.max(np.abs(one[1] - other[1])) < 1e-5 * ARCSEC
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "world",
     [
@@ -92,6 +93,7 @@ def test_a_true_law_costs_nothing() -> None:
         assert changes_of(points, PENDULUM, fit) == ()
 
 
+@pytest.mark.slow
 def test_what_every_run_lacks_is_not_averaged_away() -> None:
     world = World(drag32=0.0151)
     runs = [decay(world, seed) for seed in (1, 2)]
@@ -100,6 +102,7 @@ def test_what_every_run_lacks_is_not_averaged_away() -> None:
     assert both.standard_uncertainty > 0.95 * min(fit.estimate("b").standard_uncertainty for fit in fits)
 
 
+@pytest.mark.slow
 def test_the_misfit_has_its_line_in_the_budget_and_no_part_in_the_evidence() -> None:
     points = decay(World(drag32=0.0151))
     fit = fitted(points)
@@ -114,6 +117,7 @@ def test_the_misfit_has_its_line_in_the_budget_and_no_part_in_the_evidence() -> 
     assert not plain.describes
 
 
+@pytest.mark.slow
 def test_another_fit_of_the_law_shares_what_the_exact_one_found() -> None:
     points = decay(World(drag32=0.0151))
     described = with_misfit(points, PENDULUM, fitted(points))
@@ -138,6 +142,7 @@ def test_a_slip_is_found_and_dated() -> None:
     assert "friction changes by +" in found[0].text
 
 
+@pytest.mark.slow
 def test_a_knock_is_found_and_dated() -> None:
     knock_rad_per_s = 0.5 * ARCSEC * 2 * np.pi / PARAMETERS.period0_s
     points = decay(World(event_s=300.0, knock_rad_per_s=knock_rad_per_s))
@@ -150,6 +155,7 @@ def test_a_knock_is_found_and_dated() -> None:
     assert found[0].size * amplitude / ARCSEC == pytest.approx(0.5, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_smooth_error_of_the_law_is_no_slip() -> None:
     points = decay(World(drag32=0.0151))
     fit = fitted(points)

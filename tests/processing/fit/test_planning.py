@@ -22,6 +22,7 @@ def test_a_step_and_its_density_are_inverse() -> None:
     assert step_of_density(density_of_step(3e-9, 2.04), 2.04) == pytest.approx(3e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("q", [0.0, 3e-8])
 def test_a_plan_says_what_runs_scatter(q: float) -> None:
     """Twelve runs of an equation of motion of the tests' own; their scatter is known to 20 %."""

@@ -45,6 +45,7 @@ def measured_again_from_nothing(record: Record, motion: KnownMotion) -> list[Swi
     return measured_again(detect(record), in_blocks(record), motion)
 
 
+@pytest.mark.slow
 def test_early_half_cycles_stand_at_the_bound_and_apart(glass: Record) -> None:
     rows: list[Errors] = []
     shifts: dict[str, list[float]] = {"detected": [], "again": []}

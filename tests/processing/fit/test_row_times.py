@@ -19,6 +19,7 @@ DELAY_S_PER_RAD = 12.5
 """30 us a row where the tilt of one row is 2.4e-6 rad: a sensor of 4.8 um at an arm of 1 m."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("q", [0.0, 1e-8])
 def test_alternating_times_are_those_of_a_shutter(q: float) -> None:
     points = driven_decay(PARAMETERS, PENDULUM, q=q, noise_arcsec=0.005, seed=5)

@@ -40,6 +40,7 @@ def found(runs: list[VanedRun]) -> MeasuredAir:
     return air_of_vanes(runs, PENDULUM)
 
 
+@pytest.mark.slow
 def test_the_line_and_the_contact_are_those_of_all_runs(runs: list[VanedRun], found: MeasuredAir) -> None:
     for (value, u), true in ((found.drag_s, DRAG_S), (found.per_exposure, PER_M2_S)):
         assert abs(value - true) < 3.5 * u
@@ -53,12 +54,14 @@ def test_the_line_and_the_contact_are_those_of_all_runs(runs: list[VanedRun], fo
         assert abs(off) < 3.5 * of_run.standard_uncertainty < 1e-4
 
 
+@pytest.mark.slow
 def test_runs_that_share_no_contact_are_seen(runs: list[VanedRun]) -> None:
     apart = air_of_vanes([runs[0], run_of(AREAS_M2[-1], 9, rougher=1.1)], PENDULUM)
     assert apart.chance < 1e-6
     assert apart.enlarged > 2
 
 
+@pytest.mark.slow
 def test_an_uncertain_area_counts_as_its_drag(runs: list[VanedRun], found: MeasuredAir) -> None:
     """The larger area alone is uncertain: by as much as its drag, the line has another slope."""
     unsure = [*runs[:-1], replace(runs[-1], u_exposure=0.02)]
@@ -68,6 +71,7 @@ def test_an_uncertain_area_counts_as_its_drag(runs: list[VanedRun], found: Measu
     assert 1.1 * u_exact < u_unsure < 1.1 * two_areas
 
 
+@pytest.mark.slow
 def test_ratios_of_pressures_need_no_line(runs: list[VanedRun], found: MeasuredAir) -> None:
     ratios = [(DRAG_S + PER_M2_S * area) / DRAG_S for area in AREAS_M2]
     by_ratio = [replace(run, exposure=ratio) for run, ratio in zip(runs, ratios, strict=True)]

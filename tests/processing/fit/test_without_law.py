@@ -23,6 +23,7 @@ def test_the_truth_lies_in_the_bands(flat: str) -> None:
     assert 0.8 < free.fit.chi2_per_dof < 1.25
 
 
+@pytest.mark.slow
 def test_air_is_no_friction_of_the_contact() -> None:
     """Integrated in 1.7 ms of drag, on moving ground, seen by frames: the waveform tells both apart."""
     run = run_of(0.0, 5)

@@ -53,6 +53,7 @@ def test_amplitudes_off_the_sensor(kind: str, limit_deg: float, rest_rad: float)
     assert swings[0].centre == pytest.approx(rest_rad, abs=2e-6)
 
 
+@pytest.mark.slow
 def test_damping_time_where_the_sensor_sees_only_the_end() -> None:
     """Six degrees are off the sensor, three on it: one count, one damping time."""
     settings = simulation("koenig")

@@ -298,6 +298,7 @@ def measured(kind: str, seed: int) -> Mapping[str, Recovered]:
     return MEASUREMENTS[kind](seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", sorted(INSTRUMENTS))
 def test_truth_is_recovered(kind: str) -> None:
     """Mean pull of each quantity over four runs within four of its standard uncertainties."""

@@ -44,6 +44,7 @@ def test_a_time_that_depends_on_the_place_is_no_error_of_place() -> None:
     assert searched(run(late, seed=1)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [2.956, 5.0])
 def test_a_fast_mode_is_no_error_of_place(ratio: float) -> None:
     def seen(time_s: Floats) -> Floats:

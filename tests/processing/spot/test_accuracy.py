@@ -26,6 +26,7 @@ from tests.processing.spot.frames import (
 FRAMES = {3: 1500, 6: 1000, 12: 350}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("background", ["pedestal", "light"])
 @pytest.mark.parametrize("bits", [8, 12])
 @pytest.mark.parametrize("peak", [20, 80, 200])
@@ -56,6 +57,7 @@ def test_scatter_is_the_bound_and_is_what_is_claimed(
     assert abs(errors.mean()) < 4.0 * rms / math.sqrt(errors.size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("peak", [20, 80, 200])
 def test_uneven_pixels_of_one_per_cent_cost_little(peak: int) -> None:
     """Beyond the bound that such pixels themselves leave, which is 9 % above even ones' at peak 200."""

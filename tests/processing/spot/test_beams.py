@@ -94,6 +94,7 @@ def test_a_beam_on_a_gradient_is_where_it_is() -> None:
     assert ratio == pytest.approx([1, 1], abs=0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["k-300mm.png", "t-510mm.pgm"])
 def test_a_real_beam_moves_as_it_is_moved(shared_data: Path, name: str) -> None:
     """Averaged over 5 x 5 pixels, which is faster; the benchmark of real beams takes all of them whole."""

@@ -55,6 +55,7 @@ def test_three_hot_pixels(cold: bool) -> None:
     assert np.mean([bool(spot.flags & SpotFlag.OUTLIERS) for spot in spots]) > 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cold", [False, True])
 def test_clipped_at_four_times_full_scale(cold: bool) -> None:
     spots, errors = run(lambda x, y, rng: exposed(light((N, N), x, y, 6, 1000), rng), cold=cold, frames=600)
@@ -72,6 +73,7 @@ def hollow(x: float, y: float, peak: float) -> NDArray[np.float64]:
     return np.asarray(peak * density / density.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("peak", "clipped"), [(170, False), (300, True)])
 @pytest.mark.parametrize("followed", [False, True])
 def test_saturated_is_what_the_camera_gave_at_full_scale(peak: float, clipped: bool, followed: bool) -> None:
@@ -98,6 +100,7 @@ def test_cut_by_the_sensors_edge(cold: bool) -> None:
     assert rms_mpx(errors) < 7.5 * (1 + rms_tolerance(errors.size))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cold", [False, True])
 def test_ghost_under_the_flank(cold: bool) -> None:
     def ghost(x: float, y: float, rng: np.random.Generator) -> Image:
@@ -187,6 +190,7 @@ def near_light(x: float, y: float, sigma: float, peak: float, base: Image, rng: 
     return frame
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("peak", [20, 180, 600])
 @pytest.mark.parametrize("sigma", [3, 6, 12])
 def test_knocked_the_spot_is_found_in_the_same_frame(sigma: float, peak: float) -> None:
@@ -288,6 +292,7 @@ def cut_by(
     return lambda x, y, rng: exposed(left * light((N, N), x, y, 6, 180), rng)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("offset", "angle"), [(-3.0, 0.0), (3.0, 0.0), (6.0, 0.5), (10.0, 2.2), (15.0, 0.0)])
 @pytest.mark.parametrize("cold", [False, True])
 def test_what_an_obstacle_leaves_of_a_spot_tells_its_place(offset: float, angle: float, cold: bool) -> None:

@@ -33,6 +33,7 @@ def rows_of(band: int, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     return rows[(rows >= band * BAND_ROWS) & (rows < (band + 1) * BAND_ROWS)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 @pytest.mark.parametrize("ny", HEIGHTS)
 def test_every_row(ny: int, kind: type[np.unsignedinteger]) -> None:
@@ -78,6 +79,7 @@ def test_background_is_the_median_of_a_grid_in_rows_that_were_read(
     assert spread == pytest.approx(max((int(grid[256]) - int(grid[102])) / 0.8416, 0.3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 @pytest.mark.parametrize("place", [(0, 0), (90, 10), (255, 31), (297, 92)])
 def test_brightest_is_the_middle_of_the_brightest_plateau(

@@ -106,6 +106,7 @@ def test_the_general_fit_leaves_out_what_is_wild_and_what_would_be_clipped() -> 
     assert pixels == image.size - 1 - saturated
 
 
+@pytest.mark.slow
 def test_the_fast_fit_of_a_tilted_spot() -> None:
     p = TILTED_SPOT
     values, image = frame(p)
@@ -123,6 +124,7 @@ def test_the_fast_fit_of_a_tilted_spot() -> None:
     assert score_tilted(*arguments, 30.0, gradient)[1] == image.size - 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row_step", [1, 2])
 def test_the_fast_fit_of_an_upright_spot(row_step: int) -> None:
     p = UPRIGHT_SPOT

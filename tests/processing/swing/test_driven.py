@@ -51,6 +51,7 @@ def agrees(e: Errors, largest: float) -> bool:
     return all(0.7 < rms(values) < largest for values in errors_over_u)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contact", ["glass", "silicon", "steel"])
 def test_a_strong_drive_is_motion_not_vibration(contact: str) -> None:
     """3e-7 rad/s^2/sqrt(Hz): the driven motion is 0.3 arcsec rms, and all swings are above 2 arcsec."""
@@ -100,6 +101,7 @@ def air(count: int, rate_hz: float, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(np.fft.irfft(size * (normals[0] + 1j * normals[1]), 2 * count)[:count])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contact", ["glass", "steel"])
 @pytest.mark.parametrize("q", [0.0, 1e-7])
 def test_air_counts_in_the_uncertainties(contact: str, q: float) -> None:

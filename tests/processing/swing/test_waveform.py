@@ -60,6 +60,7 @@ def acceleration(y: float, v: float, shape: np.ndarray) -> float:
     return -y - 2.0 * shape[DAMPING] * v + y * stiffening + friction
 
 
+@pytest.mark.slow
 def test_table_solves_the_equation_of_motion() -> None:
     table, turn = table_of(SHAPE)
     solution = solve_ivp(

@@ -49,6 +49,7 @@ def test_without_an_intact_copy_the_record_is_refused(record: Path, tmp_path: Pa
     assert "attachment configuration.json" in checked.stdout
 
 
+@pytest.mark.slow
 def test_the_chain_from_record_to_report(record: Path, tmp_path: Path) -> None:
     path = tmp_path / "run-1.mcap"
     path.write_bytes(record.read_bytes())

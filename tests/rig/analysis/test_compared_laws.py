@@ -10,6 +10,7 @@ from processing.errors import ConfigurationError
 from rig.commands.fitting import fit_records
 
 
+@pytest.mark.slow
 def test_a_records_laws_are_compared_and_the_verdict_stands_in_the_results(
     measured_series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -31,6 +31,7 @@ READERS: dict[str, Callable[[Path, Path], object]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", READERS)
 def test_a_cut_record_is_named_with_its_remedy(
     name: str, cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -59,6 +59,7 @@ def test_from_a_film_to_a_report_with_one_command(tmp_path: Path) -> None:
     assert "x [px] in px, 1 decay" in again.stdout
 
 
+@pytest.mark.slow
 def test_a_dark_object_is_followed_and_a_pixel_has_a_size(tmp_path: Path) -> None:
     film = write_film(tmp_path / "dark.mkv", swing(dark=True, count=120), Film())
     found = film_trajectory(film, FilmAsked(size="0.2 mm"))
@@ -143,6 +144,7 @@ def test_dark_is_what_is_darker_than_the_middle() -> None:
     assert inverted(np.array([[0, 235, 250]], np.uint8), 235).tolist() == [[235, 0, 0]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("codec", "ending", "has_line"), [("libx264", "mp4", True), ("ffv1", "mkv", False)])
 def test_compression_is_a_line_in_the_budget_of_a_films_laws(
     tmp_path: Path, codec: str, ending: str, has_line: bool

@@ -41,6 +41,7 @@ def test_every_kind_is_listed_with_a_sentence() -> None:
     assert all(line.endswith(".") for line in lines)
 
 
+@pytest.mark.slow
 def test_koenig_from_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Damping of |phi| friction b: a half-swing takes about b off ln A, ln 2/b in all."""
     status, results = measure("koenig", tmp_path / "koenig", *FAST_DECAY)
@@ -78,6 +79,7 @@ def check_report_of_a_damping(folder: Path, found: dict[str, Any]) -> None:
     assert "text" not in table
 
 
+@pytest.mark.slow
 def test_koenig_series_with_its_glass_plate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two places and the glass in one series: ratio, spread, acceptance with a verdict."""
     glass = simulate("koenig", tmp_path / "glass.mcap", "simulation.contact.b=0.02", "view.file=false")
@@ -97,6 +99,7 @@ def test_koenig_series_with_its_glass_plate(tmp_path: Path, capsys: pytest.Captu
     assert "250 ± 10 s wanted: outside" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_two_balls_from_frames(tmp_path: Path) -> None:
     """The full model with half the load on each ball; truth within four standard uncertainties."""
     truth = {"b": 0.08, "c": 2e-6}
@@ -119,6 +122,7 @@ def test_two_balls_from_frames(tmp_path: Path) -> None:
     assert "instrument" not in run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
@@ -136,6 +140,7 @@ def test_amplitudes_that_are_not_reached(tmp_path: Path, overrides: list[str], w
     assert run["instrument"]["mean_period_s"] == pytest.approx(1.4, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_report_of_a_turning_plane(tmp_path: Path) -> None:
     """The truth's 2 mrad/s within four uncertainties, and the figures that go with it."""
     folder = tmp_path / "one"

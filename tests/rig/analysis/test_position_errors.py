@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
@@ -22,6 +23,7 @@ def in_blocks(one: Run) -> list[Deflections]:
     return [one.deflections[start : start + 777] for start in range(0, len(one.deflections), 777)]
 
 
+@pytest.mark.slow
 def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
     one = run(fringes, seed=1)
     passing = PassingDeflections(in_blocks(one), DeflectionUnit.RAD)
@@ -51,6 +53,7 @@ def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
     assert svg(place_figure(errors)).startswith(b"<?xml")
 
 
+@pytest.mark.slow
 def test_without_structure_nothing_changes_bit_for_bit() -> None:
     one = run(nothing, seed=1)
     settled = settled_swings(one.swings, in_blocks(one), DeflectionUnit.RAD, one.pendulum, FitSettings())
@@ -69,6 +72,7 @@ def test_without_structure_nothing_changes_bit_for_bit() -> None:
     assert np.array_equal(settled.exact.covariance, second.covariance)
 
 
+@pytest.mark.slow
 def test_the_waveform_is_that_of_the_deflections_without_the_errors() -> None:
     """They change the third harmonic of friction, too, by which contact and air are told apart."""
     one = run(fringes, seed=1)

@@ -42,6 +42,7 @@ def test_real_table_with_two_header_lines(shared_data: Path) -> None:
     assert trajectory.names == ("Voltage ( V )",)
 
 
+@pytest.mark.slow
 def test_real_table_compressed_and_with_words_in_it(shared_data: Path) -> None:
     path = shared_data / "ringdown" / "torsion-balance-laser-spot.csv.gz"
     trajectory = TableColumns("Time_Sec", ("X", "Y"), "px").read(path)

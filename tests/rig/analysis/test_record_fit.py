@@ -15,6 +15,7 @@ def runs(measured_series: Path) -> list[AnalysedRun]:
     return [analyse_record(measured_series / f"run-{number}.mcap") for number in (1, 2)]
 
 
+@pytest.mark.slow
 def test_results_say_what_the_record_holds(runs: list[AnalysedRun], measured_series: Path) -> None:
     run = runs[0].results
     with RecordReader(measured_series / "run-1.mcap") as reader:
@@ -33,6 +34,7 @@ def test_results_say_what_the_record_holds(runs: list[AnalysedRun], measured_ser
     assert {verdict.name for verdict in run.conditions} >= {"lost spots", "dropped frames"}
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_slow_makes_the_period_longer(runs: list[AnalysedRun]) -> None:
     slow = analyse_record(runs[0].record, ["timebase.camera_rate=1.001", "timebase.u_camera_rate=1e-6"])
     before, after = (run.results.fits["exact"].estimate("period0_s") for run in (runs[0], slow))

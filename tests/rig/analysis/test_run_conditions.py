@@ -40,6 +40,7 @@ def test_spots_at_full_scale_are_warned_of(measured_series: Path) -> None:
             assert (verdict.ok, "exposure_us" in verdict.remedy) == (True, warned)
 
 
+@pytest.mark.slow
 def test_a_run_that_loses_spots_says_so_and_fails(tmp_path: Path) -> None:
     fading = {
         **SMALL,

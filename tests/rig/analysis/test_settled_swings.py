@@ -12,6 +12,7 @@ from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_few_noisy_samples_are_measured_again(seed: int) -> None:
     """25 a second with 0.2 arcsec: the detector's shared errors moved n by 5 u, and were kept for that."""

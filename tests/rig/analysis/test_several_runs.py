@@ -55,6 +55,7 @@ def table(folder: Path, lines: list[str]) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_each_run_is_read_by_itself(tmp_path: Path, name: str) -> None:
     path = table(tmp_path, FILES[name])
@@ -118,6 +119,7 @@ def test_times_that_begin_again_without_a_word_are_refused(tmp_path: Path) -> No
         TableColumns().read_runs(table(tmp_path, [*ONE, *TWO]))
 
 
+@pytest.mark.slow
 def test_every_run_of_a_table_gets_a_folder_like_that_of_a_session(tmp_path: Path) -> None:
     path = table(tmp_path, FILES["a column"])
     done = rig("fit", path, "--unit", "mm", "-o", tmp_path / "out", figures=True)
@@ -154,6 +156,7 @@ def test_a_run_without_a_decay_does_not_keep_the_others_from_theirs(tmp_path: Pa
     assert len(read_results(tmp_path / "out" / "run-1").runs) == 1
 
 
+@pytest.mark.slow
 def test_the_films_of_a_folder_are_runs(tmp_path: Path) -> None:
     films = tmp_path / "films"
     films.mkdir()

@@ -15,6 +15,7 @@ from tests.rig.analysis.test_film_positions import PERIOD_S, swing
 from tests.rig.command_line import rig
 
 
+@pytest.mark.slow
 def test_a_run_of_a_film_without_a_lever_names_the_direction_and_what_to_state(tmp_path: Path) -> None:
     film = write_film(tmp_path / "swing.mkv", swing(count=300), Film())
     config = tmp_path / "mine.toml"

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from tests.rig.command_line import rig
 
@@ -20,6 +21,7 @@ def swings(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_laws_are_compared_on_a_table(tmp_path: Path) -> None:
     config = tmp_path / "mine.toml"
     config.write_text(

@@ -114,6 +114,7 @@ def test_columns_that_are_no_times(tmp_path: Path, times: list[str], unit: str, 
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("decibel", [False, True])
 def test_the_time_constant_of_an_envelope(decibel: bool) -> None:
     t = np.linspace(0.0, 30.0, 400)
@@ -138,6 +139,7 @@ def test_an_envelope_that_is_no_exponential_says_so(tmp_path: Path) -> None:
     assert "not one exponential" in results.warnings[0]
 
 
+@pytest.mark.slow
 def test_the_page_on_tables_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every example makes its file and fits it, and the program prints what the page says."""
     monkeypatch.chdir(tmp_path)

@@ -34,6 +34,7 @@ def exported(path: Path) -> dict[str, np.ndarray]:
     return {name.strip('"'): column for name, column in zip(lines[0].split(","), values.T, strict=True)}
 
 
+@pytest.mark.slow
 def test_its_results_are_those_of_runs(fitted: Path) -> None:
     runs = read_results(fitted / "brass").runs
     assert len(runs) == 2
@@ -48,6 +49,7 @@ def test_its_results_are_those_of_runs(fitted: Path) -> None:
         assert np.allclose((turns_s - start_s) % 1.0, 0.5, atol=0.1)
 
 
+@pytest.mark.slow
 def test_the_report_is_made_again_from_what_lies_in_the_folder(fitted: Path, tmp_path: Path) -> None:
     shutil.copytree(fitted / "brass", tmp_path / "moved")
     before = (tmp_path / "moved" / "report.html").read_text()
@@ -110,6 +112,7 @@ def test_it_is_exported(fitted: Path, tmp_path: Path) -> None:
         assert entry["swings"]["amplitude_mm"].attrs["units"] == "mm"
 
 
+@pytest.mark.slow
 def test_a_fitted_table_gives_the_report_and_the_plan_of_a_run(tmp_path: Path) -> None:
     config = tmp_path / "mine.toml"
     config.write_text(

@@ -75,6 +75,7 @@ def fitted(folder: Path, *columns: str) -> TableResults:
     return analyse_table(folder / "decay.csv", config, TableColumns(unit="arcsec"), witness).results
 
 
+@pytest.mark.slow
 def test_a_table_is_fitted_with_a_witness_and_says_what_it_saved(decay: Path) -> None:
     alone, found = fitted(decay), fitted(decay, "north", "east")
     assert alone.witness is None
@@ -97,6 +98,7 @@ def test_a_table_is_fitted_with_a_witness_and_says_what_it_saved(decay: Path) ->
     assert re.search(r"reduces the uncertainties by factors of [\d.]+ \(\w+\)", said)
 
 
+@pytest.mark.slow
 def test_the_python_interface_takes_a_witness_of_a_table_as_the_terminal_does(decay: Path) -> None:
     words = {"configuration": decay / "rig.toml", "witness": decay / "witness.csv"}
     found = rig.fit_table(decay / "decay.csv", "arcsec", **words)
@@ -108,6 +110,7 @@ def test_the_python_interface_takes_a_witness_of_a_table_as_the_terminal_does(de
         rig.fit_table(decay / "decay.csv", "arcsec", witness=decay / "witness.csv")
 
 
+@pytest.mark.slow
 def test_the_report_of_a_table_draws_what_its_witness_explains(decay: Path, tmp_path: Path) -> None:
     config = load_configuration(decay / "rig.toml", needs_camera=False)
     witness = StatedWitness(decay / "witness.csv", ("north",)).read()
@@ -121,6 +124,7 @@ def test_the_report_of_a_table_draws_what_its_witness_explains(decay: Path, tmp_
     assert table.results.witness is not None
 
 
+@pytest.mark.slow
 def test_an_unrelated_witness_changes_nothing_but_what_is_said(decay: Path) -> None:
     alone, found = fitted(decay), fitted(decay, "east")
     assert found.witness is not None
@@ -131,6 +135,7 @@ def test_an_unrelated_witness_changes_nothing_but_what_is_said(decay: Path) -> N
     assert "offsets of its clock were tried" in said
 
 
+@pytest.mark.slow
 def test_a_record_with_a_witness_of_another_year_says_that_it_does_not_cover_the_run(
     measured_series: Path, tmp_path: Path
 ) -> None:
@@ -191,6 +196,7 @@ def test_the_unit_of_its_times_can_be_stated_and_is_asked_for_by_its_option(tmp_
         StatedWitness(tmp_path / "w.mseed", time_unit="s").read()
 
 
+@pytest.mark.slow
 def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> None:
     rows = (decay / "witness.csv").read_text().splitlines()
     head, *samples = (f"{row},{'name' if k == 0 else 'ABC'}" for k, row in enumerate(rows))

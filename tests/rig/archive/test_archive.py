@@ -159,6 +159,7 @@ def test_results_of_a_record_that_was_replaced_hide_nothing_of_the_new_one(
     assert not [row for row in rows(tmp_path / "archive") if "fit" in Path(row["folder"]).name]
 
 
+@pytest.mark.slow
 def test_a_merged_catalogue_says_the_same_and_is_made_again(sessions: Path, tmp_path: Path) -> None:
     archive = tmp_path / "archive"
     add_sessions(archive, [sessions])
@@ -222,6 +223,7 @@ def test_the_documented_commands_run_and_the_documented_columns_exist(sessions: 
     assert documented == columns | SAID_OF_RUNS
 
 
+@pytest.mark.slow
 def test_tags_and_notes_belong_to_the_record(sessions: Path, tmp_path: Path) -> None:
     archive = tmp_path / "archive"
     add_sessions(archive, [sessions])

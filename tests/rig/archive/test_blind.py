@@ -35,6 +35,7 @@ def row(archive: Path) -> dict[str, Any]:
     return dict(zip([item[0] for item in found.description], found.fetchone(), strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("merged", [False, True])
 def test_no_query_tells_a_hidden_value(archive: Path, merged: bool) -> None:
     if merged:
@@ -137,6 +138,7 @@ def test_a_seal_of_an_earlier_version_holds(archive: Path) -> None:
     assert set(COLUMNS) <= set(told)
 
 
+@pytest.mark.slow
 def test_a_run_in_a_blind_folder_says_once_and_as_no_error_why_it_has_no_report(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

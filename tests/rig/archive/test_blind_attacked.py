@@ -96,6 +96,7 @@ def blind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Blind:
     return Blind(tmp_path, monkeypatch)
 
 
+@pytest.mark.slow
 def test_no_command_on_a_blind_sample_writes_or_says_a_true_value(blind: Blind) -> None:
     assert len(blind.true) > 100
     fitted = blind.run("fit", blind.record)
@@ -130,6 +131,7 @@ def test_no_command_on_a_blind_sample_writes_or_says_a_true_value(blind: Blind) 
     assert not blind.found()
 
 
+@pytest.mark.slow
 def test_what_is_searched_for_is_found_where_it_is(blind: Blind, monkeypatch: pytest.MonkeyPatch) -> None:
     # the search itself can fail
     assert not blind.found()
@@ -137,6 +139,7 @@ def test_what_is_searched_for_is_found_where_it_is(blind: Blind, monkeypatch: py
     assert blind.found()
 
 
+@pytest.mark.slow
 def test_the_owner_sees_moved_values_and_opens_true_ones_once(
     blind: Blind, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -169,6 +172,7 @@ def test_the_owner_sees_moved_values_and_opens_true_ones_once(
     assert blind.run("report", blind.runs / "series").returncode == 0
 
 
+@pytest.mark.slow
 def test_rows_that_were_fitted_elsewhere_are_sealed_in_a_blind_archive(blind: Blind) -> None:
     other = blind.base / "open" / "series"
     shutil.copytree(OLDER / "series", other)
@@ -186,6 +190,7 @@ def test_rows_that_were_fitted_elsewhere_are_sealed_in_a_blind_archive(blind: Bl
         assert row["initial_amplitude"] is None
 
 
+@pytest.mark.slow
 def test_a_seal_that_cannot_be_read_is_no_open_folder(blind: Blind) -> None:
     seal = blind.runs / "blind.json"
     data = seal.read_bytes()

@@ -73,6 +73,7 @@ def test_rigs_are_compared_and_the_one_that_is_off_is_named(archive: Path, tmp_p
             compare_groups(archive, column, by, "", None)
 
 
+@pytest.mark.slow
 def test_blind_values_are_offset_by_rig_until_what_is_frozen_is_recorded(archive: Path) -> None:
     before = values(archive)
     said = blind_runs(archive, ["c"])
@@ -102,6 +103,7 @@ def test_blind_values_are_offset_by_rig_until_what_is_frozen_is_recorded(archive
         sealed(archive)
 
 
+@pytest.mark.slow
 def test_what_moved_is_named_with_its_cause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rig.archive.refitting.in_processes", in_this_process)
     archive = tmp_path / "archive"

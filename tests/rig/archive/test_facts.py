@@ -48,6 +48,7 @@ def wrong_results(series: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("merged", [False, True])
 def test_results_that_are_withdrawn_are_no_longer_listed(series: Path, archive: Path, merged: bool) -> None:
     def add() -> str:
@@ -72,6 +73,7 @@ def test_results_that_are_withdrawn_are_no_longer_listed(series: Path, archive: 
     assert versions.fetchone() == (2,)
 
 
+@pytest.mark.slow
 def test_a_record_that_is_restored_is_what_it_was(series: Path, archive: Path) -> None:
     add_sessions(archive, [series])
     before = listed(archive, "*")
@@ -87,6 +89,7 @@ def test_a_record_that_is_restored_is_what_it_was(series: Path, archive: Path) -
     assert len(same) >= len(before[0]) - 2
 
 
+@pytest.mark.slow
 def test_a_folder_that_was_moved_away_and_back_is_where_it_is(series: Path, archive: Path) -> None:
     """Its files are as they were: it is not read again, and yet where the runs were seen last is said."""
     add_sessions(archive, [series])
@@ -109,6 +112,7 @@ def test_a_folder_that_was_moved_away_and_back_is_where_it_is(series: Path, arch
     assert log.names() == before_names
 
 
+@pytest.mark.slow
 def test_no_clock_decides_what_is_listed(
     series: Path, archive: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -46,6 +46,7 @@ def done(archive: Path, *words: str | Path) -> str:
     return found.stdout
 
 
+@pytest.mark.slow
 def test_results_made_again_are_kept_in_versions_and_listed(
     archive: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -76,6 +77,7 @@ def test_results_made_again_are_kept_in_versions_and_listed(
     assert only == second
 
 
+@pytest.mark.slow
 def test_each_level_begins_further_back(archive: Path) -> None:
     record = archive.parent / "runs" / "series" / "run-1.mcap"
     spots, pixels = (analyse_replayed(record, retrack=again).results for again in (False, True))
@@ -109,6 +111,7 @@ def test_what_cannot_be_done_is_said_and_not_stored(
         list(on_cluster(refit, [task], "tcp://127.0.0.1:9"))
 
 
+@pytest.mark.slow
 def test_what_is_given_up_is_in_quarantine(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def killed(work: object, tasks: Sequence[Task], processes: int) -> Iterator[tuple[Task, None]]:
         return ((task, None) for task in tasks)
@@ -125,6 +128,7 @@ def test_what_is_given_up_is_in_quarantine(archive: Path, monkeypatch: pytest.Mo
     assert "1 runs fitted again" in done(archive, "--where", "state = 'whole'")
 
 
+@pytest.mark.slow
 def test_a_task_that_ends_its_process_costs_no_other(tmp_path: Path) -> None:
     tasks = ["a", "poison", "b", f"once:{tmp_path / 'once'}", "c", "d"]
     outcomes = sorted(in_processes(deadly, tasks, 2))

@@ -46,6 +46,7 @@ def url(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     server.stop()
 
 
+@pytest.mark.slow
 def test_two_computers_use_one_archive(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -112,6 +113,7 @@ def bucket() -> Any:
     return system
 
 
+@pytest.mark.slow
 def test_an_emptied_bucket_is_a_refusal_and_takes_nothing_away_here(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -164,6 +166,7 @@ def test_what_was_altered_where_it_lies_is_named_and_not_believed(
         bucket().pipe_file(path, data)
 
 
+@pytest.mark.slow
 def test_two_users_of_one_computer_tell_one_history(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -238,6 +241,7 @@ class Lying(http.server.BaseHTTPRequestHandler):
         pass
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lie", ["takes and keeps nothing", "keeps another bit", "gives half"])
 def test_an_endpoint_that_lies_is_not_believed(
     url: str, lie: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -280,6 +284,7 @@ def lying(lie: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         fsspec_forgets()
 
 
+@pytest.mark.slow
 def test_a_server_that_writes_over_what_is_there_is_said_and_loses_nothing_sent_before(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -355,6 +360,7 @@ def test_an_upload_that_was_cut_is_no_file(url: str, tmp_path: Path, monkeypatch
     assert on(monkeypatch, tmp_path / "two", url, "list").returncode == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("address", "said"), [("s4://laboratory/a", "s4"), ("s3://nowhere/a", "nowhere")])
 def test_what_cannot_be_reached_is_said_in_a_line(
     url: str, address: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -377,6 +383,7 @@ def test_without_fsspec_one_line_says_what_to_install(monkeypatch: pytest.Monkey
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_two_histories_of_one_computer_are_a_refusal(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

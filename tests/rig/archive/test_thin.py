@@ -56,6 +56,7 @@ def rows(archive: Path) -> list[tuple[object, ...]]:
     return found
 
 
+@pytest.mark.slow
 def test_windows_go_by_rule_and_the_record_stays_the_same_measurement(
     archive: Path, record: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,6 +102,7 @@ def test_windows_go_by_rule_and_the_record_stays_the_same_measurement(
     assert not [item for item in check_record(record, record.parent / "results.json") if item[0] == "error"]
 
 
+@pytest.mark.slow
 def test_a_thinned_record_is_read_by_every_command(archive: Path, record: Path, tmp_path: Path) -> None:
     replayed = [rig("replay", record).stdout]
     assert rig("archive", "thin", "--drop-after", "0", "--yes", "--archive", archive).returncode == 1

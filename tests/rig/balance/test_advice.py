@@ -91,6 +91,7 @@ def test_a_mass_centre_too_high_swings_slowly() -> None:
     assert slow == pytest.approx(0.002 * radius, rel=0.01)
 
 
+@pytest.mark.slow
 def test_balance_follows_its_own_advice_from_frames_on(tmp_path: Path) -> None:
     done = rig(
         *("balance", CONFIGS / "demo.toml", "--follow", "7"),

@@ -45,6 +45,7 @@ def vanes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "vanes.toml"
 
 
+@pytest.mark.slow
 def test_the_drag_is_measured_filed_and_used(vanes: Path, tmp_path: Path) -> None:
     path = calibrate_air(vanes, Filing(tmp_path / "c", 30, "A. Person"))
     found = read_calibration(path, "air")
@@ -99,6 +100,7 @@ def test_what_cannot_serve_is_said_in_one_line(vanes: Path, tmp_path: Path, line
     assert not (tmp_path / "c").exists()
 
 
+@pytest.mark.slow
 def test_a_run_too_short_for_the_waveform_is_refused(tmp_path: Path) -> None:
     config = configuration(0.0)
     short = config.model_copy(

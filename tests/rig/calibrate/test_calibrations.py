@@ -123,6 +123,7 @@ def test_a_file_is_read_back_as_it_was_written(tmp_path: Path) -> None:
     assert again == first
 
 
+@pytest.mark.slow
 def test_pointing_and_axes_from_records(records: dict[str, Path], tmp_path: Path) -> None:
     pointing = read_calibration(calibrate_pointing(records["rest"], Filing(tmp_path)))
     assert 0.5 < pointing.details["x"]["claimed_ratio"] < 2.0
@@ -133,6 +134,7 @@ def test_pointing_and_axes_from_records(records: dict[str, Path], tmp_path: Path
     assert abs(axes.non_orthogonality_rad) < 4 * axes.u_non_orthogonality_rad
 
 
+@pytest.mark.slow
 def test_a_record_carries_its_calibration_and_says_whether_it_held(tmp_path: Path) -> None:
     good = calibrate_lever(write(tmp_path / "g.toml", GEOMETRY), Filing(tmp_path / "c"))
     old = read_calibration(good)
@@ -235,6 +237,7 @@ def test_a_sensor_from_stacks_of_frames_feeds_the_tracker(tmp_path: Path) -> Non
     assert sensor.prnu == pytest.approx(truth.prnu, abs=4 * found.details["u_prnu"])
 
 
+@pytest.mark.slow
 def test_a_clock_from_a_record_in_real_time_fills_the_timebase(tmp_path: Path) -> None:
     simulation = {"real_time": True, "max_duration_s": 2.0, "clock": {"drift_ppm": 30.0}}
     record = tmp_path / "clock.mcap"

@@ -56,6 +56,7 @@ def spots(record: Path, truth: SensorTruth, **sections: Any) -> np.ndarray:
     return np.column_stack([table[name] for name in ("x_px", "y_px", "u_x_px", "u_y_px")])[10:]
 
 
+@pytest.mark.slow
 def test_the_map_takes_away_what_hot_pixels_do_and_a_replay_repeats_it(
     tmp_path: Path, calibration: Path
 ) -> None:

@@ -20,6 +20,7 @@ DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo.toml"
 ROW_TIME_S = 15e-6
 
 
+@pytest.mark.slow
 def test_corrected_parameters_are_those_of_a_global_shutter() -> None:
     found = compare(30e-6, along_rows=False, seed=1, duration_s=200.0)
     assert found.fitted is not None
@@ -28,6 +29,7 @@ def test_corrected_parameters_are_those_of_a_global_shutter() -> None:
     assert max(abs(shift) for shift in found.uncorrected.values()) > 10.0
 
 
+@pytest.mark.slow
 def test_a_record_gives_the_row_time_and_is_corrected_with_it(tmp_path: Path) -> None:
     """The simulated rig knows itself; here the record is made as if nobody knew of the shutter."""
     words = {

@@ -45,6 +45,7 @@ humidity_percent = 1.0
 """
 
 
+@pytest.mark.slow
 def test_from_folders_to_the_files_of_a_paper(tmp_path: Path) -> None:
     humid_campaign(tmp_path, slope=-0.03, bad=True)
     (tmp_path / "campaign.toml").write_text(STATED)
@@ -204,6 +205,7 @@ def test_the_stated_file_is_read(tmp_path: Path) -> None:
     assert stated.u == {"humidity_percent": 1.0}
 
 
+@pytest.mark.slow
 def test_runs_of_an_archive(tmp_path: Path) -> None:
     for name in ("first", "last_of_schema_2"):
         shutil.copytree(OLDER / name, tmp_path / name)

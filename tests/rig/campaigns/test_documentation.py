@@ -6,6 +6,8 @@ import shlex
 import shutil
 from pathlib import Path
 
+import pytest
+
 from rig.settings import decides, load_configuration, load_deciding_plan, load_plan
 from tests.rig.campaigns.made_sessions import humid_campaign
 from tests.rig.command_line import rig
@@ -15,6 +17,7 @@ TEXT = (ROOT / "docs" / "campaign.md").read_text(encoding="utf-8")
 OLDER = Path(__file__).parents[1] / "data" / "older"
 
 
+@pytest.mark.slow
 def test_the_commands_and_the_file_of_the_page(tmp_path: Path) -> None:
     humid_campaign(tmp_path / "runs")
     ((name, block),) = re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
@@ -35,6 +38,7 @@ def test_the_commands_and_the_file_of_the_page(tmp_path: Path) -> None:
     assert "no run with results meets it" in none.stderr
 
 
+@pytest.mark.slow
 def test_the_plans_of_the_page(tmp_path: Path) -> None:
     """The plan that is written is one that a night takes; what it measures is in its words."""
     humid_campaign(tmp_path / "runs")

@@ -16,6 +16,7 @@ from rig.campaigns.likelihoods import FoundRun, compressed
 REFERENCE_RAD = 60 * ARCSEC_RAD
 
 
+@pytest.mark.slow
 def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     run = analyse_record(measured_series / "run-1.mcap", ["fit.u_ageing=0.01"])
     fit, pendulum = run.fits["exact"], run.results.pendulum

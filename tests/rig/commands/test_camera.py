@@ -93,6 +93,7 @@ def test_devices_lists_and_says_nothing_is_there_where_it_is_so() -> None:
     assert "camera" in done.output
 
 
+@pytest.mark.slow
 def test_show_set_snap_focus_expose(tmp_path: Path) -> None:
     run = CliRunner().invoke
     shown = run(app, ["camera", "show", DEMO])

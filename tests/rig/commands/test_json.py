@@ -85,6 +85,7 @@ def _has_json(command: Any) -> bool:
     return any("--json" in item.opts for item in command.params)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
 def test_stdout_is_json_and_nothing_else(name: str, tmp_path: Path, measured_series: Path) -> None:
     _inputs(name, tmp_path, measured_series)
@@ -111,6 +112,7 @@ def test_an_error_leaves_stdout_empty(tmp_path: Path) -> None:
     assert done.stderr.startswith("rig: ")
 
 
+@pytest.mark.slow
 def test_what_is_found_is_what_the_file_holds(tmp_path: Path, measured_series: Path) -> None:
     found = json.loads(rig("fit", measured_series, "-o", "fit", "--json", cwd=tmp_path).stdout)
     kept = json.loads((tmp_path / "fit" / "results.json").read_text())
@@ -135,6 +137,7 @@ def _inputs(name: str, folder: Path, series: Path) -> None:
             assert cv2.imwrite(str(folder / "film" / f"{number:03d}.png"), image)
 
 
+@pytest.mark.slow
 def test_the_lines_of_the_page_run(tmp_path: Path, measured_series: Path) -> None:
     page = (CONFIGS.parent / "docs" / "session.md").read_text(encoding="utf-8")
     lines = [

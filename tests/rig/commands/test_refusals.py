@@ -171,6 +171,7 @@ def test_files_of_calibrations_are_refused_in_our_words(tmp_path: Path) -> None:
         assert "rig calibrate makes one" in answer
 
 
+@pytest.mark.slow
 def test_a_changed_key_that_nothing_uses_is_refused(measured_series: Path, tmp_path: Path) -> None:
     record = measured_series / "run-1.mcap"
     noise = ("--set", "sensor.read_noise_e=40")
@@ -195,6 +196,7 @@ def test_a_changed_key_that_nothing_uses_is_refused(measured_series: Path, tmp_p
     )
 
 
+@pytest.mark.slow
 def test_a_key_that_is_used_is_never_refused(measured_series: Path, tmp_path: Path) -> None:
     """The doubt of a shutter's rows is of the fit, its rows themselves of the recorded times."""
     record = measured_series / "run-1.mcap"

@@ -40,6 +40,7 @@ TURN = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCREENS)
 def test_every_line_fits(
     name: str, tmp_path: Path, measured_series: Path, monkeypatch: pytest.MonkeyPatch

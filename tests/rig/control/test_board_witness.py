@@ -144,6 +144,7 @@ def test_replies_are_read_and_others_refused() -> None:
             sensor_of(reply)
 
 
+@pytest.mark.slow
 def test_each_sample_comes_once_and_evenly_on_the_boards_clock(board: Board) -> None:
     with serviced(board) as (service, witness):
         found = taken(service, witness, board, 60)
@@ -185,6 +186,7 @@ def test_ticks_that_begin_anew_and_a_board_that_was_reset_do_not_set_its_time_ba
     assert own_s == pytest.approx(host_s, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_missing_is_named_and_found_when_it_is_plugged_in(board: Board) -> None:
     board.press(b"a")
     with serviced(board) as (service, witness):
@@ -223,6 +225,7 @@ def test_doctor_names_it(board: Board) -> None:
     assert verdict() == (False, "ADXL355 on the controller's board does not answer")
 
 
+@pytest.mark.slow
 def test_a_full_memory_drops_the_oldest_samples_and_counts_them(board: Board) -> None:
     controller = Controller(settings_for(board.port, watchdog_s=5.0), 0.001)
     controller.open()

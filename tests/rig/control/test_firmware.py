@@ -434,6 +434,7 @@ SENDINGS = st.one_of(
 )
 
 
+@pytest.mark.slow
 def test_no_power_above_the_stored_limit_whatever_is_sent(board: Board) -> None:
     tag = 0
 

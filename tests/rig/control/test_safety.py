@@ -44,6 +44,7 @@ def dark(board: FirmwareBoard) -> bool:
     return outputs["laser"][0] == 0 and outputs["magnet"] == [0] and outputs["starter"] == [0]
 
 
+@pytest.mark.slow
 def test_killed_with_signal_9(board: FirmwareBoard) -> None:
     with lit_by_another_program(board, "waits") as program:
         # Alive, it stays lit for longer than the watchdog waits: the heartbeat does its work.
@@ -64,6 +65,7 @@ def test_stopped_but_not_ended(board: FirmwareBoard) -> None:
         assert dark(board)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["returns", "raises", "exits", "closes"])
 def test_every_other_way_to_end(board: FirmwareBoard, ending: str) -> None:
     with lit_by_another_program(board, ending) as program:

@@ -35,6 +35,7 @@ def watched(clock: Clock, spot: SpotSeen, told: bool, peak_dn: float, lamp_dn: f
         spot.told(told)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lit_dn", [40.0, 200.0, 400.0])
 @pytest.mark.parametrize("left", [0.0, 0.5, 1.0])
 def test_a_spot_that_stays_disagrees_and_one_that_goes_agrees(lit_dn: float, left: float) -> None:

@@ -221,6 +221,7 @@ def test_a_night_ends_at_the_earlier_one_of_both_ends(tmp_path: Path) -> None:
         load_deciding_plan(planned(tmp_path, plan=PLAN.replace("hours = 2\n", "")))
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_set_back_makes_the_night_no_longer(tmp_path: Path) -> None:
     plan, out = planned(tmp_path), tmp_path / "out"
     begun = datetime.datetime(2026, 11, 1, 20, tzinfo=datetime.UTC)

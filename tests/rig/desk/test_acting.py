@@ -137,6 +137,7 @@ def test_keys_port_and_what_was_typed_outlive_a_desk(tmp_path: Path) -> None:
     second.close()
 
 
+@pytest.mark.slow
 def test_of_a_configuration_there_is_one_desk(tmp_path: Path) -> None:
     source = tmp_path / "rig.toml"
     kept = Kept(source)

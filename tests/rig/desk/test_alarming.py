@@ -98,6 +98,7 @@ def wait_for(desk: Desk, key: AlarmKey, state: AlarmState | None = AlarmState.AC
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_a_session_that_is_frozen_and_one_that_is_killed(
     desk: Desk, session: "subprocess.Popen[str]"
 ) -> None:
@@ -111,6 +112,7 @@ def test_a_session_that_is_frozen_and_one_that_is_killed(
     wait_for(desk, AlarmKey.SESSION_DIED, None)
 
 
+@pytest.mark.slow
 def test_stop_ends_a_session_that_is_frozen(desk: Desk, session: "subprocess.Popen[str]") -> None:
     os.kill(session.pid, signal.SIGSTOP)
     wait_until(lambda: desk.following.frozen)
@@ -118,6 +120,7 @@ def test_stop_ends_a_session_that_is_frozen(desk: Desk, session: "subprocess.Pop
     assert session.wait(30.0) == -signal.SIGTERM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("session", [IGNORES], indirect=True)
 def test_stop_kills_a_session_that_stays_frozen(desk: Desk, session: "subprocess.Popen[str]") -> None:
     over = threading.Event()
@@ -138,6 +141,7 @@ def test_stop_kills_a_session_that_stays_frozen(desk: Desk, session: "subprocess
     wait_for(desk, AlarmKey.SESSION_DIED)
 
 
+@pytest.mark.slow
 def test_stop_orders_a_session_that_answers(desk: Desk, session: "subprocess.Popen[str]") -> None:
     """The one of this test knows no such order, and says so: it has heard it."""
     assert not desk.following.frozen
@@ -164,6 +168,7 @@ def test_a_session_whose_news_are_late_is_not_frozen(desk: Desk, config: Path) -
         go_on.set()
 
 
+@pytest.mark.slow
 def test_a_session_that_has_failed_says_why(
     desk: Desk, session: "subprocess.Popen[str]", config: Path
 ) -> None:
@@ -177,6 +182,7 @@ def test_a_session_that_has_failed_says_why(
     assert wait_for(desk, AlarmKey.SESSION_FAILED) == "session: no space left on device"
 
 
+@pytest.mark.slow
 def test_a_session_that_ends_as_it_should_is_no_alarm(desk: Desk, session: "subprocess.Popen[str]") -> None:
     assert session.stdin is not None
     session.stdin.close()

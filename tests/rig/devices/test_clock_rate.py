@@ -32,6 +32,7 @@ def read(given: list[Frame], size: int = 5, steps: tuple[RecordedClockStep, ...]
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [-40.0, 75.0])
 def test_the_rate_is_known_within_its_uncertainty_ever_more_closely(drift_ppm: float) -> None:
     off, wide = [], []

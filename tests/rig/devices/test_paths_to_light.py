@@ -71,6 +71,7 @@ def calls() -> Iterator[tuple[str, str, str, ast.Call]]:
         yield from walk(ast.parse(path.read_text("utf-8")), "", name)
 
 
+@pytest.mark.slow
 def test_nothing_else_lights() -> None:
     asking, switching = set(), set()
     for name, within, word, call in calls():

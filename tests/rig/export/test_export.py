@@ -69,6 +69,7 @@ def test_parquet_has_units_and_provenance(
     assert found["fits.exact.b.value"] == results["fits"]["exact"]["b"]["value"]
 
 
+@pytest.mark.slow
 def test_hdf5_is_laid_out_as_nexus(
     measured_series: Path, truth: tuple[Any, Any, dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -196,6 +197,7 @@ UNITS = {
 }
 
 
+@pytest.mark.slow
 def test_every_unit_in_nexus_is_one_and_that_of_its_number(measured_series: Path, tmp_path: Path) -> None:
     """Names alone would say s for a viscosity in Pa s."""
     path = tmp_path / "runs.h5"

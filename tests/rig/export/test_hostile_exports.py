@@ -23,6 +23,7 @@ OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
 FORMULA = "=cmd|' /C calc'!A0"
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_one_line_and_leaves_nothing(measured_series: Path, tmp_path: Path) -> None:
     """HDF5 told of it at every object that it closed, in thousands of lines, and ended the process.
 

@@ -58,6 +58,7 @@ print(json.dumps([swings, len(before), [name for name in compiled() if name not 
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("full_scale_dn", [255, 4095])
 def test_nothing_is_compiled_while_frames_come(full_scale_dn: int) -> None:
     done = subprocess.run(

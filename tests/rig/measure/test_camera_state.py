@@ -4,6 +4,8 @@ import json
 import struct
 from pathlib import Path
 
+import pytest
+
 from acquisition.camera import CameraSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.record.reader import RecordReader
@@ -48,6 +50,7 @@ def test_a_camera_that_cannot_stop_is_an_event_of_a_regular_run(tmp_path: Path) 
     assert said[-1] == ("stop", "time limit of 1 s reached")
 
 
+@pytest.mark.slow
 def test_features_and_temperature_are_in_the_record(tmp_path: Path) -> None:
     device = VisionDevice(frames_inside=100_000)
     device.poke(layout.TEMPERATURE, struct.pack("<f", 41.5))

@@ -84,6 +84,7 @@ def events_of(folder: Path) -> list[tuple[str, str]]:
         return [(event.kind, event.text) for event in reader.events()]
 
 
+@pytest.mark.slow
 def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
     tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,6 +109,7 @@ def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
     assert "the controller is lost" in dark["why"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", [True, False])
 def test_a_run_that_waits_in_the_dark_is_lit_by_who_asks_and_by_nothing_else(
     tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch, asked: bool
@@ -161,6 +163,7 @@ def watch_in_the_dark(folder: Path, asks: bool) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_after_an_interlock_nothing_is_lit_that_nobody_allowed(
     tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -187,6 +190,7 @@ def test_an_interlock_that_opens_before_the_run_is_named(
     assert not (tmp_path / "out" / "run-1.mcap").exists()
 
 
+@pytest.mark.slow
 def test_a_laser_that_stays_lit_is_seen_and_latched(
     tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -205,6 +209,7 @@ def test_a_laser_that_stays_lit_is_seen_and_latched(
     assert [(line["what"], line.get("cause")) for line in lines][-1] == ("latch", "OUTPUT")
 
 
+@pytest.mark.slow
 def test_a_laser_that_is_off_is_seen_to_be(tmp_path: Path, apparatus: Apparatus) -> None:
     done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(LIVE))
     assert "laser off, confirmed by the controller and the camera\n" in done.stderr

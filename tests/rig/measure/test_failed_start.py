@@ -38,6 +38,7 @@ def test_a_failed_start_leaves_no_folder(why: str, tmp_path: Path) -> None:
     assert not out.parent.exists(), done.stderr
 
 
+@pytest.mark.slow
 def test_a_folder_that_was_there_stays_and_takes_the_corrected_call(tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
@@ -51,6 +52,7 @@ def test_a_folder_that_was_there_stays_and_takes_the_corrected_call(tmp_path: Pa
     assert read_session(out).complete
 
 
+@pytest.mark.slow
 def test_a_session_killed_before_its_record_began_is_in_nobodys_way(tmp_path: Path) -> None:
     file = SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, {})
     file.note(1, "run-1.mcap", RunState.RECORDING)
@@ -82,6 +84,7 @@ def test_another_configuration_is_for_resume(tmp_path: Path) -> None:
     assert "--config goes with --resume DIR" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_stump_is_complete_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usual = Run._watch
 
@@ -118,6 +121,7 @@ def test_a_stump_is_complete_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyP
     ]
 
 
+@pytest.mark.slow
 def test_results_that_are_missing_are_made_without_the_rig(tmp_path: Path) -> None:
     config = load_configuration(CONFIGS / "demo.toml", SHORT[1::2])
     assert simulate_record(config, CONFIGS / "demo.toml", tmp_path / "run-1.mcap") == 0

@@ -23,6 +23,7 @@ def events_of(record: Path) -> list[tuple[str, str]]:
         return [(event.kind, event.text) for event in reader.events()]
 
 
+@pytest.mark.slow
 def test_a_camera_that_comes_back_costs_the_frames_between(tmp_path: Path) -> None:
     done = run_with(tmp_path / "out", faults__camera_unplugged_at_s="20", faults__camera_replugged_at_s="23")
     assert done.returncode == 1, done.stderr

@@ -42,6 +42,7 @@ def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_its_samples_stand_in_the_record_on_the_clock_of_the_frames(vault: Path) -> None:
     with RecordReader(vault / "run-1.mcap") as reader:
         table, spots = reader.table(WITNESS.topic), reader.spots()
@@ -57,6 +58,7 @@ def test_its_samples_stand_in_the_record_on_the_clock_of_the_frames(vault: Path)
     assert found.value[:, 0].tolist() == table["first"].tolist()
 
 
+@pytest.mark.slow
 def test_the_run_itself_is_fitted_with_it_and_so_is_its_record(vault: Path) -> None:
     (run,) = read_results(vault).runs
     assert run.witness is not None
@@ -80,6 +82,7 @@ def test_the_run_itself_is_fitted_with_it_and_so_is_its_record(vault: Path) -> N
     assert left.value < 0.3 * before.value
 
 
+@pytest.mark.slow
 def test_a_file_beside_a_record_is_accepted_in_its_place(vault: Path, tmp_path: Path) -> None:
     record = vault / "run-1.mcap"
     with RecordReader(record) as reader:

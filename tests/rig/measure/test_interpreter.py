@@ -8,6 +8,7 @@ import pytest
 from rig.measure.interpreter import ready_for_frames
 
 
+@pytest.mark.slow
 def test_libraries_are_left_out_of_searches_while_a_camera_is_live() -> None:
     usual_turn_s = sys.getswitchinterval()
     # what other tests have left is no library; what a search sets free may hold more

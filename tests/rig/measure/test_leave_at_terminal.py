@@ -27,6 +27,7 @@ def said(folder: Path) -> list[str]:
     return [json.loads(line)["what"] for line in (folder / "audit.jsonl").read_text().splitlines()]
 
 
+@pytest.mark.slow
 def test_no_key_lights_or_acknowledges(tmp_path: Path) -> None:
     out = tmp_path / "out"
     terminal = Terminal("run", CONFIGS / "live.toml", "-o", out, *set_words(WAITING), on_screen=True)

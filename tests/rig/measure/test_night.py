@@ -133,6 +133,7 @@ def test_a_failure_ends_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "no frame within 5 s; the plan ends here" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_night_that_goes_on_judges_what_was_made_before(tmp_path: Path) -> None:
     """One that was ended before it repeated a bad run repeats it, once; then it is still not as planned."""
     written(tmp_path / "a.toml", SMALL | {"session.max_duration_s": "8", "faults.laser_fades_at_s": "4"})
@@ -152,6 +153,7 @@ def test_a_night_that_goes_on_judges_what_was_made_before(tmp_path: Path) -> Non
     assert paused == [60.0]
 
 
+@pytest.mark.slow
 def test_a_run_that_was_made_after_the_last_results_is_fitted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

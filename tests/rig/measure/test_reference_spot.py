@@ -62,6 +62,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run-1.mcap"
 
 
+@pytest.mark.slow
 def test_every_frame_has_both_spots(recorded: Path) -> None:
     with RecordReader(recorded) as reader:
         reference, spots = reader.table(REFERENCE.topic), reader.table(SPOT.topic)
@@ -96,6 +97,7 @@ def test_half_cycles_are_nearer_to_the_truth_without_the_beams_motion(recorded: 
     assert after[1] < 2.0
 
 
+@pytest.mark.slow
 def test_fits_and_replays_take_it_off_and_say_so(recorded: Path) -> None:
     (run,) = read_results(recorded.parent).runs
     assert "reference spot: x used, y used" in run.notes
@@ -235,6 +237,7 @@ def test_before_the_record_each_spot_is_followed_in_its_own_part() -> None:
     assert sum(map(len, shown)) >= 60
 
 
+@pytest.mark.slow
 def test_it_takes_off_the_creep_of_the_camera_which_an_analysis_without_it_shows(tmp_path: Path) -> None:
     small = SMALL | {"simulation.sensor.height_px": "720"}
     creep = (

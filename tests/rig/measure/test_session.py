@@ -91,6 +91,7 @@ def test_the_record_says_how_it_came_about(short_session: Path) -> None:
         assert not reader.truncated
 
 
+@pytest.mark.slow
 def test_the_record_shows_the_lever_as_a_camera(measured_series: Path) -> None:
     with RecordReader(measured_series / "run-1.mcap") as reader:
         (message,) = reader.messages("/camera_calibration")
@@ -185,6 +186,7 @@ def test_no_spot_at_all_is_recorded_as_such(tmp_path: Path) -> None:
         assert len(list(reader.images())) >= 4
 
 
+@pytest.mark.slow
 def test_a_spot_that_leaves_the_sensor_gives_no_wrong_swing(tmp_path: Path) -> None:
     words = set_words({**SMALL, "simulation.sensor.height_px": "400", "session.max_duration_s": "60"})
     done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *words)

@@ -49,6 +49,7 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_record_that_came_to_its_end_is_complete(ended: Path) -> None:
     whole = (ended / "results.json").read_text()
     # half a file, as an older version left it when the power failed

@@ -39,6 +39,7 @@ def measured(tmp_path: Path) -> tuple[list[Any], Any]:
         return list(reader.events()), ended
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(WATCHERS))
 def test_what_only_watches_ends_no_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kind, method = WATCHERS[name]

@@ -38,6 +38,7 @@ def terminal(record: Path) -> Iterator[Terminal]:
 PAUSED = r"paused  (\d+\.\d\d) of 60\.0 s .*? (\d+) frames  (\d+) half-cycles"
 
 
+@pytest.mark.slow
 def test_pause_step_seek_and_end_by_keys(terminal: Terminal) -> None:
     terminal.wait_for("keys: space pause")
     terminal.wait_for(r"replaying  \d")
@@ -69,6 +70,7 @@ def test_pause_step_seek_and_end_by_keys(terminal: Terminal) -> None:
     assert terminal.settings == terminal.before
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_the_terminal_as_it_was(terminal: Terminal) -> None:
     terminal.wait_for(r"replaying  \d")
     assert terminal.settings != terminal.before

@@ -168,6 +168,7 @@ def observed_before(observe: Callable[[Configuration], Any]) -> Any:
     return observe(stated_configuration())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", CHANGED)
 def test_a_changed_key_changes_what_is_made_of_it(key: str) -> None:
     observe = observer(key)

@@ -50,6 +50,7 @@ def send_second(viewer: Viewer, start_s: float) -> float:
     return longest
 
 
+@pytest.mark.slow
 def test_everything_arrives_in_the_file(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     viewer = Viewer(path)
@@ -93,6 +94,7 @@ def test_a_healthy_worker_drops_nothing_in_real_time(tmp_path: Path) -> None:
     assert viewer.counts.sent == 50 * 501
 
 
+@pytest.mark.slow
 def test_a_whole_run_faster_than_real_time_goes_through(tmp_path: Path) -> None:
     # The demo: 118,000 samples in blocks of 64, as fast as they can be handed over.
     path = tmp_path / "run.rrd"
@@ -107,6 +109,7 @@ def test_a_whole_run_faster_than_real_time_goes_through(tmp_path: Path) -> None:
     assert path.stat().st_size < 20e6
 
 
+@pytest.mark.slow
 @posix_only
 def test_a_killed_worker_is_replaced_and_goes_on_in_a_second_file(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
@@ -127,6 +130,7 @@ def test_a_killed_worker_is_replaced_and_goes_on_in_a_second_file(tmp_path: Path
     assert times_s[-1] == pytest.approx(4.99, abs=0.011)
 
 
+@pytest.mark.slow
 @posix_only
 def test_a_stopped_worker_costs_nothing_but_what_it_held(tmp_path: Path) -> None:
     viewer = Viewer(tmp_path / "run.rrd", hang_limit_s=1.0)
@@ -266,6 +270,7 @@ def test_the_live_view_listens_on_this_machine_only() -> None:
             os.kill(pid, 0)
 
 
+@pytest.mark.slow
 @posix_only
 def test_the_worker_ends_with_a_session_that_was_killed(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"

@@ -114,6 +114,7 @@ def test_a_damaged_frame_is_counted_and_the_next_ones_are_good(
     assert status.dropped_by_camera == status.dropped_by_host == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "damage"), DAMAGES)
 def test_with_reads_under_way_damage_spreads_no_further_than_they_reach(
     monkeypatch: pytest.MonkeyPatch, kind: str, damage: Callable[[bytes], list[bytes]]
@@ -386,6 +387,7 @@ def damaged(data: bytes, edits: list[tuple[str, int, bytes]]) -> list[bytes]:
     return [part for part in parts if part]
 
 
+@pytest.mark.slow
 @given(faults=damages())
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_fuzzed_stream_gives_good_images_or_counted_losses(

@@ -117,6 +117,7 @@ def test_gradients_are_those_of_differences(name: str, values: list[float]) -> N
             )
 
 
+@pytest.mark.slow
 def test_rolling_with_memory_is_found_and_told_from_the_papers_law() -> None:
     """Springs and sliders one by one, which no law of the registry integrates."""
     truth = {"k": 0.066, "q": 0.944, "c": 1.05e-8, "period0_s": PERIOD_S}
@@ -145,6 +146,7 @@ def test_a_law_is_charged_for_its_parameters_and_no_more() -> None:
     assert best.aic < sliders.aic
 
 
+@pytest.mark.slow
 def test_the_papers_law_excludes_the_others() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=80)

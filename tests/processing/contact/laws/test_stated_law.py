@@ -18,6 +18,7 @@ def eq1(phi_rad, c=1e-8, b=4e-3, p=0.95):  # type: ignore[no-untyped-def]
     return c + b * phi_rad**p
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drag", [False, True])
 def test_the_papers_law_as_a_function_is_fitted_as_the_papers(drag: bool) -> None:
     parameters, pendulum = paper_pair("glass_k8")

@@ -224,6 +224,7 @@ def delay_found(seed: int, late_s: float) -> Estimate:
     return found.use.delay_s
 
 
+@pytest.mark.slow
 def test_a_delay_beside_turning_points_that_were_measured_is_not_biased() -> None:
     """A detector knows the point of rest from earlier half-cycles: what looks back only is like a delay."""
     found = [delay_found(seed, 0.05) for seed in range(1, 5)]
