@@ -79,7 +79,7 @@ def export(
         ),
     ] = "csv",
 ) -> None:
-    """Export spots, half-cycles and results, also of the series, for other programs.
+    """Export spots, half-cycles and results for other programs.
 
     \b
     Example:
