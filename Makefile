@@ -22,7 +22,7 @@ test: $(VENV)/.installed-test
 
 test-quick: $(VENV)/.installed-test
 	$(BIN)/python -m tests.compile_kernels
-	$(BIN)/python -m pytest -n auto --no-loadscope-reorder $(ARGS)
+	$(BIN)/python -m pytest -n auto --no-loadscope-reorder -m "not slow and not realtime and not bench and not kernel" $(ARGS)
 
 test-kernel: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -n 2 -m kernel tests/kernel -rs $(ARGS)

@@ -35,9 +35,10 @@ LONGER_S = {"kernel": 1500, "slow": 300, "realtime": 300}
 """Limits in s, for a busy machine, of tests that are marked so; the others have the one of pyproject.toml."""
 
 
-def pytest_xdist_auto_num_workers() -> int:
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Two workers more than processors (`-n auto`): the three with what measures real time mostly wait."""
-    return (os.cpu_count() or 1) + 2
+    waits = "not realtime" not in config.option.markexpr
+    return (os.cpu_count() or 1) + 2 * waits
 
 
 class FileByFile(LoadScopeScheduling):
