@@ -19,7 +19,7 @@ from tests.signals import heed_signals
 # Shared machines are slow at times: an example is not judged by the clock. CI repeats the same
 # examples, a person's run looks for new ones.
 settings.register_profile("here", deadline=None)
-settings.register_profile("ci", deadline=None, derandomize=True)
+settings.register_profile("ci", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("ci" if os.environ.get("CI") else "here")
 
 # Before numpy is imported, here and in every process started from here: threads of linear algebra, of several
