@@ -11,7 +11,7 @@ from rig.analysis.headline import drag_headline, headline
 from rig.analysis.limits import whole_result
 from rig.analysis.results import RunResults
 from rig.analysis.witnessed_fits import witness_sentences
-from rig.presentation import plain, quantity, with_uncertainty
+from rig.presentation import plain, quantity, signed_percent, with_uncertainty
 
 _FOUND = {
     DragFinding.SEEN: "The decay shows a linear drag",
@@ -128,7 +128,7 @@ def _worth_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
 def _drag_sentence(drag: Drag) -> str:
     """What the data say of a drag, and whose value stands where they say nothing."""
     shown = quantity("drag_s")
-    by_b, by_c = (f"{100 * shift:+.2g} %" for shift in (drag.relative_shift_b, drag.relative_shift_c))
+    by_b, by_c = (signed_percent(shift) for shift in (drag.relative_shift_b, drag.relative_shift_c))
     moved = f"it changes b by {by_b} and c by {by_c}"
     match drag.finding:
         case DragFinding.SEEN:

@@ -10,7 +10,7 @@ from rig.analysis.contact_results import Fit, SurfaceEnergies
 from rig.analysis.determined import determined_text, series_verdicts
 from rig.analysis.headline import SURFACE_ENERGY, budget_of, dominant_text
 from rig.analysis.results import RunResults, SessionResults
-from rig.presentation import Cell, Table, plain, quantity
+from rig.presentation import Cell, Table, plain, quantity, signed_percent
 
 _LARGEST_BIAS = 0.3
 """Of a parameter, as a fraction of it."""
@@ -139,11 +139,11 @@ def _of_bias(fits: Mapping[str, Fit]) -> str:
         return "Eqs. 5 and 6 are asymptotic and biased by some per cent; the exact map is not."
     # of a parameter that the data hardly determine, a bias in per cent says nothing
     listed = ", ".join(
-        f"{quantity(name).symbol} {100 * moved / exact.parameters[name].value:+.2g} %"
+        f"{quantity(name).symbol} {signed_percent(moved / exact.parameters[name].value)}"
         for name, moved in asymptotic.bias.items()
         if abs(moved) < _LARGEST_BIAS * abs(exact.parameters[name].value)
     )
-    return f"Eqs. 5 and 6 are asymptotic; their bias here: {listed}.".replace("-", "−")
+    return f"Eqs. 5 and 6 are asymptotic; their bias here: {listed}."
 
 
 def quality_table(fits: Mapping[str, Fit]) -> Table:

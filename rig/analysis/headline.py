@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from processing.estimate import Determinacy
 from processing.fit import Budget, Determination, Drag
-from rig.presentation import SOURCES, quantity
+from rig.presentation import SOURCES, quantity, signed_percent
 
 SURFACE_ENERGY = "surface_energy_table2_j_per_m2"
 _LARGE = 0.25
@@ -39,7 +39,7 @@ def drag_headline(drag: Drag | None, *, fitted: bool) -> str:
         return f"{text}."
     if drag is None or not drag.significant:
         return ""
-    shift = f"{100 * drag.relative_shift_b:+.2g} %".replace("-", "−")
+    shift = signed_percent(drag.relative_shift_b)
     seen = f"The drag of the air is seen, {shown.text(*drag.drag_s)} s"
     return f"{seen}; without it b would differ by {shift}."
 

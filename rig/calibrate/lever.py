@@ -20,7 +20,7 @@ from rig.calibrate.certificate import certificate_in, lever_of_certificate
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.calibrate.inputs import LadderFile, read_ladder
 from rig.calibrate.spots import binning_of_record, mean_spot, spots_of_record
-from rig.presentation import percent
+from rig.presentation import percent, signed_percent
 
 
 def calibrate_lever(ladder: Path, filing: Filing) -> Path:
@@ -68,7 +68,7 @@ def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
     notes = list(fit.notes)
     if check.moved:
         notes.append(
-            f"scale off by {100 * (check.ratio - 1):+.3g} %, u = {percent(check.u_both)}: calibrate again"
+            f"scale off by {signed_percent(check.ratio - 1, 3)}, u = {percent(check.u_both)}: calibrate again"
         )
     method = f"{len(table.step)} known tilts against {lever.name}"
     return file_calibration("check", filing, method, {}, details, [*sources, lever], notes, began)

@@ -8,7 +8,7 @@ from typing import Any
 
 from calibration import CalibrationFile, Kind, Lever, moved_between, parse_calibration
 from processing.errors import ConfigurationError
-from rig.presentation import percent
+from rig.presentation import percent, signed_percent
 from rig.settings import Configuration, FitSettings, PendulumSettings, validate_configuration
 
 PREFIX = "calibration/"
@@ -88,7 +88,7 @@ def _with_certified_mass(config: Configuration, path: Path) -> PendulumSettings:
     off = stated.mass_kg / certified_kg - 1
     if abs(off) > _SAME_BODY:
         raise ConfigurationError(
-            f"pendulum.mass_kg = {stated.mass_kg:g} is {100 * off:+.2g} % off the {certified_kg:g} kg of "
+            f"pendulum.mass_kg = {stated.mass_kg:g} is {signed_percent(off)} off the {certified_kg:g} kg of "
             f"calibration.mass = {str(path)!r}: state the mass of the body that was certified"
         )
     tree = {
@@ -206,7 +206,7 @@ def _checks(
             ratio, u = check.details["ratio"], check.details["u_both"]
             warnings.append(
                 f"known angles on {check.measured_at:%Y-%m-%d %H:%M}: the lever's scale is off by "
-                f"{100 * (ratio - 1):+.3g} % (u = {percent(u)})"
+                f"{signed_percent(ratio - 1, 3)} (u = {percent(u)})"
             )
     before = [check for check, _ in found if check.measured_at <= began]
     after = [check for check, _ in found if check.measured_at >= ended]
@@ -219,8 +219,8 @@ def _checks(
         )
         if moved:
             warnings.append(
-                f"the lever's scale moved by {100 * change:+.3g} % (u = {percent(u_change)}) between the "
-                "checks before and after this run"
+                f"the lever's scale moved by {signed_percent(change, 3)} (u = {percent(u_change)}) between "
+                "the checks before and after this run"
             )
     return [_entry(check, data, began) | {"found": check.details} for check, data in found], warnings
 

@@ -101,6 +101,11 @@ def percent(fraction: float, digits: int = 2) -> str:
     return f"{plain(100 * fraction, digits)} %" if "e-" in text else f"{text} %"
 
 
+def signed_percent(fraction: float, digits: int = 2) -> str:
+    """By how much a value differs from another: `+0.25 %`, `−130 %`."""
+    return ("" if fraction < 0 else "+") + percent(fraction, digits).replace("-", MINUS)
+
+
 def _decimal(value: float) -> Decimal:
     """The number as Python prints it, so that 4.95 is halfway between 4.9 and 5.0."""
     return Decimal(repr(float(value)))

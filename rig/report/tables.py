@@ -18,7 +18,16 @@ from rig.analysis import (
     quality_table,
     waveform_table,
 )
-from rig.presentation import NOT_KNOWN, Cell, Table, Verdict, plain, quantity, with_uncertainty
+from rig.presentation import (
+    NOT_KNOWN,
+    Cell,
+    Table,
+    Verdict,
+    plain,
+    quantity,
+    signed_percent,
+    with_uncertainty,
+)
 from rig.report.run_data import RunData
 from rig.report.tables_instruments import instrument_series_table, instrument_table
 from rig.report.tables_uncertainty import (
@@ -149,8 +158,8 @@ def drag_table(results: RunResults) -> Table:
     ]
     if math.isfinite(drag.relative_shift_b):
         shown += [
-            ["b changes by", _signed_percent(drag.relative_shift_b)],
-            ["c changes by", _signed_percent(drag.relative_shift_c)],
+            ["b changes by", signed_percent(drag.relative_shift_b)],
+            ["c changes by", signed_percent(drag.relative_shift_c)],
         ]
     shown.append(["verdict", drag.finding])
     note = ""
@@ -164,10 +173,6 @@ def drag_table(results: RunResults) -> Table:
             f"; assumed: {', '.join(drag.of_air.assumed)}." if drag.of_air.assumed else "."
         )
     return Table("drag", "Is there a linear drag?", ("quantity", "value"), rows, ("", ""), shown, note)
-
-
-def _signed_percent(fraction: float) -> str:
-    return f"{100 * fraction:+.2g} %".replace("-", "−")
 
 
 def _of_air(found: ExpectedDrag | None) -> list[list[str]]:

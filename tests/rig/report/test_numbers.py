@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from processing.estimate import Determinacy, Estimate
 from processing.fit import Combined, Determination
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
-from rig.presentation.numbers import plain, rounded, with_uncertainty
+from rig.presentation.numbers import plain, rounded, signed_percent, with_uncertainty
 from rig.report.drawing import broken, envelope, thinned
 from rig.terminal import spelled
 
@@ -45,6 +45,22 @@ def test_a_sign_where_the_direction_matters() -> None:
     assert with_uncertainty(2e-7, 1e-9, signed=True) == "(+2.000 ± 0.010) × 10⁻⁷"
     assert with_uncertainty(-2.0, 0.0123, signed=True) == "−2.000 ± 0.012"
     assert with_uncertainty(2.0, math.nan, signed=True) == "+2.0000"
+
+
+@pytest.mark.parametrize(
+    ("fraction", "text"),
+    [
+        (0.0025, "+0.25 %"),
+        (-0.069, "−6.9 %"),
+        (1.04, "+104 %"),
+        (-12.3, "−1230 %"),
+        (4.3e-8, "+4.3 × 10⁻⁶ %"),
+        (-4.3e-8, "−4.3 × 10⁻⁶ %"),
+        (0.0, "+0 %"),
+    ],
+)
+def test_a_difference_has_its_sign_and_no_exponent_of_programs(fraction: float, text: str) -> None:
+    assert signed_percent(fraction) == text
 
 
 def test_a_terminal_without_the_characters_gets_them_spelled_out() -> None:
