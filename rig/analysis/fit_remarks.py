@@ -7,11 +7,11 @@ from processing.contact import DRAG
 from processing.estimate import Determinacy, Estimate
 from processing.fit import WAVEFORM, BaseMotion, Determination, Drag, DragFinding, FitMethod, Ground
 from rig.analysis.determined import bound_text
-from rig.analysis.headline import drag_headline, headline
+from rig.analysis.headline import drag_headline, headline, shifts_by_drag
 from rig.analysis.limits import whole_result
 from rig.analysis.results import RunResults
 from rig.analysis.witnessed_fits import witness_sentences
-from rig.presentation import plain, quantity, signed_percent, with_uncertainty
+from rig.presentation import plain, quantity, with_uncertainty
 
 _FOUND = {
     DragFinding.SEEN: "The decay shows a linear drag",
@@ -27,13 +27,15 @@ def remarks(run: RunResults) -> list[str]:
     """The headline, sentences on beam, ground, drag and what is hardly determined, then the run's notes."""
     exact = run.fits.get(FitMethod.EXACT)
     parameters = {} if exact is None else exact.parameters
-    of_drag = drag_headline(run.drag, fitted=DRAG.key in parameters) if parameters else ""
+    of_drag = drag_headline(run.drag, run.verdicts(), fitted=DRAG.key in parameters) if parameters else ""
     lines = list(filter(None, [headline(run.budget, run.verdicts()), of_drag]))
     lines += [] if run.beam is None else [run.beam.sentence]
     lines += [] if run.clock is None else [f"Camera's clock: {run.clock.text}."]
     lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
     lines += [] if run.witness is None else witness_sentences(run.witness)
-    lines += [_drag_sentence(run.drag)] if run.drag is not None else []
+    lines += (
+        [_drag_sentence(run.drag, shifts_by_drag(run.drag, run.verdicts()))] if run.drag is not None else []
+    )
     lines += [] if exact is None else list(filter(None, [_worth_sentence(exact.worth)]))
     if run.strong_correlations:
         pairs = run.strong_correlations
@@ -52,7 +54,7 @@ def brief_remarks(run: RunResults) -> list[str]:
     exact = run.fits.get(FitMethod.EXACT)
     if exact is None:
         return []
-    lines = [drag_headline(run.drag, fitted=DRAG.key in exact.parameters)]
+    lines = [drag_headline(run.drag, run.verdicts(), fitted=DRAG.key in exact.parameters)]
     lines += [ground_sentence(exact.ground)] if exact.ground is not None and exact.ground.seen else []
     lines += [] if run.witness is None else witness_sentences(run.witness)
     result = whole_result(run)
@@ -125,24 +127,24 @@ def _worth_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
     return f"Without the waveform of the swing {', and '.join(said)}."
 
 
-def _drag_sentence(drag: Drag) -> str:
+def _drag_sentence(drag: Drag, shifts: Mapping[str, str]) -> str:
     """What the data say of a drag, and whose value stands where they say nothing."""
     shown = quantity("drag_s")
-    by_b, by_c = (signed_percent(shift) for shift in (drag.relative_shift_b, drag.relative_shift_c))
-    moved = f"it changes b by {by_b} and c by {by_c}"
+    changes = " and ".join(f"{name} by {shift}" for name, shift in shifts.items())
+    moved = f"; it changes {changes}" if changes else ""
     match drag.finding:
         case DragFinding.SEEN:
-            said = f"{shown.text(*drag.drag_s)} s; {moved}"
+            said = f"{shown.text(*drag.drag_s)} s{moved}"
         case DragFinding.OPEN if _by_the_data(drag):
             return (
                 f"This decay cannot distinguish a drag below {plain(drag.upper_95_s, 2)} s (95 %) from "
-                f"friction; what it allows, {shown.text(*drag.of_data_s)} s, is part of every uncertainty; "
+                f"friction; what it allows, {shown.text(*drag.of_data_s)} s, is part of every uncertainty"
                 f"{moved}."
             ).replace("-", "−")
         case DragFinding.OPEN if drag.known_s is not None:
             said = (
                 f"the drag expected of the air, {shown.text(*drag.known_s)} s, is used; its uncertainty is "
-                f"part of all others; {moved}"
+                f"part of all others{moved}"
             )
         case DragFinding.OPEN:
             said = f"{shown.text(*drag.drag_s)} s; state what you know of the air (fit.drag)"

@@ -29,7 +29,7 @@ def dominant_text(item: Budget) -> str:
     return ", ".join(f"{SOURCES.get(line.source, line.source)} {100 * line.share:.0f} %" for line in named)
 
 
-def drag_headline(drag: Drag | None, *, fitted: bool) -> str:
+def drag_headline(drag: Drag | None, verdicts: Mapping[str, Determination], *, fitted: bool) -> str:
     """A drag that is seen, or that the fit has none; empty otherwise."""
     shown = quantity("drag_s")
     if not fitted:
@@ -39,9 +39,18 @@ def drag_headline(drag: Drag | None, *, fitted: bool) -> str:
         return f"{text}."
     if drag is None or not drag.significant:
         return ""
-    shift = signed_percent(drag.relative_shift_b)
     seen = f"The drag of the air is seen, {shown.text(*drag.drag_s)} s"
-    return f"{seen}; without it b would differ by {shift}."
+    shifts = shifts_by_drag(drag, verdicts)
+    return f"{seen}; without it b would differ by {shifts['b']}." if "b" in shifts else f"{seen}."
+
+
+def shifts_by_drag(drag: Drag, verdicts: Mapping[str, Determination]) -> dict[str, str]:
+    """What the drag does to b and c; of one that is not determined, a change in per cent says nothing."""
+    return {
+        name: signed_percent(shift)
+        for name, shift in (("b", drag.relative_shift_b), ("c", drag.relative_shift_c))
+        if name not in verdicts or verdicts[name].verdict is Determinacy.DETERMINED
+    }
 
 
 def headline(budget: Mapping[str, Budget], verdicts: Mapping[str, Determination]) -> str:

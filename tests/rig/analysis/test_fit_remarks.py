@@ -85,6 +85,16 @@ def test_a_drag_that_is_seen_says_what_it_does_to_the_others() -> None:
     assert "it changes b by −1.2 % and c by +3.4 %" in text
 
 
+def test_of_what_is_not_determined_no_change_in_per_cent_is_told() -> None:
+    """A live run of 35 half-cycles in a basement said that b would differ by -100 %."""
+    open_b = Determination(name="b", verdict=Determinacy.INTERVAL, value=0.04, lower_95=0.0038, upper_95=1.0)
+    fit = Fit(parameters={"b": Estimate(0.04, 0.06), "drag_s": Estimate(2e-3, 1e-4)})
+    run = RunResults(record="run-1.mcap", drag=_SEEN, fits={"exact": fit}, identifiability=(open_b,))
+    headline, sentence = remarks(run)[:2]
+    assert headline == "The drag of the air is seen, (2.00 ± 0.10) × 10⁻³ s."
+    assert sentence.endswith("s; it changes c by +3.4 %.")
+
+
 def test_where_the_data_do_not_tell_the_air_is_named_with_its_doubt() -> None:
     text = remarks(RunResults(record="run-1.mcap", drag=replace(_SEEN, finding=DragFinding.OPEN)))[0]
     assert "expected of the air, (1.5 ± 1.0) × 10⁻³ s, is used; its uncertainty is part of all others" in text
