@@ -53,7 +53,8 @@ def test_a_session_leaves_records_a_view_and_results(short_session: Path) -> Non
     assert [run["record"] for run in tree["runs"]] == ["run-1.mcap", "run-2.mcap"]
     for run in tree["runs"]:
         assert run["dropped_frames"] == 0
-        assert run["frames"] == pytest.approx(1400, abs=14)
+        # 70 s at 20 frames a second, and at most a block of 2 s more
+        assert 1400 <= run["frames"] <= 1442
         assert run["half_cycles"] >= 30
         assert run["initial_amplitude_arcsec"] == pytest.approx(124, rel=0.02)
         assert (run["amplitude_unit"], run["initial_amplitude"]) == (
