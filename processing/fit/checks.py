@@ -102,7 +102,7 @@ def data_warnings(
     part, worst = max(chi2_per_dof.items(), key=lambda item: item[1])
     if worst > 2:
         warnings.append(
-            f"chi2/dof of {part} = {worst:.3g}: the data scatter more than their uncertainties say or the "
+            f"χ²/dof of {part} = {worst:.3g}: the data scatter more than their uncertainties say or the "
             "model does not describe them; uncertainties are scaled up by its root"
         )
     return tuple(warnings)
@@ -138,7 +138,7 @@ def of_overstated(chi2_per_dof: float, dof: int) -> tuple[str, ...]:
     if dof < _ENOUGH or not 0 < chi2_per_dof < _QUIET:
         return ()
     text = (
-        f"chi2/dof = {chi2_per_dof:.2g}: the uncertainties of the turning points are "
+        f"χ²/dof = {chi2_per_dof:.2g}: the uncertainties of the turning points are "
         f"{chi2_per_dof**-0.5:.2g} times too large for their scatter; so are those of the parameters, and a "
         "weaker drive of the ground is not seen: check sensor noise (rig calibrate sensor) and beam profile"
     )

@@ -159,7 +159,7 @@ class AlignmentFrame(NamedTuple):
                     "sigma",
                     f"{spot.sigma_x_px:.2f} × {spot.sigma_y_px:.2f} px, ellipticity {self._ellipticity:.2f}",
                 ),
-                ("fit", f"chi2/dof {spot.chi2_per_dof:.2f}, {', '.join(self._doubts) or 'a clean spot'}"),
+                ("fit", f"χ²/dof {spot.chi2_per_dof:.2f}, {', '.join(self._doubts) or 'a clean spot'}"),
             ]
         else:
             rows.append(("spot", "none found"))
@@ -219,7 +219,7 @@ class AlignmentFrame(NamedTuple):
         place += f"from the crosshair {off_x_px:+.1f}, {off_y_px:+.1f} px"
         place += f"  to the nearest edge {self._edge_px:.0f} px"
         shape = f"sigma {spot.sigma_x_px:.2f} x {spot.sigma_y_px:.2f} px  ellipticity {self._ellipticity:.2f}"
-        shape += f"  chi2/dof {spot.chi2_per_dof:.2f}"
+        shape += f"  χ²/dof {spot.chi2_per_dof:.2f}"
         return [light, place, f"{shape}  {', '.join(self._doubts) or 'a clean spot'}", region]
 
 

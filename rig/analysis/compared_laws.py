@@ -15,7 +15,7 @@ from processing.swing import TurningPoints
 from rig.analysis.analysed_run import AnalysedRun
 from rig.analysis.law_results import ComparedLaws, LawFit, LawMoments, MomentsWithoutLaw
 from rig.analysis.waveform_results import with_waveform
-from rig.presentation import Cell, Table
+from rig.presentation import MINUS, Cell, Table, plain
 
 NO_LAW: Final = "none"
 _TELLING, _MOST_RUNS = 3.0, 100
@@ -126,16 +126,16 @@ def law_table(compared: ComparedLaws) -> Table:
     shown = []
     for name, law in compared.laws.items():
         measures = (law.bic_above_best, law.aic_above_best, law.log_odds_against)
-        waveform = f"{law.waveform_chance:.2g}"
+        waveform = plain(law.waveform_chance, 2)
         rows.append([name, *measures, law.ground_rad_per_s2_rthz, law.waveform_chance, law.problem])
         if law.problem:
             shown.append([name, law.title, *[""] * 5, law.problem])
             continue
         left = "as noise" if law.residuals_are_noise else "more than noise"
         verdict = "excluded" if law.excluded else "remains"
-        ground = f"{law.ground_rad_per_s2_rthz:.1e}"
+        ground = plain(law.ground_rad_per_s2_rthz, 2)
         shown.append(
-            [name, law.title, *(f"{one:.1f}" for one in measures), ground, waveform, f"{left}; {verdict}"]
+            [name, law.title, *(f"{one:.1f}".replace("-", MINUS) for one in measures), ground, waveform, f"{left}; {verdict}"]
         )
     return Table(
         "laws",

@@ -140,7 +140,7 @@ def analyse_envelope(
         )
     if not found.described:
         warnings.append(
-            "constant, linear and quadratic damping together do not describe the envelope (chi2/dof "
+            "constant, linear and quadratic damping together do not describe the envelope (χ²/dof "
             f"{found.damping.chi2_per_dof:.3g}); choose a stretch with --from and --to"
         )
     shown = (lambda amplitude: 20.0 * math.log10(amplitude)) if decibel else float
@@ -255,7 +255,7 @@ def _changes(summary: DecaySummary) -> list[str]:
                 else ""
             )
             said.append(
-                f"the {name} is not constant (chi2/dof {mean.chi2_per_dof:.3g} if it were){ends}; the "
+                f"the {name} is not constant (χ²/dof {mean.chi2_per_dof:.3g} if it were){ends}; the "
                 "uncertainty of its mean allows for it"
             )
     return said

@@ -227,7 +227,7 @@ def _reasons(decay: FoundDecay) -> str:
 def _mean_text(mean: DecayMean, unit: str, u: float) -> str:
     """A mean with its uncertainty `u`, or the range over which it changes."""
     if not mean.changes:
-        constant = f"constant with chi2/dof {mean.chi2_per_dof:.3g}"
+        constant = f"constant with χ²/dof {mean.chi2_per_dof:.3g}"
         return f"{with_uncertainty(mean.value, u)}{unit} ({constant})"
     if math.isnan(mean.first):
         return f"about {mean.value:.3g}{unit}, not constant"

@@ -11,7 +11,7 @@ from rig.archive.blind import sealed
 from rig.archive.chosen import chosen_runs
 from rig.archive.refits import Recipe, Refit, read_refit
 from rig.archive.store import Archive, reads_archive
-from rig.presentation import Cell, Table, print_tables, with_uncertainty
+from rig.presentation import Cell, Table, print_tables, signed, with_uncertainty
 from rig.replay import parameter_changes
 
 _CALIBRATIONS = ("lever", "axes", "shutter", "sensor", "timebase", "calibration")
@@ -53,7 +53,7 @@ def print_differences(archive: Path, names: Sequence[str], where: str, least_u: 
                 if hidden
                 else [with_uncertainty(*v) for v in (change.recorded, change.replayed)]
             )
-            shown.append([sha256[:8], change.name.removeprefix("fits."), *values, f"{change.in_u:+.2g}", why])
+            shown.append([sha256[:8], change.name.removeprefix("fits."), *values, signed(change.in_u), why])
             rows.append([sha256, change.name, change.in_u, why])
     if not compared:
         raise ConfigurationError(

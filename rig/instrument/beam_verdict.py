@@ -61,7 +61,7 @@ def beam_quality(
     same = [spot for spot in found if spot.flags & SpotFlag.LEARNED == learned]
     poor = float(np.mean([bool(spot.flags & SpotFlag.POOR_FIT) for spot in same]))
     chi2 = float(np.median([spot.chi2_per_dof for spot in same]))
-    words = f"{model or 'one Gaussian so far'}, chi2/dof {chi2:.2f}, POOR_FIT in {percent(poor, 3)} of frames"
+    words = f"{model or 'one Gaussian so far'}, χ²/dof {chi2:.2f}, POOR_FIT in {percent(poor, 3)} of frames"
     if shape is not None:
         words += f", off a Gaussian by {percent(shape.departure)} of its peak"
     edge = float(np.mean([bool(spot.flags & SpotFlag.EDGE) for spot in found]))

@@ -6,12 +6,14 @@ from rig.presentation.json_object import answer, one_json_object
 from rig.presentation.keys import Keys
 from rig.presentation.latex import latex_table
 from rig.presentation.numbers import (
+    MINUS,
     NOT_KNOWN,
     interval,
     percent,
     plain,
     power,
     rounded,
+    signed,
     signed_percent,
     with_uncertainty,
 )

@@ -81,6 +81,11 @@ def plain(value: float, digits: int = 4) -> str:
     return mantissa.replace("-", MINUS) + power(exponent)
 
 
+def signed(value: float, digits: int = 2) -> str:
+    """A difference: a number with its sign, `+0.12`, `−2.0 × 10⁻⁵`."""
+    return ("+" if value > 0 else "") + plain(value, digits)
+
+
 def interval(low: float, high: float) -> str:
     """Both ends to as many digits as tell them apart, and two more."""
     if not (math.isfinite(low) and math.isfinite(high)) or high <= low:

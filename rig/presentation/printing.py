@@ -13,6 +13,8 @@ COLUMNS: Final = 80
 """Of a terminal that does not tell."""
 _MOST_INDENTED = 0.4
 """Of the width: a name longer than this has its text continued at its left."""
+_WITHIN_NUMBER = re.compile(r"(?<=\d) (?=[%±×°])|(?<=[±×]) (?=[\d(])|(?<=\d\)) (?=[×%])")
+_UNBROKEN = "\u00a0"
 
 
 def print_line(text: str) -> None:
@@ -49,14 +51,25 @@ def _wrapped(line: str, columns: int) -> str:
     indent = len(begin[0]) if begin is not None else 0
     if indent > _MOST_INDENTED * columns:
         indent = len(line) - len(line.lstrip())
-    return textwrap.fill(
-        line,
+    return folded(line, columns, indent or 2)
+
+
+def folded(text: str, columns: int, indent: int = 0) -> str:
+    """A text broken between words, but not within a number, such as `29 %` or `(1.2 ± 0.3) × 10⁻⁵`."""
+    filled = textwrap.fill(
+        _WITHIN_NUMBER.sub(_UNBROKEN, text),
         columns,
-        subsequent_indent=" " * (indent or 2),
+        subsequent_indent=" " * indent,
         break_long_words=False,
         break_on_hyphens=False,
         replace_whitespace=False,
     )
+    return filled.replace(_UNBROKEN, " ")
+
+
+def unbroken_words(text: str) -> list[str]:
+    """The parts between which `folded` may break a text."""
+    return [word.replace(_UNBROKEN, " ") for word in _WITHIN_NUMBER.sub(_UNBROKEN, text).split(" ") if word]
 
 
 def print_json_line(kind: str, values: Mapping[str, Any]) -> None:

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from rig.presentation.json_object import answer
-from rig.presentation.printing import columns_of, print_line
+from rig.presentation.printing import columns_of, folded, print_line, unbroken_words
 from rig.presentation.table import Table
 
 _NUMBERS_BEGIN_WITH = tuple("0123456789−-+(<>–")
@@ -71,8 +71,12 @@ def _drawn(content: Table, title: str, places: Sequence[int], width: int) -> Ric
             width=widths[place],
         )
     for row in content.shown:
-        drawn.add_row(*(row[place] for place in places))
+        drawn.add_row(*(_folded(row[place], widths[place]) for place in places))
     return drawn
+
+
+def _folded(cell: str, width: int) -> str:
+    return "\n".join(folded(line, width) for line in cell.split("\n"))
 
 
 def _is_of_numbers(content: Table, place: int) -> bool:
@@ -91,6 +95,7 @@ def _least_widths(content: Table) -> list[int]:
     found = []
     for place, heading in enumerate(content.head):
         cells = [row[place] for row in content.shown]
-        whole = cells if _is_of_numbers(content, place) else [word for cell in cells for word in cell.split()]
+        lines = [line for cell in cells for line in cell.split("\n")]
+        whole = cells if _is_of_numbers(content, place) else [w for line in lines for w in unbroken_words(line)]
         found.append(max(map(cell_len, (*whole, *heading.split())), default=0))
     return found

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
+from rig.presentation.printing import folded
 from rig.presentation.verdict import Verdict
 
 
@@ -23,10 +24,14 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
         if verdict.remedy:
             kind = "warning" if verdict.ok else "NO-GO"
             why = "; ".join(text for text in (verdict.reason, verdict.remedy) if text)
-            console.print(f"{kind} {verdict.name}: {why}", highlight=False, markup=False)
+            _print(console, f"{kind} {verdict.name}: {why}")
     for reason in dict.fromkeys(v.reason for v in verdicts if not v.made and v.reason):
         found = ", ".join(v.name for v in verdicts if v.reason == reason)
-        console.print(f"not checked: {found}: {reason}", highlight=False, markup=False)
+        _print(console, f"not checked: {found}: {reason}")
+
+
+def _print(console: Console, text: str) -> None:
+    console.print(folded(text, console.width), highlight=False, markup=False)
 
 
 def _mark(verdict: Verdict) -> str:

@@ -7,7 +7,17 @@ from collections.abc import Callable, Sequence
 from typing import IO, Self
 
 from rig.instrument import Phase, Snapshot
-from rig.presentation import Shown, Table, columns_of, print_line, print_tables, quantity, say
+from rig.presentation import (
+    Shown,
+    Table,
+    columns_of,
+    plain,
+    print_line,
+    print_tables,
+    quantity,
+    say,
+    signed,
+)
 from rig.replay.comparison import Change, ReplayDifferences
 
 _PLAIN_INTERVAL_S = 5.0
@@ -155,12 +165,12 @@ def print_changes(changes: Sequence[Change], source: str) -> None:
 
 
 def _in_u(change: Change) -> str:
-    return "?" if math.isnan(change.in_u) else f"{change.in_u:+.2g}"
+    return "?" if math.isnan(change.in_u) else signed(change.in_u)
 
 
 def _largest(change_u: float, where: str, once: int, changed: int) -> str:
     """Which of those in both changed most, and how many are in one of the two only."""
-    said = [f"{change_u:.2g} u, {where}"] if change_u > 0 else []
+    said = [f"{plain(change_u, 2)} u, {where}"] if change_u > 0 else []
     said += [f"{once} in one of the two only"] if once else []
     return "; ".join(said or ["only in uncertainties or flags"]) if changed else ""
 

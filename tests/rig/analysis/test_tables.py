@@ -71,7 +71,7 @@ def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path
     assert decay.results.period_s.standard_uncertainty > 0.3 * (period.first - period.last)
     printed = rig("fit", path, "--position", "2", "--position", "3", "--unit", "rad").stdout
     assert re.search(r"period 1\.66\d+ ± \S+ s at the start, 1\.63\d+ ± \S+ s at the end", printed)
-    assert "not constant (chi2/dof 1.5" in printed
+    assert "not constant (χ²/dof 1.5" in printed
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ def test_the_noise_that_judges_a_picture_is_that_of_the_sensor(command: str, tmp
         ["-o", str(tmp_path), "--seconds", "0.5"] if command == "align" else ["-o", str(tmp_path / "a.png")]
     )
     done = CliRunner().invoke(app, ["camera", command, DEMO, *more, *noisy])
-    told = re.findall(r"chi2/dof ([0-9.]+)", done.output)
+    told = re.findall(r"χ²/dof ([0-9.]+)", done.output)
     assert [float(chi2) for chi2 in told] == pytest.approx([1.0] * len(told), abs=0.15)
     assert told
 
@@ -271,5 +271,5 @@ def test_a_snap_judges_each_spot_in_its_own_part(tmp_path: Path) -> None:
     assert re.search(r"reference: go, 1\d\d\.\d, 68\d\.\d px", both)
     assert "reference: NO-GO, none found" in alone
     # what is said of the pendulum's beam does not depend on the other's
-    (beam,) = re.findall(r"chi2/dof [\d.]+", both)
-    assert re.findall(r"chi2/dof [\d.]+", alone) == [beam]
+    (beam,) = re.findall(r"χ²/dof [\d.]+", both)
+    assert re.findall(r"χ²/dof [\d.]+", alone) == [beam]

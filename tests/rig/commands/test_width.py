@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 from rich.cells import cell_len
+from rich.console import Console
 
-from rig.presentation import Table, print_tables
+from rig.presentation import Table, Verdict, print_line, print_tables, print_verdicts
 from tests.rig.command_line import CONFIGS, SMALL, set_words
 from tests.rig.pseudo_terminal import Terminal
 
@@ -80,6 +81,25 @@ def test_a_table_that_is_too_wide_goes_on_below(
     assert all(cell in text for cell in row)
     assert text.count("what is measured") > 2
     assert text.count("Too wide") == 1
+
+
+LONG = "the friction b is (3.7333 ± 0.0030) × 10⁻³, drag moves it by 29 % of c ± 3 % in all"
+
+
+@pytest.mark.parametrize("columns", range(30, 60))
+def test_no_line_ends_within_a_number(
+    columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("rig.presentation.printing.columns_of", lambda _: columns)
+    monkeypatch.setattr("rig.presentation.terminal.columns_of", lambda _: columns)
+    print_line(LONG)
+    print_tables([Table("t", "", ("", "text"), [[LONG]], ("", "text"), [["b", LONG]])])
+    print_verdicts(Console(width=columns), [Verdict("b", False, "", remedy=LONG)])
+    text = capsys.readouterr().out
+    lines = text.splitlines()
+    assert max(map(cell_len, lines)) <= columns
+    whole = [number for line in lines for number in ("(3.7333 ± 0.0030) × 10⁻³", "29 %") if number in line]
+    assert len(whole) == 6
 
 
 def shown(words: list[str], folder: Path) -> str:

@@ -63,7 +63,7 @@ def test_a_good_beam_is_go_with_its_numbers() -> None:
     verdict = judged(good, 140)
     assert verdict.ok
     assert not verdict.remedy
-    assert verdict.measured.startswith("one Gaussian, chi2/dof 0.95")
+    assert verdict.measured.startswith("one Gaussian, χ²/dof 0.95")
     assert "POOR_FIT in 0 % of frames" in verdict.measured
     assert verdict.line.startswith("beam quality: go, one Gaussian")
     assert "one Gaussian so far" in judged(good).measured
@@ -97,7 +97,7 @@ def test_a_learned_profile_that_fits_is_caution_and_one_that_does_not_is_no_go()
     learned = judged(ragged, 170)
     assert learned.ok
     assert learned.remedy
-    assert learned.measured.startswith("learned profile, chi2/dof ")
+    assert learned.measured.startswith("learned profile, χ²/dof ")
     spot = SpotTracker(LIT_EIGHT_BIT).track(
         exposed(good(60, 54), np.random.default_rng(1), sensor=LIT_EIGHT_BIT)
     )

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from processing.estimate import Determinacy, Estimate
 from processing.fit import Combined, Determination
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
-from rig.presentation.numbers import plain, rounded, signed_percent, with_uncertainty
+from rig.presentation.numbers import plain, rounded, signed, signed_percent, with_uncertainty
 from rig.report.drawing import broken, envelope, thinned
 from rig.terminal import spelled
 
@@ -38,6 +38,13 @@ from rig.terminal import spelled
 )
 def test_two_digits_of_the_uncertainty(value: float, u: float, text: str) -> None:
     assert with_uncertainty(value, u) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.12, "+0.12"), (-0.0052, "−0.0052"), (3e-6, "+3.0 × 10⁻⁶"), (0.0, "0"), (-14.2, "−14")]
+)
+def test_a_difference_has_its_sign(value: float, text: str) -> None:
+    assert signed(value) == text
 
 
 def test_a_sign_where_the_direction_matters() -> None:
