@@ -1,4 +1,4 @@
-"""The desk behind nginx, as docs/desk.md configures it: TLS at the proxy, the desk on the loopback."""
+"""The desk behind nginx, as docs/desk-network.md configures it: TLS at the proxy, the desk on the loopback."""
 
 import os
 import re
@@ -20,7 +20,7 @@ from tests.rig.desk.desk_page import DeskProcess, Page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(240)]
-DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "desk.md"
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "desk-network.md"
 PASSWORD = "the long password"
 NAME = "localhost"
 """In place of rig.lab: it needs no entry in this machine's names."""
@@ -48,7 +48,7 @@ def nginx() -> str:
 
 def documented(kind: str) -> str:
     """The block of this kind in the document's part about proxies."""
-    part = DOCUMENT.read_text(encoding="utf-8").partition("### Behind a reverse proxy")[2]
+    part = DOCUMENT.read_text(encoding="utf-8").partition("## Behind a reverse proxy")[2]
     return re.findall(rf"```{kind}\n(.*?)```", part, re.DOTALL)[0]
 
 

@@ -1,4 +1,4 @@
-"""From another machine: the lines of docs/desk.md are run, and a browser enters by TLS and password."""
+"""From another machine: the lines of docs/desk-network.md are run, and a browser enters by TLS and password."""
 
 import re
 import shlex
@@ -16,7 +16,7 @@ from tests.rig.desk.desk_page import DeskProcess, Page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(240)]
-DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "desk.md"
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "desk-network.md"
 PASSWORDS = {"ada": "the long password", "guest": "another long one"}
 
 
