@@ -129,13 +129,20 @@ def law_table(compared: ComparedLaws) -> Table:
         waveform = plain(law.waveform_chance, 2)
         rows.append([name, *measures, law.ground_rad_per_s2_rthz, law.waveform_chance, law.problem])
         if law.problem:
-            shown.append([name, law.title, *[""] * 5, law.problem])
+            shown.append([name, law.title, *[""] * 5, law.problem.partition(";")[0]])
             continue
         left = "as noise" if law.residuals_are_noise else "more than noise"
         verdict = "excluded" if law.excluded else "remains"
         ground = plain(law.ground_rad_per_s2_rthz, 2)
         shown.append(
-            [name, law.title, *(f"{one:.1f}".replace("-", MINUS) for one in measures), ground, waveform, f"{left}; {verdict}"]
+            [
+                name,
+                law.title,
+                *(f"{one:.1f}".replace("-", MINUS) for one in measures),
+                ground,
+                waveform,
+                f"{left}; {verdict}",
+            ]
         )
     return Table(
         "laws",

@@ -108,7 +108,11 @@ def _steps(events: Sequence[Event]) -> list[Verdict]:
             not happened[kind],
             f"{reason}: {texts[kind]}" if happened[kind] else "",
             remedy if happened[kind] else "",
-            measured=f"{happened[kind]} times",
+            measured="never"
+            if not happened[kind]
+            else "once"
+            if happened[kind] == 1
+            else f"{happened[kind]} times",
             limit="never",
         )
         for kind, (name, reason, remedy) in _STEPS.items()

@@ -58,7 +58,7 @@ class FrameCounts:
             if gap > 0:
                 self.missing += gap
                 events.append(
-                    Event(time_ns, EventKind.GAP, f"{gap} frames missing before frame {frame.sequence}")
+                    Event(time_ns, EventKind.GAP, f"frames missing before frame {frame.sequence}: {gap}")
                 )
             self._sequence = frame.sequence
             lost = bool(spot.flags & SpotFlag.LOST)

@@ -18,11 +18,14 @@ def show_light(config: Configuration) -> int:
     now = _of_a_session(config) or _of_the_devices(config)
     answer(laser=str(now.light), interlock=str(now.interlock), trip=now.trip, refusal=now.refusal)
     answer(laser_age_s=now.light_age_s, interlock_age_s=now.interlock_age_s)
-    for name, text, age_s in (
-        ("laser", str(now.light), now.light_age_s),
-        ("interlock", str(now.interlock), now.interlock_age_s),
+    dark = config.laser.kind == "none"
+    deaf = dark and config.controller.kind == "none"
+    for name, absent, text, age_s in (
+        ("laser", "not controlled by this program" if dark else "", str(now.light), now.light_age_s),
+        ("interlock", "not read by this program" if deaf else "", str(now.interlock), now.interlock_age_s),
     ):
-        print_line(f"{name:<10} {text}" + (f", {age_s:.1f} s ago" if math.isfinite(age_s) else ""))
+        age = f", {age_s:.1f} s ago" if math.isfinite(age_s) else ""
+        print_line(f"{name:<10} {absent or text + age}")
     trip = now.trip
     print_line(f"{'trip':<10} {'none is latched' if trip is None else trip.text}")
     if trip is not None:

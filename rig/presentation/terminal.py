@@ -96,6 +96,8 @@ def _least_widths(content: Table) -> list[int]:
     for place, heading in enumerate(content.head):
         cells = [row[place] for row in content.shown]
         lines = [line for cell in cells for line in cell.split("\n")]
-        whole = cells if _is_of_numbers(content, place) else [w for line in lines for w in unbroken_words(line)]
+        whole = (
+            cells if _is_of_numbers(content, place) else [w for line in lines for w in unbroken_words(line)]
+        )
         found.append(max(map(cell_len, (*whole, *heading.split())), default=0))
     return found

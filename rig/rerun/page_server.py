@@ -53,7 +53,7 @@ pointer-events:none;padding:2px 10px;border-radius:9px;background:#0009;color:#d
   setInterval(() => {
     const now = new Date().toTimeString().slice(0, 8);
     document.getElementById("rig-clock").textContent =
-      `now ${now}; compare with the time in State; this browser draws ${drawn} pictures a second`;
+      `now ${now}; compare with the time in State; pictures drawn a second: ${drawn}`;
     drawn = 0;
   }, 1000);
 </script>

@@ -55,7 +55,7 @@ def display_missing() -> str:
     ):
         return (
             "no window was opened: there is no screen here (neither DISPLAY nor WAYLAND_DISPLAY is set); "
-            'use view.mode = "web", or open the .rrd file on another machine'
+            "use --view web, or open the .rrd file on another machine"
         )
     return ""
 

@@ -10,10 +10,10 @@ from rig.desk.tab import DELIBERATE, Tab
 from rig.settings import SessionSettings
 
 _RELEASE = {
-    "at once": "recorded from the first frame on, whether it moves or not",
-    "by hand": "comes to rest, is checked; then you are asked to release it by hand",
-    "magnet": "held by the magnet, released by it once at rest",
-    "starter": "comes to rest, is checked; then the starter pushes it",
+    "at once": "the record begins with the first frame, whether the pendulum moves or not",
+    "by hand": "the pendulum comes to rest and is checked; then you are asked to release it",
+    "magnet": "the magnet holds the pendulum and releases it once it is at rest",
+    "starter": "the pendulum comes to rest and is checked; then the starter pushes it",
 }
 
 

@@ -9,11 +9,13 @@ from typing import Any
 
 import pytest
 
-from processing.errors import ConfigurationError, RigError
+from processing.errors import ConfigurationError, RecordError, RigError
+from rig.analysis import read_results
 from rig.archive import add_sessions, blind_runs, list_runs, unseal
 from rig.archive.blind import sealed
 from rig.archive.columns import COLUMNS, PARAMETERS
 from rig.archive.store import Archive
+from rig.commands.fitting import fit_records
 from rig.sealing import is_blind, seal_over
 from tests.rig.archive.histories import killed_at
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
@@ -136,6 +138,19 @@ def test_a_seal_of_an_earlier_version_holds(archive: Path) -> None:
     told = row(archive)
     assert told["c"] != true["c"]
     assert set(COLUMNS) <= set(told)
+
+
+def test_results_of_a_blind_record_kept_elsewhere_say_how_they_are_opened(
+    archive: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "runs"
+    blind_runs(archive, [], [folder])
+    fit_records([folder / "series" / "run-1.mcap"], tmp_path / "elsewhere", ())
+    unseal(archive, "the law")
+    with pytest.raises(RecordError, match="lies outside the blind folder of its record"):
+        read_results(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere").rename(folder / "fit")
+    assert read_results(folder / "fit").runs[0].fits["exact"].parameters["b"].value > 0
 
 
 @pytest.mark.slow

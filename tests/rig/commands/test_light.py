@@ -32,6 +32,17 @@ def state_of(words: list[str]) -> SafetyState:
     return SafetyState(rig_state_path(LaserSettings(kind="cobolt", port=port), ControllerSettings()))
 
 
+def test_of_a_laser_without_a_wire_to_this_program_that_is_said(tmp_path: Path) -> None:
+    output = set_words({"session.output": f'"{tmp_path}"'})
+    shown = rig("light", "show", CONFIGS / "demo.toml", *output)
+    assert (shown.returncode, shown.stderr) == (0, "")
+    lines = ["laser      not controlled by this program", "interlock  not read by this program"]
+    assert shown.stdout.splitlines()[:2] == lines
+    missing = rig("light", "audit", tmp_path)
+    assert missing.returncode == 1
+    assert "audit.jsonl: there is no log: no program that controls a laser wrote into" in missing.stderr
+
+
 @pytest.mark.realtime
 def test_a_trip_is_shown_acknowledged_and_logged(tmp_path: Path, words: list[str]) -> None:
     live = CONFIGS / "live.toml"

@@ -41,7 +41,8 @@ def test_two_digits_of_the_uncertainty(value: float, u: float, text: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(0.12, "+0.12"), (-0.0052, "−0.0052"), (3e-6, "+3.0 × 10⁻⁶"), (0.0, "0"), (-14.2, "−14")]
+    ("value", "text"),
+    [(0.12, "+0.12"), (-0.0052, "−0.0052"), (3e-6, "+3.0 × 10⁻⁶"), (0.0, "0"), (-14.2, "−14")],
 )
 def test_a_difference_has_its_sign(value: float, text: str) -> None:
     assert signed(value) == text
