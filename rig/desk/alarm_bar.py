@@ -8,6 +8,7 @@ from pathlib import Path
 from nicegui import ui
 
 from rig.alarms import AlarmKey, AlarmList, AlarmRow, AlarmState
+from rig.desk.at_once import at_once
 from rig.desk.tab import DELIBERATE, Tab
 
 SHELF_S = 600.0
@@ -37,7 +38,7 @@ class AlarmBar:
         self._resume = tab.button("Resume …", self._resumed)
         self._resume.props('color="positive" size="lg" aria-label="Resume … the session that died"')
         self._resume.classes("full-width")
-        with ui.expansion().classes("full-width alarms").props("dense") as self._fold:
+        with at_once(ui.expansion()).classes("full-width alarms").props("dense") as self._fold:
             with self._fold.add_slot("header"):
                 self._counts = ui.label().props('role="status" aria-live="polite"')
             self._list = ui.column().classes("full-width")

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from nicegui import run, ui
 
 from processing.errors import RigError
+from rig.desk.at_once import at_once
 from rig.desk.desk import Desk
 from rig.desk.tab import Tab
 
@@ -44,7 +45,7 @@ class Presets:
 
     def __init__(self, desk: Desk, tab: Tab, fields: Callable[[], Mapping[str, ui.input]]) -> None:
         self._desk, self._tab, self._fields = desk, tab, fields
-        self._choice = ui.select([], label="as before", on_change=self._chosen)
+        self._choice = at_once(ui.select([], label="as before", on_change=self._chosen))
         self._choice.props('dense outlined aria-label="values of an earlier session"').style(
             "min-width: 220px"
         )

@@ -12,6 +12,7 @@ from rig.alarms import AlarmRow
 from rig.control import LatchedTrip
 from rig.desk import alarm_bar, chart_script, safety_bar, watchdog
 from rig.desk.alarm_bar import AlarmBar
+from rig.desk.at_once import at_once
 from rig.desk.desk import Desk, Started
 from rig.desk.drafts import KEEPING, Drafts
 from rig.desk.following import doing
@@ -93,9 +94,9 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
         again.classes("full-width")
         instruction = ui.label().classes("instruction").props('role="alert"')
         tab.errors = ui.element("div").classes("errors full-width")
-    with ui.tabs().props("dense align=left").classes("full-width") as tabs:
+    with at_once(ui.tabs()).props("dense align=left").classes("full-width") as tabs:
         for number, panel in enumerate(PANELS, start=1):
-            ui.tab(panel.name).props(f'aria-label="{panel.name}, key {number}"')
+            ui.tab(panel.name).props(f'aria-label="{panel.name}, key {number}" data-panel="{panel.name}"')
     shown = PANELS[0].name if not desk.following.running else "Measure"
     tab.shown = shown
     with ui.tab_panels(tabs, value=shown).classes("full-width").props("animated=false keep-alive") as panels:
@@ -107,7 +108,8 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
     tab.building = ""
 
     def show(name: str) -> None:
-        panels.set_value(name)
+        # the browser alone chooses: of two who do, one would show what the other has not
+        ui.run_javascript(f"window.rigShow({json.dumps(name)})")
 
     def seen() -> None:
         tab.shown = str(panels.value)
@@ -250,6 +252,7 @@ window.rigTheme = function (name) {
     one.src = one.src.replace(/theme=.*/, 'theme=' + name);
   window.dispatchEvent(new Event('rig-theme'));
 };
+window.rigShow = name => document.querySelector(`[data-panel="${name}"]:not(.q-tab--active)`)?.click();
 window.rigOther = name => window.rigTheme(document.documentElement.classList.contains(name) ? 'dark' : name);
 window.rigTheme(localStorage.getItem('theme') || 'dark');
 window.rigWatches = why => {

@@ -13,6 +13,7 @@ from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError
 from rig.desk import tables
 from rig.desk.aligner import EXPOSE, Aligner, Wish
+from rig.desk.at_once import at_once
 from rig.desk.chart_options import Curve
 from rig.desk.charts import Chart
 from rig.desk.desk import Desk
@@ -147,7 +148,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 "histogram", "level_dn", (Curve("pixels", style="bars"),), tools=False, height="100px"
             )
             focus = Chart("focus", "elapsed_s", (Curve("sharpness_per_px"),), tools=False, height="110px")
-            with ui.expansion("figures", value=True).classes("full-width"):
+            with at_once(ui.expansion("figures", value=True)).classes("full-width"):
                 figures = ui.html(sanitize=False).classes("full-width").props('aria-live="off"')
     tab.key("z", zoom)
 

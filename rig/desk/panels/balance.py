@@ -10,6 +10,7 @@ from nicegui import run, ui
 from processing.errors import RigError
 from rig.balance import HEAD, BalanceStage
 from rig.desk import charts, tables
+from rig.desk.at_once import at_once
 from rig.desk.desk import Desk
 from rig.desk.tab import DELIBERATE, Tab
 from rig.instrument import WEIGHTS
@@ -60,7 +61,7 @@ def build(desk: Desk, tab: Tab) -> None:
                     begin = tab.button("Measure", measure).props(
                         f'color="positive" size="lg" aria-label="Measure the balance" {DELIBERATE}'
                     )
-                    weight = ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight")
+                    weight = at_once(ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight"))
                     weight.props("dense outlined").style("min-width: 100px")
                     turns = ui.input("turns, + clockwise").props('dense outlined data-key="turns"')
                     net = ui.label().classes("dim")

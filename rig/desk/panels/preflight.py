@@ -9,6 +9,7 @@ from nicegui import run, ui
 
 from processing.errors import RigError
 from rig.desk import tables
+from rig.desk.at_once import at_once
 from rig.desk.desk import Desk
 from rig.desk.following import doing
 from rig.desk.tab import DELIBERATE, Tab
@@ -51,7 +52,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 button = tab.button("Run preflight", start).props(f'color="positive" size="lg" {DELIBERATE}')
                 ending = tab.button("End", end).props("outline")
             failing = ui.html(sanitize=False).classes("full-width")
-            with ui.expansion("passed").classes("full-width") as folded:
+            with at_once(ui.expansion("passed")).classes("full-width") as folded:
                 passing = ui.html(sanitize=False).classes("full-width")
         with ui.column().classes("box"):
             ui.html("expected uncertainties", tag="h3", sanitize=False).classes("title")

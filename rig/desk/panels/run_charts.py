@@ -5,6 +5,7 @@ from typing import Any
 
 from nicegui import run, ui
 
+from rig.desk.at_once import at_once
 from rig.desk.chart_options import Curve, Mark, Points
 from rig.desk.charts import Chart
 from rig.desk.desk import Desk
@@ -58,7 +59,7 @@ class RunCharts:
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
         self._charts: dict[str, Chart] = {}
-        self._choice = ui.toggle(list(_CHARTS), value="decay", on_change=self._choose)
+        self._choice = at_once(ui.toggle(list(_CHARTS), value="decay", on_change=self._choose))
         self._choice.props('dense no-caps aria-label="which chart"')
         for name, (x, curves) in _CHARTS.items():
             self._charts[name] = Chart(name, x, curves, logarithmic=name in _SPECTRA)

@@ -7,6 +7,7 @@ from urllib.parse import quote
 from nicegui import run, ui
 
 from rig.desk import tables
+from rig.desk.at_once import at_once
 from rig.desk.chart_options import Curve
 from rig.desk.charts import Chart
 from rig.desk.desk import Desk
@@ -52,7 +53,7 @@ class RunResult:
                     self._report = ui.button("Report", on_click=self._open).props('outline size="lg"')
                     ui.button("Next run", on_click=_to_next).props('outline size="lg"')
                 self._others = ui.html(sanitize=False).classes("full-width")
-                with ui.expansion("its last words").classes("full-width"):
+                with at_once(ui.expansion("its last words")).classes("full-width"):
                     self._words = ui.html(sanitize=False).classes("dim")
             with ui.column().classes("box"):
                 ui.html("what limits it", tag="h3", sanitize=False).classes("title")

@@ -7,6 +7,7 @@ from urllib.parse import quote
 from nicegui import run, ui
 
 from processing.errors import ConfigurationError
+from rig.desk.at_once import at_once
 from rig.desk.desk import Desk
 from rig.desk.panels.archived_runs import ArchivedRuns
 from rig.desk.resuming import resume_dialog
@@ -102,7 +103,7 @@ def build(desk: Desk, tab: Tab) -> None:
             actions.append(button.tooltip(words))
         wanted = ui.label().classes("dim")
         ending = tab.button("End it", again.end).props("flat")
-        which = ui.toggle(["sessions", "archive"], value="sessions")
+        which = at_once(ui.toggle(["sessions", "archive"], value="sessions"))
         which.props('dense no-caps aria-label="which list"')
     archived = ArchivedRuns(desk, tab, lambda: str(find.value or ""), lambda: which.value == "archive")
     with ui.column().classes("full-width box") as listed_here:

@@ -3,6 +3,7 @@
 from nicegui import run, ui
 
 from processing.errors import ConfigurationError
+from rig.desk.at_once import at_once
 from rig.desk.desk import Desk
 from rig.desk.note_line import Presets
 from rig.desk.panels.fields import number_field, stated, text_field
@@ -44,7 +45,7 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
     with ui.dialog().props('aria-label="start the session"') as begin, ui.card():
         what = ui.label().classes("middle")
         ui.label("The laser will be lit. Check that nobody is in the beam path.")
-        force = ui.checkbox("measure even if preflight says no-go (this session only)")
+        force = at_once(ui.checkbox("measure even if preflight says no-go (this session only)"))
         with ui.row():
             tab.button("Start the session", start).props(f'color="positive" {DELIBERATE}')
             ui.button("Not now", on_click=begin.close).props("outline")
