@@ -2,9 +2,10 @@
 
 `python -m tests.benchmarks.told_session FOLDER`. A line on standard input is a JSON object: `state`, `news`
 (kept until they are told otherwise) and `event` ([kind, text]). Frames come all the time, unless `frames` is
-false; `lost` says that the spot is not in them.
+false; `lost` says that the spot is not in them. `hang`: it says nothing more and hears nothing, for ever.
 """
 
+import ctypes
 import json
 import sys
 import threading
@@ -36,6 +37,9 @@ def main(folder: Path) -> None:
     def listen() -> None:
         for line in sys.stdin:
             values = json.loads(line)
+            if values.get("hang"):
+                # a call that keeps the interpreter: no thread runs any more, and no signal wakes them
+                ctypes.PyDLL(None).pause()
             state.update(values.get("state", {}))
             more.update(values.get("news", {}))
             how.update({key: values[key] for key in how if key in values})

@@ -123,20 +123,11 @@ def test_stop_ends_a_session_that_is_frozen(desk: Desk, session: "subprocess.Pop
 @pytest.mark.slow
 @pytest.mark.parametrize("session", [IGNORES], indirect=True)
 def test_stop_kills_a_session_that_stays_frozen(desk: Desk, session: "subprocess.Popen[str]") -> None:
-    over = threading.Event()
-
-    def stay() -> None:
-        while not over.wait(0.001):
-            session.send_signal(signal.SIGSTOP)
-
-    frozen = threading.Thread(target=stay)
-    frozen.start()
-    try:
-        wait_until(lambda: desk.following.frozen)
-        assert "was killed, Resume" in stop_session(desk, wakes_within_s=1.0)
-    finally:
-        over.set()
-        frozen.join()
+    assert session.stdin is not None
+    session.stdin.write('{"hang": true}\n')
+    session.stdin.flush()
+    wait_until(lambda: desk.following.frozen)
+    assert "was killed, Resume" in stop_session(desk, wakes_within_s=1.0)
     assert session.wait(30.0) == -signal.SIGKILL
     wait_for(desk, AlarmKey.SESSION_DIED)
 
