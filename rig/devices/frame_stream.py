@@ -16,7 +16,7 @@ from rig.devices.backlog import Backlog, most_waiting
 from rig.devices.delivered import Counts, Delivered, asking, ended
 from rig.devices.frame_clock import FrameClock, Seen
 from rig.devices.frame_line import FrameLine
-from rig.devices.hanging_read import HangingRead
+from rig.devices.hanging_read import HangingRead, beside
 from rig.devices.host_clock import ClockWatch, wait_for_network_clock
 from rig.devices.standstill import Standstill
 from rig.instrument import setting_differences, with_read_back
@@ -84,9 +84,9 @@ class FrameStream:
     def begin(self) -> Frame | None:
         """Wait for the first frame and start the thread; None if the source is empty.
 
-        Raises FrameTimeout if no frame arrives within the timeout.
+        Raises FrameTimeout if no frame arrives within the timeout, DeviceError if the driver hangs.
         """
-        frames = self._first_frames()
+        frames = beside(self._first_frames, self._raise_if_it_hangs, self._stop)
         if not frames:
             return None
         first = frames[0]
@@ -109,8 +109,9 @@ class FrameStream:
         if self._backlog is not None and (said := self._backlog.see(len(self._queue))):
             self._events.append((EventKind.BACKLOG, said))
         frames = self._queue.take(at_most, timeout_s)
-        if (hangs := self._hanging.after(0.0 if frames else timeout_s)) and self.policy != "wait":
-            self._fail(DeviceError(hangs), hangs)
+        try:
+            self._raise_if_it_hangs(0.0 if frames else timeout_s)
+        except DeviceError:
             self._queue.close()
         return frames
 
@@ -168,10 +169,18 @@ class FrameStream:
     def __len__(self) -> int:
         return 0 if self._queue is None else len(self._queue)
 
+    def _raise_if_it_hangs(self, waited_s: float) -> None:
+        # what is made on demand may take as long as it likes
+        if (hangs := self._hanging.after(waited_s)) and self.policy != "wait":
+            error = DeviceError(hangs)
+            self._fail(error, hangs)
+            raise error
+
     def _first_frames(self) -> list[Frame]:
         waited_s = 0.0
         while not self._stop.is_set():
             step_s = min(self._timeout_s, 0.5)
+            self._hanging.begins()
             try:
                 frame = self._camera.read(step_s)
                 if frame is None:

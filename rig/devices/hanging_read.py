@@ -1,10 +1,15 @@
 """Notices that a camera's `read` does not return, which its driver, perhaps somebody's own, must not do."""
 
-from typing import Final
+from collections.abc import Callable
+from concurrent.futures import Future, wait
+from threading import Event, Thread
+from typing import Final, TypeVar
 
 HANGS_S: Final = 10.0
 """Longer than it was asked to wait: a `read` that has not returned then is not waited for."""
 _ELSEWHERE: Final = -1
+_LOOK_S: Final = 0.05
+T = TypeVar("T")
 
 
 class HangingRead:
@@ -39,3 +44,24 @@ class HangingRead:
             f"camera: read() has not returned for {self._waited_s:.0f} s; it was asked to wait for "
             f"{self._asked_s:g} s at most: its driver hangs"
         )
+
+
+def beside(do: Callable[[], T], waited: Callable[[float], None], stop: Event) -> T | None:
+    """What `do` returns or raises, in a thread of its own, which is left to itself after `stop`: None then.
+
+    `waited` is told each time how long it took again, and raises where that is too long.
+    """
+    done: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(do())
+        except Exception as error:
+            done.set_exception(error)
+
+    Thread(target=run, name="camera, first frame", daemon=True).start()
+    while not stop.is_set():
+        if wait([done], _LOOK_S).done:
+            return done.result()
+        waited(_LOOK_S)
+    return None

@@ -3,6 +3,9 @@
 import itertools
 import threading
 import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -21,6 +24,7 @@ from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 from rig.devices.frame_line import FrameLine
 from rig.devices.frame_stream import FrameStream
+from rig.devices.hanging_read import HangingRead
 from rig.devices.host_clock import ClockWatch
 from rig.measure.session import simulate_record
 from rig.settings import load_configuration
@@ -99,6 +103,44 @@ def test_a_silence_is_named_within_two_frame_times_and_half_a_second() -> None:
     assert [kind for kind, _ in stream.take_events()] == ["camera silent"]
     # the rest of the half second is the time that is left for saying it
     assert camera.asked_s[0] < 2 / RATE_HZ + 0.4
+
+
+class Hanging(ScriptedCamera):
+    """A driver whose first `read` does not return."""
+
+    def __init__(self) -> None:
+        super().__init__(0, 0)
+        self.over, self.reads = threading.Event(), threading.Event()
+
+    def read(self, timeout_s: float) -> Frame | None:
+        self.reads.set()
+        self.over.wait()
+        return None
+
+
+@pytest.fixture
+def hanging() -> Iterator[Hanging]:
+    camera = Hanging()
+    yield camera
+    camera.over.set()
+
+
+def test_a_first_read_that_never_returns_is_said(hanging: Hanging, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.devices.frame_stream.HangingRead", partial(HangingRead, hangs_s=0.2))
+    stream = FrameStream(cast(Camera, hanging), CameraSettings(), timeout_s=0.3)
+    with pytest.raises(DeviceError, match=r"read\(\) has not returned .* its driver hangs"):
+        stream.begin()
+    assert "its driver hangs" in stream.ended
+
+
+@pytest.mark.parametrize("policy", ["every", "wait"])
+def test_a_first_read_that_never_returns_can_be_stopped(hanging: Hanging, policy: Policy) -> None:
+    stream = FrameStream(cast(Camera, hanging), CameraSettings(), policy=policy)
+    with ThreadPoolExecutor(1) as beginning:
+        begun = beginning.submit(stream.begin)
+        assert hanging.reads.wait(30.0)
+        stream.request_stop()
+        assert begun.result(30.0) is None
 
 
 def test_losses_are_told_apart() -> None:
