@@ -21,8 +21,31 @@ from processing.contact.quadrature import NODES
 from processing.kernel import kernel
 
 B, P, C, N, KAPPA, DRAG, RHO, A0 = range(8)
+_TO_N, _TO_P1, _LOG = range(3)
+"""Of an amplitude A: A^n, A^(p-1) and ln A, which cost more than what is made of them."""
 MAP_PARAMETERS = 8
 """Number of parameters of the map: those of `ScaledContact`, then the first amplitude."""
+_SOLVED = 1e-11
+"""Last change of an adjoint, relative: derivatives need not be as good as the times themselves."""
+
+
+@kernel
+def _powers(q: Floats, a: float, out: Floats) -> None:
+    out[_TO_N], out[_TO_P1], out[_LOG] = a ** q[N], a ** (q[P] - 1), np.log(a)
+
+
+@kernel
+def _times(rows: Floats, factor: Floats, out: Floats) -> None:
+    """``out = sum_j rows_j factor_j``, four nodes at once, so that their sums run side by side."""
+    for k in range(0, NODES, 4):
+        first, second, third, fourth = 0.0, 0.0, 0.0, 0.0
+        for j in range(NODES):
+            value = factor[j]
+            first += rows[j, k] * value
+            second += rows[j, k + 1] * value
+            third += rows[j, k + 2] * value
+            fourth += rows[j, k + 3] * value
+        out[k], out[k + 1], out[k + 2], out[k + 3] = first, second, third, fourth
 
 
 @kernel
@@ -30,8 +53,9 @@ def _shape(
     q: Floats,
     side: float,
     a: float,
+    powers: Floats,
     constant: Floats,
-    travelled: Floats,
+    by_node: Floats,
     g: Floats,
     root: Floats,
     work: Floats,
@@ -49,9 +73,9 @@ def _shape(
     leads to it. With drag, g is found by iteration, starting from `work`, the integral divided by
     sin^2(theta) as found for the half-cycle before. `g`, `root` and `work` are overwritten.
     """
-    elastic1 = -np.pi * q[KAPPA] * a ** q[N] / (q[N] + 2)
-    elastic2 = 2 * q[KAPPA] * q[RHO] * a ** (q[N] + 1) / (q[N] + 3)
-    friction = side * 2 * q[B] * a ** (q[P] - 1) / (q[P] + 1)
+    elastic1 = -np.pi * q[KAPPA] * powers[_TO_N] / (q[N] + 2)
+    elastic2 = 2 * q[KAPPA] * q[RHO] * a * powers[_TO_N] / (q[N] + 3)
+    friction = side * 2 * q[B] * powers[_TO_P1] / (q[P] + 1)
     coulomb = side * 2 * q[C] / a
     drag = side * 2 * q[DRAG]
     start = np.empty(NODES)
@@ -71,11 +95,7 @@ def _shape(
         return True
     for _ in range(200):
         change = 0.0
-        for k in range(NODES):
-            total = 0.0
-            for j in range(NODES):
-                total += travelled[k, j] * root[j]
-            work[k] = total
+        _times(by_node, root, work)
         for k in range(NODES):
             value = start[k] + drag * work[k]
             if not value > 0:
@@ -89,13 +109,13 @@ def _shape(
 
 
 @kernel
-def _energy(q: Floats, side: float, a: float, root: Floats, across: Floats) -> float:
+def _energy(q: Floats, side: float, a: float, powers: Floats, root: Floats, across: Floats) -> float:
     """g at theta = pi/2: twice the kinetic energy at the zero crossing divided by A^2."""
     total = (
         1
-        - np.pi * q[KAPPA] * a ** q[N] / (q[N] + 2)
-        + 2 * q[KAPPA] * q[RHO] * a ** (q[N] + 1) / (q[N] + 3)
-        + side * 2 * (q[C] / a + q[B] * a ** (q[P] - 1) / (q[P] + 1))
+        - np.pi * q[KAPPA] * powers[_TO_N] / (q[N] + 2)
+        + 2 * q[KAPPA] * q[RHO] * a * powers[_TO_N] / (q[N] + 3)
+        + side * 2 * (q[C] / a + q[B] * powers[_TO_P1] / (q[P] + 1))
     )
     if q[DRAG] != 0:
         work = 0.0
@@ -118,25 +138,31 @@ def _adjoint(side_drag: float, source: Floats, root: Floats, travelled: Floats, 
         out[k] = source[k]
     if side_drag == 0:
         return
+    total = np.empty(NODES)
     for _ in range(200):
         change = 0.0
         scale = 0.0
-        previous = out.copy()
+        _times(travelled, out, total)
         for k in range(NODES):
-            total = 0.0
-            for j in range(NODES):
-                total += travelled[j, k] * previous[j]
-            value = source[k] + side_drag * total / root[k]
+            value = source[k] + side_drag * total[k] / root[k]
             change = max(change, abs(value - out[k]))
             scale = max(scale, abs(value))
             out[k] = value
-        if change <= 1e-14 * scale:
+        # the next change would be smaller by a drag of a half-swing, one in a hundred at most
+        if change <= _SOLVED * scale:
             return
 
 
 @kernel
 def _gradient(
-    q: Floats, side: float, a: float, weight: Floats, constant: Floats, drag_work: Floats, out: Floats
+    q: Floats,
+    side: float,
+    a: float,
+    powers: Floats,
+    weight: Floats,
+    constant: Floats,
+    drag_work: Floats,
+    out: Floats,
 ) -> None:
     """``sum_k weight_k dg_k/dq``, explicit derivatives only; the last one is by the amplitude of the quarter.
 
@@ -150,11 +176,12 @@ def _gradient(
         for row in range(7):
             s[row] += weight[k] * constant[row, k]
         work += weight[k] * drag_work[k]
-    log_a = np.log(a)
+    log_a = powers[_LOG]
     n, p = q[N], q[P]
-    first = -np.pi * a**n / (n + 2)
-    second = 2 * q[RHO] * a ** (n + 1) / (n + 3)
-    third = side * 2 * a ** (p - 1) / (p + 1)
+    first = -np.pi * powers[_TO_N] / (n + 2)
+    by_rho = 2 * a * powers[_TO_N] / (n + 3)
+    second = q[RHO] * by_rho
+    third = side * 2 * powers[_TO_P1] / (p + 1)
     out[B] = third * s[2]
     out[P] = q[B] * third * ((log_a - 1 / (p + 1)) * s[2] + s[6])
     out[C] = side * 2 / a * s[3]
@@ -163,7 +190,7 @@ def _gradient(
     )
     out[KAPPA] = first * s[0] + second * s[1]
     out[DRAG] = side * 2 * work
-    out[RHO] = q[KAPPA] * 2 * a ** (n + 1) / (n + 3) * s[1]
+    out[RHO] = q[KAPPA] * by_rho * s[1]
     out[A0] = (
         q[KAPPA] * (first * n * s[0] + second * (n + 1) * s[1])
         + q[B] * third * (p - 1) * s[2]
@@ -176,11 +203,13 @@ def _quarter(
     q: Floats,
     side: float,
     a: float,
+    powers: Floats,
     nodes_weight: Floats,
     across: Floats,
     constant: Floats,
     at_zero: Floats,
     travelled: Floats,
+    by_node: Floats,
     g: Floats,
     root: Floats,
     time_gradient: Floats,
@@ -193,18 +222,16 @@ def _quarter(
     """
     source = np.empty(NODES)
     adjoint = np.empty(NODES)
-    drag_work = np.zeros(NODES)
+    drag_work = np.empty(NODES)
     time = 0.0
     # derivative of the integrand by g: d g^(-1/2)/dg = -g^(-3/2)/2
     for k in range(NODES):
         time += nodes_weight[k] / root[k]
         source[k] = -0.5 * nodes_weight[k] / (g[k] * root[k])
     side_drag = side * q[DRAG]
-    for k in range(NODES):
-        for j in range(NODES):
-            drag_work[k] += travelled[k, j] * root[j]
+    _times(by_node, root, drag_work)
     _adjoint(side_drag, source, root, travelled, adjoint)
-    _gradient(q, side, a, adjoint, constant, drag_work, time_gradient)
+    _gradient(q, side, a, powers, adjoint, constant, drag_work, time_gradient)
 
     work = np.empty(1)
     work[0] = 0.0
@@ -212,15 +239,15 @@ def _quarter(
         work[0] += across[k] * root[k]
         source[k] = side_drag * across[k] / root[k]
     unit = np.ones(1)
-    _gradient(q, side, a, unit, at_zero, work, energy_gradient)
+    _gradient(q, side, a, powers, unit, at_zero, work, energy_gradient)
     if side_drag != 0:
         # the energy at the zero crossing also depends on g along the way, through the work of the drag
         _adjoint(side_drag, source, root, travelled, adjoint)
         through = np.empty(MAP_PARAMETERS)
-        _gradient(q, side, a, adjoint, constant, drag_work, through)
+        _gradient(q, side, a, powers, adjoint, constant, drag_work, through)
         for i in range(MAP_PARAMETERS):
             energy_gradient[i] += through[i]
-    g_zero = _energy(q, side, a, root, across)
+    g_zero = _energy(q, side, a, powers, root, across)
     for i in range(MAP_PARAMETERS):
         time_gradient[i] /= 2 * np.pi
         energy_gradient[i] *= 0.5 * a * a
@@ -272,16 +299,20 @@ def half_swing_map(
         constant[5, k] = -log_cos[k] * np.exp(e2) / sin2[k]
         constant[6, k] = -log_cos[k] * np.exp(e3) / sin2[k]
         across[k] = weight[k] * sin2[k]
+    by_node = np.empty((NODES, NODES))
+    for k in range(NODES):
+        for j in range(NODES):
+            by_node[j, k] = travelled[k, j]
     at_zero = np.zeros((7, 1))
     at_zero[:4] = 1.0
 
-    g, root = np.empty(NODES), np.empty(NODES)
+    g, root, powers = np.empty(NODES), np.empty(NODES), np.empty(3)
     work_leave, work_arrive = np.zeros(NODES), np.zeros(NODES)
     time_leave, time_arrive = np.empty(MAP_PARAMETERS), np.empty(MAP_PARAMETERS)
     energy_leave, energy_arrive = np.empty(MAP_PARAMETERS), np.empty(MAP_PARAMETERS)
     a_gradient, t_gradient = np.zeros(MAP_PARAMETERS), np.zeros(MAP_PARAMETERS)
     a_gradient[A0] = 1.0
-    a, t, ratio = q[A0], 0.0, 1.0
+    a, t, ratio, following_ratio = q[A0], 0.0, 1.0, 1.0
     if not a > 0:
         return amplitude, time, amplitude_gradient, time_gradient
     wanted = 0
@@ -297,31 +328,36 @@ def half_swing_map(
             wanted += 1
             if wanted == count:
                 return amplitude, time, amplitude_gradient, time_gradient
-        if not _shape(q, -1.0, a, constant, travelled, g, root, work_leave):
+        _powers(q, a, powers)
+        if not _shape(q, -1.0, a, powers, constant, by_node, g, root, work_leave):
             return amplitude, time, amplitude_gradient, time_gradient
-        energy = 0.5 * a * a * _energy(q, -1.0, a, root, across)
+        energy = 0.5 * a * a * _energy(q, -1.0, a, powers, root, across)
         if not energy > 0:
             return amplitude, time, amplitude_gradient, time_gradient
         t_leave = _quarter(
-            q, -1.0, a, weight, across, constant, at_zero, travelled, g, root, time_leave, energy_leave
-        )
-        # solve E_arrive(A') = E_leave(A) for A' by Newton's method, started from the last ratio of amplitudes
-        following = a * ratio
+            q, -1.0, a, powers, weight, across, constant, at_zero, travelled, by_node, g, root,
+            time_leave, energy_leave,
+        )  # fmt: skip
+        # solve E_arrive(A') = E_leave(A) for A' by Newton's method, started from the last ratios of amplitudes
+        following = a * following_ratio
         found = False
         for _ in range(60):
-            if q[DRAG] != 0 and not _shape(q, 1.0, following, constant, travelled, g, root, work_arrive):
+            _powers(q, following, powers)
+            if q[DRAG] != 0 and not _shape(
+                q, 1.0, following, powers, constant, by_node, g, root, work_arrive
+            ):
                 following *= 1.1
                 continue
-            g_zero = _energy(q, 1.0, following, root, across)
+            g_zero = _energy(q, 1.0, following, powers, root, across)
             # dE/dA without the small change of the drag's integral: the convergence is quadratic without
             # drag, and linear with a small factor (drag times nonlinearity) with it
             slope = following * (
                 g_zero
                 + 0.5
                 * (
-                    -np.pi * q[KAPPA] * n * following**n / (n + 2)
-                    + 2 * q[KAPPA] * q[RHO] * (n + 1) * following ** (n + 1) / (n + 3)
-                    + 2 * q[B] * (p - 1) * following ** (p - 1) / (p + 1)
+                    -np.pi * q[KAPPA] * n * powers[_TO_N] / (n + 2)
+                    + 2 * q[KAPPA] * q[RHO] * (n + 1) * following * powers[_TO_N] / (n + 3)
+                    + 2 * q[B] * (p - 1) * powers[_TO_P1] / (p + 1)
                     - 2 * q[C] / following
                 )
             )
@@ -334,10 +370,11 @@ def half_swing_map(
                 break
         if not (found and following < 2 * a):
             return amplitude, time, amplitude_gradient, time_gradient
-        if not _shape(q, 1.0, following, constant, travelled, g, root, work_arrive):
+        # with a drag the shape is that of the last step, which hardly moved
+        if q[DRAG] == 0 and not _shape(q, 1.0, following, powers, constant, by_node, g, root, work_arrive):
             return amplitude, time, amplitude_gradient, time_gradient
         t_arrive = _quarter(
-            q, 1.0, following, weight, across, constant, at_zero, travelled, g, root,
+            q, 1.0, following, powers, weight, across, constant, at_zero, travelled, by_node, g, root,
             time_arrive, energy_arrive,
         )  # fmt: skip
         # Chain rule. From E_arrive(A', q) = E_leave(A, q):
@@ -349,6 +386,7 @@ def half_swing_map(
             a_gradient[i] = (direct + energy_leave[A0] * before[i]) / energy_arrive[A0]
             explicit = 0.0 if i == A0 else time_leave[i] + time_arrive[i]
             t_gradient[i] += explicit + time_leave[A0] * before[i] + time_arrive[A0] * a_gradient[i]
+        following_ratio = (following / a) ** 2 / ratio
         ratio = following / a
         a = following
         t += t_leave + t_arrive
