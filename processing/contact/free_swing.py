@@ -113,18 +113,35 @@ def law_harmonics(
         The pendulum does not swing for so long.
     """
     # here, because it would slow down every command
-    from scipy.interpolate import CubicHermiteSpline, CubicSpline
+    from scipy.interpolate import CubicSpline
 
     # swings begin above the amplitude of their middle
     first = np.geomspace(amplitudes_rad.min(), _BEYOND * amplitudes_rad.max(), _AMPLITUDES)
     swing, projection = free_swing(law, values, pendulum, first, HALVES), _projection()
     at = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-    paths = [
-        CubicHermiteSpline(phase, phi, slope)(end * at) for phi, slope, phase, end in zip(*swing, strict=True)
-    ]
-    middle, harmonics = SwingTerms.harmonics(np.array(paths) @ projection)
+    middle, harmonics = SwingTerms.harmonics(_path(swing, swing.end[:, None] * at) @ projection)
     relative = CubicSpline(np.log(middle), harmonics / middle[:, None])(np.log(amplitudes_rad))
     return np.asarray(relative * amplitudes_rad[:, None], dtype=np.complex128)
+
+
+def _path(swing: FreeSwing, wanted: Floats) -> Floats:
+    """Deflections of every swing at its own rising phases (amplitudes, m), by Hermite's cubics.
+
+    All swings at once: as splines of scipy they cost as much as the swings themselves.
+    """
+    width = np.diff(swing.phase, axis=1)
+    rise = np.diff(swing.phi_rad, axis=1) / width
+    begin = swing.slope_rad[:, :-1]
+    bend = (begin + swing.slope_rad[:, 1:] - 2 * rise) / width
+    cells = [np.searchsorted(row, at, side="right") for row, at in zip(swing.phase, wanted, strict=True)]
+    cell = np.clip(np.array(cells) - 1, 0, width.shape[1] - 1)
+
+    def at(values: Floats) -> Floats:
+        return np.take_along_axis(values, cell, axis=1)
+
+    d = wanted - at(swing.phase)
+    cubic, square = at(bend / width), at((rise - begin) / width - bend)
+    return np.asarray(((cubic * d + square) * d + at(begin)) * d + at(swing.phi_rad), dtype=np.float64)
 
 
 @lru_cache(maxsize=1)

@@ -338,7 +338,7 @@ def half_swing_map(
             q, -1.0, a, powers, weight, across, constant, at_zero, travelled, by_node, g, root,
             time_leave, energy_leave,
         )  # fmt: skip
-        # solve E_arrive(A') = E_leave(A) for A' by Newton's method, started from the last ratios of amplitudes
+        # solve E_arrive(A') = E_leave(A) for A' by Newton's method, started from the last two ratios
         following = a * following_ratio
         found = False
         for _ in range(60):

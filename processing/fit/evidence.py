@@ -29,6 +29,8 @@ _FEWEST = 8
 """Fewest pieces that are a waveform: their scatter is half of what is said of their uncertainty."""
 _STATED = 10.0
 """How many pieces the stated uncertainties of the samples count for in the covariance of the harmonics."""
+_KEPT = 32
+"""Predictions that a waveform keeps: a fit, and whoever judges it, ask for those at the same values again."""
 _GATE = 5.0
 """Standard deviations beyond which a harmonic is one of a disturbed piece."""
 
@@ -76,14 +78,34 @@ class Waveform:
         root = np.linalg.cholesky(normal / np.outer(norm, norm) + 1e-12 * np.eye(len(norm)))
         return np.asarray(np.linalg.solve(root, weighted / norm[:, None]))
 
+    @cached_property
+    def _predictions(self) -> dict[tuple[object, ...], tuple[Law, Floats]]:
+        return {}
+
+    def predicted_rad(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall) -> Floats:
+        """What a law says that `sine_rad` are.
+
+        Raises DataError if the pendulum would not swing.
+        """
+        key = (pendulum, *values.items())
+        known = self._predictions.get(key)
+        if known is None or known[0] is not law:
+            sine = -law_harmonics(law, values, pendulum, self.amplitude_rad).imag[:, _ODD]
+            while len(self._predictions) >= _KEPT:
+                del self._predictions[next(iter(self._predictions))]
+            known = self._predictions[key] = law, sine
+        return known[1]
+
+    def reduced(self, sine_rad: Floats) -> Floats:
+        """Harmonics of the pieces as independent numbers of unit variance."""
+        return np.asarray(self._reduction @ sine_rad.ravel())
+
     def residuals(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall) -> Floats:
         """What a law predicts minus what is measured, as independent numbers of unit variance.
 
         Raises DataError if the pendulum would not swing.
         """
-        predicted = -law_harmonics(law, values, pendulum, self.amplitude_rad).imag[:, _ODD]
-        distance = predicted - self.sine_rad
-        return np.asarray(self._reduction @ distance.ravel())
+        return self.reduced(self.predicted_rad(law, values, pendulum) - self.sine_rad)
 
 
 def sine_covariance(pieces: SwingHarmonics) -> Floats | None:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import PendulumOnBall, law_harmonics
+from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.fit.exact_model import Errors, ExactModel
 from processing.fit.ground import Noise
@@ -26,7 +26,7 @@ from processing.fit.law_errors import MISFIT_SEEN, Misfit
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
 from processing.least_squares import propagate
-from processing.swing import ORDERS, TurningPoints
+from processing.swing import TurningPoints
 
 _SPACING = 0.4
 """Of the nodes of an error, in ln A."""
@@ -37,7 +37,6 @@ _GRID = 10.0 ** np.arange(-5.0, 0.51, 0.25)
 _OF_DURATION = 1e-3
 _STEPS = np.arange(0.0, -3.01, -0.25)
 """Decimal logarithms of the drives that are tried, over the one that the law without errors needs."""
-_ODD = [ORDERS.index(order) for order in (3, 5, 7, 9)]
 _LEAST = 1e-9
 
 
@@ -197,12 +196,10 @@ def by_harmonics(model: ExactModel, columns: Floats, shapes: Floats | None, coun
     waveform = evidence.waveform
     physical, _ = model.columns.physical(columns)
     values = dict(zip(model.names, physical.tolist(), strict=True))
-    predicted = -law_harmonics(model.law, values, pendulum, waveform.amplitude_rad).imag[:, _ODD]
-    # the residuals are linear in what is measured
-    nothing = replace(waveform, sine_rad=np.zeros_like(predicted)).residuals(model.law, values, pendulum)
+    predicted = waveform.predicted_rad(model.law, values, pendulum)
     for column, shape in enumerate(shapes.T):
-        moved = replace(waveform, sine_rad=shape[:, None] * predicted)
-        out[: len(nothing), column] = nothing - moved.residuals(model.law, values, pendulum)
+        moved = waveform.reduced(shape[:, None] * predicted)
+        out[: len(moved), column] = moved
     return out
 
 
