@@ -7,12 +7,16 @@ from numpy.typing import NDArray
 
 from processing.deflections import Deflections, DeflectionUnit
 
+_SHORT = 300_000
+"""Most frames of a run that are kept whole: some twenty megabytes, fifty minutes at 100 frames/s."""
+
 
 class PassingDeflections:
     """The deflections of a run, in order, some thousand frames at a time.
 
-    Only the coordinates of the frames that have passed are kept, 16 bytes a frame: a day's deflections
-    with their times and uncertainties would be several hundred megabytes.
+    Of a long run only the coordinates of the frames that have passed are kept, 16 bytes a frame: a day's
+    deflections with their times and uncertainties would be several hundred megabytes. A short one is not read
+    again by who passes through once more.
 
     Parameters
     ----------
@@ -38,13 +42,14 @@ class PassingDeflections:
         self._source = blocks
         self._blocks = iter(blocks)
         self._passed = False
+        self._kept: list[Deflections] | None = []
         self._x: list[NDArray[np.float64]] = []
         self._y: list[NDArray[np.float64]] = []
 
     def __iter__(self) -> Iterator[Deflections]:
         """The first time all frames are counted; afterwards they pass once more."""
         if self._passed:
-            yield from filter(len, self._source)
+            yield from filter(len, self._source if self._kept is None else self._kept)
             return
         for block in self._blocks:
             if not len(block):
@@ -56,6 +61,10 @@ class PassingDeflections:
             self.lost_spots += len(block) - int(np.count_nonzero(block.found))
             self._x.append(block.x)
             self._y.append(block.y)
+            if self.frames > _SHORT:
+                self._kept = None
+            if self._kept is not None:
+                self._kept.append(block)
             yield block
         self._passed = True
 
