@@ -265,8 +265,9 @@ def _effect(
     x, u = covariate_of(runs, effect.covariate if effect.form is not Form.DURING else ORDER)
     here = np.array([effect.contact in ("", run.contact) for run in runs])
     column, blur = np.zeros((len(runs), len(names))), np.zeros((len(runs), len(names)))
-    column[:, moved] = (effect.value(x) * here)[:, None]
-    blur[:, moved] = (effect.slope(x) * u * here)[:, None]
+    value, u_value = effect.seen(x, u)
+    column[:, moved] = (value * here)[:, None]
+    blur[:, moved] = (u_value * here)[:, None]
     if effect.bends_decays:
         rate = effect.slope(x) * here
         for row, run in enumerate(runs):

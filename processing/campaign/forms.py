@@ -7,6 +7,7 @@ from math import log
 from typing import Final
 
 import numpy as np
+from scipy.special import ndtr
 
 from processing.arrays import Floats
 from processing.campaign.compressed import CompressedRun
@@ -85,6 +86,21 @@ class Effect:
         if self.form is Form.LOGARITHM:
             return 1 / x
         return np.ones_like(x) if self.form is Form.DURING else np.zeros_like(x)
+
+    def seen(self, x: Floats, u: Floats) -> tuple[Floats, Floats]:
+        """The form with slope 1 of values that are uncertain by `u`, and its own standard uncertainty.
+
+        An uncertain value lies on the far side of a step with a probability: the form is its mean there.
+        """
+        value = self.value(x)
+        if self.form is not Form.STEP:
+            return value, np.abs(self.slope(x)) * u
+        uncertain = u > 0
+        beyond = ndtr((x[uncertain] - self.reference) / u[uncertain])
+        value[uncertain] = beyond
+        left = np.zeros_like(value)
+        left[uncertain] = np.sqrt(beyond * (1 - beyond))
+        return value, left
 
     def span(self, x: Floats) -> float:
         """How far the form moves over the campaign with slope 1."""

@@ -152,6 +152,27 @@ def test_an_unknown_humidity_costs_and_does_not_mislead() -> None:
         assert abs(found.value - slope) < 3 * found.standard_uncertainty
 
 
+def test_an_unknown_side_of_a_step_costs_and_does_not_mislead() -> None:
+    """Runs of which nobody knows on which side they were: that of the mean is a guess, not knowledge."""
+    rng = np.random.default_rng(12)
+    step = Effect(parameter="c", covariate="humidity_percent", form=Form.STEP, reference=45.0)
+    wet = 1.0  # ln c above 45 %
+    found = made(
+        world(moved=lambda _, x: np.array([0, 0, wet * (x["humidity_percent"] >= 45.0)])), 24, rng
+    ).runs
+    humid = [run for run in found if run.covariates["humidity_percent"].value >= 45.0]
+    dry = [run for run in found if run not in humid]
+    known = [*dry[:9], *humid[:4]]  # their mean is dry
+    assert np.mean([run.covariates["humidity_percent"].value for run in known]) < 45.0
+    unknown = [replace(run, covariates={}) for run in humid[4:8]]
+    model = CampaignModel(names=NAMES, effects=(step,), sizes={"c": 1.0})
+    level = Level("effect", step.label)
+    told, mixed = (fit_campaign(runs, model).estimate(level) for runs in (known, [*known, *unknown]))
+    assert abs(told.value - wet) < 2 * told.standard_uncertainty
+    assert abs(mixed.value - wet) < 2 * mixed.standard_uncertainty
+    assert mixed.standard_uncertainty < 1.5 * told.standard_uncertainty
+
+
 def test_a_change_is_found_where_it_is() -> None:
     cleaned = world(
         moved=lambda i, _: np.array([0, 0, 0.6 * (i >= 9)]), scatter=np.array([0.02, 0.002, 0.05])
