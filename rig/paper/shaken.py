@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import noisy, true_path, true_turning_points
 from processing.angle import ARCSEC_RAD
 from processing.contact import MATERIALS, pendulum_on_ball
@@ -17,7 +18,9 @@ from rig.presentation import Cell, Table, plain
 
 _DRIVE = {"glass_k8": 2.0e-7, "silicon": 6.5e-7, "steel": 5.5e-7}
 """Angular acceleration of the pendulum by the ground, one-sided, in rad/s^2/sqrt(Hz): with it the mean over
-many runs of Eq. 8's relative error is the printed one; single runs differ by a factor of up to 2."""
+many runs of Eq. 8's relative error is the printed one; single runs differ by a factor of up to 2. For b with
+its power of ten at `_OF_EXPONENT`."""
+_OF_EXPONENT = -4
 _MASS_CENTRE_HEIGHT_M = 1e-3
 _FRAMES_PER_S = 25.0
 _PARAMETERS = {"b": "b", "p": "p", "c": "c", "n": "n", "period0_s": "T₀", "gamma_pa": "γ"}
@@ -43,8 +46,12 @@ def shaken_pair(pair: PrintedPair, b_exponent: int, seed: int, runs: int = RUNS)
     """Simulate runs of a pair on its ground, each on other ground, and fit them."""
     truth = printed_parameters(pair, b_exponent)
     pendulum = pendulum_on_ball(MASS_KG, BALL_RADIUS_M, MATERIALS[BALL], MATERIALS[pair.flat])
-    drive = _DRIVE[pair.flat]
     still = pair_settings(pair, truth)
+    drive = _DRIVE[pair.flat]
+    if b_exponent != _OF_EXPONENT:
+        # amplitudes walk with the root of the time that the decay takes
+        usual = pair_settings(pair, printed_parameters(pair, _OF_EXPONENT))
+        drive *= math.sqrt(_decay_s(usual) / _decay_s(still))
     rest_of_acceleration = _MASS_CENTRE_HEIGHT_M / (still.contact.gravity_m_per_s2 * BALL_RADIUS_M)
     ground = still.ground.model_copy(
         update={
@@ -71,6 +78,10 @@ def shaken_pair(pair: PrintedPair, b_exponent: int, seed: int, runs: int = RUNS)
     return ShakenPair(
         pair, drive, float(decay), float(period), dict(zip(_PARAMETERS, at_best.tolist(), strict=True))
     )
+
+
+def _decay_s(settings: SimulationSettings) -> float:
+    return float(true_turning_points(settings, FINAL_AMPLITUDE_ARCSEC).time_s[-1])
 
 
 def table5(found: Sequence[ShakenPair]) -> Table:

@@ -89,3 +89,9 @@ def test_on_moving_ground_the_printed_residuals_come_out() -> None:
     row = table5([found]).shown[0]
     assert row[:3] == ["K8 glass", "200", "0.008"]
     assert len(row) == len(table5([found]).head)
+
+
+def test_the_ground_that_makes_the_printed_residuals_is_that_of_the_stated_power_of_ten() -> None:
+    """A tenth of the time to walk in: a ground of before would make a third of the printed residual."""
+    found = [shaken_pair(PAIRS[0], -3, seed).arae_decay for seed in (3, 4)]
+    assert sum(found) / 2 == pytest.approx(0.008, rel=0.4)
