@@ -106,8 +106,8 @@ def _opened(results: SessionResults, path: Path, *, sealed: bool) -> SessionResu
         return results
     if seal is None:
         raise RecordError(
-            f"{path}: its values are sealed, and it lies outside the blind folder of its record, where the key "
-            "will be; move it into that folder, and open that with rig archive unblind"
+            f"{path}: its values are sealed, and it lies outside the blind folder of its record, where the "
+            "key will be; move it into that folder, and open that with rig archive unblind"
         )
     raise RecordError(f"{path}: is blind: its values are sealed; rig archive unblind opens them, for good")
 

@@ -108,11 +108,7 @@ def _steps(events: Sequence[Event]) -> list[Verdict]:
             not happened[kind],
             f"{reason}: {texts[kind]}" if happened[kind] else "",
             remedy if happened[kind] else "",
-            measured="never"
-            if not happened[kind]
-            else "once"
-            if happened[kind] == 1
-            else f"{happened[kind]} times",
+            measured={0: "never", 1: "once"}.get(happened[kind], f"{happened[kind]} times"),
             limit="never",
         )
         for kind, (name, reason, remedy) in _STEPS.items()

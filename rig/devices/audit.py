@@ -129,8 +129,8 @@ def check_log(folder: Path, state: SafetyState) -> list[str]:
         lines = path.read_bytes().splitlines()
     except FileNotFoundError:
         raise RecordError(
-            f"{path}: there is no log: no program that controls a laser wrote into this folder; name that of a "
-            "session, or session.output"
+            f"{path}: there is no log: no program that controls a laser wrote into this folder; name that of "
+            "a session, or session.output"
         ) from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None

@@ -1,4 +1,4 @@
-"""The desk behind nginx, as docs/desk-network.md configures it: TLS at the proxy, the desk on the loopback."""
+"""The desk behind nginx, as docs/desk-network.md configures it: TLS at the proxy."""
 
 import os
 import re

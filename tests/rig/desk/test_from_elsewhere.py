@@ -1,4 +1,4 @@
-"""From another machine: the lines of docs/desk-network.md are run, and a browser enters by TLS and password."""
+"""From another machine: the lines of docs/desk-network.md are run; a browser enters by TLS and password."""
 
 import re
 import shlex
