@@ -18,6 +18,7 @@ from processing.fit.exact_sensitivities import by_loss
 from processing.fit.result import FitResult
 from processing.fit.steeper import SteeperDrag
 from processing.least_squares import covariance_of
+from processing.number_text import plain
 from processing.swing import TurningPoints
 
 _UNIT = 1e-3
@@ -74,7 +75,7 @@ def with_steeper_drag(fit: FitResult, found: SteeperDrag) -> FitResult:
     reading = fit.reading_covariance
     percent = float(f"{100 * found.relative_shift_b:.3g}")
     said = (
-        f"a drag with the 3/2 power of the speed is in the data (chance without: {found.p_value:.1g}); "
+        f"a drag with the 3/2 power of the speed is in the data (chance without: {plain(found.p_value, 1)}); "
         f"with it b changes by {percent:+g} %, which its uncertainty covers"
     )
     ratio = np.sqrt(np.diag(widened) / np.diag(fit.covariance))

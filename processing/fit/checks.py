@@ -8,6 +8,7 @@ from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.fit.ground import Ground
 from processing.fit.whiteness import Whiteness
+from processing.number_text import plain
 from processing.swing import TurningPoints
 
 FEWEST_HALF_CYCLES = 10
@@ -102,8 +103,8 @@ def data_warnings(
     part, worst = max(chi2_per_dof.items(), key=lambda item: item[1])
     if worst > 2:
         warnings.append(
-            f"χ²/dof of {part} = {worst:.3g}: the data scatter more than their uncertainties say or the "
-            "model does not describe them; uncertainties are scaled up by its root"
+            f"χ²/dof of {part} = {plain(worst, 3)}: the data scatter more than their uncertainties say or "
+            "the model does not describe them; uncertainties are scaled up by its root"
         )
     return tuple(warnings)
 
@@ -114,7 +115,7 @@ def of_ground(ground: Ground, points: TurningPoints) -> tuple[str, ...]:
         return ()
     text = (
         f"{ground.left_out_half_cycles} half-cycles at the end are left out: below "
-        f"{points.amplitude[-1]:.3g} rad the ground moves the pendulum in one "
+        f"{plain(points.amplitude[-1], 3)} rad the ground moves the pendulum in one "
         "half-swing by more than a tenth of its amplitude"
     )
     return (text,)
@@ -125,9 +126,10 @@ def of_correlation(white: Whiteness) -> tuple[str, ...]:
     if not white.correlated:
         return ()
     wider = f"widened by up to {white.widened:.2g}" if white.widened >= 1.05 else "hardly wider"
+    chance = plain(min(white.p_amplitude, white.p_time), 1)
     text = (
-        "the residuals of neighbouring half-cycles are correlated (chance "
-        f"{min(white.p_amplitude, white.p_time):.1g}): the model does not describe all of the motion, or the "
+        f"the residuals of neighbouring half-cycles are correlated (chance {chance}): "
+        "the model does not describe all of the motion, or the "
         f"point of rest wanders (pointing of the beam, air); uncertainties are {wider} for it"
     )
     return (text,)
@@ -138,7 +140,7 @@ def of_overstated(chi2_per_dof: float, dof: int) -> tuple[str, ...]:
     if dof < _ENOUGH or not 0 < chi2_per_dof < _QUIET:
         return ()
     text = (
-        f"χ²/dof = {chi2_per_dof:.2g}: the uncertainties of the turning points are "
+        f"χ²/dof = {plain(chi2_per_dof, 2)}: the uncertainties of the turning points are "
         f"{chi2_per_dof**-0.5:.2g} times too large for their scatter; so are those of the parameters, and a "
         "weaker drive of the ground is not seen: check sensor noise (rig calibrate sensor) and beam profile"
     )

@@ -22,6 +22,7 @@ from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
 from processing.least_squares import Solution, solve
+from processing.number_text import plain, with_uncertainty
 from processing.quantity import OF, Quantity
 from processing.swing import TurningPoints
 
@@ -320,10 +321,10 @@ def _determination(
             verdict = Determinacy.UPPER_BOUND
             lower = 0.0 if not_negative else lower
     texts = {
-        Determinacy.DETERMINED: f"{name} = {value:.5g} ± {u:.2g}",
-        Determinacy.INTERVAL: f"{name} between {lower:.2g} and {upper:.2g} (95 %)",
-        Determinacy.UPPER_BOUND: f"{name} below {upper:.2g} (95 %)",
-        Determinacy.LOWER_BOUND: f"{name} above {lower:.2g} (95 %)",
+        Determinacy.DETERMINED: f"{name} = {with_uncertainty(value, u)}",
+        Determinacy.INTERVAL: f"{name} between {plain(lower, 2)} and {plain(upper, 2)} (95 %)",
+        Determinacy.UPPER_BOUND: f"{name} below {plain(upper, 2)} (95 %)",
+        Determinacy.LOWER_BOUND: f"{name} above {plain(lower, 2)} (95 %)",
         Determinacy.UNDETERMINED: f"{name} is not determined by these data",
     }
     return Determination(

@@ -2,6 +2,7 @@
 
 from processing.contact import PendulumOnBall
 from processing.fit.result import FitResult
+from processing.number_text import plain
 from processing.swing import TurningPoints
 
 _SMALL_RAD = 0.03
@@ -25,21 +26,21 @@ def domain_warnings(
     contact_rad = pendulum.contact_radius_m / pendulum.ball_radius_m
     if first_rad > contact_rad:
         found.append(
-            f"the first amplitude, {first_rad:.3g} rad, is {first_rad / contact_rad:.3g} times the contact's "
-            f"angle a/R = {contact_rad:.3g} rad: the laws of the contact hold only below it; start lower, or "
-            "check lever and unit of the angles"
+            f"the first amplitude, {plain(first_rad, 3)} rad, is {plain(first_rad / contact_rad, 3)} times "
+            f"the contact's angle a/R = {plain(contact_rad, 3)} rad: the laws of the contact hold only below "
+            "it; start lower, or check lever and unit of the angles"
         )
     if first_rad > _SMALL_RAD:
         found.append(
-            f"the first amplitude, {first_rad:.3g} rad, is not a small angle: gravity alone lengthens the "
-            f"period by {first_rad**2 / 16:.1g} there, which the laws neglect; start below "
+            f"the first amplitude, {plain(first_rad, 3)} rad, is not a small angle: gravity alone lengthens "
+            f"the period by {plain(first_rad**2 / 16, 1)} there, which the laws neglect; start below "
             f"{_SMALL_RAD:g} rad"
         )
     for name in fit.contact_names:
         value, u = fit.estimate(name)
         if fit.law.parameter(name).lower == 0 and value < -_SIGNIFICANT * u:
             found.append(
-                f"{name} = {value:.3g} is negative by {-value / u:.2g} u, which it cannot be: the law is not "
-                "that of this motion"
+                f"{name} = {plain(value, 3)} is negative by {plain(-value / u, 2)} u, which it cannot be: "
+                "the law is not that of this motion"
             )
     return tuple(found)

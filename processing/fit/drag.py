@@ -16,6 +16,7 @@ from processing.fit.determination import profile_likelihood
 from processing.fit.exact import fit_exact, fit_exact_with
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
+from processing.number_text import plain, with_uncertainty
 from processing.swing import TurningPoints
 
 SIGNIFICANT = 0.003
@@ -81,8 +82,8 @@ class Drag:
         """In one line."""
         value, u = self.drag_s
         return (
-            f"{self.finding}: drag {value:.3g} ± {u:.2g} s, F = {self.f_statistic:.3g} "
-            f"(p = {self.p_value:.2g})"
+            f"{self.finding}: drag {with_uncertainty(value, u)} s, F = {plain(self.f_statistic, 3)} "
+            f"(p = {plain(self.p_value, 2)})"
         )
 
 

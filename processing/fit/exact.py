@@ -24,6 +24,7 @@ from processing.fit.ground import AT_REST, GROUND_SEEN, GroundFit, Noise, densit
 from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
 from processing.fit.result import FitResult
 from processing.least_squares import Loss, Solution, solve
+from processing.number_text import plain
 from processing.periods import mean_period
 from processing.swing import TurningPoints
 
@@ -184,8 +185,8 @@ def fit_exact(
         if lost[0] < FEWEST_HALF_CYCLES:
             raise DataError(
                 "the ground drives the pendulum as strongly as it swings: amplitudes below "
-                f"{weakest:.2g} are lost in its motion, which leaves {lost[0]} half-cycles; start higher, or "
-                "wait for a quieter hour"
+                f"{plain(weakest, 2)} are lost in its motion, which leaves {lost[0]} half-cycles; "
+                "start higher, or wait for a quieter hour"
             )
         kept = kept.first(int(lost[0]))
     search = NoiseSearch(found.model, found.solution.values, loss, kind)

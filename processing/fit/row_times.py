@@ -21,6 +21,7 @@ from processing.fit.exact_model import ExactModel
 from processing.fit.exact_sensitivities import by_times
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
+from processing.number_text import with_uncertainty
 from processing.quantity import Quantity
 from processing.swing import ORDERS, SwingHarmonics, TurningPoints
 
@@ -51,15 +52,15 @@ class Alternation:
         size, u = abs(self.delay_s_per_rad), self.u_delay_s_per_rad
         return (
             "turning times at the two ends alternate as with a rolling shutter, but none is stated "
-            f"({size:.3g} ± {u:.1g} s/rad): this was subtracted; state shutter.row_time_s"
+            f"({with_uncertainty(size, u)} s/rad): this was subtracted; state shutter.row_time_s"
         )
 
     def text(self, rad_per_px: float) -> str:
         """Of a second harmonic, in one line; `rad_per_px` is the tilt that moves the spot by a pixel."""
         size, u = (1e6 * abs(value) * rad_per_px for value in (self.delay_s_per_rad, self.u_delay_s_per_rad))
         return (
-            f"the swing's second harmonic is that of rows exposed in turn, {size:.3g} ± {u:.1g} us a row "
-            "along the swing, beyond what shutter.row_time_s states: rig calibrate shutter measures it"
+            f"the swing's second harmonic is that of rows exposed in turn, {with_uncertainty(size, u)} µs "
+            "a row along the swing, beyond what shutter.row_time_s states: rig calibrate shutter measures it"
         )
 
 

@@ -1,11 +1,6 @@
 """Presentation of results: symbols, units, rounding, tables, colours, output on the terminal."""
 
-from rig.presentation import palette
-from rig.presentation.balance import balance_drawn, balance_numbers, balance_panels, balance_table
-from rig.presentation.json_object import answer, one_json_object
-from rig.presentation.keys import Keys
-from rig.presentation.latex import latex_table
-from rig.presentation.numbers import (
+from processing.number_text import (
     MINUS,
     NOT_KNOWN,
     interval,
@@ -17,6 +12,11 @@ from rig.presentation.numbers import (
     signed_percent,
     with_uncertainty,
 )
+from rig.presentation import palette
+from rig.presentation.balance import balance_drawn, balance_numbers, balance_panels, balance_table
+from rig.presentation.json_object import answer, one_json_object
+from rig.presentation.keys import Keys
+from rig.presentation.latex import latex_table
 from rig.presentation.printing import columns_of, plain_values, print_json_line, print_line, say
 from rig.presentation.quantities import SOURCES, Shown, law_parameters, quantity, unit_of
 from rig.presentation.table import Cell, Table, harmless_line, harmless_text

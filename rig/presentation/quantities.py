@@ -11,10 +11,10 @@ from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from processing.angle import ARCSEC_RAD
+from processing.number_text import with_uncertainty
 from processing.quantity import Quantity, quantities_of
 from processing.surroundings import Surroundings
 from processing.units import unit_of_name
-from rig.presentation.numbers import with_uncertainty
 from rig.presentation.traces import Traces
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ def test_angles_beyond_the_contact_and_beyond_small_ones_are_named() -> None:
     large = replace(points, amplitude=factor * points.amplitude, u_amplitude=factor * points.u_amplitude)
     fit = fit_exact(points, PENDULUM, averaged=False)
     said = domain_warnings(large, PENDULUM, fit)
-    assert "1.6 rad, is 146 times the contact's angle" in said[0]
+    assert "1.60 rad, is 146 times the contact's angle" in said[0]
     assert "not a small angle" in said[1]
     between = replace(points, amplitude=0.012 / points.amplitude[0] * points.amplitude)
     assert len(domain_warnings(between, PENDULUM, fit)) == 1
@@ -40,6 +40,7 @@ def test_a_sign_that_cannot_be_is_named() -> None:
     (said,) = domain_warnings(points, PENDULUM, replace(fit, values=values))
     assert "gamma_pa" in said
     assert "negative by 10 u" in said
+    assert "e+" not in said
     # within its uncertainty a quantity that is nought may come out below
     values[at] = -2 * fit.standard_uncertainty[at]
     assert domain_warnings(points, PENDULUM, replace(fit, values=values)) == ()

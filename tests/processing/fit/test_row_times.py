@@ -59,7 +59,7 @@ def test_the_second_harmonic_is_that_of_rows(delay_s_per_rad: float) -> None:
     assert found.seen is bool(delay_s_per_rad)
     # pieces of a decay have a mean amplitude only
     assert abs(found.delay_s_per_rad - delay_s_per_rad) < 0.05 * delay_s_per_rad + 4 * found.u_delay_s_per_rad
-    assert "us a row" in found.text(2.4e-6)
+    assert "µs a row" in found.text(2.4e-6)
 
 
 def test_the_alternation_is_one_of_an_exact_fit() -> None:

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from processing.estimate import Determinacy, Estimate
 from processing.fit import Combined, Determination
+from processing.number_text import plain, rounded, signed, signed_percent, with_uncertainty
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
-from rig.presentation.numbers import plain, rounded, signed, signed_percent, with_uncertainty
 from rig.report.drawing import broken, envelope, thinned
 from rig.terminal import spelled
 

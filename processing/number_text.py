@@ -1,6 +1,6 @@
 """Numbers as text: two digits of the uncertainty, the value to the same place, powers of ten.
 
-Terminal, report, comparisons and Rerun all use these functions.
+Warnings of fits, terminal, report, comparisons and Rerun all use these functions.
 """
 
 import math
