@@ -86,6 +86,13 @@ def signed(value: float, digits: int = 2) -> str:
     return ("+" if value > 0 else "") + plain(value, digits)
 
 
+def decimals(value: float, places: int, *, sign: bool = False) -> str:
+    """A number with so many decimals, `−12.0`, `+0.3`; what rounds to nought has no minus."""
+    # -0.0 + 0.0 is 0.0
+    text = f"{round(value, places) + 0.0:{'+' if sign else ''}.{places}f}"
+    return text.replace("-", MINUS)
+
+
 def interval(low: float, high: float) -> str:
     """Both ends to as many digits as tell them apart, and two more."""
     if not (math.isfinite(low) and math.isfinite(high)) or high <= low:

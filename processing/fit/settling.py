@@ -68,7 +68,7 @@ def settlement(
 ) -> Settlement:
     """The second measurement if the laws describe it as well as the first."""
     shift = shift_of(swings, again)
-    reason = f"only {shift.found:.0%} of the half-cycles were found again"
+    reason = f"only {100 * shift.found:.0f} % of the half-cycles were found again"
     if shift.complete:
         try:
             second = fit.of(again, first)

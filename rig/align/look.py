@@ -10,7 +10,7 @@ from acquisition.frame import Image
 from processing.spot import Spot, SpotFlag, SpotTracker
 from rig.devices import PictureFigures, picture
 from rig.instrument import beam_quality
-from rig.presentation import Verdict
+from rig.presentation import Verdict, decimals
 from rig.settings import PreflightSettings
 
 _CENTRED = 0.1
@@ -107,8 +107,8 @@ class AlignmentFrame(NamedTuple):
                 "peak",
                 peak_ok,
                 remedy="" if peak_ok else "expose longer" if seen.peak < low else "expose shorter",
-                measured=f"{seen.peak:.0%}",
-                limit=f"{low:.0%} to {high:.0%}",
+                measured=f"{100 * seen.peak:.0f} %",
+                limit=f"{100 * low:.0f} to {100 * high:.0f} %",
             ),
             Verdict(
                 "saturated",
@@ -130,7 +130,7 @@ class AlignmentFrame(NamedTuple):
                 "centring",
                 True,
                 remedy=off_middle,
-                measured="{:+.0f}, {:+.0f} px".format(*self._off_px),
+                measured=f"{_offset(self._off_px, 0)} px",
                 limit=f"{_CENTRED * shortest_px:.0f} px",
             )
         )
@@ -146,14 +146,14 @@ class AlignmentFrame(NamedTuple):
         height_px, width_px = self.image.shape
         exposure, gain = applied.exposure_us, applied.gain_db
         rows = [
-            ("peak", f"{seen.peak:.1%}, background {seen.background:.1%}"),
+            ("peak", f"{100 * seen.peak:.1f} %, background {100 * seen.background:.1f} %"),
             ("saturated", f"{seen.saturated_px} px" if seen.saturated_px else "none"),
             ("sharpness", f"{seen.sharpness_per_px:.4f} /px"),
         ]
         if self.found:
             rows += [
                 ("spot", f"{spot.x_px:.2f}, {spot.y_px:.2f} px"),
-                ("off the crosshair", "{:+.1f}, {:+.1f} px".format(*self._off_px)),
+                ("off the crosshair", f"{_offset(self._off_px, 1)} px"),
                 ("nearest edge", f"{self._edge_px:.0f} px"),
                 (
                     "sigma",
@@ -167,7 +167,7 @@ class AlignmentFrame(NamedTuple):
             rows.append(("reference", self.reference.lamp.measured))
         offset_px = (applied.offset_x_px, applied.offset_y_px)
         begins = "" if None in offset_px else f" from ({offset_px[0]}, {offset_px[1]})"
-        exposed = "unknown" if exposure is None else f"{exposure:.6g} us"
+        exposed = "unknown" if exposure is None else f"{exposure:.6g} µs"
         rows += [
             ("region", f"{width_px} × {height_px} px{begins}"),
             ("exposure", f"{exposed}, gain {'unknown' if gain is None else f'{gain:.3g} dB'}"),
@@ -201,26 +201,29 @@ class AlignmentFrame(NamedTuple):
         """The figures in words, one line for each kind."""
         seen, spot = self.figures, self.spot
         saturated = f"{seen.saturated_px} px SATURATED" if seen.saturated_px else "none saturated"
-        light = f"peak {seen.peak:6.1%}  background {seen.background:.1%}  {saturated}"
+        light = f"peak {100 * seen.peak:6.1f} %  background {100 * seen.background:.1f} %  {saturated}"
         light += f"  sharpness {seen.sharpness_per_px:.4f} /px"
         height_px, width_px = self.image.shape
         region = f"region {width_px} x {height_px} px"
         if self.applied.offset_x_px is not None and self.applied.offset_y_px is not None:
             region += f" from ({self.applied.offset_x_px}, {self.applied.offset_y_px}) of the sensor"
         exposure, gain = self.applied.exposure_us, self.applied.gain_db
-        region += f"  exposure {'unknown' if exposure is None else f'{exposure:.6g} us'}"
+        region += f"  exposure {'unknown' if exposure is None else f'{exposure:.6g} µs'}"
         region += f"  gain {'unknown' if gain is None else f'{gain:.3g} dB'}"
         if self.reference is not None:
             region += f"  {self.reference.lamp.line}"
         if not self.found:
             return [light, "no spot", "", region]
-        off_x_px, off_y_px = self._off_px
         place = f"spot {spot.x_px:.2f}, {spot.y_px:.2f} px  "
-        place += f"from the crosshair {off_x_px:+.1f}, {off_y_px:+.1f} px"
+        place += f"from the crosshair {_offset(self._off_px, 1)} px"
         place += f"  to the nearest edge {self._edge_px:.0f} px"
         shape = f"sigma {spot.sigma_x_px:.2f} x {spot.sigma_y_px:.2f} px  ellipticity {self._ellipticity:.2f}"
         shape += f"  χ²/dof {spot.chi2_per_dof:.2f}"
         return [light, place, f"{shape}  {', '.join(self._doubts) or 'a clean spot'}", region]
+
+
+def _offset(off_px: tuple[float, float], places: int) -> str:
+    return ", ".join(decimals(value, places, sign=True) for value in off_px)
 
 
 def middle_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:

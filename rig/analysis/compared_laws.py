@@ -15,7 +15,7 @@ from processing.swing import TurningPoints
 from rig.analysis.analysed_run import AnalysedRun
 from rig.analysis.law_results import ComparedLaws, LawFit, LawMoments, MomentsWithoutLaw
 from rig.analysis.waveform_results import with_waveform
-from rig.presentation import MINUS, Cell, Table, plain
+from rig.presentation import Cell, Table, decimals, plain
 
 NO_LAW: Final = "none"
 _TELLING, _MOST_RUNS = 3.0, 100
@@ -138,7 +138,7 @@ def law_table(compared: ComparedLaws) -> Table:
             [
                 name,
                 law.title,
-                *(f"{one:.1f}".replace("-", MINUS) for one in measures),
+                *(decimals(one, 1) for one in measures),
                 ground,
                 waveform,
                 f"{left}; {verdict}",

@@ -45,8 +45,8 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
     notes = [f"clock jump of {jump.step_s:.3g} s at frame {jump.frame}" for jump in relation.jumps]
     if relation.frame_jitter_s > FRAME_JITTER_LIMIT_S:
         notes.append(
-            f"frame times jitter by {relation.frame_jitter_s * 1e6:.3g} us, swings need "
-            f"{FRAME_JITTER_LIMIT_S * 1e6:g} us"
+            f"frame times jitter by {relation.frame_jitter_s * 1e6:.3g} µs, swings need "
+            f"{FRAME_JITTER_LIMIT_S * 1e6:g} µs"
         )
     if not ntp.synchronised:
         notes.append(f"the host's clock is not known to be synchronised with UTC ({ntp.text})")

@@ -55,7 +55,7 @@ def _of_kind(found: CalibrationFile) -> Iterator[Table]:
         yield from (_residual_table(one) for one in _left_over(found))
     if jumps := details.get("jumps"):
         rows = [(jump["frame"], 1e6 * jump["step_s"]) for jump in jumps]
-        yield _table("jumps", "jumps of the clock", ("from frame", "step, us"), rows)
+        yield _table("jumps", "jumps of the clock", ("from frame", "step, µs"), rows)
     for axis in ("x", "y"):
         if isinstance(details.get(axis), Mapping) and "allan_tau_s" in details[axis]:
             yield _allan(axis, details[axis])
@@ -116,7 +116,7 @@ def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
         yield Residuals(
             "arrivals of frames",
             "at, s",
-            "off the line, us",
+            "off the line, µs",
             details["parts_at_s"],
             _times(1e6, details["off_line_s"]),
             _times(1e6, details["u_off_line_s"]),
@@ -126,7 +126,7 @@ def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
         yield Residuals(
             "drag of each run, with the contact of all",
             "area of vanes, cm²" if vanes else "pressure, Pa",
-            "off the line, us",
+            "off the line, µs",
             _times(1e4, details["areas_m2"]) if vanes else details["pressures_pa"],
             _times(1e6, details["off_drags_s"]),
             _times(1e6, details["u_drags_s"]),
@@ -136,7 +136,7 @@ def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
         yield Residuals(
             "row time by stretch",
             "at, s",
-            "off the mean, us",
+            "off the mean, µs",
             details["stretches_at_s"],
             _times(1e6, [value - mean_s for value in details["of_stretches_s"]]),
             _times(1e6, details["u_of_stretches_s"]),

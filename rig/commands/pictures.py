@@ -238,12 +238,12 @@ def expose(
         found = find_exposure(camera, info, applied, target)
         answer(found=found)
         print_line(
-            f"peak {found.peak:.1%} of full scale; for the configuration, above its first section, or below "
-            "[camera] without 'camera.':"
+            f"peak {100 * found.peak:.1f} % of full scale; for the configuration, above its first section, "
+            "or below [camera] without 'camera.':"
         )
         print_line(f"camera.exposure_us = {found.exposure_us:.6g}")
 
 
 def _figures_line(seen: "PictureFigures") -> str:
     saturated = f"{seen.saturated_px} px SATURATED" if seen.saturated_px else "none saturated"
-    return f"peak {seen.peak:6.1%}  {saturated}  sharpness {seen.sharpness_per_px:.4f} /px"
+    return f"peak {100 * seen.peak:6.1f} %  {saturated}  sharpness {seen.sharpness_per_px:.4f} /px"

@@ -147,10 +147,10 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
             break
         exposure_us = applied.exposure_us
     assert seen is not None
-    state = "saturated" if seen.saturated_px else f"at {seen.peak:.0%} of full scale"
+    state = "saturated" if seen.saturated_px else f"at {100 * seen.peak:.0f} % of full scale"
     raise DeviceError(
-        f"{info.model}: the peak stays {state} with an exposure of {exposure_us:g} us "
-        f"(at most {longest_us:g} us at this frame rate), not at {target:.0%}; "
+        f"{info.model}: the peak stays {state} with an exposure of {exposure_us:g} µs "
+        f"(at most {longest_us:g} µs at this frame rate), not at {100 * target:.0f} %; "
         "change laser power, gain or frame rate, and check that the spot is on the sensor"
     )
 

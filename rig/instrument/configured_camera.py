@@ -59,7 +59,7 @@ def setting_differences(asked: CameraSettings, applied: CameraSettings) -> list[
         if min(asked.frame_rate_hz, applied.frame_rate_hz or math.inf) > 1.001 * possible_hz:
             lines.append(
                 f"camera.frame_rate_hz = {asked.frame_rate_hz:g} was requested, "
-                f"an exposure of {applied.exposure_us:g} us leaves at most {possible_hz:g} Hz"
+                f"an exposure of {applied.exposure_us:g} µs leaves at most {possible_hz:g} Hz"
             )
     return lines
 
@@ -117,14 +117,14 @@ def pulse_faults(config: Configuration, info: CameraInfo, applied: CameraSetting
     end_us = laser.pulse_delay_us + laser.pulse_us
     if applied.exposure_us is not None and end_us > applied.exposure_us:
         faults.append(
-            f"laser.pulse_us: the pulse ends {end_us:g} us after the exposure begins, "
-            f"which takes {applied.exposure_us:g} us"
+            f"laser.pulse_us: the pulse ends {end_us:g} µs after the exposure begins, "
+            f"which takes {applied.exposure_us:g} µs"
         )
     readout_us = 1e6 * _readout_s(config, info, applied)
     if laser.pulse_delay_us < readout_us:
         faults.append(
             f"laser.pulse_delay_us = {laser.pulse_delay_us:g}: "
-            f"the last row is exposed from {readout_us:.0f} us on"
+            f"the last row is exposed from {readout_us:.0f} µs on"
         )
     return faults
 

@@ -1,8 +1,8 @@
 """Presentation of results: symbols, units, rounding, tables, colours, output on the terminal."""
 
 from processing.number_text import (
-    MINUS,
     NOT_KNOWN,
+    decimals,
     interval,
     percent,
     plain,

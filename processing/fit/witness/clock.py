@@ -111,8 +111,8 @@ def found_offset(
     highest = points.time_s[0] + (1 - _COVERED) * length_s - first_s
     if highest <= lowest:
         raise DataError(
-            f"the witness lasts {last_s - first_s:.4g} s and has to cover {_COVERED:.0%} of the run of "
-            f"{length_s:.4g} s"
+            f"the witness lasts {last_s - first_s:.4g} s and has to cover {100 * _COVERED:.0f} % of the run "
+            f"of {length_s:.4g} s"
         )
     step_s = _SPACING * period_s
     tried = int((highest - lowest) / step_s) + 1

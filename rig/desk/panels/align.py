@@ -125,7 +125,7 @@ def build(desk: Desk, tab: Tab) -> None:
             lamps = ui.html(sanitize=False).classes("full-width").props('role="status" aria-label="lamps"')
             note = ui.label().props('role="status"')
             for name, label, down, up, auto in (
-                ("exposure_us", "exposure / us", lambda: turned(1 / _STEP), lambda: turned(_STEP), True),
+                ("exposure_us", "exposure / µs", lambda: turned(1 / _STEP), lambda: turned(_STEP), True),
                 (
                     "gain_db",
                     "gain / dB",

@@ -102,7 +102,7 @@ def shutter(word: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool
     across = abs(math.cos(0.0 if axes is None else axes.slow_angle_rad))
     if known is not None:
         row_us = with_uncertainty(1e6 * known.row_time_s, 1e6 * known.u_row_time_s)
-        return Verdict("shutter", True, measured=f"rolling, {row_us} us a row", limit=limit)
+        return Verdict("shutter", True, measured=f"rolling, {row_us} µs a row", limit=limit)
     if across < _ALONG_ROWS:
         return Verdict("shutter", True, measured="rolling, the slow axis lies along the rows", limit=limit)
     return Verdict(

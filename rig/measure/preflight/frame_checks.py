@@ -81,7 +81,7 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
 
     The clock of frames that are made on demand has no rate in real time.
     """
-    limit = f"jitter {limits.max_clock_jitter_us:g} us, rate {MOST_PPM:g} ppm"
+    limit = f"jitter {limits.max_clock_jitter_us:g} µs, rate {MOST_PPM:g} ppm"
     if frames and frames[0].device_time_ns < 0:
         return Verdict("clock", True, measured="the camera has none; the host's is used", limit=limit)
     try:
@@ -111,7 +111,7 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
             "clock",
             True,
             "unknown: these frames came too irregularly, or too few of them, to tell the clock's rate",
-            measured=f"jitter {jitter_us:.1f} us, rate unknown ({rate})",
+            measured=f"jitter {jitter_us:.1f} µs, rate unknown ({rate})",
             limit=limit,
             made=False,
         )
@@ -120,7 +120,7 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
         ok,
         "" if ok else "frames come unevenly; turning times suffer",
         "" if ok else "a fixed frame_rate_hz, the camera's own clock, no free-running trigger",
-        measured=f"jitter {jitter_us:.1f} us, {rate}",
+        measured=f"jitter {jitter_us:.1f} µs, {rate}",
         limit=limit,
     )
 

@@ -12,7 +12,7 @@ from processing.errors import DataError
 from processing.ground_at_rest import ground_at_rest
 from rig.analysis import base_motion, drive_text
 from rig.measure.preflight.trial_frames import TrialFrames
-from rig.presentation import Verdict
+from rig.presentation import Verdict, decimals
 from rig.settings import PendulumSettings, PreflightSettings
 
 _SHORT_S = 50.0
@@ -125,7 +125,7 @@ def rest_position(look: TrialFrames, limits: PreflightSettings) -> Verdict:
         ok,
         "" if ok else "the swing will not be centred on the sensor",
         "" if ok else "rig balance says which weight to turn; or move the camera",
-        measured=f"X {x:+.1f}, Y {y:+.1f} {at.unit.shown}",
+        measured=f"X {decimals(x, 1, sign=True)}, Y {decimals(y, 1, sign=True)} {at.unit.shown}",
         limit=limit,
     )
     return _against_arcsec(verdict, at.unit)

@@ -242,5 +242,5 @@ def test_a_rate_that_the_exposure_does_not_allow_is_said_with_the_one_that_is_po
     camera.open()
     asked = CameraSettings(exposure_us=50_000.0, frame_rate_hz=100.0)
     (line,) = setting_differences(asked, camera.configure(asked))
-    assert line == "camera.frame_rate_hz = 100 was requested, an exposure of 50000 us leaves at most 20 Hz"
+    assert line == "camera.frame_rate_hz = 100 was requested, an exposure of 50000 µs leaves at most 20 Hz"
     camera.close()

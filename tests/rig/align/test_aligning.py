@@ -129,7 +129,7 @@ def test_a_spot_off_the_crosshair_is_a_matter_where_it_has_no_room() -> None:
 def test_words_say_where_the_spot_is_and_what_is_wrong() -> None:
     light, place, shape, _ = look_at(spot_at(100.0, 250.0, 400.0)).lines()
     assert "SATURATED" in light
-    assert "from the crosshair -49.5, +50.5 px" in place
+    assert "from the crosshair −49.5, +50.5 px" in place
     assert "nearest edge 100 px" in place
     assert "saturated" in shape
     assert "a clean spot" in look_at(spot_at(100.0, 250.0, 150.0)).lines()[2]
@@ -184,5 +184,5 @@ def test_keys_set_the_camera_and_save_pictures(tmp_path: Path, printed: io.Strin
     assert len(coloured(picture[..., ::-1], palette.YELLOW)) > 100
     said = printed.getvalue()
     assert ("▀" in said) is terminal
-    assert "exposure 156.25 us" in said
+    assert "exposure 156.25 µs" in said
     assert "align-1.png saved" in said

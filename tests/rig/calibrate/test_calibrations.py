@@ -251,7 +251,7 @@ def test_a_clock_from_a_record_in_real_time_fills_the_timebase(tmp_path: Path) -
     assert found.details["ntp"]
     assert found.details["frame_jitter_limit_s"] == 15e-6
     (left,) = calibration_residuals(found)
-    assert left.y_name == "off the line, us"
+    assert left.y_name == "off the line, µs"
     assert max(abs(y) / u for y, u in zip(left.y, left.u, strict=True)) < 8
     asked = rig("calibrate", "clock", cwd=tmp_path, typed=f"{record}\n\n")
     assert asked.returncode == 0, asked.stderr

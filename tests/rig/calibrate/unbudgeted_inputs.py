@@ -133,7 +133,7 @@ def shifts(seed: int, rate_hz: float = 60.0, duration_s: float = 2400.0) -> dict
             replace(base, y_px=base.y_px + t / 60.0 * 2.0 * ARCSEC_RAD / (2.0 * half)),
         ),
         "pointing walks by 0.01 px in 1 s": (base, replace(base, y_px=base.y_px + per_s)),
-        "frame times jitter by 15 us": (
+        "frame times jitter by 15 µs": (
             base,
             replace(base, times_s=t + JITTER_S * rng.standard_normal(len(t))),
         ),

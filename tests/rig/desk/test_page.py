@@ -276,7 +276,7 @@ def test_exposure_region_and_focus_are_set_and_seen(shown: Shown) -> None:
     page.wait("document.querySelectorAll('[aria-label=\"histogram\"] svg path').length > 20")
     for _ in range(4):
         page.click("+")
-    page.wait_text("244.141 us")
+    page.wait_text("244.141 µs")
     page.wait("!document.body.innerText.includes('saturated\\tnone')")
     pixels = page.browser.picture().reshape(-1, 3)
     assert np.any(np.all(pixels == (213, 94, 0), axis=1)), "saturated pixels are drawn in their colour"

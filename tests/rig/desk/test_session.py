@@ -58,9 +58,9 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
     with desk_page(browser, config) as (desk, page):
         # align: the picture lives, the exposure changes and is kept
         page.click("Live picture")
-        page.wait_text("100 us, gain")
+        page.wait_text("100 µs, gain")
         page.click("+")
-        page.wait_text("125 us, gain")
+        page.wait_text("125 µs, gain")
         page.click("Keep for runs")
         page.wait_text("camera.exposure_us = 125")
         # preflight gives the camera free and takes it itself
@@ -229,7 +229,7 @@ def test_a_session_on_a_phone(desk_configuration: Callable[[str], Path], browser
             page.click(panel)
             page.wait(fits, 10.0)
         page.click("Live picture")
-        page.wait_text("100 us, gain")
+        page.wait_text("100 µs, gain")
         page.click("Measure")
         page.click("Start …")
         page.in_dialog()

@@ -36,7 +36,7 @@ def test_the_light_of_the_pulse_is_in_the_image_and_its_time_in_the_timestamp() 
         assert opened.notes == ()
         opened.camera.start()
         assert opened.camera.read(5.0) is not None
-        assert devices.light() == "laser on, 1 mW, 25 us in each exposure"
+        assert devices.light() == "laser on, 1 mW, 25 µs in each exposure"
         peaks = []
         while not peaks or peaks[-1] < BLACK_DN + 20.0:
             frame = opened.camera.read(5.0)

@@ -54,10 +54,10 @@ def test_where_nothing_is_known_nothing_is_added() -> None:
 def test_pulses_outside_the_exposure_of_any_row_are_said() -> None:
     early = configured(pulse_us=50.0, pulse_delay_us=3900.0)
     assert pulse_faults(early, camera(), APPLIED) == [
-        "laser.pulse_delay_us = 3900: the last row is exposed from 4000 us on"
+        "laser.pulse_delay_us = 3900: the last row is exposed from 4000 µs on"
     ]
     late = configured(pulse_us=50.0, pulse_delay_us=7990.0)
     assert pulse_faults(late, camera(), APPLIED) == [
-        "laser.pulse_us: the pulse ends 8040 us after the exposure begins, which takes 8000 us"
+        "laser.pulse_us: the pulse ends 8040 µs after the exposure begins, which takes 8000 µs"
     ]
     assert pulse_faults(configured(), camera(), APPLIED) == []

@@ -279,7 +279,7 @@ def test_a_rolling_shutter_is_advised_where_it_matters() -> None:
     assert not device_checks.shutter("Rolling", None, along).remedy
     known = device_checks.shutter("Rolling", Shutter(row_time_s=1.5e-5, u_row_time_s=2e-7), across)
     assert not known.remedy
-    assert "15.00 ± 0.20 us a row" in known.measured
+    assert "15.00 ± 0.20 µs a row" in known.measured
     assert not device_checks.shutter("GlobalReset", None, across).remedy
     assert not device_checks.shutter("", None, across).made
 

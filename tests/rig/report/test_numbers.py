@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from processing.estimate import Determinacy, Estimate
 from processing.fit import Combined, Determination
-from processing.number_text import plain, rounded, signed, signed_percent, with_uncertainty
+from processing.number_text import decimals, plain, rounded, signed, signed_percent, with_uncertainty
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.report.drawing import broken, envelope, thinned
 from rig.terminal import spelled
@@ -46,6 +46,15 @@ def test_two_digits_of_the_uncertainty(value: float, u: float, text: str) -> Non
 )
 def test_a_difference_has_its_sign(value: float, text: str) -> None:
     assert signed(value) == text
+
+
+def test_what_rounds_to_nought_has_no_minus() -> None:
+    assert (decimals(-0.04, 1), decimals(-0.04, 1, sign=True), decimals(0.4, 0, sign=True)) == (
+        "0.0",
+        "+0.0",
+        "+0",
+    )
+    assert (decimals(-12.0, 1), decimals(2.25, 2, sign=True)) == ("−12.0", "+2.25")
 
 
 def test_a_sign_where_the_direction_matters() -> None:
