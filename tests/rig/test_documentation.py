@@ -233,6 +233,20 @@ def test_the_commands_of_the_tutorial(tmp_path: Path, measured_series: Path) -> 
 
 
 @pytest.mark.slow
+def test_the_commands_about_laws_and_plans(tmp_path: Path, measured_series: Path) -> None:
+    shutil.copytree(ROOT / "configs", tmp_path / "configs")
+    shutil.copytree(measured_series, tmp_path / "runs" / "first")
+    pages = ("laws", "planning")
+    lines = [line for page in pages for line in indented(ROOT / "docs" / f"{page}.md")]
+    # two series of one's own are compared
+    lines = [line for line in lines if not line.startswith("rig compare")]
+    assert [line.split()[1] for line in lines] == ["fit", "fit", "fit", "plan", "plan"]
+    for line in lines:
+        done = rig(*shlex.split(line)[1:], cwd=tmp_path)
+        assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
+
+
+@pytest.mark.slow
 def test_the_readme_from_top_to_bottom(tmp_path: Path) -> None:
     """And then the page that says more of the same commands."""
     (tmp_path / "configs").symlink_to(ROOT / "configs")

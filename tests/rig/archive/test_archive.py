@@ -209,7 +209,11 @@ def test_two_that_add_at_once_lose_nothing(sessions: Path, tmp_path: Path) -> No
     assert len(list((archive / "merged").iterdir())) in (1, 2)
 
 
-def test_the_documented_commands_run_and_the_documented_columns_exist(sessions: Path) -> None:
+@pytest.mark.slow
+def test_the_documented_commands_run_and_the_documented_columns_exist(
+    sessions: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(sessions.parent / "data"))
     text = (ROOT / "docs" / "archive.md").read_text(encoding="utf-8")
     reference = (ROOT / "docs" / "reference" / "archive.md").read_text(encoding="utf-8")
     lines = re.findall(r"^ {4}(rig archive .*)$", text, re.MULTILINE)
