@@ -18,6 +18,8 @@ _SUFFIX = ".eln"
 _BLOCK = 1 << 20
 _ENCRYPTED = 1
 """Bit of an entry's flags."""
+_OF_MACOS, _OF_FINDER = "__MACOSX", ".DS_Store"
+"""Folder and file that macOS adds to what it zips: icons and attributes, nothing of the crate."""
 
 
 def is_eln(path: Path) -> bool:
@@ -81,6 +83,8 @@ class _Eln:
         roots = set()
         for entry in archive.infolist():
             place = PurePosixPath(entry.filename)
+            if place.parts[:1] in ((_OF_MACOS,), (_OF_FINDER,)):
+                continue
             inside = PureWindowsPath(*place.parts[1:])
             if place.is_absolute() or ".." in inside.parts or inside.anchor or "\\" in entry.filename:
                 raise RecordError(f"{path}: {entry.filename!r} in it would lie outside of its folder")
@@ -100,7 +104,8 @@ class _Eln:
             raise RecordError(f"{path}: is not an .eln file: it must hold one folder, and in that {METADATA}")
         self.metadata = b"".join(self.blocks(METADATA))
         self.described = described_files(self.metadata, str(path))
-        self.files = sorted(self._entries.keys() - {METADATA})
+        added = {name for name in self._entries if PurePosixPath(name).name == _OF_FINDER}
+        self.files = sorted(self._entries.keys() - {METADATA} - (added - self.described.keys()))
         if missing := sorted(self.described.keys() - self._entries.keys()):
             raise RecordError(f"{path}: {missing[0]} is described and not in it")
 

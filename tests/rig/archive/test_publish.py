@@ -6,7 +6,7 @@ import shutil
 import sys
 import urllib.parse
 import zipfile
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar
 
 import pytest
@@ -282,6 +282,18 @@ def test_a_damaged_or_foreign_file_for_notebooks_is_refused(archive: Path, tmp_p
             digest = sha256_in(content[metadata], record.removeprefix("good/"))
             eln.writestr(name, each.replace(digest, digest.upper()) if name == metadata else each)
     assert rig("archive", "add", shouted, "--archive", tmp_path / "other").returncode == 0
+    # macOS adds a folder beside it and files in it
+    zipped = tmp_path / "zipped.eln"
+    with zipfile.ZipFile(zipped, "w") as eln:
+        for name, each in content.items():
+            eln.writestr(name, each)
+            eln.writestr(f"__MACOSX/{PurePosixPath(name).parent}/._{PurePosixPath(name).name}", b"Mac OS X")
+        for name in (".DS_Store", "good/.DS_Store", str(PurePosixPath(record).with_name(".DS_Store"))):
+            eln.writestr(name, b"Bud1")
+    check_eln(zipped)
+    assert "known already" in rig("archive", "add", zipped, "--archive", tmp_path / "other").stdout
+    unpacked = {path.relative_to(tmp_path / "zipped").as_posix() for path in (tmp_path / "zipped").rglob("*.*")}
+    assert unpacked == {name.removeprefix("good/") for name in content if "." in PurePosixPath(name).name}
     # a folder of its name that is another one stays
     (tmp_path / "good").mkdir()
     (tmp_path / "good" / "mine.txt").write_text("kept")
