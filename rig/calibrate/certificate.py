@@ -82,7 +82,7 @@ def _filed(
     notes: Sequence[str],
     sources: Sequence[Path] = (),
 ) -> Path:
-    """A certificate states no validity but by a date of recalibration; else its day of filing counts."""
+    """A certificate states no validity but by a date of recalibration; else it ages as calibrations do."""
     performed = datetime.datetime.combine(found.performed, datetime.time(), datetime.UTC)
     now = datetime.datetime.now(datetime.UTC)
     # the day of its own place may be one ahead
@@ -91,7 +91,7 @@ def _filed(
             f"{path}: was calibrated on {found.performed}, which has not come yet (endPerformanceDate); ask "
             "the laboratory, or set the computer's clock"
         )
-    until = now + datetime.timedelta(days=filing.valid_days)
+    until = None
     if found.recalibrate_by is not None:
         until = datetime.datetime.combine(found.recalibrate_by, datetime.time(23, 59, 59), datetime.UTC)
     details = {
@@ -113,6 +113,8 @@ def _filed(
     }
     method = f"certificate {found.identifier or '?'} of {found.laboratory or '?'}"
     notes = [*notes, f"measured on {found.performed:%Y-%m-%d}"]
+    if until is None:
+        notes.append(f"states no date of recalibration: valid for {filing.valid_days:g} d from then on")
     return file_calibration(
         kind, filing, method, values, details, sources, notes, performed, until, {path.name: data}
     )

@@ -137,8 +137,7 @@ def judge_calibration(
         if data is not None:
             found = parse_calibration(data, f"{PREFIX}{kind}.toml", kind)
             tree[kind] = _entry(found, data, began)
-            if found.expired(began):
-                warnings.append(f"the calibration of the {kind} had expired on {found.valid_until:%Y-%m-%d}")
+            warnings += _age(kind, found, began)
         elif kind == "shutter" and config.shutter is None:
             continue  # a global shutter needs no calibration
         elif config.simulated:
@@ -156,22 +155,26 @@ def judge_calibration(
             missing.append(kind)
     if missing:
         warnings.append(f"not calibrated: {', '.join(missing)} (rig calibrate)")
-    others: tuple[Kind, ...] = ("mass", "air")
+    others: tuple[Kind, ...] = ("mass", "air", "pointing")
     for kind in others:
         data = attachments.get(f"{PREFIX}{kind}.toml")
         if data is not None:
             measured = parse_calibration(data, f"{kind}.toml", kind)
             tree[kind] = _entry(measured, data, began)
-            if measured.expired(began):
-                until = f"{measured.valid_until:%Y-%m-%d}"
-                warnings.append(f"the calibration of the {kind} had expired on {until}")
-    data = attachments.get(f"{PREFIX}pointing.toml")
-    if data is not None:
-        tree["pointing"] = _entry(parse_calibration(data, "pointing.toml", "pointing"), data, began)
+            warnings += _age(kind, measured, began)
     checks, lines = _checks(config, attachments, began, ended)
     if checks:
         tree["checks"] = checks
     return tree, [*warnings, *lines]
+
+
+def _age(kind: str, found: CalibrationFile, at: datetime.datetime) -> list[str]:
+    """That a calibration was too old, and how old; nothing if it was not."""
+    if not found.expired(at):
+        return []
+    days = (at - found.measured_at).total_seconds() / 86400
+    since = f"it was measured on {found.measured_at:%Y-%m-%d}, {days:.0f} d before the run"
+    return [f"the calibration of the {kind} had expired on {found.valid_until:%Y-%m-%d}: {since}"]
 
 
 def _entry(found: CalibrationFile, data: bytes, at: datetime.datetime) -> dict[str, Any]:

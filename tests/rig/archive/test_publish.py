@@ -292,7 +292,9 @@ def test_a_damaged_or_foreign_file_for_notebooks_is_refused(archive: Path, tmp_p
             eln.writestr(name, b"Bud1")
     check_eln(zipped)
     assert "known already" in rig("archive", "add", zipped, "--archive", tmp_path / "other").stdout
-    unpacked = {path.relative_to(tmp_path / "zipped").as_posix() for path in (tmp_path / "zipped").rglob("*.*")}
+    unpacked = {
+        path.relative_to(tmp_path / "zipped").as_posix() for path in (tmp_path / "zipped").rglob("*.*")
+    }
     assert unpacked == {name.removeprefix("good/") for name in content if "." in PurePosixPath(name).name}
     # a folder of its name that is another one stays
     (tmp_path / "good").mkdir()

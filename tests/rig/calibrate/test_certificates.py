@@ -1,5 +1,6 @@
 """Digital calibration certificates read as calibrations: of the mass, of the lever."""
 
+import datetime
 import hashlib
 from pathlib import Path
 
@@ -44,6 +45,22 @@ def test_a_mass_fills_the_configuration_with_its_standard_uncertainty(tmp_path: 
     assert config.pendulum is not None
     assert (config.pendulum.mass_kg, config.pendulum.u_mass_kg) == pytest.approx((0.406, 3.0e-5))
     assert fill_from_files(config) == config, "as a record's configuration is, which has it already"
+
+
+def test_a_certificate_without_a_date_of_recalibration_ages_as_other_calibrations_do(tmp_path: Path) -> None:
+    path = calibrate_mass(certificate(tmp_path / "m.xml", MASS), Filing(tmp_path / "c", 30))
+    found = read_calibration(path, "mass")
+    assert f"{found.measured_at:%Y-%m-%d} {found.valid_until:%Y-%m-%d}" == "2025-03-02 2025-04-01"
+    assert "states no date of recalibration: valid for 30 d from then on" in found.notes
+    config = in_use(mass=path)
+    for day, warns in (("2025-03-31", False), ("2025-05-01", True)):
+        began = datetime.datetime.fromisoformat(f"{day}T00:00:00+00:00")
+        tree, warnings = judge_calibration(config, calibration_attachments(config), began, began)
+        assert tree["mass"]["validity"] == ("expired" if warns else "valid")
+        said = [line for line in warnings if "calibration of the mass had expired on 2025-04-01: " in line]
+        assert [line.partition(": ")[2] for line in said] == (
+            ["it was measured on 2025-03-02, 60 d before the run"] if warns else []
+        )
 
 
 def test_the_certificate_itself_is_kept_with_the_calibration_and_the_record(tmp_path: Path) -> None:
