@@ -87,7 +87,10 @@ class Scan:
         return cls(model, columns, noise)
 
     def _changes(self, first: int, count: int) -> Floats:
-        """What the kinds of change (4) do at some places to the rows that nothing explains yet."""
+        """What the kinds of change (4) do at some places to the rows that nothing explains yet.
+
+        Shape (rows, 4, places).
+        """
         here_s = self._at_s[first : first + count]
 
         def of_loss(amplitude: Floats, node_s: Floats) -> Floats:
@@ -101,10 +104,11 @@ class Scan:
             return np.column_stack([knock, 1.0 * (node_s[:, None] > here_s)])
 
         found = self._model.filtered(self._columns, self._noise, errors=Errors(of_loss, of_duration))
-        by_errors = found.jacobian[:, len(self._columns) :] / self._scale
-        changes = np.concatenate([by_errors, np.zeros((self._beside, by_errors.shape[1]))])
+        by_errors = found.jacobian[:, len(self._columns) :]
+        changes = np.zeros((len(self._left), by_errors.shape[1]))
+        np.divide(by_errors, self._scale, out=changes[: len(by_errors)])
         changes -= self._directions @ (self._directions.T @ changes)
-        return changes.T.reshape(4, -1, len(changes))
+        return changes.reshape(len(changes), 4, -1)
 
     def deviance(self) -> float:
         """-2 ln L without any further change."""
@@ -122,13 +126,14 @@ class Scan:
         """The same of the places from `first` on."""
         changes = self._changes(first, _CHUNK)
         out, now = None, self.deviance()
-        score, power = changes @ self._left, np.sum(changes**2, axis=2) + 1e-30
+        score = np.einsum("r,rkp->kp", self._left, changes)
+        power = np.einsum("rkp,rkp->kp", changes, changes) + 1e-30
         for kind, at in ((ChangeKind.FRICTION, 1), (ChangeKind.PERIOD, 3)):
             gains = score[at] ** 2 / power[at]
             place = int(np.argmax(gains))
             size, u = -score[at, place] / power[at, place], power[at, place] ** -0.5
             out = _better(out, Best(kind, first + place, size, u, now - float(gains[place])))
-        cross = np.sum(changes[0] * changes[2], axis=1)
+        cross = np.einsum("rp,rp->p", changes[:, 0], changes[:, 2])
         det = power[0] * power[2] - cross**2
         both = score[0] ** 2 * power[2] + score[2] ** 2 * power[0] - 2 * score[0] * score[2] * cross
         gains = np.where(det > 1e-9 * power[0] * power[2], both / np.maximum(det, 1e-300), 0.0)
@@ -142,7 +147,7 @@ class Scan:
     def take(self, best: Best) -> None:
         """What is left once a change is allowed for."""
         kinds = {ChangeKind.FRICTION: [1], ChangeKind.PERIOD: [3], ChangeKind.KNOCK: [0, 2]}[best.kind]
-        own, _ = np.linalg.qr(self._changes(best.place, 1)[kinds, 0].T)
+        own, _ = np.linalg.qr(self._changes(best.place, 1)[:, kinds, 0])
         self._left = self._left - own @ (own.T @ self._left)
         # orthogonal to those before, so that both are taken off together
         self._directions = np.column_stack([self._directions, own])
