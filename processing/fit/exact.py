@@ -78,13 +78,17 @@ def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Settl
             )
         except DataError:
             return None
+        stays = np.array_equal(solution.values, columns)
         moved = np.abs(solution.values - columns) / np.sqrt(np.diag(solution.covariance))
         columns = solution.values
         same = noise is not None and abs(likeliest.noise.step - noise.step) <= 0.01 * noise.step
         if same and np.all(moved[np.isfinite(moved)] < _SETTLED):
             break
         noise = likeliest.noise
-    final = solve(here, columns, lower=model.lower, upper=model.upper, loss=loss)
+    # where no step was possible none would be found for a finer tolerance either
+    final = solution
+    if not stays:
+        final = solve(here, columns, lower=model.lower, upper=model.upper, loss=loss)
     return _Settled(here, final, likeliest) if final.converged else None
 
 
@@ -233,8 +237,9 @@ def fit_exact_with(
             for _ in range(3):
                 here = model.on_ground(columns, noise, scale).about(columns)
                 solution = solve(here, columns, lower=model.lower, upper=model.upper, loss=like.loss)
+                stays = np.array_equal(solution.values, columns)
                 columns = solution.values
-                if noise.at_rest and like.evidence == NO_EVIDENCE:
+                if stays or (noise.at_rest and like.evidence == NO_EVIDENCE):
                     break
         except DataError:
             continue
