@@ -258,10 +258,16 @@ class SafetyState:
             raise DeviceError(f"{path}: the rig's state cannot be held: {error.strerror or error}") from None
         try:
             fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             by = held.read(200).decode(errors="replace").partition("\n")[0] or "another program"
             held.close()
             raise DeviceError(f"the rig's devices are in use by {by}: end it first") from None
+        except OSError as error:
+            held.close()
+            raise DeviceError(
+                f"{path.with_suffix('.lock')}: cannot be locked: {error.strerror or error}; another program "
+                "could light the laser: let XDG_STATE_HOME name a folder on a local disk"
+            ) from None
         self.read()
         with suppress(DeviceError):
             # from now on a file that is missing was there

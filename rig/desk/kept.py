@@ -216,16 +216,19 @@ class Kept:
 
 
 def _locked(held: IO[str]) -> str | None:
-    """Lock the file; what stands in it, and closes it, where another program has."""
+    """Lock the file; what stands in it, and closes it, where another program has. None, too, where the disk
+    knows no locks."""
     if fcntl is None:
         return None
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    except BlockingIOError:
         held.seek(0)
         said = held.read().strip()
         held.close()
         return said
+    except OSError:
+        return None
     return None
 
 

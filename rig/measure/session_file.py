@@ -216,10 +216,16 @@ class SessionFile:
             raise ConfigurationError(f"{path}: cannot be opened: {error.strerror or error}") from None
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             lock.close()
             raise ConfigurationError(
                 f"{self.folder}: its session is still running; stop it first, or name another folder"
+            ) from None
+        except OSError as error:
+            lock.close()
+            raise ConfigurationError(
+                f"{path}: cannot be locked: {error.strerror or error}; another program could write the same "
+                "session: name a folder on another disk"
             ) from None
         self._lock = lock
 

@@ -8,6 +8,7 @@ import pytest
 
 from processing.errors import DeviceError
 from rig.control import ControllerSettings, LaserSettings, SafetyState, TripCause, rig_state_path
+from tests.disk_without_locks import NO_LOCKS, without_locks
 
 
 @pytest.fixture
@@ -144,3 +145,11 @@ def test_what_is_written_is_what_is_read(path: Path) -> None:
         assert state.left_lit
         assert state.end_of_log(Path("audit.jsonl")) == (3, "digest")
         assert state.end_of_log(Path("another")) is None
+
+
+def test_a_disk_without_locks_is_not_called_another_program(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_locks(monkeypatch)
+    with pytest.raises(DeviceError, match=rf"rig\.lock: cannot be locked: {NO_LOCKS}; .*XDG_STATE_HOME"):
+        SafetyState(path).__enter__()

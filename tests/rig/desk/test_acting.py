@@ -11,6 +11,7 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 from processing.errors import ConfigurationError
 from rig.desk.acting import ANSWER_S, KEPT_S, Acting
 from rig.desk.kept import Kept
+from tests.disk_without_locks import without_locks
 
 
 class Clock:
@@ -161,3 +162,17 @@ def test_two_desks_of_one_configuration_in_a_process(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="already has an open desk"):
         Kept(tmp_path / "rig.toml").hold(tmp_path)
     kept.close()
+
+
+def test_a_disk_without_locks_is_not_called_another_desk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_locks(monkeypatch)
+    kept = Kept(tmp_path / "rig.toml")
+    kept.hold(tmp_path)
+    kept.note_acting("tab")
+    kept.close()
+    again = Kept(tmp_path / "rig.toml")
+    again.hold(tmp_path)
+    assert again.acting == "tab"
+    again.close()

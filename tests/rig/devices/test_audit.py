@@ -16,6 +16,7 @@ from rig.devices import Audited, Devices
 from rig.devices.audit import AUDIT_NAME, AuditLog, check_log
 from rig.measure.session_orders import await_leave
 from rig.settings import Configuration, load_configuration
+from tests.disk_without_locks import without_locks
 from tests.rig.command_line import CONFIGS
 from tests.rig.control.test_service import until
 
@@ -176,3 +177,11 @@ def test_lines_of_before_there_was_a_chain_stand_at_its_beginning(tmp_path: Path
     with (tmp_path / AUDIT_NAME).open("a") as file:
         file.write('{"what": "laser switched on"}\n')
     assert check_log(tmp_path, state)
+
+
+def test_a_disk_without_locks_keeps_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    without_locks(monkeypatch)
+    log = AuditLog(tmp_path, "Ada", "test", SafetyState())
+    log.append(Audited.DARK, "asked for")
+    log.wait()
+    assert [line["what"] for line in lines_of(tmp_path)] == ["dark"]

@@ -11,6 +11,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from rig.measure.session_file import RunState, SessionFile
+from tests.disk_without_locks import NO_LOCKS, without_locks
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 
 
@@ -127,3 +128,12 @@ def test_a_clock_that_was_set_back_ends_no_run_before_it_began(
         later.note(2, "run-2.mcap", RunState.INTERRUPTED)
     for entry in later.state.entries:
         assert entry.begun_utc <= entry.ended_utc
+
+
+def test_a_disk_without_locks_is_not_called_a_running_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_locks(monkeypatch)
+    said = rf"\.session\.lock: cannot be locked: {NO_LOCKS}; .*another disk"
+    with pytest.raises(ConfigurationError, match=said):
+        SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, {})
