@@ -5,3 +5,4 @@ from rig.scripting.fits import curves, fit, fit_film, fit_table
 from rig.scripting.joint import campaign
 from rig.scripting.record import Record, open_record
 from rig.scripting.session import Session, figures, open_session
+from rig.scripting.stored import read_results, write_results

@@ -22,7 +22,7 @@ from rig.analysis import (
     model_curves,
     session_results,
 )
-from rig.scripting.given import overrides_of, path_of, refuse_twice, several
+from rig.scripting.given import columns_of, overrides_of, path_of, refuse_twice, several, text_of
 from rig.scripting.record import Record
 from rig.scripting.session import Session
 from rig.settings import load_configuration
@@ -94,6 +94,10 @@ def curves(
     RigError
         The run was not fitted, or not with this law.
     """
+    if not isinstance(run, RunResults):
+        raise ConfigurationError(
+            f"run: a run of results is needed (results.runs[0]), not a {type(run).__name__}"
+        )
     stated = _laws(law, elastic)
     return model_curves(run, StatedLaw(law, elastic) if stated and law is not None else None)
 
@@ -130,9 +134,13 @@ def fit_film(
     RigError
         No film, one that cannot be read right, or no free decay in it.
     """
-    config = None if configuration is None else load_configuration(Path(configuration), needs_camera=False)
-    asked = FilmAsked(rate_hz=rate_hz, dark=dark, size=pixel, begin_s=begin_s, end_s=end_s)
-    return analyse_trajectory(Path(path), film_trajectory(Path(path), asked), config).results
+    film = path_of(path, "path")
+    config = None
+    if configuration is not None:
+        config = load_configuration(path_of(configuration, "configuration"), needs_camera=False)
+    size = text_of(pixel, "pixel", "0.142 mm")
+    asked = FilmAsked(rate_hz=rate_hz, dark=dark, size=size, begin_s=begin_s, end_s=end_s)
+    return analyse_trajectory(film, film_trajectory(film, asked), config).results
 
 
 def _laws(law: Moment | None, elastic: Moment | None) -> tuple[Law | StatedLaw, ...]:
@@ -215,12 +223,11 @@ def fit_table(
     config = None
     if configuration is not None:
         config = load_configuration(path_of(configuration, "configuration"), needs_camera=False)
-    named = [positions] if isinstance(positions, str | int) else positions
     columns = TableColumns(
-        None if time is None else str(time),
-        tuple(map(str, named)),
-        unit or "",
-        time_unit,
+        None if time is None else columns_of(time, "time")[0],
+        columns_of(positions, "positions"),
+        text_of(unit, "unit", "arcsec"),
+        text_of(time_unit, "time_unit", "ms"),
         run=run,
     )
     return analyse_table(table, config, columns, ground, _laws(law, elastic)).results

@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,23 @@ def path_of(value: object, what: str) -> Path:
     if isinstance(value, str | os.PathLike):
         return Path(value)
     raise ConfigurationError(f"{what}: a path is needed, not {_named(value)}; {_SAVED}")
+
+
+def text_of(value: object, what: str, such_as: str) -> str:
+    """A text, empty for None. Raises ConfigurationError for anything else."""
+    if value is None or isinstance(value, str):
+        return value or ""
+    raise ConfigurationError(f"{what}: a text such as {such_as!r} is needed, not {_named(value)}")
+
+
+def columns_of(value: Any, what: str) -> tuple[str, ...]:
+    """Columns by name or number, one or several; raises ConfigurationError for what is neither."""
+    found = list(value) if isinstance(value, Iterable) and not isinstance(value, str) else [value]
+    if wrong := [one for one in found if isinstance(one, bool) or not isinstance(one, str | Integral)]:
+        raise ConfigurationError(
+            f"{what}: names of columns, or numbers from 1, are needed, not {_named(wrong[0])}"
+        )
+    return tuple(map(str, found))
 
 
 def several(value: Any, single: tuple[type, ...], what: str) -> list[Any]:

@@ -43,8 +43,9 @@ def campaign(
         one.folder if isinstance(one, Session) else path_of(one, "sessions")
         for one in several(sessions, (Session,), "sessions")
     ]
-    known = StatedCampaign() if stated is None else read_campaign(Path(stated))
+    folder = None if output is None else path_of(output, "output")
+    known = StatedCampaign() if stated is None else read_campaign(path_of(stated, "stated"))
     found = answer_of(runs_of_folders(folders), known, sample=sample)
-    if output is not None:
-        save_campaign(found, Path(output))
+    if folder is not None:
+        save_campaign(found, folder)
     return found

@@ -12,6 +12,7 @@ from acquisition.frame import Frame
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SWING, RecordedWindow
 from processing.deflections import Deflections, DeflectionUnit
+from rig.scripting.given import path_of
 
 
 @dataclass(frozen=True)
@@ -92,5 +93,5 @@ def open_record(path: str | Path) -> Record:
     RigError
         The file does not exist, or is not a record of this program.
     """
-    with RecordReader(Path(path)) as reader:
+    with RecordReader(path_of(path, "path")) as reader:
         return Record(reader.path, reader.deflection_unit, reader.metadata, reader.truncated)

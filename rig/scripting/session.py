@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.analysis import SessionResults, read_results
+from rig.scripting.given import path_of
 from rig.scripting.record import Record, open_record
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def figures(source: str | Path, run: int = 1) -> "Mapping[str, Figure]":
         There are no results or no such run, or a record is missing.
     """
     with styled():
-        return {drawing.name: drawing.figure for drawing in draw_run(Path(source), run)}
+        return {drawing.name: drawing.figure for drawing in draw_run(path_of(source, "source"), run)}
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,6 @@ def open_session(folder: str | Path) -> Session:
     RigError
         There are no results (`rig.fit` makes them), or a record is missing.
     """
-    folder = Path(folder)
+    folder = path_of(folder, "folder")
     results = read_results(folder)
     return Session(folder, results, tuple(open_record(folder / run.record) for run in results.runs))

@@ -69,7 +69,14 @@ def test_columns_are_named_as_a_text_or_a_number_and_tables_by_their_file(tmp_pa
     np.savetxt(tmp_path / "decay.csv", table, delimiter=",", header="time_s,x", comments="")
     periods = {
         rig.fit_table(tmp_path / "decay.csv", "mm", time=time, positions=positions).period_s
-        for time, positions in ((None, ()), ("time_s", "x"), (1, 2), (1, [2]), ("1", ["2"]))
+        for time, positions in (
+            (None, ()),
+            ("time_s", "x"),
+            (1, 2),
+            (1, [2]),
+            ("1", ["2"]),
+            (np.int64(1), np.int32(2)),
+        )
     }
     assert len(periods) == 1
     for given in (table, Frame()):
@@ -89,3 +96,41 @@ def test_results_are_read_and_written_by_a_text_too(tmp_path: Path) -> None:
         rig.write_results(str(tmp_path / "results.json"), found)
     with pytest.raises(rig.RigError, match="sessions: is empty"):
         rig.campaign([])
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: rig.open_record(3), "path: a path is needed, not a int"),  # type: ignore[arg-type]
+        (lambda: rig.open_session(np.ones(2)), "folder: a path is needed"),  # type: ignore[arg-type]
+        (lambda: rig.figures(None), "source: a path is needed, not None"),  # type: ignore[arg-type]
+        (lambda: rig.read_results(None), "source: a path is needed, not None"),  # type: ignore[arg-type]
+        (lambda: rig.fit_film(np.zeros((3, 4, 5))), "path: a path is needed"),  # type: ignore[arg-type]
+        (
+            lambda: rig.fit_film("film", pixel=0.142),
+            "pixel: a text such as '0.142 mm' is needed",
+        ),  # type: ignore[arg-type]
+        (lambda: rig.fit_film("film", configuration={}), "configuration: a path"),  # type: ignore[arg-type]
+        (lambda: rig.campaign(["x"], {"parameters": ["b"]}), "stated: a path is needed"),  # type: ignore[arg-type]
+        (lambda: rig.campaign(["x"], output=3), "output: a path is needed"),  # type: ignore[arg-type]
+        (lambda: rig.fit_table("x.csv", 5), "unit: a text such as 'arcsec' is needed, not a int"),  # type: ignore[arg-type]
+        (lambda: rig.fit_table("x.csv", "mm", time_unit=1), "time_unit: a text such as 'ms'"),  # type: ignore[arg-type]
+        (lambda: rig.fit_table("x.csv", "mm", positions=2.0), "positions: names of columns, or numbers"),  # type: ignore[arg-type]
+        (lambda: rig.fit_table("x.csv", "mm", positions=None), "positions: .* not None"),  # type: ignore[arg-type]
+        (lambda: rig.fit_table("x.csv", "mm", time=True), "time: names of columns, or numbers from 1"),
+        (lambda: rig.curves(rig.read_results(OLDER / "first")), r"results.runs\[0\]\), not a SessionResults"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_cannot_be_meant_is_refused_in_a_line(call: Any, said: str) -> None:
+    with pytest.raises(rig.RigError, match=said) as found:
+        call()
+    assert "\n" not in str(found.value)
+
+
+def test_what_is_no_results_is_not_written_as_such(tmp_path: Path) -> None:
+    """A file of it was written, which nothing could read again."""
+    path = tmp_path / "results.json"
+    for given in (rig.read_results(OLDER / "first").runs[0], {"a": 1}, None):
+        with pytest.raises(rig.RigError, match=r"results: what rig\.fit or rig\.fit_table returned"):
+            rig.write_results(path, given)  # type: ignore[arg-type]
+    assert not path.exists()
