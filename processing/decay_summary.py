@@ -15,6 +15,8 @@ _NOT_CONSTANT = 4.0
 """chi2/dof of a constant value above which the scatter does not describe what is left of it."""
 _AGREE = 2.0
 """Standard uncertainties of their difference within which both ends agree."""
+_TOLD = 2.0
+"""Standard uncertainties from which on a decrement is told from nought: one over it has a value."""
 _PART = 3
 """The change is that from the first to the last third of the half-cycles."""
 
@@ -63,10 +65,17 @@ class DecaySummary:
     decrement: DecayMean
 
     @property
+    def grows(self) -> bool:
+        """Whether the amplitude rises: no decay, or one that runs backwards."""
+        return self.decrement.value < -_TOLD * self.decrement.u
+
+    @property
     def quality_factor(self) -> Estimate | None:
-        """pi over the decrement; None where that changes, and of a decay that is faster than a swing."""
+        """pi over the decrement; None where that changes, is not told from nought, or is below it, and of a
+        decay that is faster than a swing.
+        """
         found = self.decrement
-        if found.changes or found.value > np.pi:
+        if found.changes or found.value > np.pi or not found.value > _TOLD * found.u:
             return None
         return Estimate(np.pi / found.value, np.pi / found.value * found.u / found.value)
 

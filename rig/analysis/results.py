@@ -53,10 +53,10 @@ class RunResults:
     `surroundings` are the air and the history of the contact; `conditions` judges them together with light,
     losses and what else the record shows. `witness` is the result of a witness of the ground, if there was
     one. What follows from a fit (`pendulum` to `notes`) is empty without one. `period_s` and `log_decrement`
-    are means over the decay, whether or not a law is fitted. A decrement that changes, and a decay faster
-    than a swing, have no `quality_factor`. `damping` describes how the damping depends on the amplitude; None
-    for fewer than twelve half-cycles, and for amplitudes that do not fall. `sealed` contains everything,
-    encrypted, for a run in a blind folder; its results state nothing else.
+    are means over the decay, whether or not a law is fitted. A decrement that changes or is not told from
+    nought, and a decay faster than a swing, have no `quality_factor`. `damping` describes how the damping
+    depends on the amplitude; None for fewer than twelve half-cycles, and for amplitudes that do not fall.
+    `sealed` contains everything, encrypted, for a run in a blind folder; its results state nothing else.
     """
 
     record: str

@@ -219,7 +219,7 @@ def _analyse(
                 *run.warnings,
                 *filter(None, [direction_warning(trajectory.positions, inside)]),
                 *filter(None, [oscillation]),
-                *_changes(summary),
+                *_changes(summary, scale),
             ),
         }
     )
@@ -240,9 +240,15 @@ def _analyse(
     return FoundDecay(swings, summary, results)
 
 
-def _changes(summary: DecaySummary) -> list[str]:
+def _changes(summary: DecaySummary, scale: float) -> list[str]:
     """What a mean does not describe."""
     said = []
+    if summary.grows:
+        said.append(
+            f"the amplitude grows, {summary.initial_amplitude / scale:.4g} to "
+            f"{summary.final_amplitude / scale:.4g}: this is no free decay; is time reversed, or does "
+            "something drive the pendulum?"
+        )
     for name, mean, unit in (
         ("period", summary.period_s, " s"),
         ("logarithmic decrement", summary.decrement, ""),

@@ -41,3 +41,18 @@ def test_ends_that_disagree_are_a_change(scatter: float) -> None:
     assert found.decrement.changes
     assert found.quality_factor is None
     assert found.decrement.u > 0.1 * 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_decrement_that_is_not_told_from_nought_has_no_quality_factor(seed: int) -> None:
+    """It came out as -1.8 million with an uncertainty of 1.7 million."""
+    found = summarise_decay(decay(0.0, 0.0, 1.0, seed))
+    assert found.quality_factor is None
+    assert not found.grows
+
+
+def test_an_amplitude_that_grows_is_no_decay() -> None:
+    found = summarise_decay(decay(-0.05, 0.0, 1.0, 1))
+    assert found.grows
+    assert found.quality_factor is None
+    assert not summarise_decay(decay(0.05, 0.0, 1.0, 1)).grows

@@ -134,3 +134,14 @@ def test_what_is_no_results_is_not_written_as_such(tmp_path: Path) -> None:
         with pytest.raises(rig.RigError, match=r"results: what rig\.fit or rig\.fit_table returned"):
             rig.write_results(path, given)  # type: ignore[arg-type]
     assert not path.exists()
+
+
+def test_a_table_that_runs_backwards_is_said_to_be_no_decay(tmp_path: Path) -> None:
+    time_s = 0.05 * np.arange(1200)
+    swing = 10.0 * np.exp(0.01 * time_s) * np.cos(2.5 * time_s)
+    swing += 0.01 * np.random.default_rng(2).standard_normal(len(swing))
+    table = np.column_stack([time_s, swing])
+    np.savetxt(tmp_path / "back.csv", table, delimiter=",", header="time_s,x_mm", comments="")
+    found = rig.fit_table(tmp_path / "back.csv", "mm")
+    assert found.quality_factor is None
+    assert any("is no free decay; is time reversed" in warning for warning in found.warnings)
