@@ -41,7 +41,11 @@ class Drafts:
     async def connected(self) -> None:
         """Ask the browser what it has kept."""
         with self._client:
-            kept = await ui.run_javascript("window.rigKept()", timeout=5.0)
+            try:
+                kept = await ui.run_javascript("window.rigKept()", timeout=_ANSWERS_S)
+            except TimeoutError:
+                # a browser that is busy, or gone again, keeps what it has until it connects the next time
+                return
             if not isinstance(kept, dict):
                 return
             tab = self._tab
@@ -88,6 +92,7 @@ def _key_of(element: Element) -> str:
 
 
 _SAY_S = 0.5
+_ANSWERS_S = 5.0
 KEEPING = """
 (() => {
   const place = 'rigDrafts';

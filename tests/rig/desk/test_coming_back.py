@@ -95,3 +95,24 @@ def test_a_second_desk_of_a_configuration_is_refused_and_says_where_the_first_is
     # the refused one has left nothing behind
     for free in (other, config):
         DeskProcess(free).end()
+
+
+def test_a_browser_that_does_not_say_what_it_keeps_costs_no_traceback(
+    desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
+) -> None:
+    desk = DeskProcess(desk_configuration(""))
+    try:
+        with browser.another() as tab:
+            page = Page(tab)
+            never = "Object.defineProperty(window, 'rigKept', {value: () => new Promise(() => {})})"
+            tab.call("Page.enable")
+            tab.call("Page.addScriptToEvaluateOnNewDocument", source=never)
+            page.open(desk.address)
+            assert page.ask("Promise.race([window.rigKept(), 0])") == 0
+            page.wait("performance.now() > 8000")
+            # the desk goes on
+            page.key("4")
+            page.fill("session.notes", "heard")
+        assert [line for line in desk.said() if "Traceback" in line or "Error" in line] == []
+    finally:
+        desk.kill()
