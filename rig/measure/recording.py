@@ -9,7 +9,7 @@ import numpy as np
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import ClockAnchor, RecordedNote
-from processing.errors import DeviceError
+from processing.errors import DeviceError, in_one_line
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
 from rig.devices import ClockRate
@@ -79,6 +79,10 @@ class Recording:
             text = f"{type(error).__name__}: {error}"
             kinds = (EventKind.FAILED, EventKind.STOP)
             self._recorder.put(Entry(events=[Event(counts.last_ns, kind, text) for kind in kinds]))
+            # before devices are closed, which may take seconds
+            self._status.tell_events(
+                counts.start_ns, [Event(counts.last_ns, EventKind.FAILED, in_one_line(error))]
+            )
             raise
 
     def _made(self, begun: list[Frame], events: list[Event], counts: FrameCounts) -> str:
@@ -123,6 +127,7 @@ class Recording:
                     self._recorder.put(Entry(events=new, notes=notes))
                     status.tell_events(counts.start_ns, [*new, *(note.event for note in notes)])
                 self._publish(Phase.MEASURING, counts, [], math.nan)
+                self._raise_if_unwritable()
                 self._end_in_darkness()
                 continue
             frames = counts.numbered(taken)
@@ -167,8 +172,7 @@ class Recording:
                 published_ns = taken_ns
                 self._publish(Phase.MEASURING, counts, shown.swings, age_s)
             status.tell(counts.start_ns, frames, shown, [*new, *(note.event for note in notes)])
-            if self._recorder.error is not None:
-                raise self._recorder.error
+            self._raise_if_unwritable()
             self._end_in_darkness()
             if self._judge is not None:
                 rejected = self._judge.rejection(shown.swings, block.balances, counts.elapsed_s)
@@ -231,6 +235,10 @@ class Recording:
             at_ns = min(max(at_ns, counts.start_ns), counts.last_ns)
             found.append(RecordedNote(at_ns, host_time_ns, author, text))
         return found
+
+    def _raise_if_unwritable(self) -> None:
+        if self._recorder.error is not None:
+            raise self._recorder.error
 
     def _end_in_darkness(self) -> None:
         """End the run if the laser is dark, unless the run is to wait for its light."""

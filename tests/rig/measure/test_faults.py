@@ -90,6 +90,7 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
             str(CONFIGS / "demo.toml"),
             "-o",
             str(folder),
+            "--json",
             *set_words(SMALL),
         ],
         capture_output=True,
@@ -100,6 +101,9 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
     )
     assert done.returncode == 1
     assert "cannot be written" in done.stderr
+    # whoever watches is told at once: devices are closed and the run is fitted before it has ended
+    told = [line for line in map(json.loads, done.stdout.splitlines()) if line.get("event") == "failed"]
+    assert ["cannot be written" in line["text"] for line in told] == [True]
     with RecordReader(folder / "run-1.mcap") as reader:
         assert not reader.truncated
         assert len(reader.spots()) > 1000
