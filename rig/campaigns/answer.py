@@ -7,6 +7,7 @@ import numpy as np
 
 from processing.angle import ARCSEC_RAD
 from processing.campaign import (
+    ORDER,
     POSITIVE,
     CampaignPosterior,
     CompressedRun,
@@ -133,7 +134,7 @@ def answer_of(
         predictive_p=predictive_check(posterior, seed=stated.seed),
         sampler=None if sampled is None else _findings(sampled),
         left_out=tuple(left_out),
-        warnings=_warnings(posterior, alone, sampled),
+        warnings=(*_unknown(stated, runs), *_warnings(posterior, alone, sampled)),
         simulated=any(bool(one.run.simulated) for one, _ in entered),
         stated=stated.model_dump(mode="json", exclude_defaults=True),
     )
@@ -217,6 +218,20 @@ def _findings(sampled: Sampled) -> SamplerFindings:
         fewest_draws=min(sampled.effective.values()),
         settled=sampled.settled,
     )
+
+
+def _unknown(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> list[str]:
+    """Covariates that some runs lack: an answer that rests on a guess says so."""
+    said = []
+    for covariate in sorted(stated.covariates - {"", ORDER}):
+        without = [run.label for run in runs if covariate not in run.covariates]
+        if without:
+            listed = f"{', '.join(without[:3])}{' ...' if len(without) > 3 else ''}"
+            said.append(
+                f"{covariate} is not known of {len(without)} of {len(runs)} runs ({listed}): it is taken "
+                "to be as in the others, by their mean and scatter"
+            )
+    return said
 
 
 def _warnings(found: CampaignPosterior, alone: CampaignPosterior, sampled: Sampled | None) -> tuple[str, ...]:

@@ -46,8 +46,8 @@ def contacts_table(results: CampaignResults) -> Table:
         rows,
         ("contact", "", "value", "95 %", "without priors"),
         shown,
-        f"{len(results.runs)} runs. Median and half of the 68 % band, at the reference of all effects; "
-        "includes the inputs that runs share, counted once.",
+        f"{len(results.runs)} run{'' if len(results.runs) == 1 else 's'}. Median and half of the 68 % band, "
+        "at the reference of all effects; includes the inputs that runs share, counted once.",
     )
 
 

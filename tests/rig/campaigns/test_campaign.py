@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -178,6 +179,22 @@ def test_growth_within_runs_that_is_not_known_is_said(tmp_path: Path) -> None:
     growing = {"parameters": ["b", "p", "c"], "effect": [{"parameter": "friction", "form": "during"}]}
     found = answer_of(runs_of_folders(folders), StatedCampaign.model_validate(growing))
     assert "rig fit --set fit.u_ageing=0.01" in " ".join(found.results.warnings)
+
+
+def test_what_some_runs_were_measured_under_is_not_known_is_said(tmp_path: Path) -> None:
+    """Half of the humidities were guessed without a word."""
+    rng = np.random.default_rng(5)
+    runs = [run(number, GLASS, rng, humidity_percent=30.0 + 5 * number) for number in range(1, 7)]
+    runs[3:] = [replace(one, surroundings=None) for one in runs[3:]]
+    folder = session(tmp_path / "monday", runs)
+    path = tmp_path / "campaign.toml"
+    path.write_text(STATED)
+    found = answer_of(runs_of_folders([folder]), read_campaign(path)).results
+    (said,) = [warning for warning in found.warnings if "humidity" in warning]
+    assert said.startswith("humidity_percent is not known of 3 of 6 runs (monday/run-4, monday/run-5, ")
+    path.write_text('parameters = ["c"]')
+    found = answer_of(runs_of_folders([folder]), read_campaign(path)).results
+    assert not any("humidity" in warning for warning in found.warnings)
 
 
 def test_a_run_counts_once(tmp_path: Path) -> None:
