@@ -180,7 +180,10 @@ class _Adding:
         """A line that counts."""
         again = self.runs - len(self._added_runs)
         twice = f", {again} of them in more than one session and listed once" if again else ""
-        return f"{self.added} sessions added ({self.runs} runs{twice}), {self.known} known already"
+        sessions = f"{self.added} session{'' if self.added == 1 else 's'} added"
+        return (
+            f"{sessions} ({self.runs} run{'' if self.runs == 1 else 's'}{twice}), {self.known} known already"
+        )
 
     def _say(self, folder: str, place: _Place) -> None:
         from rig.archive.session_rows import now_utc

@@ -98,7 +98,7 @@ def test_only_what_is_new_is_added_and_a_run_is_listed_once(sessions: Path, tmp_
     changed = json.loads((series / "results.json").read_text())
     changed["runs"][0]["fits"]["exact"]["c"]["value"] = 0.5
     (series / "results-2.json").write_text(json.dumps(changed))
-    assert add_sessions(archive, [series]) == "1 sessions added (2 runs), 0 known already"
+    assert add_sessions(archive, [series]) == "1 session added (2 runs), 0 known already"
     assert rows(archive, "b > 0", "c, results") == [{"c": 0.5, "results": "results-2.json"}]
     # a record that goes on has another hash: its earlier version is not listed beside it
     with (series / "run-2.mcap").open("ab") as file:
@@ -116,7 +116,7 @@ def test_what_looks_as_it_was_is_read_only_when_asked(sessions: Path, tmp_path: 
     record.write_bytes(data)
     os.utime(record, ns=(found.st_atime_ns, found.st_mtime_ns))
     assert add_sessions(archive, [sessions]) == "0 sessions added (0 runs), 2 known already"
-    assert add_sessions(archive, [sessions], read=True) == "1 sessions added (2 runs), 1 known already"
+    assert add_sessions(archive, [sessions], read=True) == "1 session added (2 runs), 1 known already"
     assert rows(archive, "state = 'damaged'", "run") == [{"run": "run-1"}]
     # another time alone is no new version
     os.utime(record)

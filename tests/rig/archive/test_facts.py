@@ -65,7 +65,7 @@ def test_results_that_are_withdrawn_are_no_longer_listed(series: Path, archive: 
         (0.5, "results-2.json")
     ]
     wrong.unlink()
-    assert add() == "1 sessions added (2 runs), 0 known already"
+    assert add() == "1 session added (2 runs), 0 known already"
     assert listed(archive) == before
     assert add() == "0 sessions added (0 runs), 1 known already"
     assert listed(archive) == before
@@ -194,7 +194,7 @@ def test_a_pipe_among_the_records_does_not_hang(
     series: Path, archive: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     os.mkfifo(series / "run-3.mcap")
-    assert add_sessions(archive, [series]) == "1 sessions added (2 runs), 0 known already"
+    assert add_sessions(archive, [series]) == "1 session added (2 runs), 0 known already"
     assert "run-3.mcap: is not a file but a pipe" in capsys.readouterr().err
 
 

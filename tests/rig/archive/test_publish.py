@@ -59,7 +59,7 @@ def test_a_crate_is_described_proved_and_read_again(archive: Path, tmp_path: Pat
     assert "session-1-series/inputs/calibration/lever.toml" in files
     # of the two runs only the whole one is there, in the results, too
     again = tmp_path / "again"
-    assert rig("archive", "add", crate, "--archive", again).stdout.startswith("1 sessions added (1 runs)")
+    assert rig("archive", "add", crate, "--archive", again).stdout.startswith("1 session added (1 run)")
     columns = ("--columns", "sha256, b, state", "--format", "json")
     listed = [
         json.loads(rig("archive", "list", "b > 0", *columns, "--archive", place).stdout)

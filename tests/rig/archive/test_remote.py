@@ -58,9 +58,9 @@ def test_two_computers_use_one_archive(
 
     shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
     shutil.copytree(OLDER / "uncalibrated", tmp_path / "more" / "uncalibrated")
-    assert on("one", "add", tmp_path / "runs").startswith("1 sessions added (2 runs)")
+    assert on("one", "add", tmp_path / "runs").startswith("1 session added (2 runs)")
     assert on("two", "add", tmp_path / "runs", tmp_path / "more").startswith(
-        "1 sessions added (1 runs), 1 known"
+        "1 session added (1 run), 1 known"
     )
     on("two", "tag", "good", "--where", "b > 0")
     listed = on("one", "list", "--columns", "sha256, b, tags", "--format", "json")

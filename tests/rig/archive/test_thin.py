@@ -118,7 +118,7 @@ def test_a_thinned_record_is_read_by_every_command(archive: Path, record: Path, 
     said = ("--title", "Thin", "--author", "Ada Example")
     published = rig("archive", "publish", "--where", "b > 0", "-o", crate, *said, "--archive", archive)
     assert published.returncode == 0, published.stderr
-    assert rig("archive", "add", crate, "--archive", tmp_path / "other").stdout.startswith("1 sessions added")
+    assert rig("archive", "add", crate, "--archive", tmp_path / "other").stdout.startswith("1 session added")
     assert rows(tmp_path / "other")[0][0] == measured_sha256_of(record)
     # changed by a bit, or made of one that was damaged, it is no longer that measurement
     data = bytearray(record.read_bytes())
