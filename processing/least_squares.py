@@ -7,7 +7,7 @@ against the certified ones of NIST's Statistical Reference Datasets.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,6 +24,8 @@ _ROUND = 60
 _FLAT = 0.01
 """The search ends if a round reduces the cost by less than this, in units of chi2/2 per residual; the
 remaining distance to the minimum is a small fraction of a standard uncertainty."""
+_STUCK = 0.5
+"""It has found no minimum where one step on its derivatives would still take away this part of the cost."""
 _LOSS_SCALE = 1.5
 """Standard uncertainties above about which a robust loss reduces the influence of a residual."""
 _SINGULAR = 1e-13
@@ -128,6 +130,9 @@ def solve(
             raise DataError(f"a fit cannot begin there: {error}") from None
         left -= int(result.nfev)
         values, message = np.asarray(result.x, dtype=np.float64), str(result.message)
+        if result.status > 0 and _is_stuck(result):
+            message = "no further step was possible: the model has no value beyond"
+            break
         if result.status > 0:
             converged = True
         elif cost - float(result.cost) < _FLAT * float(result.cost) / len(result.fun):
@@ -143,6 +148,22 @@ def solve(
         converged=converged,
         message=message,
     )
+
+
+def _is_stuck(result: Any) -> bool:
+    """Whether the search has ended before a wall beyond which the model has no value, at no minimum."""
+    free = result.active_mask == 0
+    count = int(np.count_nonzero(free))
+    if not count or result.cost <= max(len(result.fun) - count, 1):
+        return False
+    jacobian, slope = result.jac[:, free], result.grad[free]
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0.0] = 1.0
+    _, singular, directions = np.linalg.svd(jacobian / size, full_matrices=False)
+    steep = singular > _SINGULAR * singular[0]
+    along = directions[steep] @ (slope / size) / singular[steep]
+    # half of the square is what the cost would fall by, if the model were linear
+    return bool(0.5 * along @ along > _STUCK * result.cost)
 
 
 def covariance_of(jacobian: Floats, residuals: Floats | None = None, loss: Loss = "linear") -> Floats:

@@ -8,7 +8,7 @@ from processing.contact.parameters import ContactParameters
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.exact import fit_exact
 from processing.swing import TurningPoints
-from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair, truth, without
+from tests.processing.fit.decays import ARCSEC, PAIRS, decay, first_of, paper_pair, truth, without
 
 # What Eqs. 5 and 6 are known to return on noise-free turning points of the exact equation, in per
 # cent of b, c and gamma.
@@ -260,3 +260,16 @@ def test_drag_appears_in_the_result() -> None:
         assert result.has_drag
         assert DRAG.key in result.estimates()
         assert result.parameters.drag_s == pytest.approx(1e-3, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("seed", "drag_s", "noise_arcsec", "first_arcsec", "count"),
+    [(35, 1e-4, 2.6e-4, 283.0, 11), (62, 5e-4, 1e-3, 243.0, 11), (65, 1e-4, 3.44e-4, 137.0, 10)],
+)
+def test_a_short_decay_with_drag_is_not_given_up_at_the_limit_of_p(
+    seed: int, drag_s: float, noise_arcsec: float, first_arcsec: float, count: int
+) -> None:
+    """The first start ends before the wall of p, with a chi2/dof of hundreds; the next ones do not."""
+    parameters, pendulum = paper_pair("steel", drag_s)
+    points = decay(parameters, pendulum, noise_arcsec=noise_arcsec, seed=seed, first_arcsec=first_arcsec)
+    assert fit_exact(first_of(points, count), pendulum, drag=True).chi2_per_dof < 3.0
