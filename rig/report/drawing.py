@@ -1,8 +1,9 @@
 """How figures look, and how they become SVG and PNG: matplotlib without pyplot, no state kept."""
 
+import contextlib
 import io
-from collections.abc import Mapping
-from contextlib import AbstractContextManager
+import threading
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, cast
 
@@ -78,9 +79,17 @@ class ReportFigure:
     figure: Figure
 
 
-def styled() -> AbstractContextManager[None]:
-    """Figures are made and saved inside this; the style ends with it."""
-    return mpl.rc_context(cast(Any, dict(STYLE)))
+_STYLING = threading.RLock()
+
+
+@contextlib.contextmanager
+def styled() -> Iterator[None]:
+    """Figures are made and saved inside this; the style ends with it, also where several threads draw.
+
+    matplotlib has one style for all threads: one that ended for the first would go on for ever for the last.
+    """
+    with _STYLING, mpl.rc_context(cast(Any, dict(STYLE))):
+        yield
 
 
 def canvas(height_in: float) -> Figure:
