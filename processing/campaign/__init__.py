@@ -11,6 +11,7 @@ from processing.campaign.evidence import (
     chance,
     compare_forms,
     find_change,
+    is_limit,
     is_seen,
     within,
 )

@@ -133,6 +133,11 @@ def chance(found: CampaignPosterior, level: Level) -> float:
     return float(max(2 * min(positive, 1 - positive), 1 / found.effective))
 
 
+def is_limit(found: CampaignPosterior, level: Level) -> bool:
+    """Whether `chance` is only an upper limit: less than one draw lies on the other side of nought."""
+    return chance(found, level) <= 1 / found.effective
+
+
 def is_seen(found: CampaignPosterior, level: Level, tried: int) -> bool:
     """Whether an effect is told from nothing, of `tried` that were looked at."""
     return chance(found, level) * max(tried, 1) < SEEN

@@ -44,10 +44,11 @@ class CampaignSource:
 class CampaignEffect:
     """One effect: slope in its coordinate (of b, c and gamma the logarithm) per unit of its form.
 
-    `over_span` is what it moves over the campaign. `chance` is that of one as large where there is none,
-    `seen` whether that is below 5 % shared by all that were tried. `log_bayes_factor` is that of the form
-    against none, `probability` after it, with the choice among those that were tried charged; `margin` is
-    what would not matter, `equivalent` the probability that the effect over the span is smaller.
+    `over_span` is what it moves over the campaign. `chance` is that of one as large where there is none
+    (`chance_is_limit`: at most, because there are no more draws), `seen` whether that is below 5 % shared by
+    all that were tried. `log_bayes_factor` is that of the form against none, `probability` after it, with the
+    choice among those that were tried charged; `margin` is what would not matter, `equivalent` the
+    probability that the effect over the span is smaller.
     """
 
     label: str
@@ -61,6 +62,7 @@ class CampaignEffect:
     upper_95: float = nan
     over_span: Estimate = NOT_DETERMINED
     chance: float = nan
+    chance_is_limit: bool = False
     seen: bool = False
     log_bayes_factor: float = nan
     probability: float = nan

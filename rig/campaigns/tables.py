@@ -68,7 +68,8 @@ def effects_table(results: CampaignResults) -> Table | None:
         )  # fmt: skip
         shown.append(
             [
-                effect_words(one), with_uncertainty(*one.over_span, signed=True), plain(one.chance, 2),
+                effect_words(one), with_uncertainty(*one.over_span, signed=True),
+                f"{'< ' if one.chance_is_limit else ''}{plain(one.chance, 2)}",
                 _judged(one), plain(one.probability, 2), with_uncertainty(*one.slope_without_priors),
             ]
         )  # fmt: skip

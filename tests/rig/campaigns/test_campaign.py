@@ -13,6 +13,7 @@ from processing.errors import ConfigurationError
 from rig.analysis import read_results
 from rig.campaigns import StatedCampaign, answer_of, read_campaign, runs_of_folders
 from rig.campaigns.likelihoods import FoundRun, compressed
+from rig.campaigns.tables import effects_table
 from tests.rig.campaigns.made_sessions import (
     ENERGY_OVER_C,
     GLASS,
@@ -195,6 +196,22 @@ def test_what_some_runs_were_measured_under_is_not_known_is_said(tmp_path: Path)
     path.write_text('parameters = ["c"]')
     found = answer_of(runs_of_folders([folder]), read_campaign(path)).results
     assert not any("humidity" in warning for warning in found.warnings)
+
+
+def test_a_chance_below_that_of_one_draw_is_a_limit(tmp_path: Path) -> None:
+    """An effect of 12 u had "a chance of 0.0045": one over the draws that count, of which none lay beyond."""
+    path = tmp_path / "campaign.toml"
+    path.write_text(STATED)
+    chances = {}
+    for slope in (-0.06, 0.0):
+        folders = humid_campaign(tmp_path / str(slope), slope=slope, count=10)
+        found = answer_of(runs_of_folders(folders), read_campaign(path)).results
+        table = effects_table(found)
+        assert table is not None
+        chances[slope] = str(table.shown[0][2])
+        assert found.effects[0].chance_is_limit == (slope != 0)
+    assert chances[-0.06].startswith("< ")
+    assert not chances[0.0].startswith("<")
 
 
 def test_a_run_counts_once(tmp_path: Path) -> None:
