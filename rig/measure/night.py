@@ -2,11 +2,10 @@
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.repaired import repaired
 from processing.errors import RecordError
@@ -14,6 +13,7 @@ from rig.analysis import SessionResults, read_results, results_path
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
+from rig.measure.noted_end import end_noted
 from rig.measure.notices import announced
 from rig.measure.session import (
     Made,
@@ -38,11 +38,6 @@ from rig.settings import (
 )
 
 _SEED_STEP = 2_000_003
-_ENDS: dict[str, RunState] = {
-    EventKind.REJECTED: RunState.REJECTED,
-    EventKind.STOPPED: RunState.STOPPED,
-    EventKind.FAILED: RunState.FAILED,
-}
 
 
 def measure_plan(
@@ -284,15 +279,9 @@ def _notice_cut(record: Path) -> None:
 def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
     """Note how a record ended that has an end; make a repaired copy of one that was cut off."""
     record = file.folder / entry.record
-    if record.exists():
-        with suppress(RecordError), RecordReader(record) as reader:
-            end = end_of(reader.events())
-            if end is not None and not reader.truncated:
-                state = _ENDS.get(end.kind, RunState.COMPLETE)
-                file.note(entry.number, entry.record, state, end.text)
-                how = "whole" if state is RunState.COMPLETE else f"{state}, its run is made again"
-                say(f"{entry.record} is {how}: {end.text}")
-                return
+    if said := end_noted(file, entry):
+        say(said)
+        return
     name, reason = "", "the session was interrupted"
     if record.exists():
         try:

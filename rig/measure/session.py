@@ -21,6 +21,7 @@ from rig.channel import Channel, SessionNews, devices_now
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
+from rig.measure.noted_end import end_noted
 from rig.measure.notes import Notes
 from rig.measure.notices import Notices, announced
 from rig.measure.phases import NoGo
@@ -103,7 +104,14 @@ def make_runs(
     with Channel(file.folder, session_news, orders(devices, notes), lambda: devices_now(devices)) as channel:
         if channel.problem:
             say(channel.problem)
-        return _make_runs(config, source, file, devices, manner, session_news, notes)
+        try:
+            return _make_runs(config, source, file, devices, manner, session_news, notes)
+        except KeyboardInterrupt:
+            # it may come between the end of a run and the note of it
+            for entry in file.state.entries:
+                if entry.state is RunState.RECORDING:
+                    end_noted(file, entry)
+            raise
 
 
 def _make_runs(

@@ -10,7 +10,11 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
-from rig.measure.session_file import RunState, SessionFile
+from rig.devices import Devices
+from rig.measure import session
+from rig.measure.run_parts import RunOutcome
+from rig.measure.run_setup import RunPlan
+from rig.measure.session_file import RunState, SessionFile, read_session
 from tests.disk_without_locks import NO_LOCKS, without_locks
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 
@@ -108,6 +112,27 @@ def test_a_record_whose_folder_is_removed_ends_the_run_and_is_saved(
     with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
         assert not reader.truncated
         assert len(reader.spots()) > 30 * 64
+
+
+@pytest.mark.slow
+def test_ctrl_c_between_the_end_of_a_run_and_its_note_leaves_no_run_that_records(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = session.measure_run
+
+    def interrupted(plan: RunPlan, devices: Devices) -> RunOutcome:
+        usual(plan, devices)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(session, "measure_run", interrupted)
+    short = set_words({**SMALL, "session.max_duration_s": "90"})
+    assert rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *short).returncode != 0
+    (entry,) = read_session(tmp_path / "out").entries
+    assert (entry.state, entry.reason) == (RunState.COMPLETE, "time limit of 90 s reached")
+    done = rig("run", "--resume", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "no run is missing" in done.stderr
+    assert (tmp_path / "out" / "results.json").exists()
 
 
 def test_a_clock_that_was_set_back_ends_no_run_before_it_began(
