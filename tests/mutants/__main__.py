@@ -119,12 +119,17 @@ def run_tests(
     return process.returncode, [line for line in said.splitlines() if line.startswith(("FAILED", "ERROR"))]
 
 
+def there(tree: Path, files: Sequence[Path]) -> list[Path]:
+    """Those of the files that a copy of the tree has: with another one pytest does not begin."""
+    return [file for file in files if (tree / file).is_file()]
+
+
 def outcome(
     copies: Copies, module: Path, mutation: Mutation, marks: Sequence[str], limit_s: float
 ) -> Outcome:
     """Whether the tests of the room notice it."""
-    files, began_s = nearest_first(module, mutation.within), time.monotonic()
-    tree = copies.mutated(module, mutation.applied(module.read_bytes()))
+    files, began_s = there(copies.whole, nearest_first(module, mutation.within)), time.monotonic()
+    tree = copies.mutated(module, mutation.applied((copies.whole / module).read_bytes()))
     for marked in marks:
         status, failed = run_tests(tree, files, marked, limit_s, "-x")
         if status not in (0, NO_TESTS):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.mutants.__main__ import there
 from tests.mutants.mutations import mutations
 from tests.mutants.nearest import nearest_first, room_of_tests
 
@@ -64,3 +65,11 @@ def test_the_nearest_tests_come_first() -> None:
     files = nearest_first(Path("processing/fit/whiteness.py"), "whiteness")
     assert files[0] == Path("tests/processing/fit/test_whiteness.py")
     assert set(files) == set(Path("tests/processing/fit").rglob("test_*.py"))
+
+
+def test_a_test_written_meanwhile_catches_nothing(tmp_path: Path) -> None:
+    """Five mutations were "caught: file or directory not found" by a test that the copy did not have."""
+    before, since = Path("tests/test_before.py"), Path("tests/test_since.py")
+    (tmp_path / before).parent.mkdir()
+    (tmp_path / before).touch()
+    assert there(tmp_path, [before, since]) == [before]
