@@ -152,8 +152,11 @@ def _different(runs: list[FoundRun]) -> list[FoundRun]:
     """The runs, of which none may be there twice: it counts once."""
     seen: dict[str, str] = {}
     for one in runs:
-        if one.run.sha256 and seen.setdefault(one.run.sha256, one.label) != one.label:
+        # a folder that is named twice gives the same label twice
+        if one.run.sha256 in seen:
             raise ConfigurationError(
                 f"{one.label}: is the run of {seen[one.run.sha256]} (same hash), which counts once"
             )
+        if one.run.sha256:
+            seen[one.run.sha256] = one.label
     return runs
