@@ -17,7 +17,7 @@ from processing.swing import Swing
 from rig.instrument.camera_clock import CameraClock
 from rig.instrument.pipeline import Block
 from rig.instrument.snapshot import Phase, Snapshot
-from rig.measure.run_panel import estimate_texts
+from rig.measure.run_panel import estimate_rows, estimate_texts
 from rig.measure.screen import RunDisplay
 from rig.view.state_text import state_text
 
@@ -185,3 +185,13 @@ def test_a_value_that_its_uncertainty_hides_is_not_shown() -> None:
     value, relative = estimate_texts("p", Estimate(0.932, 0.013))
     assert value.startswith("0.932")
     assert relative == "1.4 %"
+
+
+def test_the_page_is_told_what_it_has_no_place_for() -> None:
+    found = display(io.StringIO())
+    seen = Snapshot(phase=Phase.MEASURING, amplitude=124.0, estimates={"c": Estimate(1e-8, 1e-10)})
+    names, facts = ([name for name, _ in rows] for rows in (found.rows(seen), found.facts(seen)))
+    assert "amplitude" in names
+    assert set(names) - set(facts) >= {"amplitude", *(name for name, _ in estimate_rows(seen, ()))}
+    assert {"losses", "record", "disk", "environment"} <= set(facts)
+    assert facts == [name for name in names if name in facts]
