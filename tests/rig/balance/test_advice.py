@@ -92,6 +92,7 @@ def test_a_mass_centre_too_high_swings_slowly() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_balance_follows_its_own_advice_from_frames_on(tmp_path: Path) -> None:
     done = rig(
         *("balance", CONFIGS / "demo.toml", "--follow", "7"),
