@@ -20,7 +20,7 @@ class _Record:
         self.asked += 1
         for first, count in ((0, 10), (10, 0), (10, 10)):
             times_ns = np.arange(first, first + count, dtype=np.int64)
-            yield slow_deflections(times_ns, times_ns * 1e-6, 1e-9)
+            yield slow_deflections(times_ns, np.zeros(count), 1e-9)
 
 
 @pytest.mark.parametrize(("short", "asked"), [(20, 1), (19, 3)])
