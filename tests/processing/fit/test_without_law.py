@@ -78,8 +78,9 @@ def test_gradients_are_those_of_differences(drag: float) -> None:
             (found.time_gradient, high.time, low.time),
         ):
             numeric = (above - below) / 2e-6
+            # 120 half-swings are rounded to some 1e-14, which the step divides
             np.testing.assert_allclose(
-                gradient[:, place], numeric, rtol=close, atol=1e-9 + 0.1 * close * np.abs(numeric).max()
+                gradient[:, place], numeric, rtol=close, atol=2e-8 + 0.1 * close * np.abs(numeric).max()
             )
 
 
