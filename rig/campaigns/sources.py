@@ -152,11 +152,11 @@ def _different(runs: list[FoundRun]) -> list[FoundRun]:
     """The runs, of which none may be there twice: it counts once."""
     seen: dict[str, str] = {}
     for one in runs:
-        # a folder that is named twice gives the same label twice
-        if one.run.sha256 in seen:
-            raise ConfigurationError(
-                f"{one.label}: is the run of {seen[one.run.sha256]} (same hash), which counts once"
-            )
+        before = seen.get(one.run.sha256)
+        if before == one.label:
+            raise ConfigurationError(f"{one.label}: its folder is named twice, and counts once; name it once")
+        if before is not None:
+            raise ConfigurationError(f"{one.label}: is the run of {before} (same hash), which counts once")
         if one.run.sha256:
             seen[one.run.sha256] = one.label
     return runs

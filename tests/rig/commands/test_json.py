@@ -42,7 +42,7 @@ RUNS: dict[str, str] = {
     "report": "report SERIES -o page.html",
     "export": "export SERIES -o csv",
     "compare": "compare SERIES other -o comparison.html",
-    "campaign": "campaign SERIES SERIES -o campaign",
+    "campaign": "campaign SERIES -o campaign",
     "devices": "devices",
     "calibrate lever": "calibrate lever geometry.toml",
     "camera show": f"camera show {DEMO}",
