@@ -16,7 +16,7 @@ from rig.devices.backlog import Backlog, most_waiting
 from rig.devices.delivered import Counts, Delivered, asking, ended
 from rig.devices.frame_clock import FrameClock, Seen
 from rig.devices.frame_line import FrameLine
-from rig.devices.hanging_read import HangingRead, beside
+from rig.devices.hanging_read import HangingRead, awaited, beside
 from rig.devices.host_clock import ClockWatch, wait_for_network_clock
 from rig.devices.standstill import Standstill
 from rig.instrument import setting_differences, with_read_back
@@ -86,7 +86,9 @@ class FrameStream:
 
         Raises FrameTimeout if no frame arrives within the timeout, DeviceError if the driver hangs.
         """
-        frames = beside(self._first_frames, self._raise_if_it_hangs, self._stop)
+        # whoever closes the stream waits for it: a camera that is being read is not closed
+        self._thread, coming = beside(self._first_frames)
+        frames = awaited(coming, self._raise_if_it_hangs, self._stop)
         if not frames:
             return None
         first = frames[0]

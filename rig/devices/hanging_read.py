@@ -46,22 +46,28 @@ class HangingRead:
         )
 
 
-def beside(do: Callable[[], T], waited: Callable[[float], None], stop: Event) -> T | None:
-    """What `do` returns or raises, in a thread of its own, which is left to itself after `stop`: None then.
-
-    `waited` is told each time how long it took again, and raises where that is too long.
-    """
-    done: Future[T] = Future()
+def beside(do: Callable[[], T]) -> tuple[Thread, Future[T]]:
+    """Begin to do it in a thread of its own, whose result is still to come."""
+    coming: Future[T] = Future()
 
     def run() -> None:
         try:
-            done.set_result(do())
+            coming.set_result(do())
         except Exception as error:
-            done.set_exception(error)
+            coming.set_exception(error)
 
-    Thread(target=run, name="camera, first frame", daemon=True).start()
+    thread = Thread(target=run, name="camera, first frame", daemon=True)
+    thread.start()
+    return thread, coming
+
+
+def awaited(coming: Future[T], waited: Callable[[float], None], stop: Event) -> T | None:
+    """What comes, returned or raised; None after `stop`.
+
+    `waited` is told each time how long it took again, and raises where that is too long.
+    """
     while not stop.is_set():
-        if wait([done], _LOOK_S).done:
-            return done.result()
+        if wait([coming], _LOOK_S).done:
+            return coming.result()
         waited(_LOOK_S)
     return None

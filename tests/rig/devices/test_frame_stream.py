@@ -143,6 +143,31 @@ def test_a_first_read_that_never_returns_can_be_stopped(hanging: Hanging, policy
         assert begun.result(30.0) is None
 
 
+class Ending(Hanging):
+    """A driver whose `read` returns some time after it was stopped."""
+
+    def stop(self) -> None:
+        threading.Timer(0.2, self.over.set).start()
+
+    def read(self, timeout_s: float) -> Frame | None:
+        super().read(timeout_s)
+        self.reads.clear()
+        return None
+
+
+def test_a_stream_is_closed_when_nobody_reads_its_first_frame_any_more() -> None:
+    camera = Ending()
+    stream = FrameStream(cast(Camera, camera), CameraSettings())
+    with ThreadPoolExecutor(1) as beginning:
+        begun = beginning.submit(stream.begin)
+        assert camera.reads.wait(30.0)
+        stream.request_stop()
+        assert begun.result(30.0) is None
+        assert camera.reads.is_set()
+        stream.close()
+        assert not camera.reads.is_set()
+
+
 def test_losses_are_told_apart() -> None:
     lost_by = CameraStatus(dropped_by_camera=1, dropped_by_bus=2, dropped_by_host=3, incomplete=4)
     camera = ScriptedCamera(frames=1500, silences=0, lost_by=lost_by)
