@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from processing.errors import ConfigurationError
 from rig.commands.arguments import Config, Set
 from rig.commands.inputs import there
 from rig.commands.json_answers import in_json
@@ -31,9 +32,17 @@ def show(config: Config, set_: Set = None) -> None:
     raise typer.Exit(show_light(load_configuration(config, set_ or [])))
 
 
+def whole_number(text: str) -> int:
+    if not (text.isascii() and text.isdecimal()):
+        raise ConfigurationError(f"trip {text!r}: should be its number; rig light show CONFIG names it")
+    return int(text)
+
+
 def acknowledge(
     config: Config,
-    number: Annotated[int, typer.Argument(help="Number of the trip.", min=1, show_default=False)],
+    number: Annotated[
+        int, typer.Argument(help="Number of the trip.", parser=whole_number, show_default=False)
+    ],
     set_: Set = None,
 ) -> None:
     """Confirm that nobody is in the beam path, after a trip; lights nothing.

@@ -84,3 +84,9 @@ def test_a_rig_that_another_program_holds_is_shown_from_its_file(words: list[str
         refused = rig("light", "acknowledge", CONFIGS / "live.toml", "1", *words)
         assert refused.returncode == 1
         assert "in use by process" in refused.stderr
+
+
+def test_a_trip_that_is_no_number_is_named_with_the_remedy() -> None:
+    refused = rig("light", "acknowledge", CONFIGS / "live.toml", "all")
+    assert refused.returncode == 2
+    assert refused.stderr == "rig: trip 'all': should be its number; rig light show CONFIG names it\n"
