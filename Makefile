@@ -10,7 +10,7 @@ INSTALL = $(PIP) install --quiet
 export PYTHONDONTWRITEBYTECODE =
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-quick test-kernel mutants bench validation lint format schema pictures drawings docs hooks pins wheel release container clean
+.PHONY: demo test test-quick test-kernel mutants bench validation ledger lint format schema pictures drawings docs hooks pins wheel release container clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
@@ -73,6 +73,10 @@ validation: $(VENV)/.installed-test
 wheel: $(VENV)/.installed
 	rm -f dist/*.whl
 	$(BIN)/python -m hatchling build -d dist -t wheel
+
+# What a user sees of fixed sessions, against what is kept in tests/ledger; ARGS="--write" keeps it anew.
+ledger: $(VENV)/.installed-test
+	$(BIN)/python -m tests.ledger $(ARGS)
 
 # The image of the Containerfile, built by buildah, or podman, and run: root and debootstrap are needed, too.
 container: $(VENV)/.installed
