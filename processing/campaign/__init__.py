@@ -16,14 +16,6 @@ from processing.campaign.evidence import (
     within,
 )
 from processing.campaign.forms import FRICTION, ORDER, Effect, Form
-from processing.campaign.outlook import (
-    CandidateRun,
-    Goal,
-    Outlook,
-    ratio_against_nothing,
-    ratio_between_forms,
-)
 from processing.campaign.parts import InParts, here
-from processing.campaign.planning import Choice, ChosenRun, choose_next, choose_runs
 from processing.campaign.posterior import CampaignPosterior, fit_campaign, moved_by
 from processing.campaign.sampling import SETTLED, Sampled, predictive_check, sample_campaign

@@ -24,7 +24,6 @@ from processing.fit.known_drive import Signals
 from processing.fit.law_comparison import LawComparison, compare_laws
 from processing.fit.law_errors import Change, ChangeKind, Misfit
 from processing.fit.misfit import misfit_of, with_misfit, with_misfit_of
-from processing.fit.planned_information import PlannedLikelihood, planned_likelihood
 from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
 from processing.fit.reported import (
