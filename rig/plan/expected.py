@@ -25,8 +25,6 @@ _HALF_CYCLES = 100
 _FRAMES = 9
 _AMPLITUDE_RAD = 3e-4
 _FULL_SCALE_DN = 255.0
-_ADXL355_M_PER_S2_PER_SQRT_HZ = 25e-6 * 9.80665
-"""Noise of the accelerometer on the controller's board, by its data sheet."""
 
 
 class Expected(NamedTuple):
@@ -247,9 +245,7 @@ def _witness_noise(config: Configuration) -> float | None:
     kind = config.witness.kind
     if kind == "none":
         return None
-    noise = _ADXL355_M_PER_S2_PER_SQRT_HZ if kind == "controller" else 0.0
-    if kind == "simulated":
-        noise = config.simulation.witness.noise_m_per_s2_per_sqrt_hz
+    noise = config.simulation.witness.noise_m_per_s2_per_sqrt_hz if kind == "simulated" else 0.0
     level = _ground_level(config)
     return max(LEAST_LEFT, noise / level) if level > 0 else LEAST_LEFT
 
