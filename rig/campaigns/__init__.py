@@ -4,13 +4,5 @@ from rig.campaigns.answer import Campaign, answer_of
 from rig.campaigns.cluster import parts_on_cluster
 from rig.campaigns.likelihoods import FoundRun
 from rig.campaigns.page import campaign_tables, save_campaign
-from rig.campaigns.results import (
-    CampaignEffect,
-    CampaignResults,
-    CampaignRun,
-    CampaignSource,
-    CampaignValue,
-    SamplerFindings,
-)
-from rig.campaigns.sources import NamedRuns, runs_of_archive, runs_of_folders
+from rig.campaigns.sources import NamedRuns, runs_of_folders
 from rig.campaigns.stated import StatedCampaign, read_campaign

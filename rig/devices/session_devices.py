@@ -2,7 +2,8 @@
 
 import logging
 import math
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -28,7 +29,6 @@ from rig.devices.frame_stream import FrameStream
 from rig.devices.ground_witness import GroundWitness, ground_witness
 from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.lit_devices import LitDevices
-from rig.devices.simulated_interlock import SimulatedInterlock
 from rig.instrument import (
     camera_settings,
     check_full_scale,
@@ -243,3 +243,32 @@ class Devices(LitDevices):
 
 def _unwired(_: float) -> None:
     """Laser output of the controller if the laser is not connected to it."""
+
+
+class SimulatedInterlock:
+    """Closed, but for `open_for_s` from `opens_at_s` on (None: never), since the laser was first lit.
+
+    `laser` passes the laser's power in W on.
+    """
+
+    def __init__(
+        self,
+        opens_at_s: float | None,
+        open_for_s: float,
+        laser: Callable[[float], None],
+    ) -> None:
+        self._opens_at_s, self._open_for_s = opens_at_s, open_for_s
+        self._laser = laser
+        self._lit_s: float | None = None
+
+    def laser(self, power_w: float) -> None:
+        """The output of the laser."""
+        if power_w > 0 and self._lit_s is None:
+            self._lit_s = time.monotonic()
+        self._laser(power_w)
+
+    def closed(self) -> bool:
+        """State of the loop."""
+        if self._opens_at_s is None or self._lit_s is None:
+            return True
+        return not 0 <= time.monotonic() - self._lit_s - self._opens_at_s < self._open_for_s
