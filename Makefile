@@ -10,7 +10,7 @@ INSTALL = $(PIP) install --quiet
 export PYTHONDONTWRITEBYTECODE =
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-quick test-kernel mutants bench validation ledger lint format schema pictures drawings docs hooks pins wheel release container clean
+.PHONY: demo test test-quick test-kernel bench validation ledger lint format schema pictures drawings docs hooks pins wheel clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
@@ -26,10 +26,6 @@ test-quick: $(VENV)/.installed-test
 
 test-kernel: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -n 2 -m kernel tests/kernel -rs $(ARGS)
-
-# Single mutations of the sources, which the tests of their room should notice: ARGS="--seed 7 -n 100 rig/control".
-mutants: $(VENV)/.installed-test
-	$(BIN)/python -m tests.mutants $(ARGS)
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff format --check .
@@ -58,7 +54,6 @@ drawings: $(VENV)/.installed
 # The documents as a site in build/site, without a network; a link that leads nowhere is an error.
 docs: $(VENV)/.installed-test
 	$(BIN)/python -m sphinx -E -W --keep-going -q -c docs/site -b html . build/site
-	$(BIN)/python docs/site/check_links.py build/site
 
 bench: $(VENV)/.installed-test
 	-$(PIP) install --quiet ".[bench]"
@@ -77,15 +72,6 @@ wheel: $(VENV)/.installed
 # What a user sees of fixed sessions, against what is kept in tests/ledger; ARGS="--write" keeps it anew.
 ledger: $(VENV)/.installed-test
 	$(BIN)/python -m tests.ledger $(ARGS)
-
-# The image of the Containerfile, built by buildah, or podman, and run: root and debootstrap are needed, too.
-container: $(VENV)/.installed
-	.ci/container
-
-# VERSION=1.2.3: checks, commit, tag, sdist, wheel, SBOM, site, sums, all or nothing; pushing it publishes.
-release: $(VENV)/.installed-test
-	$(PIP) install --quiet ".[release]"
-	$(BIN)/python -m tests.release "$(VERSION)"
 
 # Of what they run nothing is downloaded; pre-commit itself is in no pins, for nothing else needs it.
 hooks: $(VENV)/.installed-test

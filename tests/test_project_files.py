@@ -6,7 +6,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -72,37 +71,6 @@ def test_forms_ask_for_each_thing_once_and_insist_on_one() -> None:
         assert any(field.get("validations", {}).get("required") for field in fields)
 
 
-CONDA = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
-"""What conda-forge calls otherwise."""
-
-
-def test_the_conda_recipe_needs_what_the_package_needs() -> None:
-    recipe = loaded("recipe/recipe.yaml")
-    stated = [re.fullmatch(r"([\w-]+)(.*)", line) for line in PROJECT["project"]["dependencies"]]
-    wanted = {f"{CONDA.get(match[1], match[1])} {match[2]}" for match in stated if match}
-    python = f"python {PROJECT['project']['requires-python']}"
-    assert set(recipe["requirements"]["run"]) == wanted | {python}
-    builders = {line.replace(">=", " >=") for line in PROJECT["build-system"]["requires"]}
-    assert set(recipe["requirements"]["host"]) == builders | {python, "pip"}
-    assert (
-        recipe["tests"][0]["python"]["imports"]
-        == PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
-    )
-    scripts = [f"{name} = {place}" for name, place in PROJECT["project"]["scripts"].items()]
-    assert recipe["build"]["python"]["entry_points"] == scripts
-
-
-def test_rattler_build_reads_the_conda_recipe(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And finds the sdist where make release leaves it, under the version that is asked for."""
-    rattler_build = pytest.importorskip("rattler_build", reason="py-rattler-build is not installed")
-    monkeypatch.setenv("VERSION", "9.8.7")
-    (variant,) = rattler_build.Stage0Recipe.from_file(str(ROOT / "recipe/recipe.yaml")).render()
-    package = variant.recipe.package
-    assert (package.name, str(package.version)) == (PROJECT["project"]["name"], "9.8.7")
-    (source,) = variant.recipe.to_dict()["source"]
-    assert source["path"] == "../dist/9.8.7/optical_pendulum_rig-9.8.7.tar.gz"
-
-
 def test_a_release_is_published_without_a_secret_and_from_a_tag_alone() -> None:
     text = (ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8")
     workflow = loaded(".github/workflows/release.yml")
@@ -113,8 +81,6 @@ def test_a_release_is_published_without_a_secret_and_from_a_tag_alone() -> None:
     publishing = workflow["jobs"]["pypi"]
     assert (publishing["permissions"], publishing["environment"]) == ({"id-token": "write"}, "pypi")
     assert "run" not in {key for step in publishing["steps"] for key in step}
-    for target in re.findall(r"run: make ([\w-]+)", text):
-        assert f"\n{target}: " in (ROOT / "Makefile").read_text(encoding="utf-8")
 
 
 def test_the_image_has_no_root_and_only_what_it_copies() -> None:

@@ -169,11 +169,6 @@ class SimulatedCamera:
         return max(self._runs - 1, self._settings.first_run)
 
     @property
-    def elapsed_s(self) -> float:
-        """Of the host's time since the run began; 0 before the first one."""
-        return 0.0 if self._reader is None else self._reader.elapsed_s
-
-    @property
     def status(self) -> CameraStatus:
         """Counts since `start`, continued after a reconnection."""
         return CameraStatus() if self._reader is None else self._reader.status

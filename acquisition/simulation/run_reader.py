@@ -80,11 +80,6 @@ class RunReader:
         return self._stall_at <= self._next < self._stall_end
 
     @property
-    def elapsed_s(self) -> float:
-        """Since the run began, by the host's clock."""
-        return seconds(self._clock_ns() - self._begin_ns)
-
-    @property
     def status(self) -> CameraStatus:
         return CameraStatus(
             delivered=self._delivered,

@@ -1,13 +1,11 @@
 """Many runs, one answer: a hierarchical model over the runs' compressed likelihoods."""
 
 from processing.campaign.compressed import Bound, CompressedRun, Side
-from processing.campaign.coordinates import POSITIVE, USUAL_SIZE, parameters, to_coordinates
+from processing.campaign.coordinates import POSITIVE, parameters, to_coordinates
 from processing.campaign.design import CampaignModel, Level, span_of
 from processing.campaign.evidence import (
     ALIKE,
     ChangePoint,
-    FormEvidence,
-    Forms,
     chance,
     compare_forms,
     find_change,
@@ -16,14 +14,6 @@ from processing.campaign.evidence import (
     within,
 )
 from processing.campaign.forms import FRICTION, ORDER, Effect, Form
-from processing.campaign.outlook import (
-    CandidateRun,
-    Goal,
-    Outlook,
-    ratio_against_nothing,
-    ratio_between_forms,
-)
 from processing.campaign.parts import InParts, here
-from processing.campaign.planning import Choice, ChosenRun, choose_next, choose_runs
 from processing.campaign.posterior import CampaignPosterior, fit_campaign, moved_by
-from processing.campaign.sampling import SETTLED, Sampled, predictive_check, sample_campaign
+from processing.campaign.sampling import Sampled, predictive_check, sample_campaign

@@ -15,7 +15,7 @@ _SESSION = "session.json"
 
 @dataclass(frozen=True)
 class NamedRuns:
-    """Runs as a command or a plan names them: folders, or those of an archive that meet a condition.
+    """Runs as a command names them: folders, or those of an archive that meet a condition.
 
     Raises ConfigurationError for what excludes each other, or has no effect.
     """
@@ -45,17 +45,6 @@ class NamedRuns:
 
         with opened(self.archive) as place:
             return runs_of_archive(place, self.where)
-
-    def of_one_sample(self) -> list[FoundRun]:
-        """The same, of an archive's only those of one sample."""
-        found = self.found()
-        samples = dict.fromkeys(one.contact for one in found) if self.archive is not None else {}
-        if len(samples) > 1:
-            raise ConfigurationError(
-                f"--archive {self.archive}: its runs are of {len(samples)} samples ({', '.join(samples)}), "
-                "and a plan is of one: --where \"sample = '...'\""
-            )
-        return found
 
 
 def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list[FoundRun]:

@@ -42,12 +42,4 @@ NewRecord = Annotated[
     output_option("Record to write (MCAP file).", new_file(".mcap", makes_folders=True), show_default=False),
 ]
 JsonLines = Annotated[bool, typer.Option("--json", help="Write one JSON object per line to stdout.")]
-CampaignFile = Annotated[
-    Path | None,
-    typer.Option(help="The model: parameters, effects, priors (campaign.toml).", callback=there),
-]
-InArchive = Annotated[str | None, typer.Option(help="Take the runs of an archive; each sample is a contact.")]
 Where = Annotated[str, typer.Option(help="Only runs that meet a condition, as in rig archive list.")]
-BySample = Annotated[
-    bool, typer.Option("--by-sample", help="Folders with the same session.sample are one contact.")
-]

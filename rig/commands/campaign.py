@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import BySample, CampaignFile, InArchive, Where
-from rig.commands.inputs import with_results
+from rig.commands.arguments import Where
+from rig.commands.inputs import there, with_results
 from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without, output_option
 
@@ -33,10 +33,17 @@ def campaign(
             folder_without("campaign.json", "campaign.html"),
         ),
     ] = None,
-    config: CampaignFile = None,
-    archive: InArchive = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="The model: parameters, effects, priors (campaign.toml).", callback=there),
+    ] = None,
+    archive: Annotated[
+        str | None, typer.Option(help="Take the runs of an archive; each sample is a contact.")
+    ] = None,
     where: Where = "",
-    by_sample: BySample = False,
+    by_sample: Annotated[
+        bool, typer.Option("--by-sample", help="Folders with the same session.sample are one contact.")
+    ] = False,
     cluster: Annotated[
         str, typer.Option(help="Dask cluster for the work: tcp://HOST:PORT, as in rig archive refit.")
     ] = "",

@@ -68,11 +68,7 @@ def run(
     ] = None,
     plan: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Measure a plan (TOML file): its series, or a night that decides.",
-            callback=there,
-        ),
+        typer.Option(metavar="FILE", help="Measure the series of a plan (TOML file).", callback=there),
     ] = None,
     instead: Annotated[
         Path | None,
@@ -120,12 +116,6 @@ def run(
             raise typer.BadParameter(
                 "--plan names its configurations: leave out CONFIG, --set, --runs and --view"
             )
-        from rig.settings import decides
-
-        if decides(plan):
-            from rig.deciding import decide_night
-
-            raise typer.Exit(decide_night(plan, output, force=force, json_lines=json_lines))
         from rig.measure import measure_plan
 
         raise typer.Exit(measure_plan(plan, output, force=force, json_lines=json_lines))

@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import CampaignFile, InArchive, Set, Where
-from rig.commands.inputs import is_of_table, one_record, recorded_or_fitted, there, with_results
+from rig.commands.arguments import Set
+from rig.commands.inputs import is_of_table, one_record, recorded_or_fitted, there
 from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without, output_option
 
@@ -39,7 +39,7 @@ def plan(
     ] = None,
     output: Annotated[
         Path | None,
-        output_option("Folder for the picture, or the plan.", folder_without("plan.*", "plan-*.toml")),
+        output_option("Folder for the table and the picture.", folder_without("plan.*")),
     ] = None,
     set_: Set = None,
     runs: Annotated[
@@ -67,29 +67,6 @@ def plan(
             min=0.0, help="Minutes between runs that reveal ageing; may be repeated; default: 0, 60."
         ),
     ] = None,
-    target: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--for",
-            metavar="TARGET",
-            help="Choose runs that reach it soonest: 'u(c)/c<0.05', or two forms; may be repeated.",
-        ),
-    ] = None,
-    campaign: CampaignFile = None,
-    after: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="With --for: folder of earlier runs of the sample; may be repeated.",
-            callback=with_results,
-        ),
-    ] = None,
-    archive: InArchive = None,
-    where: Where = "",
-    sample: Annotated[
-        list[str] | None,
-        typer.Option(help="With --for: a sample to measure; may be repeated; default: session.sample."),
-    ] = None,
-    hours: Annotated[float | None, typer.Option(min=0.1, help="With --for: limit of the rig time.")] = None,
 ) -> None:
     """Predict how well further runs would determine the contact.
 
@@ -103,15 +80,7 @@ def plan(
       rig plan configs/basement.toml --runs 1 --runs 3
       rig plan fits/decay
       rig plan configs/basement.toml --witness 0.05
-      rig plan configs/basement.toml --for "u(c)/c<0.05" --hours 10 -o plans
     """
-    if not target:
-        stated = {
-            "--campaign": campaign, "--after": after, "--archive": archive, "--where": where,
-            "--sample": sample, "--hours": hours,
-        }  # fmt: skip
-        if given := next((name for name, value in stated.items() if value), ""):
-            raise ConfigurationError(f"{given}: has no effect without --for TARGET")
     firsts, lasts = first or [300.0, 124.0, 60.0], last or [30.0, 15.0, 8.0, 4.0, 2.0]
     counts = runs or [1]
     if min(lasts) >= max(firsts):
@@ -119,25 +88,6 @@ def plan(
             f"--last {min(lasts):g}: should be below the first amplitude, {max(firsts):g} arcsec; name a "
             "smaller one, or a larger --first"
         )
-
-    if target:
-        if source.suffix.lower() != ".toml":
-            raise ConfigurationError(
-                f"{source}: --for plans runs of a configuration; name its TOML file, and what was found by "
-                "--contact or --after"
-            )
-        if runs is not None:
-            raise ConfigurationError("--runs: --for chooses how many; leave it out, or limit --hours")
-        from rig.campaigns import AskedPlan, NamedRuns
-        from rig.commands.planned_for import plan_for
-
-        asked = AskedPlan(
-            source=source, targets=target, first_arcsec=firsts, last_arcsec=lasts, overrides=set_ or [],
-            noise_arcsec=noise, contact=contact, ground_rad_per_s2_rthz=ground, witness=witness,
-            waits_min=wait, campaign=campaign, samples=sample or [],
-        )  # fmt: skip
-        plan_for(asked, NamedRuns(after or [], archive, where), hours, output)
-        return
 
     from rig.plan import (
         ageing_table,

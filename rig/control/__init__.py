@@ -1,7 +1,6 @@
 """Serial devices of the rig: controller, laser driver, environment sensor."""
 
 from rig.control.beside import darken_beside
-from rig.control.board_witness import BoardWitness
 from rig.control.controller import Controller
 from rig.control.controller_answers import Trip
 from rig.control.device_nodes import udev_board, udev_matches
@@ -11,16 +10,14 @@ from rig.control.lasers import LASERS, LaserSettings, LaserState, laser_unit, ma
 from rig.control.light_permit import TO_BE_ASKED, Interlock, LightPermit, LightRefused, Stage
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
 from rig.control.safety_state import (
-    Holder,
     LatchedTrip,
     SafetyState,
     TripCause,
     rig_state_path,
     state_folder,
 )
-from rig.control.seedlink import SeedLinkStation
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings, EnvironmentSettings, WitnessSettings
-from rig.control.simulated import ACCELEROMETER, SimulatedOutputs, simulated_controller
+from rig.control.simulated import SimulatedOutputs, simulated_controller
 from rig.control.states import STALE_S, DevicesNow, LaserNow, Light, Loop, SafetyNow
-from rig.control.witness import WitnessBuffer, WitnessLines, WitnessSample, WitnessSamples
+from rig.control.witness import WitnessLines

@@ -5,7 +5,6 @@ import secrets
 from collections.abc import Callable
 
 from processing.errors import DeviceError
-from rig.control.board_witness import BoardSamples, BoardSensor, samples_of, sensor_of
 from rig.control.controller_answers import (
     AirReading,
     ControllerIdentity,
@@ -20,7 +19,7 @@ from rig.control.serial_port import PortLost, SerialLine, SerialPort
 from rig.control.settings import ControllerSettings
 
 _MAKER = "optical-pendulum-rig"
-FIRMWARE = "1.3"
+FIRMWARE = "1.4"
 """The firmware whose lines are understood: `VERSION` of firmware/core.py."""
 _UNKNOWN_COMMAND = -113
 
@@ -131,14 +130,6 @@ class Controller:
     def environment(self) -> AirReading:
         """Reading of the controller's own sensor; NaN without one, and for what no air has."""
         return AirReading(*floats_of(self._ask("ENV?"), 3)).possible
-
-    def start_witness(self) -> BoardSensor:
-        """Keep samples of the board's accelerometer from now on, until the session ends."""
-        return sensor_of(self._ask("WITN:STAR"))
-
-    def witness_samples(self) -> BoardSamples:
-        """The oldest samples that wait on the board, which forgets them."""
-        return samples_of(self._ask("WITN:DATA?"))
 
     def set_laser_power_w(self, power_w: float) -> None:
         """Set the power; raises PowerLimit above the configured or the stored limit."""

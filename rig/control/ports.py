@@ -13,16 +13,11 @@ from rig.control.controller import Controller
 from rig.control.controller_answers import ControllerStatus
 from rig.control.environment import parse_environment
 from rig.control.lasers import LaserSettings, make_laser
-from rig.control.link import ReplyTimeout
 from rig.control.serial_port import LineReader, PortLost, SerialPort
-from rig.control.settings import ControllerSettings, EnvironmentSettings, WitnessSettings
+from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.presentation import Verdict
 
 _SILENT_S = 0.1
-_FEW = 3
-"""Samples of an accelerometer that show it alive."""
-_ANSWERS_S = 1.5
-"""A board looks for a missing one each second."""
 _TRIPPED = range(101, 105)
 """Errors of the board that tell of trips, which its latch tells better."""
 
@@ -54,22 +49,15 @@ def list_serial_ports() -> tuple[SerialPortInfo, ...]:
 
 
 def check_controller(
-    controller: Controller,
-    settings: ControllerSettings,
-    laser: LaserSettings,
-    witness: WitnessSettings | None = None,
+    controller: Controller, settings: ControllerSettings, laser: LaserSettings
 ) -> tuple[Verdict, ...]:
-    """Open, check and close the controller, and its accelerometer if that is the witness of the ground.
-
-    No output is switched on.
-    """
+    """Open, check and close the controller; no output is switched on."""
     if settings.kind == "none":
         return (Verdict("controller", True, "none is configured", made=False),)
     try:
         identity = controller.open()
         status = controller.heartbeat()
         air = controller.environment()
-        on_board = [_accelerometer(controller)] if witness and witness.kind == "controller" else []
         code, text = controller.next_error()
         while code in _TRIPPED:
             code, text = controller.next_error()
@@ -101,7 +89,6 @@ def check_controller(
         checks.append(
             Verdict("controller errors", False, f"{text} ({code})", "remove the cause, then reset the board")
         )
-    checks += on_board
     sensor = air.temperature_c == air.temperature_c
     checks.append(
         Verdict(
@@ -114,29 +101,6 @@ def check_controller(
         )
     )
     return tuple(checks)
-
-
-def _accelerometer(controller: Controller) -> Verdict:
-    """Whether its samples come."""
-    try:
-        sensor = controller.start_witness()
-    except ReplyTimeout:
-        raise
-    except DeviceError as error:
-        return Verdict("witness", False, str(error), "set witness.kind to another")
-    wait_s = _FEW * sensor.step_ms / 1000 + _ANSWERS_S
-    until_s = time.monotonic() + wait_s
-    values: list[tuple[int, ...]] = []
-    while len(values) < _FEW and time.monotonic() < until_s:
-        controller.heartbeat()
-        found = controller.witness_samples()
-        values += found.values
-        time.sleep(0.01)
-    if len(values) < _FEW:
-        reason = "does not answer" if not found.alive else f"gave {len(values)} samples in {wait_s:.1f} s"
-        remedy = "check its supply and its wires on GP18 and GP19, or set witness.kind to another"
-        return Verdict("witness", False, f"{sensor.name} on the controller's board {reason}", remedy)
-    return Verdict("witness", True, f"{sensor.name} on the controller's board, {sensor.rate_hz:g} per s")
 
 
 def _dark_and_allowed(status: ControllerStatus) -> Iterator[Verdict]:

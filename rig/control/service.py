@@ -13,7 +13,6 @@ from enum import StrEnum
 from typing import TypeVar
 
 from processing.errors import DeviceError
-from rig.control.board_witness import BoardWitness
 from rig.control.controller import Controller
 from rig.control.controller_answers import AirReading, ControllerIdentity, ControllerStatus, Latch, Trip
 from rig.control.device_thread import DeviceThread
@@ -77,8 +76,6 @@ class ControlService(DeviceThread):
 
     While `permit` refuses the light, the laser is switched off. While it says that frames have stalled, no
     heartbeat is sent either, so that the board's watchdog makes everything safe even if that command is lost.
-
-    `witness` takes the samples of the board's accelerometer after each heartbeat; no command waits for more.
     """
 
     def __init__(
@@ -87,9 +84,7 @@ class ControlService(DeviceThread):
         settings: ControllerSettings,
         environment_period_s: float | None = 1.0,
         permit: LightPermit | None = None,
-        witness: BoardWitness | None = None,
     ) -> None:
-        self._witness = witness
         self._controller = controller
         self._settings = settings
         self._permit = permit or LightPermit()
@@ -195,8 +190,6 @@ class ControlService(DeviceThread):
             self._keep_to_the_permit()
             self._beat()
             self._keep_dark()
-            if self._witness is not None:
-                self._witness.pull(self._controller)
         except DeviceError as error:
             self._note_failure(error)
             return self._settings.heartbeat_s if self._is_open else _REOPEN_S
@@ -204,8 +197,6 @@ class ControlService(DeviceThread):
 
     def _open(self) -> None:
         identity = self._controller.open()
-        if self._witness is not None:
-            self._witness.begin()
         self._is_open = True
         self._lit_after_offs = -1
         self._heard_s = time.monotonic()

@@ -60,20 +60,17 @@ _MOST_COLUMNS = 3
 
 
 class WitnessSettings(BaseModel, frozen=True, extra="forbid"):
-    """An instrument beside the rig that feels the ground: geophone, tiltmeter, accelerometer, a station.
+    """An instrument beside the rig that feels the ground: geophone, tiltmeter, seismometer.
 
     Each line that it writes holds a sample: numbers of the `columns` in their order, between commas,
     semicolons or spaces; text around them is passed over. A column `time_s` is the instrument's own clock.
-    A `file` is read as another program appends lines to it. Of a `seedlink` server the columns are streams,
-    NET.STA.LOC.CHA, of one rate; their packets hold UTC, so that this computer's clock should be kept by NTP.
-    `controller` is the accelerometer on the controller's board: the columns are its first axes.
+    A `file` is read as another program appends lines to it.
     """
 
-    kind: Literal["none", "simulated", "serial", "file", "seedlink", "controller"] = "none"
+    kind: Literal["none", "simulated", "serial", "file"] = "none"
     port: str = ""
     baud: int = Field(default=115200, gt=0)
     file: Path | None = Field(default=None, description="to which another program appends lines")
-    server: str = Field(default="", description="of SeedLink, host:port; without a port 18000")
     columns: tuple[str, ...] = Field(
         default=("along", "across"), description="one to three, in any unit; beside them time_s"
     )
@@ -92,16 +89,6 @@ class WitnessSettings(BaseModel, frozen=True, extra="forbid"):
             raise ValueError("port is missing; name the witness's serial port, or see `rig devices`")
         if self.kind == "file" and self.file is None:
             raise ValueError("file is missing; name the file to which its lines are appended")
-        if self.kind == "controller" and OWN_TIME in self.columns:
-            raise ValueError(f"columns: the controller's board has its own clock; leave {OWN_TIME} out")
-        if self.kind == "seedlink":
-            if not re.fullmatch(r"[\w.-]+(:\d{1,5})?", self.server):
-                raise ValueError(f"server = {self.server!r} should be host:port, as geofon.gfz.de:18000")
-            for stream in self.columns:
-                if not re.fullmatch(r"\w{1,2}\.\w{1,5}\.\w{0,2}\.\w{3}", stream):
-                    raise ValueError(
-                        f"columns: {stream!r} should be a stream, NET.STA.LOC.CHA, as GE.WLF..BHN"
-                    )
         if len(set(self.columns)) < len(self.columns) or not 1 <= len(self.components) <= _MOST_COLUMNS:
             raise ValueError(
                 f"columns = {list(self.columns)} are to be one to {_MOST_COLUMNS} different names, and "

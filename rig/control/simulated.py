@@ -11,16 +11,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rig.control.board_witness import BoardSensor
 from rig.control.controller import Controller
 from rig.control.controller_answers import AirReading
-from rig.control.firmware import adxl355
 from rig.control.firmware.core import Firmware
 from rig.control.serial_port import PortLost, SerialLine
 from rig.control.settings import ControllerSettings, SerialFaults
 
-ACCELEROMETER = BoardSensor(adxl355.NAME, adxl355.RATE_HZ, adxl355.PER_G)
-"""What the firmware reads."""
 _TURN_S = 0.005
 
 
@@ -32,17 +28,12 @@ def _ignore_both(_: object, __: object) -> None:
     """The same for two values."""
 
 
-def _no_accelerometer() -> list[tuple[int, int, int]]:
-    raise OSError("none is simulated")
-
-
 @dataclass(frozen=True)
 class SimulatedOutputs:
     """Callbacks of the simulated board's pins, called from its thread; each must return immediately.
 
     `laser` is given the optical power in W, 0.0 when off, `pulse` delay and width in us of the light
     after each exposure's beginning, width 0 for light all the time; `starter` and the others True or False.
-    `accelerometer` returns its samples since the last call, in counts along three axes, or raises OSError.
     """
 
     laser: Callable[[float], None] = _ignore
@@ -53,7 +44,6 @@ class SimulatedOutputs:
     brake: Callable[[bool], None] = _ignore
     interlock_closed: Callable[[], bool] = lambda: True
     environment: Callable[[], AirReading] = lambda: AirReading(20.0, 45.0, 101325.0)
-    accelerometer: Callable[[], list[tuple[int, int, int]]] = _no_accelerometer
 
 
 def simulated_controller(
@@ -79,7 +69,6 @@ class SimulatedBoard:
     latches_at_start = False
     starter_max_ms = 5000
     brake_max_ms = 60000
-    witness = (adxl355.NAME, adxl355.RATE_HZ, adxl355.STEP_MS, adxl355.PER_G)
 
     def __init__(self, outputs: SimulatedOutputs, laser_max_w: float, faults: SerialFaults) -> None:
         self.laser_max_w = laser_max_w
@@ -210,18 +199,6 @@ class SimulatedBoard:
         """Temperature in °C, relative humidity in %, pressure in Pa."""
         air = self._outputs.environment()
         return air.temperature_c, air.humidity_percent, air.pressure_pa
-
-    def begin_witness(self) -> None:
-        """Look whether there is an accelerometer, and forget what it measured before."""
-        self._outputs.accelerometer()
-
-    def read_witness(self) -> tuple[bool, list[bytes], int]:
-        """Its samples since the last call, as the chip would give them."""
-        samples = [
-            b"".join((value << 4 & 0xFFFFFF).to_bytes(3) for value in one)
-            for one in self._outputs.accelerometer()
-        ]
-        return False, samples, 0
 
     def ticks_ms(self) -> int:
         """The board's clock."""

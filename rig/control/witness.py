@@ -6,7 +6,7 @@ import os
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -104,13 +104,23 @@ class FileTail:
             raise PortLost(f"{self._path}: cannot be read: {error.strerror or error}") from error
 
 
-class WitnessBuffer:
-    """Samples that have come and wait to be taken, and how long ago the last one came."""
+class WitnessLines(DeviceThread):
+    """Every line of a serial port or of a file that grows is a sample.
+
+    They are taken in a thread from `start` to `close`; what was unplugged or is not there is opened again.
+    """
 
     def __init__(self, settings: WitnessSettings) -> None:
         self._settings = settings
         self._samples: deque[WitnessSample] = deque(maxlen=_MOST_WAITING)
+        self._last_error = ""
+        self._line: SerialLine | None = None
+        self._reader: LineReader | None = None
+        self._between_lines = False
         self.last_ns = -1
+        self.unread_lines = 0
+        self.last_line = ""
+        super().__init__("rig-witness")
 
     @property
     def age_s(self) -> float:
@@ -126,39 +136,7 @@ class WitnessBuffer:
         """Those since the last call, oldest first. Never blocks; only one thread may call it."""
         return [self._samples.popleft() for _ in range(len(self._samples))]
 
-    def _keep(self, sample: WitnessSample) -> None:
-        self._samples.append(sample)
-        self.last_ns = time.monotonic_ns()
-
-
-class WitnessSamples(WitnessBuffer, DeviceThread):
-    """Takes samples in a thread from `start` to `close`; reopens what was unplugged or is not reached."""
-
-    def __init__(self, settings: WitnessSettings) -> None:
-        WitnessBuffer.__init__(self, settings)
-        self._last_error = ""
-        self.unread_lines = 0
-        self.last_line = ""
-        DeviceThread.__init__(self, "rig-witness")
-
-    def _say_once(self, error: str) -> None:
-        """An event for an error, unless it is that of the last attempt."""
-        if error != self._last_error:
-            self._say(error)
-        self._last_error = error
-
-
-class WitnessLines(WitnessSamples):
-    """Every line of a serial port or of a file that grows is a sample."""
-
-    def __init__(self, settings: WitnessSettings, open_line: Callable[[], SerialLine] | None = None) -> None:
-        self._open_line = open_line or self._configured
-        self._line: SerialLine | None = None
-        self._reader: LineReader | None = None
-        self._between_lines = False
-        super().__init__(settings)
-
-    def _configured(self) -> SerialLine:
+    def _opened(self) -> SerialLine:
         settings = self._settings
         if settings.kind == "file":
             assert settings.file is not None
@@ -168,14 +146,17 @@ class WitnessLines(WitnessSamples):
     def _turn(self) -> float:
         try:
             if self._line is None or self._reader is None:
-                self._line = self._open_line()
+                self._line = self._opened()
                 self._reader = LineReader(self._line)
                 self._reader.clear()
                 self._between_lines = False
                 self._last_error = ""
             self._read(self._reader)
         except DeviceError as error:
-            self._say_once(str(error))
+            # of an error that goes on people are told once
+            if str(error) != self._last_error:
+                self._say(str(error))
+            self._last_error = str(error)
             self._finish()
             return _REOPEN_S
         return 0.0
@@ -195,7 +176,8 @@ class WitnessLines(WitnessSamples):
         if sample is None:
             self.unread_lines += 1
             return
-        self._keep(sample)
+        self._samples.append(sample)
+        self.last_ns = time.monotonic_ns()
 
     def _finish(self) -> None:
         line, self._line, self._reader = self._line, None, None

@@ -6,6 +6,7 @@ from rig.devices.camera_features import feature_lines
 from rig.devices.clock_rate import ClockRate
 from rig.devices.delivered import Delivered
 from rig.devices.doctor import examine
+from rig.devices.frame_clock import MendedTimes, mended_times
 from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import (
     MOST_PPM,
@@ -21,6 +22,5 @@ from rig.devices.latest_frames import watch_latest
 from rig.devices.leave import TypedLeave, ask_leave, at_terminal
 from rig.devices.light_watch import LightWatch
 from rig.devices.picture import PictureFigures, find_exposure
-from rig.devices.recorded_times import MendedTimes, mended_times
 from rig.devices.session_devices import Devices, OpenCamera
 from rig.devices.udev import RULES_FOLDER, install_rules, udev_rules

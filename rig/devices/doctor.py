@@ -51,8 +51,7 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
     try:
         with devices.state as state:
             yield check_trip(state)
-            controller = devices.make_controller()
-            yield from check_controller(controller, config.controller, config.laser, config.witness)
+            yield from check_controller(devices.make_controller(), config.controller, config.laser)
             yield from check_laser(config.laser, config.controller)
     except DeviceError as error:
         yield Verdict("controller and laser", False, str(error), "end that program, or ask it")

@@ -3,8 +3,7 @@
 import math
 import time
 from abc import ABC, abstractmethod
-from importlib.util import find_spec
-from typing import Protocol, Self
+from typing import Self
 
 from acquisition.camera import Camera
 from acquisition.cameras.simulated import SimulatedCamera
@@ -12,71 +11,58 @@ from acquisition.frame import Frame
 from acquisition.record.topics import RecordedWitness
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.witness import SimulatedWitness
-from processing.errors import ConfigurationError, MissingPackage, RigError
+from processing.errors import ConfigurationError, RigError
 from processing.ticks import nanoseconds, seconds
-from rig.control import (
-    BoardWitness,
-    ControlService,
-    SeedLinkStation,
-    WitnessBuffer,
-    WitnessLines,
-    WitnessSamples,
-    WitnessSettings,
-)
+from rig.control import WitnessLines, WitnessSettings
 from rig.presentation import Verdict
 from rig.settings import Configuration
 
 _LOOK_S = 0.02
 
 
-class GroundWitness(Protocol):
+class GroundWitness(ABC):
     """A context manager whose samples come beside the frames of a camera."""
 
-    def __enter__(self) -> Self: ...
+    def __init__(self) -> None:
+        self._looked_at: list[RecordedWitness] = []
 
-    def __exit__(self, *_error: object) -> None: ...
+    def __enter__(self) -> Self:
+        return self
 
+    def __exit__(self, *_error: object) -> None:
+        return None
+
+    @abstractmethod
     def beside(self, camera: Camera) -> None:
         """Which camera's clock its samples are to be on."""
-        ...
 
     def take(self, frame: Frame) -> list[RecordedWitness]:
         """Samples since the last call, up to a frame. Never blocks."""
-        ...
+        looked_at, self._looked_at = self._looked_at, []
+        return [*looked_at, *self._new(frame)]
 
     def recent(self, frame: Frame, last_s: float) -> list[RecordedWitness]:
         """Those of the last seconds before a frame, which `take` gives again; older ones are given up."""
-        ...
+        from_ns = frame.time_ns - nanoseconds(last_s)
+        self._looked_at = [one for one in self.take(frame) if one.time_ns >= from_ns]
+        return list(self._looked_at)
 
+    @abstractmethod
+    def _new(self, frame: Frame) -> list[RecordedWitness]:
+        """Samples that have come since the last call."""
+
+    @abstractmethod
     def take_events(self) -> tuple[str, ...]:
         """What happened to it since the last call."""
-        ...
 
     @property
+    @abstractmethod
     def problem(self) -> str:
         """Why no samples come; empty while they do."""
-        ...
 
 
-def board_witness(config: Configuration) -> BoardWitness | None:
-    """What takes the samples of the controller's accelerometer, for its service; None unless configured.
-
-    Raises ConfigurationError without a controller.
-    """
-    if config.witness.kind != "controller":
-        return None
-    if config.controller.kind == "none":
-        raise ConfigurationError(
-            "witness.kind = 'controller' is the accelerometer on the controller's board: set controller.kind "
-            "to serial or simulated"
-        )
-    return BoardWitness(config.witness)
-
-
-def ground_witness(
-    config: Configuration, board: tuple[BoardWitness, ControlService] | None = None
-) -> GroundWitness | None:
-    """The configured one; None without. `board` has that of the controller, and who operates it.
+def ground_witness(config: Configuration) -> GroundWitness | None:
+    """The configured one; None without.
 
     Raises ConfigurationError for one that does not go with the camera.
     """
@@ -95,19 +81,12 @@ def ground_witness(
             f"witness.kind = {settings.kind!r} samples in real time, but the frames come on demand: set "
             "simulation.real_time = true, or 'simulated'"
         )
-    if settings.kind == "controller":
-        assert board is not None
-        return _OnBoard(*board)
-    if settings.kind == "seedlink" and find_spec("obspy") is None:
-        raise MissingPackage("witness.kind = 'seedlink'", "obspy")
     return _Connected(settings)
 
 
 def check_witness(config: Configuration) -> Verdict:
     """For `rig doctor`: wait for the first sample, as long as one may be silent."""
     kind = config.witness.kind
-    if kind == "controller":
-        return Verdict("witness", True, "on the controller's board, see there", made=False)
     if kind == "none":
         return Verdict("witness", True, "none is configured", made=False)
     try:
@@ -125,30 +104,20 @@ def check_witness(config: Configuration) -> Verdict:
     return Verdict("witness", alive, f"{kind}, samples come" if alive else problem, remedy)
 
 
-class _Samples(ABC):
-    """Samples that were looked at, and wait to be taken."""
+class _Connected(GroundWitness):
+    """An instrument of this computer, whose clock its samples are on; a frame relates it to the frames'."""
 
-    def __init__(self) -> None:
-        self._looked_at: list[RecordedWitness] = []
+    def __init__(self, settings: WitnessSettings) -> None:
+        super().__init__()
+        self._settings = settings
+        self._service = WitnessLines(settings)
 
-    def take(self, frame: Frame) -> list[RecordedWitness]:
-        looked_at, self._looked_at = self._looked_at, []
-        return [*looked_at, *self._new(frame)]
+    def __enter__(self) -> Self:
+        self._service.start()
+        return self
 
-    def recent(self, frame: Frame, last_s: float) -> list[RecordedWitness]:
-        from_ns = frame.time_ns - nanoseconds(last_s)
-        self._looked_at = [one for one in self.take(frame) if one.time_ns >= from_ns]
-        return list(self._looked_at)
-
-    @abstractmethod
-    def _new(self, frame: Frame) -> list[RecordedWitness]:
-        """Samples that have come since the last call."""
-
-
-class _Arriving(_Samples):
-    """Samples on this computer's clock; the frame that is processed relates it to the frames'."""
-
-    _service: WitnessBuffer
+    def __exit__(self, *_error: object) -> None:
+        self._service.close()
 
     def beside(self, camera: Camera) -> None:
         """Any camera's frames say when they arrived."""
@@ -159,53 +128,6 @@ class _Arriving(_Samples):
             RecordedWitness(one.host_time_ns + shift_ns, one.host_time_ns, one.own_time_s, *one.value)
             for one in self._service.take_samples()
         ]
-
-
-class _OnBoard(_Arriving):
-    """The accelerometer on the controller's board, whose service takes its samples."""
-
-    def __init__(self, board: BoardWitness, control: ControlService) -> None:
-        super().__init__()
-        self._service: BoardWitness = board
-        self._control = control
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_error: object) -> None: ...
-
-    def take_events(self) -> tuple[str, ...]:
-        return self._service.take_events()
-
-    @property
-    def problem(self) -> str:
-        if not self._service.silent:
-            return ""
-        snapshot = self._control.snapshot
-        if snapshot.status is None:
-            return f"the controller is {snapshot.state}: {snapshot.last_error}".rstrip(": ")
-        if self._service.refusal:
-            return self._service.refusal
-        if not self._service.alive:
-            return "the accelerometer on the controller's board does not answer"
-        return f"no sample for {self._service.age_s:.0f} s"
-
-
-class _Connected(_Arriving):
-    """An instrument of this computer."""
-
-    def __init__(self, settings: WitnessSettings) -> None:
-        super().__init__()
-        self._settings = settings
-        by_seedlink = settings.kind == "seedlink"
-        self._service: WitnessSamples = (SeedLinkStation if by_seedlink else WitnessLines)(settings)
-
-    def __enter__(self) -> Self:
-        self._service.start()
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self._service.close()
 
     def take_events(self) -> tuple[str, ...]:
         return self._service.take_events()
@@ -222,7 +144,7 @@ class _Connected(_Arriving):
         return "no line has come" if math.isinf(age_s) else f"no sample for {age_s:.0f} s"
 
 
-class _Simulated(_Samples):
+class _Simulated(GroundWitness):
     """The instrument beside the simulated rig, whose clock is the simulated camera's."""
 
     def __init__(self, settings: SimulationSettings) -> None:
@@ -230,11 +152,6 @@ class _Simulated(_Samples):
         self._settings = settings
         self._witness = SimulatedWitness(settings)
         self._camera: SimulatedCamera | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_error: object) -> None: ...
 
     def beside(self, camera: Camera) -> None:
         self._camera = camera if isinstance(camera, SimulatedCamera) else None

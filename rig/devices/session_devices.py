@@ -2,9 +2,9 @@
 
 import logging
 import math
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -14,7 +14,6 @@ from acquisition.record.events import EventKind
 from acquisition.simulation.inputs import RigInputs
 from processing.errors import ConfigurationError
 from rig.control import (
-    ACCELEROMETER,
     Controller,
     ControlService,
     EnvironmentService,
@@ -27,11 +26,9 @@ from rig.control import (
 )
 from rig.devices.delivered import asking, checked_info, checked_settings, ended
 from rig.devices.frame_stream import FrameStream
-from rig.devices.ground_witness import GroundWitness, board_witness, ground_witness
+from rig.devices.ground_witness import GroundWitness, ground_witness
 from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.lit_devices import LitDevices
-from rig.devices.simulated_accelerometer import SimulatedAccelerometer
-from rig.devices.simulated_interlock import SimulatedInterlock
 from rig.instrument import (
     camera_settings,
     check_full_scale,
@@ -82,7 +79,6 @@ class Devices(LitDevices):
         self._folder = folder
         self._closing = ExitStack()
         self._inputs: RigInputs | None = None
-        self._accelerometer: SimulatedAccelerometer | None = None
         self.sensor: EnvironmentService | None = None
         self.witness: GroundWitness | None = None
         if config.controller.kind == "simulated":
@@ -119,7 +115,6 @@ class Devices(LitDevices):
         if self.state.left_lit:
             self.permit.trip(TripCause.WATCHDOG, "a program was killed that had lit the laser")
             self.state.lit(False)
-        on_board = board_witness(config)
         if config.controller.kind != "none":
             self.control = self._closing.enter_context(
                 ControlService(
@@ -129,14 +124,12 @@ class Devices(LitDevices):
                     if config.environment_sensor.kind == "controller"
                     else None,
                     self.permit,
-                    on_board,
                 )
             )
             self.control.wait_open()
         if config.environment_sensor.kind == "serial":
             self.sensor = self._closing.enter_context(EnvironmentService(config.environment_sensor))
-        board = (on_board, self.control) if on_board is not None and self.control is not None else None
-        if (witness := ground_witness(config, board)) is not None:
+        if (witness := ground_witness(config)) is not None:
             self.witness = self._closing.enter_context(witness)
         laser = make_laser(config.laser)
         if laser is not None:
@@ -159,8 +152,6 @@ class Devices(LitDevices):
                 info = checked_info(camera.open(), config.camera.driver)
             if self.witness is not None:
                 self.witness.beside(camera)
-            if self._accelerometer is not None and isinstance(camera, SimulatedCamera):
-                self._accelerometer.beside(camera)
             asked = camera_settings(config)
             with asking(name, "configure()"):
                 applied = checked_settings(camera.configure(asked), config.camera.driver)
@@ -204,17 +195,10 @@ class Devices(LitDevices):
         interlock = SimulatedInterlock(
             config.faults.interlock_opens_at_s, config.faults.interlock_open_for_s, wired
         )
-        outputs = SimulatedOutputs()
-        if config.witness.kind == "controller":
-            self._accelerometer = SimulatedAccelerometer(
-                config.simulation, ACCELEROMETER.rate_hz, ACCELEROMETER.per_g
-            )
-            outputs = replace(outputs, accelerometer=self._accelerometer.samples)
         return simulated_controller(
             config.controller,
             limit_w,
-            replace(
-                outputs,
+            SimulatedOutputs(
                 laser=interlock.laser,
                 interlock_closed=interlock.closed,
                 pulse=inputs.pulse,
@@ -259,3 +243,32 @@ class Devices(LitDevices):
 
 def _unwired(_: float) -> None:
     """Laser output of the controller if the laser is not connected to it."""
+
+
+class SimulatedInterlock:
+    """Closed, but for `open_for_s` from `opens_at_s` on (None: never), since the laser was first lit.
+
+    `laser` passes the laser's power in W on.
+    """
+
+    def __init__(
+        self,
+        opens_at_s: float | None,
+        open_for_s: float,
+        laser: Callable[[float], None],
+    ) -> None:
+        self._opens_at_s, self._open_for_s = opens_at_s, open_for_s
+        self._laser = laser
+        self._lit_s: float | None = None
+
+    def laser(self, power_w: float) -> None:
+        """The output of the laser."""
+        if power_w > 0 and self._lit_s is None:
+            self._lit_s = time.monotonic()
+        self._laser(power_w)
+
+    def closed(self) -> bool:
+        """State of the loop."""
+        if self._opens_at_s is None or self._lit_s is None:
+            return True
+        return not 0 <= time.monotonic() - self._lit_s - self._opens_at_s < self._open_for_s

@@ -27,7 +27,7 @@ from rig.instrument.fitted_decay import FittedDecay
 from rig.instrument.kernels import prepare_kernels
 from rig.instrument.less_beam import LESS_BEAM, LessBeam
 from rig.instrument.pendulum import balls, check_materials, material, pendulum_on_ball
-from rig.instrument.pipeline import Block, BothSpots, Deflector, Optics, Pipeline, optics_of, sensor_model
+from rig.instrument.pipeline import Block, Deflector, Optics, Pipeline, optics_of, sensor_model
 from rig.instrument.provenance import (
     CONFIGURATION_NAME,
     configuration_attachments,

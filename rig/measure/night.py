@@ -1,7 +1,7 @@
 """An unattended night: the series of a plan one after the other, each when its conditions allow."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
@@ -58,14 +58,14 @@ def measure_plan(
     before anything is lit if a configuration of the plan cannot be used.
     """
     plan = load_plan(source)
-    configs = [_of_place(series_configuration(series), place) for place, series in enumerate(plan.series)]
+    configs = [_of_place(_configuration(series), place) for place, series in enumerate(plan.series)]
     folder = output or configs[0].session.output / source.stem
     worst = 0
     for series, config in zip(plan.series, configs, strict=True):
         place = folder / series.name
-        waiting = Waiting(series, f"series {series.name}", now_s, sleep)
+        waiting = Waiting(series, now_s, sleep)
         say(f"series {series.name}")
-        end = measure_series(series, config, place, waiting, waiting.said, force=force, json_lines=json_lines)
+        end = _measure_series(series, config, place, waiting, force=force, json_lines=json_lines)
         worst = max(worst, end.status)
         if end.failure and not waiting.over:
             say(f"series {series.name}: {end.failure}; the plan ends here", error=True)
@@ -83,7 +83,7 @@ def _of_place(config: Configuration, place: int) -> Configuration:
     return config.model_copy(update={"simulation": config.simulation.model_copy(update={"seed": seed})})
 
 
-class SeriesEnd(NamedTuple):
+class _SeriesEnd(NamedTuple):
     """How a series ended: its exit status, why its last run failed or was stopped, if it was, and whether any
     was made.
     """
@@ -93,28 +93,24 @@ class SeriesEnd(NamedTuple):
     made: bool
 
 
-def measure_series(
+def _measure_series(
     series: PlannedSeries,
     config: Configuration,
     folder: Path,
-    patience: Callable[[str], bool],
-    planned: Callable[[], Sequence[str]],
+    waiting: Waiting,
     *,
     force: bool,
     json_lines: bool,
-) -> SeriesEnd:
-    """Make the runs of a series that are missing in its folder, and repeat its bad ones.
-
-    `patience` and `planned` are those of `Manner`.
-    """
+) -> _SeriesEnd:
+    """Make the runs of a series that are missing in its folder, and repeat its bad ones."""
     before = read_session(folder).next_number if (folder / STATE_NAME).exists() else 0
     with announced(config.session, folder) as outcome:
-        manner = Manner(outcome.notices, force, json_lines, patience, planned)
+        manner = Manner(outcome.notices, force, json_lines, waiting, waiting.said)
         outcome.status = _Series(series, config, folder, manner).made_and_repeated()
     with closing(SessionFile.opened(folder)) as file:
         last, made = file.state.entries[-1], file.state.next_number != before
     bad = last.state in {RunState.FAILED, RunState.STOPPED}
-    return SeriesEnd(outcome.status, last.reason if bad else "", made)
+    return _SeriesEnd(outcome.status, last.reason if bad else "", made)
 
 
 class SourcedConfiguration(NamedTuple):
@@ -124,12 +120,12 @@ class SourcedConfiguration(NamedTuple):
     config: Configuration
 
 
-def series_configuration(series: PlannedSeries) -> Configuration:
+def _configuration(series: PlannedSeries) -> Configuration:
     """Raises ConfigurationError where it cannot be used, or cannot see the conditions of its runs."""
     config = complete(load_configuration(series.config, series.overrides()))
     check_materials(config)
     check_stop_when(config)
-    check_conditions(series, config, f"series {series.name}", series.config)
+    check_conditions(series, config)
     return config
 
 

@@ -1,21 +1,20 @@
 """Waits for the conditions of a run, says what for, and gives up at the stated end."""
 
 import datetime
-import math
 from collections.abc import Callable
-from pathlib import Path
 
 from processing.errors import ConfigurationError
 from rig.presentation import say
-from rig.settings import Configuration, RunConditions
+from rig.settings import Configuration, PlannedSeries
 
 Sleep = Callable[[float], None]
 _LONG_ENOUGH_S = 60.0
 """Look at rest that holds the eight periods which the ground's drive needs."""
 
 
-def check_conditions(asked: RunConditions, config: Configuration, who: str, source: Path) -> None:
+def check_conditions(asked: PlannedSeries, config: Configuration) -> None:
     """Raise ConfigurationError for conditions that a configuration cannot see."""
+    who, source = f"series {asked.name}", asked.config
     if asked.asks_the_air and config.environment_sensor.kind == "none":
         what = "temperature_c needs a thermometer"
         if asked.humidity_percent is not None:
@@ -35,33 +34,11 @@ def check_conditions(asked: RunConditions, config: Configuration, who: str, sour
 
 
 class Waiting:
-    """Waits until a run may be tried again; `over` once it must not any more.
+    """Waits until a run may be tried again; `over` once it must not any more."""
 
-    Parameters
-    ----------
-    asked
-        How long, and how often it is tried.
-    who
-        Who waits, for messages.
-    longest_s
-        What else limits the wait, from its beginning on.
-    told
-        Called with what is waited for, whenever it is waited.
-    """
-
-    def __init__(
-        self,
-        asked: RunConditions,
-        who: str,
-        now_s: Callable[[], float],
-        sleep: Sleep,
-        *,
-        longest_s: float = math.inf,
-        told: Callable[[str], None] = lambda _text: None,
-    ) -> None:
-        self._who, self._now_s, self._sleep, self._told = who, now_s, sleep, told
-        self._every_s = asked.try_every_s
-        self._longest_s = min(asked.wait_max_s, longest_s)
+    def __init__(self, asked: PlannedSeries, now_s: Callable[[], float], sleep: Sleep) -> None:
+        self._who, self._now_s, self._sleep = f"series {asked.name}", now_s, sleep
+        self._every_s, self._longest_s = asked.try_every_s, asked.wait_max_s
         self._waited_s = self._this_s = 0.0
         self._since = self._last = ""
         self._refused = False
@@ -77,9 +54,7 @@ class Waiting:
             say(f"{self._who} is left out: not ready within {self._longest_s:g} s: {why}", error=True)
             return False
         self._last, self._refused = why, True
-        text = f"waiting since {self._since}: {why}"
-        say(f"{self._who}: {text}")
-        self._told(text)
+        say(f"{self._who}: waiting since {self._since}: {why}")
         begun_s = self._now_s()
         self._sleep(min(self._every_s, left_s))
         lasted_s = self._now_s() - begun_s

@@ -3,7 +3,6 @@
 from rig.plan.ageing import ageing_table, plan_ageing
 from rig.plan.expected import (
     Expected,
-    expected_after,
     expected_of,
     expected_of_table,
     planned_expectation,

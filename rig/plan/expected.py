@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +17,7 @@ from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import HarmonicsWatch, swings_of_blocks, turning_points
 from processing.ticks import nanoseconds
-from rig.analysis import RunResults, SessionResults, known_drag, read_results, stated_surroundings
+from rig.analysis import SessionResults, known_drag, read_results, stated_surroundings
 from rig.instrument import complete, pendulum_on_ball, sensor_model
 from rig.settings import Configuration, load_configuration
 
@@ -26,8 +25,6 @@ _HALF_CYCLES = 100
 _FRAMES = 9
 _AMPLITUDE_RAD = 3e-4
 _FULL_SCALE_DN = 255.0
-_ADXL355_M_PER_S2_PER_SQRT_HZ = 25e-6 * 9.80665
-"""Noise of the accelerometer on the controller's board, by its data sheet."""
 
 
 class Expected(NamedTuple):
@@ -107,52 +104,19 @@ def expected_of_table(results: Path) -> Expected:
             "CONFIG makes one"
         )
     run = max(fitted, key=lambda run: run.half_cycles)
-    exact, conditions = run.fits[FitMethod.EXACT], _conditions_of(run)
-    assert conditions is not None
-    names = DEFAULT_LAW.names(drag=DRAG.key in exact.parameters)
-    values = {name: exact.parameters[name].value for name in names}
-    pendulum = run.pendulum
+    exact, stored, pendulum = run.fits[FitMethod.EXACT], run.turning_points, run.pendulum
+    assert stored is not None
     assert pendulum is not None
-    return Expected(values, pendulum, conditions)
-
-
-def expected_after(expected: Expected, runs: Sequence[RunResults]) -> Expected:
-    """The same with the contact, the noise and the ground that runs of it had, by their medians.
-
-    A ground that no run has seen stays as it is expected.
-    """
-    fits = [run.fits[FitMethod.EXACT] for run in runs if FitMethod.EXACT in run.fits]
-    values = dict(expected.values)
-    for name in values:
-        seen = [fit.estimate(name).value for fit in fits]
-        if good := [value for value in seen if math.isfinite(value)]:
-            values[name] = float(np.median(good))
-    found = [one for run in runs if (one := _conditions_of(run)) is not None]
-    conditions = expected.conditions
-    if found:
-        grounds = [one.ground_rad_per_s2_rthz for one in found if one.ground_rad_per_s2_rthz > 0]
-        grounds = grounds or [conditions.ground_rad_per_s2_rthz]
-        conditions = replace(
-            conditions,
-            u_amplitude_rad=float(np.median([one.u_amplitude_rad for one in found])),
-            u_time_amplitude_s_rad=float(np.median([one.u_time_amplitude_s_rad for one in found])),
-            ground_rad_per_s2_rthz=float(np.median(grounds)),
-        )
-    return expected._replace(values=values, conditions=conditions)
-
-
-def _conditions_of(run: RunResults) -> Conditions | None:
-    """What made the turning points of a fitted run scatter; None of one without them."""
-    stored, exact = run.turning_points, run.fits.get(FitMethod.EXACT)
-    if stored is None or exact is None:
-        return None
     points, ground = stored.points(), exact.ground
     scale = 1.0 if ground is None else ground.measurement_scale
-    return Conditions(
+    conditions = Conditions(
         scale * float(np.median(points.u_amplitude)),
         scale * float(np.median(points.u_time_s * points.amplitude)),
         0.0 if ground is None else ground.density_rad_per_s2_rthz.value,
     )
+    names = DEFAULT_LAW.names(drag=DRAG.key in exact.parameters)
+    values = {name: exact.parameters[name].value for name in names}
+    return Expected(values, pendulum, conditions)
 
 
 def _contact_of(results: Path) -> dict[str, float]:
@@ -281,9 +245,7 @@ def _witness_noise(config: Configuration) -> float | None:
     kind = config.witness.kind
     if kind == "none":
         return None
-    noise = _ADXL355_M_PER_S2_PER_SQRT_HZ if kind == "controller" else 0.0
-    if kind == "simulated":
-        noise = config.simulation.witness.noise_m_per_s2_per_sqrt_hz
+    noise = config.simulation.witness.noise_m_per_s2_per_sqrt_hz if kind == "simulated" else 0.0
     level = _ground_level(config)
     return max(LEAST_LEFT, noise / level) if level > 0 else LEAST_LEFT
 

@@ -7,13 +7,101 @@ import os
 import pickle
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 
+import numpy as np
+
+from processing.contact import AMPLITUDE, TIME, PendulumOnBall, turning_points_of
+from processing.deflections import Deflections
 from processing.errors import DataError
-from processing.fit import FitOfSwings
-from rig.posterior.decay import fitted_decay
-from rig.posterior.measured_run import MeasuredRun
+from processing.fit import FitOfSwings, FitResult, fitted_twice, with_misfit
+from processing.periods import full_periods
+from processing.swing import Swing, TurningPoints
+from rig.instrument import FittedDecay
 from rig.posterior.messages import Asked, FittedModel, FittedParameters
+
+_MOST = 300
+"""Half-cycles that are told: more than a chart has pixels for are no news."""
+
+
+def fitted_decay(
+    swings: Sequence[Swing], points: TurningPoints, fit: FitResult, pendulum: PendulumOnBall
+) -> FittedDecay:
+    """The exact fit beside its data: `points` are the unflagged `swings` in true time."""
+    times_ns = np.array([swing.turn_time_ns for swing in swings if not swing.flags], dtype=np.int64)
+    index = points.index - points.index[0]
+    start = fit.estimate(AMPLITUDE.key).value
+    amplitude, time_s = turning_points_of(fit.parameters, pendulum, start, int(index[-1]))
+    fitted, time_s = amplitude[index], time_s[index] + fit.estimate(TIME.key).value
+    periods = full_periods(points)
+    at = periods.where
+    fitted_period_s = time_s[at + 1] - time_s[at - 1]
+    left = (points.amplitude - fitted) / points.u_amplitude
+    left_of_period = (periods.period_s - fitted_period_s) / periods.u_period_s
+    # where the law says that friction holds it, it says nothing of the motion
+    few = np.flatnonzero(np.isfinite(left))[_every(len(left))]
+    few_periods = np.flatnonzero(np.isfinite(left_of_period))[_every(len(at))]
+    return FittedDecay(
+        times_ns[few].tolist(),
+        fitted[few].tolist(),
+        left[few].tolist(),
+        times_ns[at][few_periods].tolist(),
+        fitted_period_s[few_periods].tolist(),
+        left_of_period[few_periods].tolist(),
+    )
+
+
+def _every(count: int) -> slice:
+    return slice(None, None, -(-count // _MOST) or 1)
+
+
+MOST_SAMPLES = 1 << 22
+"""Deflections that are kept, 160 MB: 2.3 hours of 500 frames/s."""
+_BEFORE = 4
+"""Half-cycles before the first one of which deflections are kept: so many are found together."""
+
+
+class MeasuredRun:
+    """All half-cycles so far; fitted, measured again and fitted as the final analysis does.
+
+    Where there would be more than `most` deflections, the older half of the half-cycles stays as measured
+    last: the motion is then known from thousands of them.
+    """
+
+    def __init__(self, most: int = MOST_SAMPLES) -> None:
+        self._most = most
+        self._stand: list[Swing] = []
+        self._open: list[Swing] = []
+        self._blocks: list[Deflections] = []
+        self._near: FitResult | None = None
+
+    @property
+    def samples(self) -> int:
+        """Deflections that are kept."""
+        return sum(map(len, self._blocks))
+
+    def take(self, swings: Sequence[Swing], deflections: Deflections) -> None:
+        """Half-cycles and deflections that follow."""
+        self._open += swings
+        if len(deflections):
+            self._blocks.append(deflections)
+
+    def fitted(self, fit: FitOfSwings) -> tuple[Sequence[Swing], FitResult]:
+        """All of them as they stand, and the fit to them; raises DataError where there is none."""
+        found, self._near = fitted_twice(self._open, self._blocks, fit, self._near, self._stand)
+        if found.exact is not None and self.samples > self._most:
+            self._let_go(found.swings)
+        return found.swings, with_misfit(fit.points(found.swings), fit.pendulum, self._near)
+
+    def _let_go(self, swings: Sequence[Swing]) -> None:
+        half = len(self._open) // 2
+        if half < _BEFORE:
+            return
+        from_ns = self._open[half - _BEFORE].turn_time_ns
+        self._stand = list(swings[: len(self._stand) + half])
+        self._open = self._open[half:]
+        self._blocks = [kept for block in self._blocks if len(kept := block.since(from_ns))]
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from rig.balance import balance_rig
-from rig.balance.simulated_operator import SimulatedOperator
+from rig.balance.balancing import SimulatedOperator
 from tests.rig.balance.random_starts import follow, out_of_reach, random_start, true_state
 
 LEAST_OF_100 = 98

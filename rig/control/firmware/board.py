@@ -11,7 +11,6 @@ a pull-down resistor, so that all outputs are off while the board is in reset):
     GP12 button to ground that acknowledges a trip
     GP13 comparator of a photodiode in the laser's stray light, high in light ("photodiode" in limits.json)
     GP16 SDA, GP17 SCL: BME280
-    GP18 SDA, GP19 SCL: ADXL355, a bus of its own, because one that hangs must not cost the air's sensor
 """
 
 import json
@@ -20,7 +19,6 @@ import select
 import sys
 import time
 
-import adxl355  # type: ignore[import-not-found]
 import machine  # type: ignore[import-not-found]
 import micropython  # type: ignore[import-not-found]
 from bme280 import Bme280  # type: ignore[import-not-found]
@@ -29,17 +27,10 @@ from pulse import Pulses  # type: ignore[import-not-found]
 LIMITS_FILE = "limits.json"
 LATCH_FILE = "latch.json"
 PWM_HZ = 100_000
-BUS_WAIT_US = 5000
-"""A sensor that holds its clock line stops the loop for no longer."""
 
 
 class Board:
-    """Pins, clock and bytes for `core.Firmware`.
-
-    `witness` are the name of its accelerometer, the rate in Hz, the step in ms and the counts per g.
-    """
-
-    witness = (adxl355.NAME, adxl355.RATE_HZ, adxl355.STEP_MS, adxl355.PER_G)
+    """Pins, clock and bytes for `core.Firmware`."""
 
     def __init__(self) -> None:
         self._laser = machine.PWM(machine.Pin(2), freq=PWM_HZ, duty_u16=0)
@@ -75,10 +66,6 @@ class Board:
             self._sensor = Bme280(self._i2c)
         except OSError:
             self.fault = self.fault or "no BME280 on I2C 0"
-        self._witness_bus = machine.I2C(
-            1, sda=machine.Pin(18), scl=machine.Pin(19), freq=400_000, timeout=BUS_WAIT_US
-        )
-        self._accelerometer = None
         self._poll = select.poll()
         self._poll.register(sys.stdin, select.POLLIN)
         self._watchdog = None
@@ -216,14 +203,6 @@ class Board:
             # it may have been plugged in since
             self._sensor = Bme280(self._i2c)
         return self._sensor.read()  # type: ignore[no-any-return]
-
-    def begin_witness(self) -> None:
-        """Set the accelerometer up; OSError without one."""
-        self._accelerometer = adxl355.Adxl355(self._witness_bus)
-
-    def read_witness(self) -> "tuple[bool, list[bytes], int]":
-        """Whether samples were lost, the oldest, how many wait still; OSError if it does not answer."""
-        return self._accelerometer.read()  # type: ignore[no-any-return, attr-defined]
 
     def ticks_ms(self) -> int:
         """The board's clock."""

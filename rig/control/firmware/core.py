@@ -5,7 +5,7 @@ bytes are accessed through the board object (see `board.py` for its methods). Th
 commands are documented in docs/controller.md.
 """
 
-VERSION = "1.3"
+VERSION = "1.4"
 LINE_MAX = 120
 REPLAY = 8
 ERRORS_MAX = 16
@@ -16,12 +16,6 @@ PULSE_MAX_US = 1000000
 LIGHT_MS = 200
 CAUSES = ("NONE", "INTERLOCK", "OUTPUT", "WATCHDOG", "POWER")
 BUTTON_MS = 500
-# the witness of the ground: how often its sensor is looked at, when it counts as silent and is set up again,
-# what waits for the host (4 s), and what one reply holds
-WITNESS_LOOK_MS = 4
-WITNESS_SILENT_MS = 1000
-WITNESS_KEPT = 64
-WITNESS_BLOCK = 6
 
 
 def _crc_table() -> list[int]:
@@ -120,7 +114,6 @@ class Firmware:
         self._replies: list[tuple[bytes, bytes]] = []
         self._line = b""
         self._overrun = False
-        self._begin_witness(False)
         # the first commands are allowed without a session; the others act on the rig and need one
         self._free = {}
         self._acting = {}
@@ -161,8 +154,6 @@ class Firmware:
             ("STARter:PULSe", self._pulse),
             ("CLAMp", self._set_clamp),
             ("BRAKe", self._set_brake),
-            ("WITNess:STARt", self._start_witness),
-            ("WITNess:DATA?", self._witness_data),
         ):
             for spelling in _spellings(header):
                 self._acting[spelling] = action
@@ -176,16 +167,11 @@ class Firmware:
     # -- called by the board's loop -------------------------------------------
 
     def step(self) -> None:
-        """One turn of the loop; deadlines first, so that a late heartbeat cannot prevent a trip.
-
-        The witness of the ground has only turns in which no command came.
-        """
+        """One turn of the loop; deadlines first, so that a late heartbeat cannot prevent a trip."""
         self._tick()
         data = self.board.read()
         if data:
             self._receive(data)
-        elif self._has_witness and self.token:
-            self._feel()
 
     def safe(self) -> None:
         """Switch laser, magnet, starter and brake off; the clamp does not move, because it could hit the
@@ -274,65 +260,6 @@ class Firmware:
         self.trip = cause
         self._fail(code, "Tripped; " + cause)
         self._event("TRIP " + cause)
-
-    # -- the witness of the ground --------------------------------------------
-
-    def _begin_witness(self, wanted: bool) -> None:
-        self._has_witness = wanted
-        self._feels = False
-        self._felt: list[tuple[int, int, bytes]] = []
-        self._next_felt = 0
-        self._dropped = 0
-        self._look_ms = self._felt_ms = self.board.ticks_ms()
-
-    def _feel(self) -> None:
-        """Take what the sensor has measured, if it is time to look; one that is silent is set up again."""
-        board = self.board
-        now = board.ticks_ms()
-        if board.ticks_diff(now, self._look_ms) < 0:
-            return
-        self._look_ms = board.ticks_add(now, WITNESS_LOOK_MS)
-        try:
-            if not self._feels:
-                board.begin_witness()
-                self._feels, self._felt_ms = True, now
-            lost, samples, left = board.read_witness()
-            if samples:
-                self._felt_ms = now
-            elif board.ticks_diff(now, self._felt_ms) > WITNESS_SILENT_MS:
-                raise OSError("no sample")
-        except OSError:
-            # what comes later does not follow on, and a bus that hangs costs one look a second
-            self._feels, self._next_felt = False, self._next_felt + 1
-            self._look_ms = board.ticks_add(now, WITNESS_SILENT_MS)
-            return
-        if lost:
-            self._next_felt += 1
-        for later, sample in enumerate(samples, 1 - len(samples) - left):
-            if len(self._felt) >= WITNESS_KEPT:
-                self._felt.pop(0)
-                self._dropped += 1
-            at = board.ticks_add(now, later * board.witness[2])
-            self._felt.append((self._next_felt, at, sample))
-            self._next_felt += 1
-
-    def _start_witness(self, _: str) -> str:
-        self._begin_witness(True)
-        name, rate_hz, _, per_g = self.board.witness
-        return f"{name},{rate_hz:.7g},{per_g}"
-
-    def _witness_data(self, _: str) -> str:
-        """The oldest samples that follow one another, how many were dropped, and the ticks of the last."""
-        block = 0
-        felt = self._felt
-        while block < min(WITNESS_BLOCK, len(felt)) and felt[block][0] == felt[0][0] + block:
-            block += 1
-        first, last_ms = (felt[0][0], felt[block - 1][1]) if block else (self._next_felt, 0)
-        # MicroPython's hex() of no bytes is bytes
-        values = b"".join([one[2] for one in felt[:block]]).hex() if block else ""
-        del felt[:block]
-        left, now_ms = len(felt), self.board.ticks_ms()
-        return f"{int(self._feels)},{self._dropped},{left},{first},{last_ms},{now_ms},{values}"
 
     # -- lines ----------------------------------------------------------------
 
@@ -477,7 +404,6 @@ class Firmware:
             raise Refused(-222, "Data out of range; deadline 100 to 5000 ms")
         self.safe()
         self._replies = []
-        self._begin_witness(False)
         self.token = token
         self.deadline_ms = int(deadline_ms)
         self.heard_ms = self.board.ticks_ms()

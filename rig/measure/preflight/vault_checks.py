@@ -51,11 +51,7 @@ def witness(
     if problem is None:
         return Verdict("witness", True, measured="none is configured", limit=_COMES, made=False)
     if problem:
-        remedy = (
-            "check its supply and its wires on GP18 and GP19 of the board"
-            if kind == "controller"
-            else "see [witness]: its port, rate and columns"
-        )
+        remedy = "see [witness]: its port, rate and columns"
         return Verdict("witness", False, problem, remedy, measured=kind, limit=_COMES)
     if len(samples) < _FEWEST:
         return _alive(

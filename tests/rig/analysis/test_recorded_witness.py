@@ -28,8 +28,8 @@ def off(late_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[float, 
 
 @pytest.mark.parametrize("step_s", [-10.0, 0.7, 40.0])
 @pytest.mark.parametrize("at", [600, 7000])
-def test_where_the_computers_clock_was_set_the_later_holds_and_it_is_said(step_s: float, at: int) -> None:
-    """Times of a station are told by the computer's UTC, which was wrong until somebody or NTP set it."""
+def test_where_a_clock_was_set_the_later_holds_and_it_is_said(step_s: float, at: int) -> None:
+    """The instrument's clock was wrong until somebody or a satellite receiver set it."""
     rng = np.random.default_rng(1)
     late = 1e-3 * rng.standard_normal(COUNT)
     late[:at] -= step_s

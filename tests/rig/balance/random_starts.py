@@ -17,8 +17,8 @@ from acquisition.simulation.weights import TrimWeight
 from processing.angle import ARCSEC_RAD
 from processing.balance import BalanceEstimator, BalanceLimits, Turn, Unreachable
 from processing.deflections import Deflections, DeflectionUnit
+from rig.balance.balancing import SimulatedOperator
 from rig.balance.learned_turns import BalanceMeasurement, LearnedTurns
-from rig.balance.simulated_operator import SimulatedOperator
 from rig.instrument import complete
 from rig.settings import Configuration
 

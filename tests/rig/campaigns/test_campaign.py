@@ -24,7 +24,7 @@ from tests.rig.campaigns.made_sessions import (
     session,
     twice,
 )
-from tests.rig.command_line import CONFIGS, rig
+from tests.rig.command_line import rig
 
 OLDER = Path(__file__).parents[1] / "data" / "older"
 STATED = """
@@ -262,8 +262,6 @@ def test_runs_of_an_archive(tmp_path: Path) -> None:
     none = rig(*words, "--where", "b > 1e9", cwd=tmp_path)
     assert none.returncode == 2
     assert "no run with results meets it" in none.stderr
-    after = ("plan", CONFIGS / "basement.toml", "--for", "u(p)/p<0.9", "--archive", "catalogue")
-    assert "after 2 runs" in rig(*after, cwd=tmp_path).stdout
     assert rig("archive", "blind", "p", "--archive", "catalogue", cwd=tmp_path).returncode == 0
     blind = rig(*words, cwd=tmp_path)
     assert blind.returncode == 2
@@ -305,8 +303,6 @@ def test_a_night_is_one_contact(tmp_path: Path) -> None:
 )
 def test_names_that_exclude_each_other_are_refused(tmp_path: Path, words: list[str], message: str) -> None:
     folder = humid_campaign(tmp_path)[0]
-    planned = ["plan", CONFIGS / "demo.toml", "--for", "u(c)/c<0.1", "--after", folder]
-    for command in (["campaign", folder], planned):
-        done = rig(*command, *words)
-        assert done.returncode == 2
-        assert message in done.stderr
+    done = rig("campaign", folder, *words)
+    assert done.returncode == 2
+    assert message in done.stderr

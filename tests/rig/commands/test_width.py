@@ -22,7 +22,6 @@ SCREENS = {
     "fit of laws": "fit SERIES/run-1.mcap -o fitted --law masing --law viscous",
     "replay": "replay SERIES/run-1.mcap --retrack --set sensor.read_noise_e=40",
     "plan": f"plan {DEMO} --first 124 --last 30",
-    "plan for": f"plan {DEMO} --first 124 --last 30 --for 'u(c)/c<0.5'",
     "compare": "compare SERIES other",
     "campaign": "campaign SERIES",
     "instruments": "instruments",

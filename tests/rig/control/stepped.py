@@ -10,25 +10,13 @@ from contextlib import contextmanager
 
 import pytest
 
-from rig.control import (
-    board_witness,
-    environment,
-    laser_service,
-    link,
-    ports,
-    serial_port,
-    service,
-    witness,
-    worker,
-)
+from rig.control import environment, laser_service, link, serial_port, service, worker
 from rig.control.device_thread import DeviceThread
-from rig.control.firmware import adxl355
 from rig.control.firmware.core import Firmware
 from rig.control.lasers import ldc500, obis, serial_laser
 from rig.control.serial_port import LineReader, PortLost
 from tests.rig.control import instruments
 from tests.rig.control.instruments import Instrument
-from tests.rig.control.micropython.fake_adxl355 import FakeAdxl355
 
 TURN_MS = 5
 """How long one turn of the board's loop takes."""
@@ -58,11 +46,8 @@ class SteppedBoard:
     clamp_closed = False
     latches_at_start = False
     starter_max_ms, brake_max_ms = 5000, 300
-    witness = (adxl355.NAME, adxl355.RATE_HZ, adxl355.STEP_MS, adxl355.PER_G)
 
     def __init__(self, clock: Clock) -> None:
-        self.bus = FakeAdxl355(lambda: clock.now_ns / 1e6, 8000)  # type: ignore[no-untyped-call]
-        self._accelerometer: adxl355.Adxl355 | None = None
         self.clock = clock
         self.port = "stepped"
         self.closed = True
@@ -97,12 +82,6 @@ class SteppedBoard:
                 self.pressed = keys == b"k"
             case b"l" | b"d":
                 self.light = keys == b"l"
-            case b"a":
-                self.bus.present = False
-            case b"A":
-                self.bus.power()  # type: ignore[no-untyped-call]
-            case b"i" | b"I":
-                self.bus.hangs = keys == b"i"
             case b"r":
                 self._reset_wanted = True
 
@@ -194,13 +173,6 @@ class SteppedBoard:
         if not self.sensor_works:
             raise OSError("no sensor")
         return 20.125, 45.5, 101325.0
-
-    def begin_witness(self) -> None:
-        self._accelerometer = adxl355.Adxl355(self.bus)
-
-    def read_witness(self) -> tuple[bool, list[bytes], int]:
-        assert self._accelerometer is not None
-        return self._accelerometer.read()
 
     def ticks_ms(self) -> int:
         return self.clock.now_ns // 1_000_000
@@ -326,20 +298,7 @@ class InstrumentLine:
 def stepped_clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """The clock of all that the host does with lines."""
     clock = Clock()
-    of_the_host = (
-        environment,
-        laser_service,
-        link,
-        serial_port,
-        service,
-        worker,
-        serial_laser,
-        obis,
-        ldc500,
-        witness,
-        board_witness,
-        ports,
-    )
+    of_the_host = (environment, laser_service, link, serial_port, service, worker, serial_laser, obis, ldc500)
     for module in (*of_the_host, instruments):
         monkeypatch.setattr(module, "time", clock)
     return clock

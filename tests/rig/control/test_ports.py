@@ -51,7 +51,7 @@ class TestController:
     def test_all_is_well(self, board: SteppedBoard) -> None:
         found = self.checks(board, LaserSettings(kind="controller", power_w=0.001))
         assert all(check.ok for check in found.values())
-        assert found["controller"].reason == "serial TEST0001, firmware 1.3"
+        assert found["controller"].reason == "serial TEST0001, firmware 1.4"
         assert found["interlock"].reason == "closed"
         assert found["controller's sensor"].reason == "20.12 °C, 45.5 %, 1013.2 hPa"
 

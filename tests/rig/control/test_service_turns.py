@@ -173,7 +173,7 @@ def test_it_is_open_after_the_first_turn(service: ControlService, board: Stepped
     assert service.wait_open().serial == "TEST0001"
     assert snapshot.environment == AirReading(20.125, 45.5, 101325.0)
     assert (snapshot.status_time_ns, snapshot.reconnects) == (clock.monotonic_ns(), 0)
-    assert service.take_events() == ("TEST0001 is connected, firmware 1.3",)
+    assert service.take_events() == ("TEST0001 is connected, firmware 1.4",)
 
 
 def test_heartbeats_keep_it_lit_and_nothing_else_does(service: ControlService, board: SteppedBoard) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.frame_queue import FrameQueue
-from rig.devices.backlog import MOST_BYTES, Backlog, most_waiting
+from rig.devices.frame_stream import MOST_BYTES, Backlog, most_waiting
 
 
 def frame(width_px: int, height_px: int, number: int = 0) -> Frame:

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquisition.frame import Frame
-from rig.devices.frame_clock import FrameClock
-from rig.devices.recorded_times import mended_times
+from rig.devices.frame_clock import FrameClock, mended_times
 
 IMAGE = np.zeros((2, 2), np.uint8)
 RATE_HZ = 25.0

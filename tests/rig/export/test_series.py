@@ -31,7 +31,7 @@ from rig.export.certificate import write_certificate_of_runs
 from rig.export.run import ExportedRun
 from rig.export.session_export import export_session
 from rig.report.figures_contact import series_figure
-from rig.report.latex_files import latex_tables
+from rig.report.session_report import latex_tables
 from tests.rig.certificates import schema
 
 

@@ -168,8 +168,8 @@ def test_a_plan_of_a_configuration_has_its_own_witness_and_reference() -> None:
 
 
 def test_a_witness_that_hears_itself_more_than_the_ground_is_planned_so() -> None:
-    on_board = ("witness.kind='controller'", "controller.kind='simulated'", "simulation.real_time=true")
-    found = planned_expectation(VAULT, on_board, None, None).conditions
+    noisy = ("simulation.witness.noise_m_per_s2_per_sqrt_hz=2.5e-4",)
+    found = planned_expectation(VAULT, noisy, None, None).conditions
     assert found.witness_noise is not None
     assert found.witness_noise > 10
     louder = found.on_ground(100 * found.ground_rad_per_s2_rthz)

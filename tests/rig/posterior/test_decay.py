@@ -5,8 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from rig.posterior.decay import fitted_decay
-from rig.posterior.measured_run import MeasuredRun
+from rig.posterior.worker import MeasuredRun, fitted_decay
 from tests.rig.posterior.test_measured_run import PENDULUM, how, measured
 
 

@@ -12,7 +12,7 @@ from processing.fit import FitOfSwings, FitResult, with_misfit
 from processing.swing import HarmonicsWatch, Swing, SwingDetector
 from rig.analysis import evidence_of, settled_swings
 from rig.analysis.fitted_drag import OPEN_DRAG
-from rig.posterior.measured_run import MeasuredRun
+from rig.posterior.worker import MeasuredRun
 from rig.settings import FitSettings
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path

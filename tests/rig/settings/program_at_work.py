@@ -25,7 +25,6 @@ from rig.control import (
     EnvironmentSettings,
     LaserNow,
     Light,
-    SeedLinkStation,
     WitnessLines,
     WitnessSettings,
     simulated_controller,
@@ -260,11 +259,6 @@ def listen_to_the_ground(folder: Path) -> None:
                     lines.write("no sample\n0.1 5\n")
                 time.sleep(0.01)
             assert service.silent or service.last_ns
-    far = WitnessSettings(kind="seedlink", server="127.0.0.1:1", columns=("XX.RIG..BHN",))
-    with SeedLinkStation(far) as station:
-        deadline_s = time.monotonic() + 5.0
-        while time.monotonic() < deadline_s and not station.take_events():
-            time.sleep(0.01)
     truth = SimulationSettings.model_validate({"ground": {"model": "white"}})
     assert len(SimulatedWitness(truth).until(1.0, 0).counts)
     port = f"'{NOWHERE}'"

@@ -3,9 +3,7 @@
 import time
 from binascii import hexlify, unhexlify
 
-import adxl355
 import wires
-from fake_adxl355 import FakeAdxl355
 
 
 class ResetWanted(Exception):
@@ -14,8 +12,6 @@ class ResetWanted(Exception):
 
 class Board:
     """What `core.Firmware` needs of a board; see the firmware's own board.py."""
-
-    witness = (adxl355.NAME, adxl355.RATE_HZ, adxl355.STEP_MS, adxl355.PER_G)
 
     def __init__(self):
         self.serial = "TEST0001"
@@ -27,8 +23,6 @@ class Board:
         self.brake_max_ms = 300
         self._turning = False
         self._enabled = False
-        self._bus = FakeAdxl355(time.ticks_ms, 8000)
-        self._accelerometer = None
         self._log("boot 1")
 
     def _log(self, line):
@@ -86,24 +80,6 @@ class Board:
         if not wires.sensor():
             raise OSError("no sensor")
         return (20.125, 45.5, 101325.0)
-
-    def begin_witness(self):
-        self._wire_accelerometer()
-        self._accelerometer = adxl355.Adxl355(self._bus)
-
-    def read_witness(self):
-        self._wire_accelerometer()
-        return self._accelerometer.read()
-
-    def _wire_accelerometer(self):
-        wired = wires.accelerometer()
-        if wired and not self._bus.present:
-            self._bus.power()
-        self._bus.present = wired
-        self._bus.hangs = wires.hangs()
-        if self._bus.hangs:
-            # what machine.I2C waits for a clock line that is held
-            wires.wait(5)
 
     def ticks_ms(self):
         return time.ticks_ms()

@@ -7,8 +7,7 @@
 // the environment sensor away and give it back, 'r' resets the board (a new interpreter, as after a
 // brown-out), 'h' hangs the loop for 700 ms, 'b' opens the interlock for 20 ms, 'u' makes the relay read closed
 // whatever it was told, 'f' repairs the relay, 'm' marks the moment in LOG_FILE, 'k' presses and 'K' lets go the button,
-// 'l' and 'd' wire a photodiode that sees light or none, 'a' takes the accelerometer away and 'A' gives it back, 'i' and 'I'
-// hold its bus and let go, 'w' keeps the loop busy with other things for 3 s. Every change of an output is a line in LOG_FILE.
+// 'l' and 'd' wire a photodiode that sees light or none. Every change of an output is a line in LOG_FILE.
 import * as fs from 'node:fs';
 import * as path from 'node:path';
 import { pathToFileURL } from 'node:url';
@@ -22,7 +21,7 @@ const { loadMicroPython } = await import(pathToFileURL(path.join(packageDir, 'mi
 const buffer = Buffer.alloc(4096);
 const sleeper = new Int32Array(new SharedArrayBuffer(4));
 const state = { interlock: true, sensor: true, reset: false, stuck: false, stuckOn: false, mark: false, openTo: 0,
-  opened: false, pressed: false, light: -1, latch: '0 NONE', accelerometer: true, hangs: false };
+  opened: false, pressed: false, light: -1, latch: '0 NONE' };
 let quietTurns = 0;
 
 function take(fd) {
@@ -54,9 +53,6 @@ const wires = {
   latch: () => state.latch,
   storeLatch: (text) => { state.latch = text; },
   stuckOn: () => state.stuckOn,
-  accelerometer: () => state.accelerometer,
-  hangs: () => state.hangs,
-  wait: sleep,
   marked: () => {
     const marked = state.mark;
     state.mark = false;
@@ -99,9 +95,6 @@ const wires = {
         if (key === 'f') state.stuck = state.stuckOn = false;
         if (key === 'm') state.mark = true;
         if (key === 'k' || key === 'K') state.pressed = key === 'k';
-        if (key === 'a' || key === 'A') state.accelerometer = key === 'A';
-        if (key === 'i' || key === 'I') state.hangs = key === 'i';
-        if (key === 'w') sleep(3000);
         if (key === 'l' || key === 'd') state.light = key === 'l' ? 1 : 0;
       }
     }
@@ -116,12 +109,10 @@ for (;;) {
   state.reset = false;
   const mp = await loadMicroPython({ stdout: (line) => process.stderr.write(line + '\n'), linebuffer: true });
   mp.FS.mkdir('/lib');
-  for (const name of ['core.py', 'main.py', 'bme280.py', 'adxl355.py']) {
+  for (const name of ['core.py', 'main.py', 'bme280.py']) {
     mp.FS.writeFile('/lib/' + name, fs.readFileSync(path.join(firmwareDir, name)));
   }
   mp.FS.writeFile('/lib/board.py', fs.readFileSync(boardFile));
-  const fake = 'fake_adxl355.py';
-  mp.FS.writeFile('/lib/' + fake, fs.readFileSync(path.join(path.dirname(boardFile), fake)));
   mp.registerJsModule('wires', wires);
   try {
     mp.runPython('import main');
