@@ -30,5 +30,4 @@ from rig.wizards.first_configuration import FirstConfiguration
 from rig.wizards.kinds import KINDS, calibration_wizard
 from rig.wizards.question import Choice, Question, RecordedAnswer, Wizard
 from rig.wizards.recorded_files import steps_of_file
-from rig.wizards.service_unit import Service, units_folder, write_unit
 from rig.wizards.terminal import ask_in_terminal

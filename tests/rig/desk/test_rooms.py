@@ -124,7 +124,7 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
         assert trip is not None
         with pytest.raises(ConfigurationError, match="acknowledge it first"):
             desk.start("preflight")
-        desk.lighting.acknowledge(trip.number, "Ada")
+        desk.lighting.acknowledge(trip.number)
         until(lambda: desk.lighting.waits)
         desk.lighting.again()
         until(lambda: not desk.lighting.waits)

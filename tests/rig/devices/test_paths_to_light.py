@@ -174,7 +174,7 @@ def preflight(config: Configuration, folder: Path) -> None:
 def ordered(config: Configuration, folder: Path) -> None:
     with Devices(config) as devices:
         devices.permit.begin()
-        orders(devices, Notes(folder))["light"]("")
+        orders(devices, Notes(folder, ""))["light"]("")
 
 
 def typed(config: Configuration, folder: Path) -> None:
