@@ -291,8 +291,7 @@ def _since_record(news: Mapping[str, Any], event: Mapping[str, Any]) -> float:
     run, whose own times count from another record, is placed by when it was noted.
     """
     began_s, elapsed_s = (
-        math.nan if told is None else float(told)
-        for told in (news.get("record_began_s"), event["elapsed_s"])
+        math.nan if told is None else float(told) for told in (news.get("record_began_s"), event["elapsed_s"])
     )
     if event["run"] == news.get("run") and not math.isnan(began_s + elapsed_s):
         return elapsed_s

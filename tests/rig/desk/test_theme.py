@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from rig.desk import style, theme
-from rig.desk.theme import DRAWN, PAIRS, THEMES, contrast, themed_report
+from rig.desk.theme import DRAWN, PAIRS, THEMES, contrast
 
 DESK = Path(theme.__file__).parent
 
@@ -24,12 +24,8 @@ def test_texts_and_drawings_can_be_read(name: str) -> None:
         assert dull == {}
 
 
-def test_at_night_nothing_but_red_is_lit() -> None:
-    assert all(colour[3:] == "0000" for colour in THEMES["night"].values())
-
-
 def test_every_theme_has_every_colour_and_every_colour_that_is_used_has_a_name() -> None:
-    names = set(THEMES[theme.DARK])
+    names = set(THEMES["dark"])
     assert all(set(colours) == names for colours in THEMES.values())
     text = "".join(path.read_text("utf-8") for path in DESK.rglob("*.py"))
     sizes = set(re.findall(r"--(head|room|aspect|small):", text))
@@ -37,16 +33,8 @@ def test_every_theme_has_every_colour_and_every_colour_that_is_used_has_a_name()
 
 
 def test_panels_and_bars_have_no_colours_of_their_own() -> None:
-    """A bar that had some, after the theme's, was white on red in the night: unread through red light."""
     bars = [DESK / f"{name}.py" for name in ("safety_bar", "alarm_bar", "watchdog")]
     for path in (*(DESK / "panels").glob("*.py"), *bars):
         found = re.findall(r"(?:: |solid )(#[0-9a-fA-F]{3,6})\b", path.read_text("utf-8"))
         assert found == [], path.name
     assert "#0e1113" in style.STYLE
-
-
-def test_a_report_opens_in_the_theme_of_the_desk() -> None:
-    page = "<html><head></head><body>x</body></html>"
-    assert THEMES["dark"]["ground"] in themed_report(page, "dark")
-    assert "url(#night)" in themed_report(page, "night")
-    assert themed_report(page, "</style>") == page
