@@ -6,9 +6,39 @@ from pathlib import Path
 import pytest
 
 from rig.desk import style, theme
-from rig.desk.theme import DRAWN, PAIRS, THEMES, contrast
+from rig.desk.theme import THEMES
+from rig.presentation import palette
 
 DESK = Path(theme.__file__).parent
+_TEXTS = ("ink", "dim", "line", "go", "warn", "no")
+PAIRS = (
+    *((ink, ground) for ink in _TEXTS for ground in ("ground", "card", "raised")),
+    *(("on-ground", ground) for ground in ("go-ground", "no-ground", "alarm", "told")),
+    ("bar-ink", "bar"),
+    ("bar-dim", "bar"),
+    ("bar-ink", "bar-button"),
+    ("off-ink", "off"),
+)
+"""Ink and ground of every text; 4.5 is asked."""
+DRAWN = (
+    *((ink, ground) for ink in ("edge", "line", "second") for ground in ("ground", "card")),
+    ("edge", "raised"),
+)
+"""Curves, and edges of what can be filled or pressed; 3 is asked."""
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast of two ``#rrggbb`` colours as WCAG 2 defines it, 1 to 21."""
+    brighter, darker = sorted((_luminance(one), _luminance(other)), reverse=True)
+    return (brighter + 0.05) / (darker + 0.05)
+
+
+def _luminance(colour: str) -> float:
+    red, green, blue = (
+        part / 12.92 if part <= 0.03928 else ((part + 0.055) / 1.055) ** 2.4
+        for part in (one / 255 for one in palette.rgba(colour)[:3])
+    )
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
 def test_contrast_is_that_of_wcag() -> None:
