@@ -48,7 +48,6 @@ CONTENTS = {
     "How to": [
         "docs/session",
         "docs/desk",
-        "docs/desk-network",
         "docs/cameras",
         "docs/calibration",
         "docs/controller",

@@ -13,7 +13,7 @@ from processing.errors import RigError
 from rig.alarms.catalogue import CATALOGUE, Alarm, AlarmKey, Grade
 
 _PAST_KEPT = 200
-LONGEST_SHELF_S = 3600.0
+_SHELF_S = 600.0
 
 
 class AlarmState(StrEnum):
@@ -41,7 +41,6 @@ class AlarmRow:
     raised_s: float
     cleared_s: float | None = None
     acknowledged_s: float | None = None
-    acknowledged_by: str = ""
     shelved_until_s: float | None = None
     times: int = 1
 
@@ -134,7 +133,7 @@ class AlarmList:
                 self._rows.setdefault(row.key, row)
             self.past.extend(found.past)
 
-    def acknowledge(self, key: AlarmKey, by: str) -> None:
+    def acknowledge(self, key: AlarmKey) -> None:
         """Somebody has seen it; one whose cause is gone leaves the list.
 
         Raises RigError for a trip, whose acknowledgement is more than that.
@@ -143,24 +142,19 @@ class AlarmList:
             row = self._row(key)
             if row.alarm.by_leave and row.cleared_s is None:
                 raise RigError(f"{row.alarm.title}: {row.alarm.remedy}")
-            seen = replace(row, acknowledged_s=self._clock(), acknowledged_by=by, shelved_until_s=None)
+            seen = replace(row, acknowledged_s=self._clock(), shelved_until_s=None)
             if row.alarm.latched and seen.cleared_s is None and key not in self._since_s:
                 seen = replace(seen, cleared_s=seen.acknowledged_s)
             self._rows[key] = seen
             self._leave_if_over(key)
 
-    def shelve(self, key: AlarmKey, for_s: float, by: str) -> None:
-        """Put it aside for a time; it comes back by itself. Raises RigError for danger, which stays."""
+    def shelve(self, key: AlarmKey) -> None:
+        """Put it aside for ten minutes; it comes back by itself. Raises RigError for danger, which stays."""
         with self._lock:
             row = self._row(key)
             if row.alarm.grade is Grade.DANGER:
                 raise RigError(f"{row.alarm.title}: danger is not shelved; {row.alarm.remedy}")
-            if not 0 < for_s <= LONGEST_SHELF_S:
-                raise RigError(f"shelve for {for_s:g} s: should be up to {LONGEST_SHELF_S:g} s")
-            now_s = self._clock()
-            self._rows[key] = replace(
-                row, shelved_until_s=now_s + for_s, acknowledged_s=row.acknowledged_s, acknowledged_by=by
-            )
+            self._rows[key] = replace(row, shelved_until_s=self._clock() + _SHELF_S)
 
     def _row(self, key: AlarmKey) -> AlarmRow:
         row = self._rows.get(key)

@@ -54,7 +54,6 @@ class AlarmKey(StrEnum):
     WATCHER = "watcher"
     CONFIGURATION = "configuration"
     DESK_LOST = "desk lost"
-    NETWORK = "network"
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,12 +289,4 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
         "to darken the laser now, turn the key switch",
         _URGENT,
     ),
-    AlarmKey.NETWORK: Alarm(
-        "no network",
-        "this device has lost its connection",
-        "check Wi-Fi or cable; what you typed is kept; to darken the laser now, turn the key switch",
-        _URGENT,
-    ),
 }
-OF_PAGE: Final = (AlarmKey.DESK_LOST, AlarmKey.NETWORK)
-"""What only the page itself can see, without the desk."""

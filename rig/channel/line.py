@@ -14,8 +14,7 @@ import numpy as np
 from acquisition.frame import Image
 from processing.errors import RigError
 from processing.spot import Spot
-from rig.channel import secret
-from rig.channel.loopback import CHANNEL_NAME, LOOPBACK, MOST_ASKED_BYTES, SPECTRA, WHO
+from rig.channel.server import BEAT, CHANNEL_NAME, LOOPBACK, SERVER, SPECTRA
 
 _ANSWER_S = 3.0
 _ORDER_S = 20.0
@@ -39,15 +38,10 @@ class SessionPicture(NamedTuple):
     reference: Spot | None = None
 
 
-class Stranger(NoSession):
-    """Another program answers at the port of a session that has ended."""
-
-
 class Line:
     """Connected to the session that runs in a folder. May be used from any thread, by one at a time.
 
-    Raises NoSession, as every method does, where nobody answers; SessionBusy if somebody may do so later;
-    Stranger if who answers does not know the session's secret, which is told nothing.
+    Raises NoSession, as every method does, where no session answers; SessionBusy if it may do so later.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -58,7 +52,6 @@ class Line:
         except (OSError, ValueError, KeyError, TypeError):
             raise NoSession(f"{folder}: no session runs here") from None
         self._connection = http.client.HTTPConnection(LOOPBACK, port, timeout=_ANSWER_S)
-        self._challenge, self._number = "", 0
         self._was_seen = False
         self._one_at_a_time = threading.Lock()
 
@@ -83,12 +76,7 @@ class Line:
 
     def beat(self) -> None:
         """Return once the session has answered at all; for that it waits for nothing, and makes nothing."""
-        with self._one_at_a_time:
-            try:
-                self._meet(self._connection)
-            except (OSError, http.client.HTTPException) as error:
-                self._connection.close()
-                raise self._unanswered(error) from None
+        self._ask("GET", BEAT)
 
     def news(self, after: int = 0) -> dict[str, Any]:
         """What `SessionNews.news` says."""
@@ -114,6 +102,8 @@ class Line:
 
     def order(self, name: str) -> str:
         """Carry out an order; returns what was done. Raises RigError with the reason if it was not."""
+        # one that is frozen must not find, when it goes on, what was asked of it long ago
+        self.beat()
         _, _, data = self._ask("POST", "/order", name)
         answer = json.loads(data)
         if not answer["ok"]:
@@ -123,48 +113,30 @@ class Line:
     def _ask(self, method: str, path: str, body: str | None = None) -> tuple[int, str, bytes]:
         with self._one_at_a_time:
             connection = self._connection
+            connection.timeout = _ORDER_S if method == "POST" else _ANSWER_S
+            if connection.sock is not None:
+                connection.sock.settimeout(connection.timeout)
+            data = None if body is None else body.encode()
             try:
-                if connection.sock is None:
-                    self._meet(connection)
-                self._number += 1
-                data = (body or "").encode()
-                proof = secret.request_proof(
-                    self._key, self._challenge, self._number, f"{method} {path}", data
-                )
-                connection.request(method, path, data if body is not None else None, {"Authorization": proof})
-                if connection.sock is not None:
-                    connection.sock.settimeout(_ORDER_S if method == "POST" else _ANSWER_S)
+                connection.request(method, path, data, {"Authorization": self._key})
                 answer = connection.getresponse()
-                data = answer.read()
+                told = answer.read()
             except (OSError, http.client.HTTPException) as error:
                 connection.close()
                 raise self._unanswered(error) from None
+            if answer.getheader("Server", "").strip() != SERVER:
+                connection.close()
+                raise NoSession(
+                    f"{self.folder}: another program answers at the port of its session, which has ended"
+                )
         if answer.status not in (http.HTTPStatus.OK, http.HTTPStatus.NO_CONTENT):
             raise NoSession(f"{self.folder}: its session refused to answer ({answer.status})")
-        return answer.status, answer.getheader("About") or "", data
+        self._was_seen = self._was_seen or _lives(self.pid)
+        return answer.status, answer.getheader("About") or "", told
 
     def _unanswered(self, error: Exception) -> NoSession:
         why = f"{self.folder}: its session does not answer: {error}"
         return SessionBusy(why) if isinstance(error, TimeoutError) else NoSession(why)
-
-    def _meet(self, connection: http.client.HTTPConnection) -> None:
-        """Connect, and have the other end prove that it is the session; nothing secret is sent."""
-        asked = secret.challenge()
-        connection.request("GET", f"{WHO}?{asked}")
-        answer = connection.getresponse()
-        try:
-            told = json.loads(answer.read(MOST_ASKED_BYTES))
-            proof, self._challenge, self._number = str(told["proof"]), str(told["challenge"]), 0
-        except (ValueError, KeyError, TypeError):
-            proof = ""
-        if not secret.fits(proof, secret.answer(self._key, asked)):
-            connection.close()
-            raise Stranger(
-                f"{self.folder}: another program answers at the port of its session, which has ended"
-            )
-        if connection.sock is None:
-            raise NoSession(f"{self.folder}: its session does not keep the connection")
-        self._was_seen = self._was_seen or _lives(self.pid)
 
 
 def _spot(stated: Sequence[float | None]) -> Spot:

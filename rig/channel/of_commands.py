@@ -37,6 +37,6 @@ def light_told(
     with suppress(OSError):
         # without it nobody watches
         folder.mkdir(parents=True, exist_ok=True)
-    orders = {"dark": lambda by: devices.light_off(by or "the desk")}
+    orders = {"dark": lambda _: devices.light_off("the desk")}
     with Channel(folder, session_news or SessionNews(config), orders, lambda: devices_now(devices)):
         yield

@@ -12,12 +12,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from rig.channel import secret
-from rig.channel.few_connections import FewConnections
-from rig.channel.loopback import CHANNEL_NAME, LOOPBACK, MOST_ASKED_BYTES, SPECTRA, WHO
 from rig.channel.session_news import SessionNews
 from rig.presentation import plain_values
 
+CHANNEL_NAME = ".channel.json"
+LOOPBACK = "127.0.0.1"
+SERVER = "rig-session"
+"""How a session calls itself in each answer."""
+BEAT = "/beat"
+"""Answered with nothing, at once."""
+SPECTRA = "spectra"
+"""Query of a history that has them, too."""
 Orders = Mapping[str, Callable[[str], str]]
 """What may be ordered, by its first word, which is called with the rest; returns what was done, or raises
 RigError."""
@@ -71,7 +76,17 @@ class Channel:
         self._server.server_close()
 
 
-class _Server(FewConnections):
+class QuietServer(http.server.ThreadingHTTPServer):
+    """A server in threads that writes nothing into the terminal."""
+
+    request_queue_size = 64
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Who has gone is no event."""
+
+
+class _Server(QuietServer):
     def __init__(self, channel: Channel) -> None:
         super().__init__((LOOPBACK, 0), _Handler)
         self.channel = channel
@@ -79,27 +94,19 @@ class _Server(FewConnections):
 
 class _Handler(http.server.BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
+    server_version, sys_version = SERVER, ""
     timeout = 30.0
     server: _Server
 
-    def setup(self) -> None:
-        super().setup()
-        # of this connection: a proof that was made for another one fits nothing here
-        self._challenge, self._asked = secret.challenge(), 0
-
     def do_GET(self) -> None:
         address, channel = urllib.parse.urlsplit(self.path), self.server.channel
-        if address.path == WHO:
-            proof = secret.answer(channel.key, address.query)
-            self._answer(
-                json.dumps({"proof": proof, "challenge": self._challenge}).encode(), "application/json"
-            )
-            return
-        if not self._may_ask(b""):
+        if not self._may_ask():
             return
         number = urllib.parse.parse_qs(address.query).get("after", ["0"])[0]
         after = int(number) if number.isdecimal() else 0
-        if address.path == "/news":
+        if address.path == BEAT:
+            self._answer(b"", "text/plain", http.HTTPStatus.NO_CONTENT)
+        elif address.path == "/news":
             news = {**channel.session_news.news(after), **channel.extra()}
             self._answer(json.dumps(plain_values(news)).encode(), "application/json")
         elif address.path == "/history":
@@ -123,14 +130,9 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             self.send_error(http.HTTPStatus.NOT_FOUND)
 
     def do_POST(self) -> None:
-        stated = self.headers.get("Content-Length") or "0"
-        length = int(stated) if stated.isdecimal() else -1
-        if not 0 <= length <= MOST_ASKED_BYTES:
-            self.close_connection = True
+        if not self._may_ask():
             return
-        body = self.rfile.read(length)
-        if not self._may_ask(body):
-            return
+        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
         name, _, rest = body.decode(errors="replace").partition(" ")
         order = self.server.channel.orders.get(name)
         try:
@@ -144,16 +146,13 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     def log_message(self, format: str, *args: Any) -> None:
         """Requests are not logged."""
 
-    def _may_ask(self, body: bytes) -> bool:
+    def _may_ask(self) -> bool:
         channel, given = self.server.channel, self.headers.get("Authorization", "")
-        self._asked += 1
-        asked = f"{self.command} {self.path}"
-        wanted = secret.request_proof(channel.key, self._challenge, self._asked, asked, body)
-        if not channel.over.is_set() and secret.fits(given, wanted):
-            self.server.proved(self.connection)
+        is_over = channel.over.is_set()
+        if not is_over and secrets.compare_digest(given.encode(), channel.key.encode()):
             return True
         self.close_connection = True
-        self.send_error(http.HTTPStatus.GONE if channel.over.is_set() else http.HTTPStatus.FORBIDDEN)
+        self.send_error(http.HTTPStatus.GONE if is_over else http.HTTPStatus.FORBIDDEN)
         return False
 
     def _answer(

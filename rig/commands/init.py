@@ -1,21 +1,17 @@
-"""`rig init`: a first configuration; `rig service`: a desk, or a night, that systemd runs."""
+"""`rig init`: a first configuration."""
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
-from processing.errors import ConfigurationError
-from rig.commands.inputs import there
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import folder_without, output_option
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     app.command("init")(in_json(init))
-    app.command("service")(in_json(service))
 
 
 def init(
@@ -91,45 +87,6 @@ def _write_example(name: str, file: Path | None) -> None:
         answer(written=[path])
     say("next:")
     say(f"  rig run {file} -o runs/{file.stem}: measure")
-
-
-def service(
-    what: Annotated[Literal["desk", "night"], typer.Argument(help="desk: rig desk; night: rig run --plan.")],
-    file: Annotated[
-        Path, typer.Argument(help="The desk's configuration, or the night's plan (TOML).", callback=there)
-    ],
-    output: Annotated[
-        Path | None,
-        output_option(
-            "Folder for the unit; default: the user's unit folder.", folder_without(), show_default=False
-        ),
-    ] = None,
-    port: Annotated[int, typer.Option(help="Port of the desk.", min=1, max=65535)] = 8642,
-) -> None:
-    """Write a systemd unit for a desk or a night.
-
-    The unit runs without a terminal, as the user, in the current folder, even if nobody is logged in.
-
-    \b
-    Examples:
-      rig service desk mine.toml
-      rig service night night.toml
-    """
-    if sys.platform != "linux":
-        raise ConfigurationError("rig service: systemd is a part of Linux; take what this system has")
-    from rig.presentation import answer, say
-    from rig.wizards import units_folder, write_unit
-
-    path = write_unit(what, file, output or units_folder(), port)
-    print(path)
-    answer(written=[path])
-    say("next:")
-    say("  loginctl enable-linger: services go on when nobody is logged in")
-    # groups, because nobody sits there to whom systemd would grant the devices
-    say("  sudo usermod -aG dialout,plugdev,video $USER: the devices, after the next login")
-    say("  systemctl --user daemon-reload")
-    name = path.name.replace("@", "@tonight")
-    say(f"  systemctl --user {'enable --now' if what == 'desk' else 'start'} {name}")
 
 
 def next_steps(file: Path, *, lever: bool, simulated: bool) -> list[str]:

@@ -1,6 +1,5 @@
-"""`rig desk` and its passwords, `rig balance`, `rig preflight`, `rig doctor`: preparing a measurement."""
+"""`rig desk`, `rig balance`, `rig preflight`, `rig doctor`: preparing a measurement."""
 
-import sys
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +17,6 @@ def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     for command in (desk, balance, preflight, doctor):
         app.command()(command)
-    app.command("desk-password")(desk_password)
 
 
 def balance(
@@ -82,29 +80,6 @@ def desk(
     port: Annotated[
         int, typer.Option(help="Port; 0: the last one, 8642, or any that is free.", min=0, max=65535)
     ] = 0,
-    listen: Annotated[
-        str,
-        typer.Option(
-            metavar="ADDRESS", help="Address of this machine; remote use needs certificate and passwords."
-        ),
-    ] = "127.0.0.1",
-    certificate: Annotated[
-        Path | None, typer.Option(help="PEM file for TLS.", dir_okay=False, callback=there)
-    ] = None,
-    certificate_key: Annotated[
-        Path | None,
-        typer.Option(help="Key of the certificate, if in a separate file.", dir_okay=False, callback=there),
-    ] = None,
-    passwords: Annotated[
-        Path | None,
-        typer.Option(help="File written by rig desk-password.", dir_okay=False, callback=there),
-    ] = None,
-    behind: Annotated[
-        str,
-        typer.Option(
-            metavar="URL", help="Address of a reverse proxy with TLS on this machine: https://rig.lab."
-        ),
-    ] = "",
     archive: Archive = PLACE,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     set_: Set = None,
@@ -116,42 +91,12 @@ def desk(
       rig desk mine.toml
     """
     try:
-        from rig.desk import Entrance, open_desk
+        from rig.desk import open_desk
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "starlette", "uvicorn"):
             raise
         raise MissingPackage("rig desk", "nicegui") from None
-    entrance = Entrance(port, listen, certificate, certificate_key, passwords, behind)
-    raise typer.Exit(open_desk(config, tuple(set_ or ()), entrance, browser=browser, archive=archive))
-
-
-def desk_password(
-    file: Annotated[Path, typer.Argument(help="File of passwords; created if missing.", dir_okay=False)],
-    name: Annotated[str, typer.Argument(help="Name of the person.")],
-    watch: Annotated[bool, typer.Option("--watch", help="Allow only watching and LIGHT OFF.")] = False,
-) -> None:
-    """Set a password for using the desk from elsewhere.
-
-    Asks for a password, and adds its digest to a file.
-
-    \b
-    Example:
-      rig desk-password passwords.txt ada
-    """
-    try:
-        from rig.desk import Role, password_line
-    except ModuleNotFoundError:
-        raise MissingPackage("rig desk-password", "nicegui") from None
-    from acquisition.record import whole_file
-    from rig.presentation import say
-
-    # read as it is typed; from a pipe in one line
-    password = typer.prompt("password", hide_input=True) if sys.stdin.isatty() else sys.stdin.readline()
-    line = password_line(name, Role.WATCH if watch else Role.ACT, password.rstrip("\r\n"))
-    before = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    others = [one for one in before if one.partition(":")[0] != name]
-    whole_file.replace(file, "".join(f"{one}\n" for one in [*others, line]).encode(), mode=0o600)
-    say(f"{file}: {name} may {'watch' if watch else 'act'}")
+    raise typer.Exit(open_desk(config, tuple(set_ or ()), port, browser=browser, archive=Path(archive)))
 
 
 def preflight(

@@ -8,12 +8,10 @@ A panel is one module in `rig/desk/panels/` with one function, ``build(desk, tab
 (NiceGUI's `ui`) where it is called; a line of ``PANELS`` in `rig/desk/panels/__init__.py` gives it a name and
 says its keys. `desk` is what all tabs share: configuration, running session, jobs (`desk.Desk`). `tab` is
 this tab of the browser: `tab.every(seconds, function)` keeps something fresh while the panel is seen,
-`tab.button(text, function)` is a button that works only in the tab that may act, and shows a RigError as one
-line (`tab.act(function)` a handler that does). Work that takes longer than a moment is awaited with
-``nicegui.run.io_bound``; what moves devices is a
+`tab.button(text, function)` is a button that shows a RigError as one line (`tab.act(function)` a handler that
+does). Work that takes longer than a moment is awaited with ``nicegui.run.io_bound``; what moves devices is a
 command in a process (`Desk.start`). Charts are declared by quantities (`charts.py`), colours have names
 (`theme.py`). `panels/fields.py` has fields that the settings' own models judge.
 """
 
-from rig.desk.people import Role, password_line
-from rig.desk.server import Entrance, open_desk
+from rig.desk.server import open_desk

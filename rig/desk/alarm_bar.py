@@ -11,7 +11,6 @@ from rig.alarms import AlarmKey, AlarmList, AlarmRow, AlarmState
 from rig.desk.at_once import at_once
 from rig.desk.tab import DELIBERATE, Tab
 
-SHELF_S = 600.0
 _PAST_SHOWN = 8
 _COUNTED = (AlarmState.ACTIVE, AlarmState.CLEARED, AlarmState.ACKNOWLEDGED, AlarmState.SHELVED)
 
@@ -64,7 +63,7 @@ class AlarmBar:
         counted = [(state, sum(row.state is state for row in rows)) for state in _COUNTED]
         said = ", ".join(f"{count} {state}" for state, count in counted if count)
         self._counts.set_text(f"Alarms: {said or 'none'}")
-        now = (rows, past, self._tab.acts, refused)
+        now = (rows, past, refused)
         if now != self._shown:
             self._shown = now
             self._list.clear()
@@ -102,22 +101,21 @@ class AlarmBar:
             self._ask_resume(folder)
 
     def _seen(self, key: AlarmKey) -> None:
-        self._alarms.acknowledge(key, self._tab.operator)
+        self._alarms.acknowledge(key)
 
     def _shelve(self, key: AlarmKey) -> None:
-        self._alarms.shelve(key, SHELF_S, self._tab.operator)
+        self._alarms.shelve(key)
 
 
 def _times(row: AlarmRow) -> str:
     """Since when it is as it is."""
-    who = f" by {row.acknowledged_by}" if row.acknowledged_by else ""
     told = (
-        ("since", row.raised_s, ""),
-        ("cleared", row.cleared_s, ""),
-        ("seen", row.acknowledged_s, who),
-        ("shelved until", row.shelved_until_s, ""),
+        ("since", row.raised_s),
+        ("cleared", row.cleared_s),
+        ("seen", row.acknowledged_s),
+        ("shelved until", row.shelved_until_s),
     )
-    return ", ".join(f"{word} {_clock(at)}{by}" for word, at, by in told if at is not None)
+    return ", ".join(f"{word} {_clock(at)}" for word, at in told if at is not None)
 
 
 def _clock(at_s: float) -> str:

@@ -133,16 +133,16 @@ class Aligner:
         """A browser has fetched the picture."""
         self._seen_s = time.monotonic()
 
-    def light_off(self, who: str) -> None:
+    def light_off(self) -> None:
         """Dark at once, also before anything was lit; never waits."""
         self._off = True
         if (devices := self._devices) is not None:
-            devices.light_off(who)
+            devices.light_off("the desk")
 
-    def acknowledge(self, number: int, who: str) -> str:
+    def acknowledge(self, number: int) -> str:
         """Acknowledge a trip; raises DeviceError while its cause persists. Lights nothing."""
         devices = self._devices
-        return "the live picture has ended" if devices is None else devices.acknowledge(number, who)
+        return "the live picture has ended" if devices is None else devices.acknowledge(number, "the desk")
 
     def relight(self) -> None:
         """Somebody asks for light again, now: a trip that comes before the picture follows outdates it."""

@@ -1,19 +1,22 @@
 """What all tabs of the desk share: configuration, the running session, commands that were started."""
 
+import os
+import signal
 import subprocess
 import threading
+import time
 from collections.abc import Mapping
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 
 from acquisition.camera import CameraSettings
 from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
-from rig.control import SafetyState, rig_state_path
-from rig.desk.acting import Acting
+from rig.channel import NoSession
+from rig.control import SafetyState, darken_beside, rig_state_path
 from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
-from rig.desk.archived import Archived
 from rig.desk.balancing import Balancing
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
@@ -26,6 +29,9 @@ from rig.measure import HandOver, hand_over, session_folder
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
+_WAKES_WITHIN_S = 10.0
+"""A process that was stopped, and goes on to end, answers again by then, or is gone."""
+_LOOK_S = 0.1
 _REGION = ("width_px", "height_px", "offset_x_px", "offset_y_px")
 _HANDED_OVER = ("session.json", "results.json", "report.html")
 
@@ -42,13 +48,15 @@ class Desk:
     """The desk of one configuration file; `overrides` are as of --set, and hold for all that it starts.
 
     `kept` are settings that were made at the desk (exposure, region), by key: they hold as long as it does.
-    `place` is what is kept on disk, `acting` who may act, `lighting` takes light and gives it,
-    `rig` is the rig's own safety state.
+    `place` is what is kept on disk, `lighting` takes light and gives it, `rig` is the rig's own safety state.
+    `archive` is the folder whose runs are listed, too.
     """
 
-    def __init__(self, source: Path, overrides: tuple[str, ...] = (), archive: str = "") -> None:
+    def __init__(
+        self, source: Path, overrides: tuple[str, ...] = (), archive: Path = Path("archive")
+    ) -> None:
         self.source = source
-        self.archived = Archived(archive)
+        self.archive = archive
         self._overrides = overrides
         self.kept: dict[str, object] = {}
         self.config = load_configuration(source, overrides)
@@ -64,7 +72,6 @@ class Desk:
         self._session: tuple[subprocess.Popen[bytes], Path] | None = None
         self._handed_over: tuple[tuple[object, ...], HandOver | None] | None = None
         self.place = Kept(source)
-        self.acting = Acting()
         self.alarming = Alarming(self)
         self.lighting = Lighting(self)
         self._lock = threading.Lock()
@@ -130,6 +137,34 @@ class Desk:
             self.needs_camera("run")
             self._session = start_session(["run", "--resume", str(folder)], folder), folder
         self.following.look_now(folder)
+
+    def stop_session(self, wakes_within_s: float = _WAKES_WITHIN_S) -> str:
+        """Stop the session, which may be frozen; returns what was done. May wait.
+
+        A frozen one hears no order: its light is switched off at the ports, then its process is told to end,
+        and to go on if somebody has stopped it: it closes its record, if it can. What does neither is killed.
+        Raises RigError where it cannot be stopped.
+        """
+        following = self.following
+        if not following.frozen:
+            return following.order("stop")
+        process = following.process
+        if process is None:
+            raise NoSession("the session does not answer, and its process is not known; end it by hand")
+        problems = darken_beside(self.config.laser, self.config.controller)
+        lit = f"; the laser may be lit: {'; '.join(problems)}" if problems else ""
+        with suppress(ProcessLookupError):
+            os.kill(process, signal.SIGTERM)
+            if hasattr(signal, "SIGCONT"):
+                # Ctrl-Z stops its helpers, too
+                os.killpg(os.getpgid(process), signal.SIGCONT)
+            deadline_s = time.monotonic() + wakes_within_s
+            while following.frozen and time.monotonic() < deadline_s:
+                time.sleep(_LOOK_S)
+            if not following.frozen:
+                return f"the session was frozen; its process ends, and closes its record if it can{lit}"
+            os.kill(process, getattr(signal, "SIGKILL", signal.SIGTERM))
+        return f"the session was frozen; its process was killed, Resume makes the missing runs{lit}"
 
     def needs_camera(self, who: str) -> None:
         """Give the camera free; raises ConfigurationError if a session or a command has it."""
@@ -232,7 +267,6 @@ class Desk:
         Raises ConfigurationError where another one is.
         """
         self.place.hold(self.config.session.output)
-        self.acting = Acting(self.place.acting, self.place.note_acting)
 
     def close(self) -> None:
         """End what ends with the desk; a session goes on."""

@@ -1,90 +1,49 @@
-"""Stands around the whole desk: lets nobody in but who has a key or a password, from the desk's own page."""
+"""Stands around the whole desk: lets nobody in but a browser that has its key, from the desk's own page."""
 
+import hmac
 import http
 import urllib.parse
-from dataclasses import dataclass
 
 from starlette.datastructures import Headers
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from rig.desk.login import LOGIN, refused_page
-from rig.desk.people import People, Person
 from rig.desk.sessions import SERVED
-from rig.rerun import cookies_of
+from rig.rerun import LOOPBACK, cookies_of
 
-LOOPBACK = "127.0.0.1"
-PERSON = "rig.person"
-"""Where in a request the person stands who has made it."""
-_HERE = frozenset({LOOPBACK, "::1"})
-POLICY = (
+_NAMES = (LOOPBACK, "localhost")
+_POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'OFF_SWITCH; form-action 'self'; "
-    "frame-ancestors 'none'"
+    "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' OFF_SWITCH; form-action 'self'; "
+    "frame-ancestors "
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Door:
-    """Where the desk listens; `remote` is True on an interface that others reach, then always with TLS.
-
-    `behind` is the name, with a port that is not 443, under which a reverse proxy of this machine with TLS
-    has it; empty without one.
-    """
-
-    port: int
-    off_port: int | None = None
-    tls: bool = False
-    remote: bool = False
-    behind: str = ""
-
-    def is_proxied(self, host: str) -> bool:
-        """Whether a request that calls the desk so has come through the proxy."""
-        return bool(self.behind) and host == self.behind
-
-    @property
-    def scheme(self) -> str:
-        """`http`, or `https`."""
-        return "https" if self.tls else "http"
-
-    def knows(self, host: str, port: int | None = None) -> bool:
-        """Whether a request may call the desk so, with the number of its port at the end.
-
-        From another machine it is called by any name: only the one in its certificate gets there.
-        """
-        if port is None and self.is_proxied(host):
-            return True
-        name, _, number = host.rpartition(":")
-        if number != str(self.port if port is None else port):
-            return False
-        return bool(name) if self.remote else name in (LOOPBACK, "localhost")
-
-    def is_own(self, origin: str, host: str) -> bool:
-        """Whether a request comes from a page of this desk."""
-        if self.is_proxied(host):
-            return origin == f"https://{host}"
-        if self.remote:
-            return origin == f"{self.scheme}://{host}"
-        return origin in {f"{self.scheme}://{name}:{self.port}" for name in (LOOPBACK, "localhost")}
-
-    @property
-    def cookie(self) -> str:
-        """Its name; browsers keep one set of cookies for all ports of a host."""
-        return f"rig_desk_{self.port}"
+_REFUSED = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>rig desk</title><style>
+:root { color-scheme: light dark; } body { font: 18px sans-serif; margin: 12vh auto; max-width: 26em; }
+</style></head><body><main><h1>rig desk</h1>
+<p>This browser does not have the key of this desk.</p>
+<p>Open the address that <code>rig desk</code> printed in its terminal: it contains the key.
+To darken the laser now, turn the key switch.</p>
+</main></body></html>"""
 
 
 class Guard:
-    """ASGI middleware around the whole desk: for who knows its key, from this machine's browser.
+    """ASGI middleware around the whole desk, which listens on the loopback interface at `port`.
 
     Without the key (in the address at first, then in a cookie) nothing is answered: other users of this
-    machine have neither. A key is worth something on this machine only; from another one a password is. The
-    name of the host is checked so that no foreign page can ask under a name of its own (DNS rebinding), the
-    origin so that none can use the browser's cookie, least of all for the web socket, which browsers open for
-    anyone.
+    machine do not have it. The name of the host is checked so that no foreign page can ask under a name of
+    its own (DNS rebinding), the origin so that none can use the browser's cookie, least of all for the web
+    socket, which browsers open for anyone. `off_port` is where LIGHT OFF is heard beside this server.
     """
 
-    def __init__(self, app: ASGIApp, people: People, door: Door) -> None:
-        self._app, self._people, self._door = app, people, door
+    def __init__(self, app: ASGIApp, key: str, port: int, off_port: int) -> None:
+        self._app, self._key = app, key
+        self._hosts, self._off_hosts = ({f"{name}:{one}" for name in _NAMES} for one in (port, off_port))
+        self._origins = {f"http://{host}" for host in self._hosts}
+        self._policy = _POLICY.replace("OFF_SWITCH", " ".join(f"http://{host}" for host in self._off_hosts))
+        # browsers keep one set of cookies for all ports of a host
+        self._cookie = f"rig_desk_{port}"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
@@ -92,66 +51,48 @@ class Guard:
             return
         refused = self._refusal(scope)
         if refused is None:
-            host = Headers(scope=scope).get("host", "")
             # a report is shown within the desk's own page
             framed = str(scope.get("path", "")).startswith(f"{SERVED}/")
-            await self._app(scope, receive, self._with_policy(send, host, framed=framed))
+            await self._app(scope, receive, self._with_policy(send, framed=framed))
         elif scope["type"] == "websocket":
             # closed before it was accepted, which the browser sees as 403
             await send({"type": "websocket.close", "code": 1008})
         else:
             await refused(scope, receive, send)
 
+    def admits(self, host: str, origin: str, cookie: str) -> bool:
+        """Whether what LIGHT OFF's own port hears comes from a page of this desk that was let in."""
+        return host in self._off_hosts and origin in self._origins and self._has_key(cookie)
+
     def _refusal(self, scope: Scope) -> Response | None:
         """The answer to who may not enter, or has just come with the key; None for who may."""
-        door, headers = self._door, Headers(scope=scope)
-        host, origin = headers.get("host", ""), headers.get("origin")
-        if not door.knows(host):
+        headers = Headers(scope=scope)
+        origin = headers.get("origin")
+        if headers.get("host", "") not in self._hosts:
             return PlainTextResponse("wrong host", http.HTTPStatus.MISDIRECTED_REQUEST)
-        changes = scope["type"] == "websocket" or scope["method"] == "POST"
-        if origin is None and changes:
+        if origin is None and (scope["type"] == "websocket" or scope["method"] == "POST"):
             return PlainTextResponse("no origin", http.HTTPStatus.FORBIDDEN)
-        if origin is not None and not door.is_own(origin, host):
+        if origin is not None and origin not in self._origins:
             return PlainTextResponse("wrong origin", http.HTTPStatus.FORBIDDEN)
-        # what a proxy passes on has come from anywhere
-        here = _is_here(scope) and not door.is_proxied(host)
-        if scope["type"] == "http" and scope["method"] == "GET" and here:
+        if scope["type"] == "http" and scope["method"] == "GET":
             query = urllib.parse.parse_qs(scope["query_string"].decode(errors="replace"))
-            key = query.get("key", [""])[0]
-            if key and self._people.by_key(key) is not None:
+            if self._is_key(query.get("key", [""])[0]):
                 # the key leaves the address, and with it the browser's history
-                return let_in(RedirectResponse("/", http.HTTPStatus.SEE_OTHER), door, host, key)
-        if scope["path"] == LOGIN and self._people.by_password:
+                answer = RedirectResponse("/", http.HTTPStatus.SEE_OTHER)
+                answer.set_cookie(self._cookie, self._key, httponly=True, samesite="strict")
+                return answer
+        if self._has_key(headers.get("cookie", "")):
             return None
-        person = self._person(headers.get("cookie", ""), here=here)
-        if person is not None:
-            scope[PERSON] = person
-            return None
-        if self._people.by_password and scope["path"] == "/":
-            return RedirectResponse(LOGIN, http.HTTPStatus.SEE_OTHER)
-        return HTMLResponse(refused_page(), http.HTTPStatus.FORBIDDEN)
+        return HTMLResponse(_REFUSED, http.HTTPStatus.FORBIDDEN)
 
-    def admits(self, host: str, origin: str, cookie: str, peer: str) -> bool:
-        """Whether it comes from a page of this desk, in a browser that was let in; asked beside the desk."""
-        door = self._door
-        name = host.rpartition(":")[0]
-        own = door.knows(host, door.off_port) and door.is_own(origin, f"{name}:{door.port}")
-        return own and self._person(cookie, here=peer in _HERE) is not None
+    def _has_key(self, cookies: str) -> bool:
+        return any(map(self._is_key, cookies_of(cookies, self._cookie)))
 
-    def _person(self, cookies: str, *, here: bool) -> Person | None:
-        for cookie in cookies_of(cookies, self._door.cookie):
-            person = (self._people.by_key(cookie) if here else None) or self._people.by_login(cookie)
-            if person is not None:
-                return person
-        return None
+    def _is_key(self, told: str) -> bool:
+        return hmac.compare_digest(told.encode(), self._key.encode())
 
-    def _with_policy(self, send: Send, host: str, *, framed: bool) -> Send:
-        door, name = self._door, host.rpartition(":")[0]
-        beside = door.off_port is not None and not door.is_proxied(host)
-        other = f" {door.scheme}://{name}:{door.off_port}" if beside else ""
-        policy = POLICY.replace("OFF_SWITCH", other)
-        if framed:
-            policy = policy.replace("ancestors 'none'", "ancestors 'self'")
+    def _with_policy(self, send: Send, *, framed: bool) -> Send:
+        policy = self._policy + ("'self'" if framed else "'none'")
 
         async def passed(message: dict[str, object]) -> None:
             if message["type"] == "http.response.start":
@@ -164,15 +105,3 @@ class Guard:
             await send(message)
 
         return passed  # type: ignore[return-value]
-
-
-def let_in(answer: Response, door: Door, host: str, cookie: str) -> Response:
-    """The answer with the cookie of who may enter; `host` is how the request calls the desk."""
-    secure = door.tls or door.is_proxied(host)
-    answer.set_cookie(door.cookie, cookie, httponly=True, samesite="strict", secure=secure)
-    return answer
-
-
-def _is_here(scope: Scope) -> bool:
-    client = scope.get("client")
-    return client is None or client[0] in _HERE

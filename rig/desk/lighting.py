@@ -37,9 +37,9 @@ class Lighting:
             if press and press in self._pressed:
                 return []
             self._pressed.append(press)
-        desk, who = self._desk, "the desk"
+        desk = self._desk
         if (aligner := desk.aligner) is not None:
-            aligner.light_off(who)
+            aligner.light_off()
         problems = darken_beside(desk.config.laser, desk.config.controller)
         folders = {folder.absolute() for folder in (desk.following.folder,) if folder is not None}
         if (begun := desk.started) is not None and begun[0].poll() is None:
@@ -48,36 +48,36 @@ class Lighting:
                 # it hears no order yet; one that was seen before, and is gone, is being fitted
                 begun[0].terminate()
         for folder in folders:
-            threading.Thread(target=_order_dark, args=(folder, who), name="light off", daemon=True).start()
+            threading.Thread(target=_order_dark, args=(folder,), name="light off", daemon=True).start()
         # in a thread of its own: a disk that hangs holds nothing else up
-        threading.Thread(target=self._holder_dark, args=(folders, who), name="light off", daemon=True).start()
+        threading.Thread(target=self._holder_dark, args=(folders,), name="light off", daemon=True).start()
         for job in tuple(desk.jobs.values()):
             if job.running:
                 job.end()
         return problems
 
-    def _holder_dark(self, told: Collection[Path], who: str) -> None:
+    def _holder_dark(self, told: Collection[Path]) -> None:
         """Also the program that has the rig and works in another folder."""
         folder = self._desk.rig.folder_of_holder
         if folder is not None and folder not in told:
-            _order_dark(folder, who)
+            _order_dark(folder)
 
-    def acknowledge(self, number: int, who: str = "the desk") -> str:
+    def acknowledge(self, number: int) -> str:
         """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be. May wait.
 
         Lights nothing.
         """
         desk = self._desk
         if (aligner := desk.aligner) is not None and aligner.running:
-            return aligner.acknowledge(number, who)
+            return aligner.acknowledge(number)
         if desk.following.running:
-            return desk.following.order(f"acknowledge {number} {who}")
+            return desk.following.order(f"acknowledge {number}")
         for name, job in desk.jobs.items():
             if job.running:
                 raise ConfigurationError(f"rig {name} has the devices; end it, then acknowledge")
-        with Devices(desk.config, desk.config.session.output, who, desk.safety.unfiled) as devices:
+        with Devices(desk.config, desk.config.session.output, "the desk", desk.safety.unfiled) as devices:
             devices.wait_until_heard()
-            return devices.acknowledge(number, who)
+            return devices.acknowledge(number, "the desk")
 
     def again(self) -> str:
         """Light again what waits in the dark; raises RigError if nothing does. May wait."""
@@ -110,6 +110,6 @@ class Lighting:
         return bool(news.get("darkness") and (news.get("state") or {}).get("alarm"))
 
 
-def _order_dark(folder: Path, who: str) -> None:
+def _order_dark(folder: Path) -> None:
     with suppress(RigError), Line(folder) as line:
-        line.order(f"dark {who}")
+        line.order("dark")

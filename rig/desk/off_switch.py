@@ -5,34 +5,23 @@ The desk's own server answers `/dark`, too; this one also does when that loop is
 
 import http
 import http.server
-import socket
-import ssl
 import threading
 import urllib.parse
 from collections.abc import Callable
 from typing import Any
 
-from rig.channel import FewConnections
-from rig.desk.guard import LOOPBACK
+from rig.channel import LOOPBACK, QuietServer
 from rig.desk.safety_bar import DARK
-
-Admits = Callable[[str, str, str, str], bool]
 
 
 class OffSwitch:
-    """Serves while it is open; `admits` judges host, origin, cookie and peer of who asks, `off` switches off.
+    """Serves while it is open; `admits` judges host, origin and cookie of who asks, `off` switches off.
 
-    `off` is given the name of the press. `tls` is that of the desk.
+    `off` is given the name of the press.
     """
 
-    def __init__(
-        self,
-        off: Callable[[str], list[str]],
-        admits: Admits,
-        listen: str = LOOPBACK,
-        tls: ssl.SSLContext | None = None,
-    ) -> None:
-        self._server = (_Server6 if ":" in listen else _Server)(off, admits, listen, tls)
+    def __init__(self, off: Callable[[str], list[str]], admits: Callable[[str, str, str], bool]) -> None:
+        self._server = _Server(off, admits)
         self.port = int(self._server.server_address[1])
 
     def start(self) -> None:
@@ -45,19 +34,10 @@ class OffSwitch:
         self._server.server_close()
 
 
-class _Server(FewConnections):
-    def __init__(
-        self, off: Callable[[str], list[str]], admits: Admits, listen: str, tls: ssl.SSLContext | None
-    ) -> None:
-        super().__init__((listen, 0), _Handler)
+class _Server(QuietServer):
+    def __init__(self, off: Callable[[str], list[str]], admits: Callable[[str, str, str], bool]) -> None:
+        super().__init__((LOOPBACK, 0), _Handler)
         self.off, self.admits = off, admits
-        if tls is not None:
-            # whoever is slow to shake hands does so in a thread of their own
-            self.socket = tls.wrap_socket(self.socket, server_side=True, do_handshake_on_connect=False)
-
-
-class _Server6(_Server):
-    address_family = socket.AF_INET6
 
 
 class _Handler(http.server.BaseHTTPRequestHandler):
@@ -65,10 +45,9 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     server: _Server
 
     def do_POST(self) -> None:
-        origin = self.headers.get("Origin", "")
-        host, cookie = self.headers.get("Host", ""), self.headers.get("Cookie", "")
+        host, origin, cookie = (self.headers.get(name, "") for name in ("Host", "Origin", "Cookie"))
         asked = urllib.parse.urlsplit(self.path)
-        if asked.path != DARK or not self.server.admits(host, origin, cookie, str(self.client_address[0])):
+        if asked.path != DARK or not self.server.admits(host, origin, cookie):
             self.send_error(http.HTTPStatus.FORBIDDEN)
             return
         answer = "; ".join(self.server.off(urllib.parse.unquote(asked.query))).encode()

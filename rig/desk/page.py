@@ -14,46 +14,31 @@ from rig.desk import alarm_bar, chart_script, safety_bar, watchdog
 from rig.desk.alarm_bar import AlarmBar
 from rig.desk.at_once import at_once
 from rig.desk.desk import Desk, Started
-from rig.desk.drafts import KEEPING, Drafts
 from rig.desk.following import doing
-from rig.desk.login import LOGIN
 from rig.desk.panels import PANELS
-from rig.desk.people import People, Person
 from rig.desk.resuming import resume_dialog
 from rig.desk.safety import lamps, refusal
 from rig.desk.sessions import last_state
 from rig.desk.style import STYLE
 from rig.desk.tab import DELIBERATE, Tab
-from rig.desk.theme import RED_LIGHT
-from rig.desk.who import Who
 from rig.instrument import Phase
 
 _LOOK_S = 0.25
 
 
-def build_page(desk: Desk, people: People, off_port: int, person: Person) -> None:
+def build_page(desk: Desk, off_port: int) -> None:
     """Build the page for one tab of a browser; `off_port` is where LIGHT OFF is heard beside this server."""
-    tab = Tab(desk, person, lambda: people.is_in(person))
+    tab = Tab()
     ui.add_css(STYLE + safety_bar.STYLE + alarm_bar.STYLE + watchdog.STYLE)
-    script = f"{SCRIPT}{chart_script.SCRIPT}{safety_bar.script(off_port)}{watchdog.script()}{KEEPING}"
+    script = f"{SCRIPT}{chart_script.SCRIPT}{safety_bar.script(off_port)}{watchdog.script()}"
     ui.add_head_html(f"<script>{script}</script>")
-    ui.add_body_html(RED_LIGHT + watchdog.BAR + safety_bar.BAR)
-    drafts = Drafts(desk, tab)
-    ui.context.client.on_connect(tab.connected)
-    ui.context.client.on_connect(drafts.connected)
-    ui.context.client.on_disconnect(tab.disconnected)
+    ui.add_body_html(watchdog.BAR + safety_bar.BAR)
     with ui.header().classes("items-center no-wrap"):
         ui.html("rig desk", tag="h1", sanitize=False).classes("text-weight-bold")
         simulated = ui.label("SIMULATED").classes("no")
         simulated.set_visibility(desk.config.simulated)
         state = ui.label().classes("ellipsis state").props('role="status" aria-live="polite"')
         ui.space()
-        with ui.element("div").classes("who row items-center no-wrap q-gutter-x-xs"):
-            who = Who(desk, tab, drafts.named)
-        for name, key in (("Day", "d"), ("Night", "n")):
-            ui.button(name, on_click=partial(_theme, name.lower())).props(
-                f'dense flat aria-label="{name} theme, key {key}"'
-            )
         keys = ui.button("Keys", on_click=lambda: tab.press("?")).props('dense flat aria-label="Keys, key ?"')
         keys.classes("spare")
 
@@ -71,7 +56,7 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
     async def acknowledged() -> None:
         leave.close()
         if (trip := asked) is not None:
-            ui.notify(await run.io_bound(desk.lighting.acknowledge, trip.number, tab.operator))
+            ui.notify(await run.io_bound(desk.lighting.acknowledge, trip.number))
 
     async def light() -> None:
         ui.notify(await run.io_bound(desk.lighting.again))
@@ -113,15 +98,10 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
 
     def seen() -> None:
         tab.shown = str(panels.value)
-        drafts.panel(tab.shown)
 
-    drafts.show = show
-    drafts.find()
     panels.on_value_change(seen)
     for number, panel in enumerate(PANELS, start=1):
         tab.key(str(number), partial(show, panel.name))
-    tab.key("n", partial(_theme, "night"))
-    tab.key("d", partial(_theme, "day"))
     tab.key("a", alarms.toggle)
     tab.key("?", _keys().open)
 
@@ -133,11 +113,6 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
     ui.keyboard(on_key=pressed, repeating=False, ignore=["input", "select", "textarea"])
 
     def refresh() -> None:
-        if not tab.is_in:
-            # in another tab of this browser somebody has logged out
-            ui.run_javascript(f"location.assign({json.dumps(LOGIN)})")
-            return
-        who.refresh()
         news = desk.following.news
         run_state = news.get("state") or {}
         state.set_text(_state(desk))
@@ -161,11 +136,7 @@ def build_page(desk: Desk, people: People, off_port: int, person: Person) -> Non
         cry = json.dumps(" ".join(_name(row) for row in crying))
         told = json.dumps([_told(row) for row in crying])
         of_session = json.dumps(_session_age(desk))
-        watches = json.dumps(tab.why_not)
-        ui.run_javascript(
-            f"window.rigSafety({shown}, {cry}); window.rigAlarms({told}, {of_session}); "
-            f"window.rigWatches({watches})"
-        )
+        ui.run_javascript(f"window.rigSafety({shown}, {cry}); window.rigAlarms({told}, {of_session});")
 
     refresh()
     ui.timer(_LOOK_S, refresh)
@@ -224,17 +195,11 @@ def _recording(desk: Desk) -> str:
     return next((name for name, job in desk.jobs.items() if job.running and name.startswith("camera")), "")
 
 
-def _theme(name: str) -> None:
-    """This theme, or the dark one where it holds already."""
-    ui.run_javascript(f"window.rigOther({json.dumps(name)})")
-
-
 def _keys() -> ui.dialog:
     panels = [
         f"<tr><th>{number}</th><td>{panel.name}</td></tr>" for number, panel in enumerate(PANELS, start=1)
     ]
-    others = [("d", "day theme"), ("n", "red night theme"), ("a", "the alarms"), ("F9", "LIGHT OFF")]
-    others.append(("?", "this list"))
+    others = [("a", "the alarms"), ("F9", "LIGHT OFF"), ("?", "this list")]
     others += [entry for panel in PANELS for entry in panel.keys]
     lines = [f"<tr><th>{html.escape(key)}</th><td>{html.escape(text)}</td></tr>" for key, text in others]
     with ui.dialog().props('aria-label="keys"') as dialog, ui.card():
@@ -244,27 +209,7 @@ def _keys() -> ui.dialog:
 
 
 SCRIPT = """
-window.rigTheme = function (name) {
-  for (const one of ['day', 'night']) document.documentElement.classList.toggle(one, one === name);
-  localStorage.setItem('theme', name);
-  // a report that is open is a page of its own
-  for (const one of document.querySelectorAll('iframe[src*="theme="]'))
-    one.src = one.src.replace(/theme=.*/, 'theme=' + name);
-  window.dispatchEvent(new Event('rig-theme'));
-};
 window.rigShow = name => document.querySelector(`[data-panel="${name}"]:not(.q-tab--active)`)?.click();
-window.rigOther = name => window.rigTheme(document.documentElement.classList.contains(name) ? 'dark' : name);
-window.rigTheme(localStorage.getItem('theme') || 'dark');
-window.rigWatches = why => {
-  const root = document.documentElement, before = root.classList.contains('watches');
-  root.classList.toggle('watches', why !== '');
-  if (why === '' && !before) return;
-  for (const one of document.querySelectorAll('.acts')) {
-    one.title = why;
-    if (why) one.setAttribute('aria-disabled', 'true');
-    else if (!one.disabled) one.removeAttribute('aria-disabled');
-  }
-};
 // the frame of a picture has its name; the picture in it has none of its own
 new MutationObserver(() => {
   document.querySelectorAll('.picture img:not([alt])').forEach(one => { one.alt = ''; });

@@ -45,7 +45,6 @@ STYLE = f"""
 #safety .unknown::before {{ background: transparent; border: 2px dashed var(--bar-dim);
   box-sizing: border-box; }}
 .nicegui-content {{ padding-bottom: 64px; }}
-html.night {{ scrollbar-color: var(--edge) var(--ground); }}
 .q-notifications__list--bottom {{ bottom: 64px !important; }}
 @media (max-width: 600px) {{ .nicegui-content {{ padding-bottom: 120px; }}
   #safety {{ font-size: 14px; gap: 3px 10px; }} #safety #light-off {{ width: 100%; }}

@@ -5,7 +5,6 @@ from rig.desk.theme import named_colours
 STYLE = (
     named_colours()
     + """
-html.night { filter: url(#night); }
 body { background: var(--ground); color: var(--ink); font-size: 16px; }
 h1, h2, h3 { font: inherit; margin: 0; }
 h1 { white-space: nowrap; }
@@ -16,7 +15,7 @@ h1 { white-space: nowrap; }
 .unseen { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
 .q-header { background: var(--card) !important; color: var(--ink); min-height: var(--head);
   padding: 2px 12px !important; align-items: center !important; gap: 8px; }
-.q-header .state { min-width: 0; } .q-header .who { flex: 0 0 auto; white-space: nowrap; }
+.q-header .state { min-width: 0; }
 .q-page, .q-tab-panels, .q-tab-panel { background: var(--ground) !important; color: var(--ink); }
 .q-tab-panel { padding: 6px 10px; gap: 8px; }
 /* the page scrolls, and no panel in it once more */
@@ -58,7 +57,6 @@ h1 { white-space: nowrap; }
 .chart .tools { display: flex; align-items: center; gap: 6px; flex-wrap: wrap; }
 .chart .tools button { font: inherit; font-size: 13px; color: var(--line); background: none; cursor: pointer;
   border: 1px solid var(--edge); border-radius: 4px; padding: 2px 8px; min-height: 24px; }
-.watches .acts { opacity: .5; filter: grayscale(1); cursor: not-allowed; }
 .cries { position: sticky; top: var(--head); z-index: 1000; width: 100%; }
 .errors > div { display: flex; align-items: center; gap: 12px; padding: 4px 12px; background: var(--raised);
   color: var(--ink); border-left: 6px solid var(--no); border-bottom: 1px solid var(--edge); }
@@ -132,11 +130,6 @@ svg text { fill: var(--dim); font-size: 12px; }
   .nicegui-html a, .nicegui-link { color: var(--line) !important; }
 }
 
-/* the bar at the foot: in the dark it is as red as the rest */
-html.night #safety .lamp::before { background: var(--bar-ink); }
-html.night #safety .go::before, html.night #safety .dim::before, html.night #safety .unknown::before {
-  background: transparent; border: 2px solid var(--bar-ink); box-sizing: border-box; }
-
 /* a room's own arrangement, from a laptop's screen on; narrower ones have all below each other */
 @media (min-width: 1000px) {
   .fills { min-height: var(--room); }
@@ -166,13 +159,8 @@ html.night #safety .go::before, html.night #safety .dim::before, html.night #saf
   .told { flex-wrap: wrap !important; } .drawn { flex: 1 1 100%; }
 }
 @media (max-width: 600px) {
-  :root { --head: 76px; }
   .q-header .spare { display: none; }
-  /* the second line says who acts */
-  .q-header { flex-wrap: wrap !important; align-content: center; gap: 2px 8px; white-space: nowrap; }
-  .q-header .state { flex: 1 1 0; min-width: 0; } .q-header .q-space { display: none; }
-  .q-header .q-btn { padding: 0 4px; }
-  .q-header .who { width: 100%; order: 1; overflow: hidden; text-overflow: ellipsis; flex-wrap: nowrap; }
+  .q-header .state { flex: 1 1 0; } .q-header .q-space { display: none; }
   .q-tab { min-width: 0; padding: 0 8px; text-transform: none; }
   .q-tab-panel { padding: 4px; } .box { padding: 8px; }
 }

@@ -1,12 +1,12 @@
 """The page's own watchdog: what is older than two seconds is grey and says since when, without any server.
 
-A desk that has died, a network that is gone, a session that has stopped to answer: the page sees it by
-itself, cries, and says what to do. Alarms are told to the browser, too, which shows them over other windows.
+A desk that has died, a session that has stopped to answer: the page sees it by itself, cries, and says what
+to do. Alarms are told to the browser, too, which shows them over other windows.
 """
 
 import json
 
-from rig.alarms import CATALOGUE, OF_PAGE
+from rig.alarms import CATALOGUE, AlarmKey
 from rig.control import STALE_S
 
 BAR = """
@@ -29,13 +29,14 @@ html.dead .cries { visibility: hidden; }
 
 def script() -> str:
     """What the watchdog does."""
-    of_page = {key: {"title": CATALOGUE[key].title, "remedy": CATALOGUE[key].remedy} for key in OF_PAGE}
-    return _SCRIPT.replace("OF_PAGE", json.dumps(of_page)).replace("STALE_S", f"{STALE_S:g}")
+    lost = CATALOGUE[AlarmKey.DESK_LOST]
+    told = json.dumps({"title": lost.title, "remedy": lost.remedy})
+    return _SCRIPT.replace("DESK_LOST", told).replace("STALE_S", f"{STALE_S:g}")
 
 
 _SCRIPT = """
 (() => {
-  const ofPage = OF_PAGE;
+  const lost = DESK_LOST;
   let heard = null, heardAt = null, old = null, told = new Set();
   const clock = at => at.toLocaleTimeString('en-GB');
   function look() {
@@ -48,10 +49,9 @@ _SCRIPT = """
     document.documentElement.classList.toggle('old', stale);
     let shown = '';
     if (dead) {
-      const what = ofPage[navigator.onLine ? 'desk lost' : 'network'];
       const at = heardAt === null ? 'since this page was opened' : '(last heard at ' + clock(heardAt) + ')';
-      shown = what.title.toUpperCase() + ' ' + at + (heardAt === null ? '' :
-        ': WHAT IS SHOWN IS FROM THEN') + '\\n' + what.remedy;
+      shown = lost.title.toUpperCase() + ' ' + at + (heardAt === null ? '' :
+        ': WHAT IS SHOWN IS FROM THEN') + '\\n' + lost.remedy;
     } else if (stale) {
       shown = (old.who + ' has not answered since ' + old.at).toUpperCase() +
         ': WHAT IS SHOWN OF IT IS FROM THEN';

@@ -27,17 +27,17 @@ class Notes:
     """Takes notes from any thread; `take` is called by that of the run.
 
     Each is in `notes.jsonl` in the session's folder before `write` returns, so that none is lost between
-    runs, or with a run that is not recorded.
+    runs, or with a run that is not recorded. `author` is the session's operator.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / NOTES_NAME
+    def __init__(self, folder: Path, author: str) -> None:
+        self._path, self._author = folder / NOTES_NAME, author
         self._typed: deque[Typed] = deque()
         self._writing = threading.Lock()
 
-    def write(self, author: str, text: str) -> str:
+    def write(self, text: str) -> str:
         """Note a line; returns what was done. Raises RigError for none, or where it cannot be kept."""
-        text, author = " ".join(text.split()), " ".join(author.split())
+        text, author = " ".join(text.split()), self._author
         if not text:
             raise RigError("an empty note: type some text")
         if len(text) > _MOST_CHARACTERS:

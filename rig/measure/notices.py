@@ -1,11 +1,8 @@
-"""Tells people who are not there of an alarm, the end or the failure of a session: a command, a webhook."""
+"""Tells people who are not there of an alarm, the end or the failure of a session, by a command."""
 
-import datetime
-import json
 import subprocess
 import threading
 import time
-import urllib.parse
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
@@ -14,7 +11,7 @@ from typing import Literal
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event
-from processing.errors import ConfigurationError, RigError
+from processing.errors import RigError
 from rig.instrument import Block, Snapshot
 from rig.measure.session_file import SessionFile, read_session
 from rig.presentation import say
@@ -28,42 +25,35 @@ _MOST_ALARMS = 20
 
 
 class Notices:
-    """Calls `session.notify_command` and posts to the address in `session.notify_webhook_file`.
+    """Calls `session.notify_command` with the kind, the text and the folder as its last arguments.
 
-    The command gets the kind, the text and the folder as its last arguments, the webhook the same as JSON.
     Each call has a thread of its own, so that one that hangs delays nothing. As a watcher of runs it tells
-    of events at error level. `against` collects the causes that a failure states. The address is
-    never printed, because it may hold a secret. Raises ConfigurationError if there is none in the file.
+    of events at error level. `against` collects the causes that a failure states.
     """
 
     def __init__(self, settings: SessionSettings, folder: Path) -> None:
         self._command = settings.notify_command
-        self._address = _address(settings.notify_webhook_file)
         self._folder = folder
         self.calls: list[threading.Thread] = []
-        self._heard: set[str] = set()
+        self._heard = threading.Event()
         self.against: list[str] = []
         self._alarms = 0
 
     @property
     def last_was_heard(self) -> bool:
-        """Whether what was told last has reached somebody for certain, by the command or the webhook."""
-        return bool(self._heard)
+        """Whether what was told last has reached the command for certain."""
+        return self._heard.is_set()
 
     def tell(self, kind: Literal["alarm", "end", "failure"], text: str) -> None:
         """Tell it; returns at once."""
         # of this message: what was told before, and answers later, does not count for it
-        heard = self._heard = set()
-        words = {"kind": kind, "text": text, "folder": str(self._folder.absolute())}
-        command = f"session.notify_command: {' '.join(self._command[:1])}"
-        for wanted, call, who in (
-            (self._command, self._run, command),
-            (self._address, self._post, self._hook),
-        ):
-            if wanted:
-                thread = threading.Thread(target=call, args=(words, heard), name=who, daemon=True)
-                thread.start()
-                self.calls.append(thread)
+        heard = self._heard = threading.Event()
+        if self._command:
+            words = (kind, text, str(self._folder.absolute()))
+            name = f"session.notify_command: {self._command[0]}"
+            thread = threading.Thread(target=self._run, args=(words, heard), name=name, daemon=True)
+            thread.start()
+            self.calls.append(thread)
 
     def wait(self) -> None:
         """Until all is sent, or for some seconds: the program is about to end."""
@@ -88,10 +78,10 @@ class Notices:
     def snapshot(self, snapshot: Snapshot) -> None:
         """The state is not reported."""
 
-    def _run(self, words: dict[str, str], heard: set[str]) -> None:
+    def _run(self, words: tuple[str, ...], heard: threading.Event) -> None:
         try:
             done = subprocess.run(
-                [*self._command, *words.values()],
+                [*self._command, *words],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -106,55 +96,7 @@ class Notices:
             if done.returncode:
                 say(f"session.notify_command: {self._command[0]} ended with {done.returncode}", error=True)
             else:
-                heard.add("the command")
-
-    def _post(self, words: dict[str, str], heard: set[str]) -> None:
-        # not at import: a session without a webhook begins without it
-        import urllib.request
-
-        class Unmoved(urllib.request.HTTPRedirectHandler):
-            """To follow would be to ask the other address for a page, without what is to be told."""
-
-            def redirect_request(self, *_: object) -> None:
-                return None
-
-        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        data = json.dumps({**words, "utc": now}).encode()
-        try:
-            request = urllib.request.Request(self._address, data, {"Content-Type": "application/json"})
-            with urllib.request.build_opener(Unmoved).open(request, timeout=_CALL_S):
-                heard.add("the webhook")
-        # whatever it is, it ends no session; its text might hold the address
-        except Exception as error:
-            status = getattr(error, "code", 0)
-            moved = (
-                ": it has moved, state where to in session.notify_webhook_file" if 300 <= status < 400 else ""
-            )
-            said = f"{type(error).__name__} {status or ''}".rstrip()
-            say(f"{self._hook} was not reached: {said}{moved}", error=True)
-
-    @property
-    def _hook(self) -> str:
-        return f"the webhook at {urllib.parse.urlsplit(self._address).hostname}"
-
-
-def _address(file: Path | None) -> str:
-    if file is None:
-        return ""
-    try:
-        address = file.expanduser().read_text(encoding="utf-8").strip()
-        parts = urllib.parse.urlsplit(address)
-        sound = parts.scheme in {"http", "https"} and bool(parts.hostname) and not address.split()[1:]
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or type(error).__name__
-        raise ConfigurationError(
-            f"session.notify_webhook_file = {str(file)!r}: cannot be read: {why}"
-        ) from None
-    if not sound:
-        raise ConfigurationError(
-            f"session.notify_webhook_file = {str(file)!r}: must hold an address, https://..., nothing else"
-        )
-    return address
+                heard.set()
 
 
 @dataclass

@@ -100,7 +100,7 @@ def make_runs(
 
     Meanwhile the session can be watched, and takes orders, through its channel.
     """
-    session_news, notes = SessionNews(config), Notes(file.folder)
+    session_news, notes = SessionNews(config), Notes(file.folder, config.session.operator)
     with Channel(file.folder, session_news, orders(devices, notes), lambda: devices_now(devices)) as channel:
         if channel.problem:
             say(channel.problem)

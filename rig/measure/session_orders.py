@@ -13,10 +13,7 @@ _LOOK_S = 0.1
 
 
 def orders(devices: Devices, notes: Notes) -> Orders:
-    """The orders by name; `stop` is Ctrl-C, `acknowledge` is followed by the trip's number and by whom.
-
-    `note` is followed by its author and a tabulator, then its text.
-    """
+    """The orders by name; `stop` is Ctrl-C, `acknowledge` is followed by the trip's number and by whom."""
 
     def stop(_: str) -> str:
         _thread.interrupt_main()
@@ -33,18 +30,14 @@ def orders(devices: Devices, notes: Notes) -> Orders:
         number, _, by = value.partition(" ")
         if not number.isdecimal():
             raise RigError(f"acknowledge {value!r}: the number of the trip is needed")
-        return devices.acknowledge(int(number), by or "desk")
-
-    def note(value: str) -> str:
-        author, tab, text = value.partition("\t")
-        return notes.write(author, text) if tab else notes.write("", author)
+        return devices.acknowledge(int(number), by or "the desk")
 
     return {
         "stop": stop,
-        "note": note,
+        "note": notes.write,
         "acknowledge": acknowledge,
         "light": lambda _: relight(devices),
-        "dark": lambda by: devices.light_off(by or "the desk"),
+        "dark": lambda _: devices.light_off("the desk"),
         "brake": brake,
     }
 

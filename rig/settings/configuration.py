@@ -53,9 +53,6 @@ class SessionSettings(Section, frozen=True):
     notify_command: tuple[str, ...] = Field(
         default=(), description="called on alarm, end and failure, followed by kind, text and folder"
     )
-    notify_webhook_file: Path | None = Field(
-        default=None, description="file with the address to which the same is posted; records do not keep it"
-    )
 
 
 _TEMPERATURE_C, _PRESSURE_PA = POSSIBLE["temperature_c"], POSSIBLE["pressure_pa"]

@@ -14,7 +14,7 @@ from rig.wizards.calibration import (
     place_for,
     recorder_of,
 )
-from rig.wizards.configuration_file import refuse_existing, stated_keys, write_configuration
+from rig.wizards.configuration_file import copy_shipped, refuse_existing, stated_keys, write_configuration
 from rig.wizards.draft import (
     Draft,
     Progress,
@@ -25,10 +25,8 @@ from rig.wizards.draft import (
     kept_draft,
     progress,
 )
-from rig.wizards.example import copy_shipped
 from rig.wizards.first_configuration import FirstConfiguration
 from rig.wizards.kinds import KINDS, calibration_wizard
 from rig.wizards.question import Choice, Question, RecordedAnswer, Wizard
 from rig.wizards.recorded_files import steps_of_file
-from rig.wizards.service_unit import Service, units_folder, write_unit
 from rig.wizards.terminal import ask_in_terminal

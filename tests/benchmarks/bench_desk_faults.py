@@ -312,7 +312,7 @@ def of_simulated_rig(table: Table, config: Path) -> None:
 
 
 def of_desk(table: Table, desk: DeskProcess, config: Path) -> DeskProcess:
-    """The desk hangs, dies, comes again; the network goes. Returns the desk that runs then."""
+    """The desk hangs, dies, comes again. Returns the desk that runs then."""
     said = "(w => !w.hidden && w.innerText.includes({!r}))(document.getElementById('watchdog'))"
     page = table.page
     began_s = time.monotonic()
@@ -329,18 +329,6 @@ def of_desk(table: Table, desk: DeskProcess, config: Path) -> DeskProcess:
         "document.getElementById('watchdog')?.hidden && document.querySelector('.q-tab') !== null",
         _LONGEST_S,
     )
-    began_s = time.monotonic()
-    limits = {"latency": 0, "downloadThroughput": 0, "uploadThroughput": 0}
-    page.browser.call("Network.enable")
-    os.kill(again.pid, signal.SIGSTOP)
-    page.browser.call("Network.emulateNetworkConditions", offline=True, **limits)
-    table.note("the network is gone", AlarmKey.NETWORK, began_s, said.format("check Wi-Fi or cable"))
-    page.browser.call(
-        "Network.emulateNetworkConditions",
-        offline=False,
-        **{**limits, "downloadThroughput": -1, "uploadThroughput": -1},
-    )
-    os.kill(again.pid, signal.SIGCONT)
     return again
 
 

@@ -20,7 +20,7 @@ addEventListener('unhandledrejection', event => rigErrors.push(String(event.reas
 const say = console.error;
 console.error = (...words) => { rigErrors.push(words.join(' ')); say(...words); };
 """
-KEYS = "123456zovnd?+- abcxyz"
+KEYS = "123456zov?+- abcxyz"
 SEED = 38
 _LOOK_EVERY = 50
 

@@ -81,7 +81,7 @@ def acknowledge(world: World) -> None:
     right = world.random.random() < 0.7
     number = trip.number if right else trip.number + world.random.choice([-1, 1, 7])
     with patched_wait(program), suppress(RigError):
-        session_orders.orders(program, Notes(Path()))["acknowledge"](f"{number}")
+        session_orders.orders(program, Notes(Path(), ""))["acknowledge"](f"{number}")
         acknowledged(world, right)
 
 

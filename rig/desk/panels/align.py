@@ -39,7 +39,7 @@ def build(desk: Desk, tab: Tab) -> None:
 
     def mouse(event: MouseEventArguments) -> None:
         """A rectangle drawn over the whole frame becomes the camera's region."""
-        if not tab.acts or desk.aligner is None or picture.zoom != 1:
+        if desk.aligner is None or picture.zoom != 1:
             return
         if event.type == "pointerdown":
             corner[:] = [(event.image_x, event.image_y)]

@@ -3,30 +3,30 @@
 import html
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nicegui import run, ui
 
+from processing.errors import RigError
 from processing.estimate import Estimate
+from rig.alarms import AlarmKey
 from rig.channel import newest_first
 from rig.control import STALE_S, DevicesNow
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
 from rig.desk.following import doing
-from rig.desk.note_line import note_line
-from rig.desk.panels.alarmed_rows import as_alarmed
 from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.panels.run_charts import FIRST_FIT, RunCharts
 from rig.desk.panels.run_result import NEXT_RUN, RunResult
 from rig.desk.panels.start_form import build_form
-from rig.desk.stopping import stop_session
 from rig.desk.tab import Tab
 from rig.instrument import Phase
 from rig.measure import estimate_texts
 from rig.presentation import quantity
 
 _SIZE = (420, 300)
+_OF_DISK = (AlarmKey.OUTPUT, AlarmKey.DISK_FULL, AlarmKey.DISK_HANGS, AlarmKey.DISK_FORECAST)
 _IF_SOUND = "Stop the session? The record is closed and fitted; nothing is lost."
 _IF_FROZEN = (
     "The session does not answer. End its process? The laser is switched off; the record stays, at worst "
@@ -41,12 +41,21 @@ def build(desk: Desk, tab: Tab) -> None:
     async def stop() -> None:
         asked.set_text(_IF_FROZEN if desk.following.frozen else _IF_SOUND)
         if desk.following.running and await sure:
-            ui.notify(await run.io_bound(stop_session, desk))
+            ui.notify(await run.io_bound(desk.stop_session))
 
     async def brake() -> None:
         status = desk.following.devices.status
         is_on = status is not None and status.brake_on
         ui.notify(await run.io_bound(desk.following.order, "brake off" if is_on else "brake on"))
+
+    async def note() -> None:
+        text = str(noting.value or "").strip()
+        if not text:
+            raise RigError("an empty note: type some text")
+        said = await run.io_bound(desk.following.order, f"note {text}")
+        # only what is on the session's disk leaves the field
+        noting.set_value("")
+        ui.notify(said)
 
     def stretch() -> None:
         nonlocal stretched
@@ -103,7 +112,10 @@ def build(desk: Desk, tab: Tab) -> None:
                 state = ui.html(sanitize=False).classes("full-width")
             with ui.column().classes("box grows"):
                 ui.html("events", tag="h3", sanitize=False).classes("title")
-                note_line(desk, tab)
+                with ui.row().classes("full-width no-wrap items-center"):
+                    noting = ui.input("note").props('dense outlined data-key="note" maxlength=2000')
+                    noting.classes("full-width").on("keydown.enter", tab.act(note))
+                    tab.button("Note", note).props('outline aria-label="note it in the record"')
                 events = (
                     ui.html(sanitize=False)
                     .classes("events")
@@ -210,3 +222,37 @@ def _event(at_s: float, event: Mapping[str, Any]) -> str:
     # some have said all with their kind
     text = html.escape(": ".join(str(event[part]) for part in ("kind", "text") if event[part]))
     return f"<div class='{grave}'><span class='dim'>{when}</span> {text}</div>"
+
+
+def as_alarmed(
+    rows: Sequence[Sequence[str]],
+    causes: Mapping[AlarmKey, str],
+    no_frame_s: float,
+    *,
+    spot_lost_s: float = 0.0,
+    is_dark: bool = False,
+) -> list[list[str]]:
+    """The rows (name, text) beside alarms: what one contradicts says so instead of its last value.
+
+    `causes` are those of the alarms that hold now. Losses are counted where they can be: the row says first
+    what is being lost at this moment.
+    """
+    instead: dict[str, str] = {}
+    losing = ""
+    if AlarmKey.CAMERA in causes:
+        instead |= {"camera": f"no frame for {no_frame_s:.0f} s", "beam": "not seen: no frames"}
+        losing = "frames that do not come are counted when they come again"
+    elif is_dark:
+        instead["beam"] = "not seen: the laser is dark"
+        losing = "no spot: the laser is dark"
+    elif AlarmKey.SPOT in causes:
+        instead["beam"] = "no spot now"
+        losing = f"no spot for {spot_lost_s:.0f} s"
+    for key in _OF_DISK:
+        if key in causes:
+            instead["disk"] = causes[key]
+            break
+    told = [[name, instead.get(name, text)] for name, text, *_ in rows]
+    return [
+        [name, f"{losing}; {text}"] if losing and name == "losses" else [name, text] for name, text in told
+    ]

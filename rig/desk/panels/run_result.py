@@ -114,5 +114,4 @@ class RunResult:
         if over is None or over.report is None:
             return
         name = over.report.absolute().relative_to(self._desk.config.session.output.absolute()).as_posix()
-        address = json.dumps(f"{SERVED}/{quote(name)}?theme=")
-        ui.run_javascript(f"window.open({address} + (localStorage.getItem('theme') || 'dark'), '_blank')")
+        ui.run_javascript(f"window.open({json.dumps(f'{SERVED}/{quote(name)}')}, '_blank')")

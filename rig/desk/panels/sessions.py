@@ -46,11 +46,7 @@ def build(desk: Desk, tab: Tab) -> None:
             again.report(folder)
             ui.notify("the report is being written; open it when it is finished")
         else:
-            # in the theme that the page has at this moment
-            ui.run_javascript(
-                f"document.querySelector('#report iframe').src = {json.dumps(_served(page) + '?theme=')} + "
-                "(localStorage.getItem('theme') || 'dark')"
-            )
+            ui.run_javascript(f"document.querySelector('#report iframe').src = {json.dumps(_served(page))}")
             shown_name.set_text(str(page))
             drawer.open()
 
@@ -175,7 +171,7 @@ def build(desk: Desk, tab: Tab) -> None:
 
     async def refresh() -> None:
         nonlocal shown
-        which.set_visibility(desk.archived.is_there)
+        which.set_visibility(desk.archive.is_dir())
         page = index.page(desk.following.folder, str(find.value or ""), first, _ON_A_PAGE)
         rows.clear()
         rows.update({str(row.folder): row for row in page.rows})

@@ -5,7 +5,6 @@ from nicegui import run, ui
 from processing.errors import ConfigurationError
 from rig.desk.at_once import at_once
 from rig.desk.desk import Desk
-from rig.desk.note_line import Presets
 from rig.desk.panels.fields import number_field, stated, text_field
 from rig.desk.tab import DELIBERATE, Tab
 from rig.settings import SessionSettings
@@ -39,7 +38,6 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
         begin.close()
         values = judged()
         folder = await run.io_bound(desk.start_session, values, force=bool(force.value))
-        presets.used(values)
         ui.notify(f"the session is starting in {folder}")
 
     with ui.dialog().props('aria-label="start the session"') as begin, ui.card():
@@ -52,7 +50,6 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
     with ui.element("div").classes("grid thirds") as form:
         with ui.column().classes("box"):
             ui.html("1 · What is measured", tag="h3", sanitize=False).classes("middle")
-            presets = Presets(desk, tab, lambda: {key: field for key, (field, _) in fields.items()})
             sample = text_field(desk, "session.sample", "sample", session.sample)
             operator = text_field(desk, "session.operator", "operator", session.operator)
             notes = text_field(desk, "session.notes", "notes", session.notes)

@@ -17,7 +17,6 @@ from tests.rig.commands.wrong_inputs import commands
 
 WITHOUT = {
     "desk": "serves a page until it is ended",
-    "desk-password": "keeps a password, and tells nothing",
 }
 """Commands that print no results, and why."""
 IN_LINES = {"run", "demo", "balance", "preflight", "doctor"}
@@ -25,7 +24,6 @@ IN_LINES = {"run", "demo", "balance", "preflight", "doctor"}
 DEMO = CONFIGS / "demo.toml"
 RUNS: dict[str, str] = {
     "init": "init mine.toml --example demo",
-    "service": f"service desk {DEMO} -o units",
     "replay": "replay SERIES/run-1.mcap -o again",
     "view": "view SERIES/run-1.mcap --rrd seen.rrd",
     "simulate": f"simulate {DEMO} -o one.mcap --set session.max_duration_s=3",

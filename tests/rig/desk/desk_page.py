@@ -26,6 +26,12 @@ class Page:
     def __init__(self, browser: HeadlessBrowser) -> None:
         self.browser = browser
         browser.call("Emulation.setDeviceMetricsOverride", **SIZE)
+        self.prefer("dark")
+
+    def prefer(self, scheme: str) -> None:
+        """The system's preference, dark or light."""
+        preference = {"name": "prefers-color-scheme", "value": scheme}
+        self.browser.call("Emulation.setEmulatedMedia", features=[preference])
 
     def open(self, address: str) -> None:
         self.browser.open(address)
@@ -199,15 +205,6 @@ class DeskProcess:
     @property
     def pid(self) -> int:
         return self._process.pid
-
-    @property
-    def watching(self) -> str:
-        """The address that lets nobody act."""
-        assert self._process.stderr is not None
-        for line in self._process.stderr:
-            if line.startswith("to watch only: "):
-                return line.partition(": ")[2].strip()
-        raise AssertionError("no address to watch was said")
 
     @property
     def runs(self) -> bool:

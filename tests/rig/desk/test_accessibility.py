@@ -60,8 +60,7 @@ def violations(page: Page, axe: str) -> list[Any]:
 @pytest.mark.parametrize("theme", THEMES)
 def test_no_panel_at_rest_has_a_violation(shown: Shown, axe: str, theme: str) -> None:
     _, page = shown
-    page.ask(f"window.rigTheme({theme!r})")
-    # axe does not see through the red filter: what the page is drawn with are the theme's own colours
+    page.prefer(theme)
     inks = {"#light-off": "off-ink", "#lamp-recording": "bar-ink"}
     for place, ink in inks.items():
         red, green, blue = (int(THEMES[theme][ink][k : k + 2], 16) for k in (1, 3, 5))
@@ -74,14 +73,14 @@ def test_no_panel_at_rest_has_a_violation(shown: Shown, axe: str, theme: str) ->
         page.wait(f"document.querySelector('.q-tab--active').innerText.toLowerCase() === {name.lower()!r}")
         if found := violations(page, axe):
             wrong[name] = found
-    page.ask("window.rigTheme('dark')")
+    page.prefer("dark")
     assert wrong == {}, json.dumps(wrong, indent=1)
 
 
 @pytest.mark.parametrize("theme", THEMES)
 def test_no_state_of_a_session_has_a_violation(shown: Shown, axe: str, theme: str, desk_output: Path) -> None:
     _, page = shown
-    page.ask(f"window.rigTheme({theme!r})")
+    page.prefer(theme)
     page.key("4")
     session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     session_news.begin_run("run 1", 255, None)
@@ -107,7 +106,7 @@ def test_no_state_of_a_session_has_a_violation(shown: Shown, axe: str, theme: st
         page.ask("document.querySelector('.q-dialog__backdrop')?.click()")
         page.wait("document.querySelector('.q-dialog .rows') === null")
     page.wait("document.getElementById('amplitude').offsetParent === null")
-    page.ask("window.rigTheme('dark')")
+    page.prefer("dark")
     assert wrong == {}, json.dumps(wrong, indent=1)
 
 
@@ -116,7 +115,7 @@ def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
     shown: Shown, axe: str, theme: str, desk_output: Path
 ) -> None:
     _, page = shown
-    page.ask(f"window.rigTheme({theme!r})")
+    page.prefer(theme)
     wrong: dict[str, Any] = {}
 
     def judge(what: str) -> None:
@@ -159,10 +158,6 @@ def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
     # it slides in
     page.wait("document.querySelector('#report').getBoundingClientRect().right <= innerWidth + 1")
     judge("the report in its drawer")
-    other = next(one for one in THEMES if one != theme)
-    for now in (other, theme):
-        page.ask(f"window.rigTheme({now!r})")
-        page.wait(f"document.querySelector('#report iframe').src.endsWith('theme={now}')")
     page.ask("document.querySelector('.q-dialog button').click()")
     page.wait("document.querySelector('.q-dialog') === null")
     mark(page, folder.name)
@@ -183,7 +178,7 @@ def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
     page.wait_text("THE LAST SESSION")
     page.wait_text(" ± ")
     judge("the page of the end")
-    page.ask("window.rigTheme('dark')")
+    page.prefer("dark")
     assert wrong == {}, json.dumps(wrong, indent=1)
 
 

@@ -18,7 +18,6 @@ from rig.alarms import AlarmKey, AlarmState
 from rig.channel import Channel, SessionNews
 from rig.control import STALE_S
 from rig.desk.desk import Desk
-from rig.desk.stopping import stop_session
 from rig.measure.session_file import RunState, SessionFile
 from rig.settings import load_configuration, stored_configuration
 
@@ -108,7 +107,7 @@ def test_a_session_that_is_frozen_and_one_that_is_killed(
     wait_for(desk, AlarmKey.SESSION_FROZEN, AlarmState.CLEARED)
     session.kill()
     assert wait_for(desk, AlarmKey.SESSION_DIED).startswith("session: ")
-    desk.alarming.alarms.acknowledge(AlarmKey.SESSION_DIED, "Ada")
+    desk.alarming.alarms.acknowledge(AlarmKey.SESSION_DIED)
     wait_for(desk, AlarmKey.SESSION_DIED, None)
 
 
@@ -116,7 +115,7 @@ def test_a_session_that_is_frozen_and_one_that_is_killed(
 def test_stop_ends_a_session_that_is_frozen(desk: Desk, session: "subprocess.Popen[str]") -> None:
     os.kill(session.pid, signal.SIGSTOP)
     wait_until(lambda: desk.following.frozen)
-    assert "its process ends" in stop_session(desk)
+    assert "its process ends" in desk.stop_session()
     assert session.wait(30.0) == -signal.SIGTERM
 
 
@@ -127,7 +126,7 @@ def test_stop_kills_a_session_that_stays_frozen(desk: Desk, session: "subprocess
     session.stdin.write('{"hang": true}\n')
     session.stdin.flush()
     wait_until(lambda: desk.following.frozen)
-    assert "was killed, Resume" in stop_session(desk, wakes_within_s=1.0)
+    assert "was killed, Resume" in desk.stop_session(wakes_within_s=1.0)
     assert session.wait(30.0) == -signal.SIGKILL
     wait_for(desk, AlarmKey.SESSION_DIED)
 
@@ -137,7 +136,7 @@ def test_stop_orders_a_session_that_answers(desk: Desk, session: "subprocess.Pop
     """The one of this test knows no such order, and says so: it has heard it."""
     assert not desk.following.frozen
     with pytest.raises(RigError, match="knows no such order"):
-        stop_session(desk)
+        desk.stop_session()
     assert session.poll() is None
 
 

@@ -94,7 +94,7 @@ def test_light_off_darkens_the_live_picture_and_stays_so_until_acknowledged(rig:
     assert {"lit", "dark", "latch", "refused", "acknowledge"} <= set(told)
 
 
-def test_light_off_darkens_a_frozen_session_from_a_watching_tab_with_a_dialog_open(
+def test_light_off_darkens_a_frozen_session_from_another_tab_with_a_dialog_open(
     rig: Rig, browser: HeadlessBrowser
 ) -> None:
     board, desk, page, config = rig
@@ -108,16 +108,15 @@ def test_light_off_darkens_a_frozen_session_from_a_watching_tab_with_a_dialog_op
         # no last value on the panel either
         page.wait_text("unknown: the session does not answer")
         with browser.another() as other:
-            watching = Page(other)
-            watching.browser.call(
+            second = Page(other)
+            second.browser.call(
                 "Emulation.setDeviceMetricsOverride", width=360, height=640, deviceScaleFactor=1, mobile=True
             )
-            watching.open(desk.address)
-            watching.wait_text("this tab only watches")
-            watching.key("?")
-            watching.wait("document.querySelector('.q-dialog table') !== null")
-            watching.wait(f"{LAMP.format('laser')} === 'laser unknown'")
-            watching.point_at("document.getElementById('light-off')")
+            second.open(desk.address)
+            second.key("?")
+            second.wait("document.querySelector('.q-dialog table') !== null")
+            second.wait(f"{LAMP.format('laser')} === 'laser unknown'")
+            second.point_at("document.getElementById('light-off')")
             pressed_ns = time.monotonic_ns()
             dark_ns = board.wait_lit(False)
             # the board's own watchdog would take 1.4 s after the freeze, which is long ago or still to come

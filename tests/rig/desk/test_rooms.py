@@ -17,8 +17,8 @@ from rig.control import Loop, SafetyNow
 from rig.desk import jobs
 from rig.desk.chart_options import Curve, in_last_row
 from rig.desk.desk import Desk
-from rig.desk.panels.alarmed_rows import as_alarmed
 from rig.desk.panels.balance import net_of
+from rig.desk.panels.measure import as_alarmed
 from rig.desk.safety import refusal
 from rig.desk.sessions import LookingAgain, session_row
 from rig.measure import RunState
@@ -124,7 +124,7 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
         assert trip is not None
         with pytest.raises(ConfigurationError, match="acknowledge it first"):
             desk.start("preflight")
-        desk.lighting.acknowledge(trip.number, "Ada")
+        desk.lighting.acknowledge(trip.number)
         until(lambda: desk.lighting.waits)
         desk.lighting.again()
         until(lambda: not desk.lighting.waits)

@@ -174,7 +174,7 @@ def preflight(config: Configuration, folder: Path) -> None:
 def ordered(config: Configuration, folder: Path) -> None:
     with Devices(config) as devices:
         devices.permit.begin()
-        orders(devices, Notes(folder))["light"]("")
+        orders(devices, Notes(folder, ""))["light"]("")
 
 
 def typed(config: Configuration, folder: Path) -> None:
@@ -241,12 +241,12 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
         until(lambda: len(lit.at) == 1 and aligner.number > 0)
         runs.clear()
         aligner.relight()
-        aligner.light_off("the desk")
+        aligner.light_off()
         until(lambda: (now := aligner.safety) is not None and now.light == "off")
         now = aligner.safety
         assert now is not None
         assert now.trip is not None
-        aligner.acknowledge(now.trip.number, "the desk")
+        aligner.acknowledge(now.trip.number)
         runs.set()
         seen = aligner.number
         until(lambda: aligner.number > seen + 3)

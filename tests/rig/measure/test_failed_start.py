@@ -23,7 +23,6 @@ FAILING = {
     "no file": FILES.format("nowhere.avi"),
     "no library": "[camera]\ndriver = 'pylon'\n",
     "no camera": "[camera]\ndriver = 'v4l2'\n[camera.v4l2]\ndevice = '/dev/video-none'\n",
-    "no webhook": "[camera]\ndriver = 'simulated'\n[session]\nnotify_webhook_file = 'nowhere'\n",
 }
 
 

@@ -23,6 +23,7 @@ LIVE = {
     "preflight.when": '"never"',
     "simulation.release.way": '"let go"',
     "session.max_duration_s": "14",
+    "session.operator": '"Ada"',
 }
 
 
@@ -34,10 +35,10 @@ def note_when_measuring(folder: Path, said: list[str]) -> None:
             while not said:
                 state = line.news()["state"]
                 if (state.get("elapsed_s") or 0.0) > 1.0:
-                    said.append(line.order("note Ada\tthe lamp in the corridor\n is on"))
+                    said.append(line.order("note the lamp in the corridor\n is on"))
                     said.append(line.order("note and off"))
                     with pytest.raises(RigError, match="an empty note"):
-                        line.order("note Ada\t ")
+                        line.order("note  ")
                 time.sleep(0.05)
         time.sleep(0.05)
 
@@ -56,7 +57,7 @@ def test_a_note_goes_into_the_record_the_report_and_the_view(tmp_path: Path) -> 
         notes, events = record.notes(), record.events()
         assert [(note.author, note.text) for note in notes] == [
             ("Ada", "the lamp in the corridor is on"),
-            ("", "and off"),
+            ("Ada", "and off"),
         ]
         first, last = events[0].time_ns, events[-1].time_ns
         assert all(first < note.time_ns <= last for note in notes)
@@ -73,9 +74,9 @@ def test_a_note_goes_into_the_record_the_report_and_the_view(tmp_path: Path) -> 
 
 
 def test_a_note_that_cannot_be_kept_is_refused(tmp_path: Path) -> None:
-    notes = Notes(tmp_path / "gone")
+    notes = Notes(tmp_path / "gone", "Ada")
     with pytest.raises(RigError, match="cannot be kept"):
-        notes.write("Ada", "lost")
+        notes.write("lost")
     assert notes.take() == []
     with pytest.raises(RigError, match="at most 2000"):
-        Notes(tmp_path).write("Ada", "x" * 2001)
+        Notes(tmp_path, "Ada").write("x" * 2001)
