@@ -22,6 +22,7 @@ from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.libusb_transfers import LibusbTransfers
 from acquisition.cameras.usb3vision.link import UsbLink
+from acquisition.cameras.usb3vision.node_map import load_genapi
 from acquisition.cameras.usb3vision.open_camera import UsbConnection
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.stream import ExpectedFrames, UsbFrameStream
@@ -76,10 +77,11 @@ class Usb3VisionCamera:
         Raises
         ------
         DeviceError
-            No camera; several and no serial number given; wrong serial number; no permission (the message
-            names the udev rule); in use; or an invalid description.
+            genicam is not installed; no camera; several and no serial number given; wrong serial number; no
+            permission (the message names the udev rule); in use; or an invalid description.
         """
         self.close()
+        load_genapi()
         with self._lock:
             found = find_camera(self._settings.serial, self._backend)
             self._name = found.name
@@ -232,7 +234,7 @@ class Usb3VisionCamera:
 
     def feature_values(self) -> dict[str, FeatureValue]:
         with self._lock, self._noticing_loss():
-            readings = self._opened().features.readings()
+            readings = self._opened().features.nodes.readings()
             return {
                 one.name: one.value.hex() if isinstance(one.value, bytes) else one.value
                 for one in readings
