@@ -33,6 +33,8 @@ from processing.errors import DeviceError
 logger = logging.getLogger(__name__)
 
 _LARGEST_FRAME: Final = 1 << 30
+_LARGEST_TRANSFER: Final = 1 << 20
+_REPLY_S: Final = 0.5
 # `stop` and `close` must return within a second whatever the camera does; time limits of their steps
 _LOCK_S: Final = 0.2
 _COMMANDS_S: Final = 0.25
@@ -88,8 +90,7 @@ class Usb3VisionCamera:
             link = UsbLink(found.device, found.name)
             link.claim()
             try:
-                timeout_s = self._settings.control_timeout_s
-                self._channel = GenCpChannel(link.send, link.receive, link.name, timeout_s=timeout_s)
+                self._channel = GenCpChannel(link.send, link.receive, link.name, timeout_s=_REPLY_S)
                 self._session = UsbConnection.learn(link, self._channel)
                 self._session.halt_leftovers()
                 return self._session.info()
@@ -128,7 +129,7 @@ class Usb3VisionCamera:
             )
             session.registers.enable(False)
             session.link.reset_stream()
-            plan = session.registers.set_up(_LARGEST_FRAME, self._settings.transfer_bytes)
+            plan = session.registers.set_up(_LARGEST_FRAME, _LARGEST_TRANSFER)
             if sum(plan.payload) < expected.image_bytes:
                 size = f"{expected.width_px} x {expected.height_px} in {pixel_format.name}"
                 raise DeviceError(

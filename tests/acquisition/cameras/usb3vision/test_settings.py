@@ -5,6 +5,7 @@ import pytest
 
 from acquisition.camera import CameraSettings, ColourPlane, FrameTimeout
 from acquisition.cameras.pixel_formats import FORMATS
+from acquisition.cameras.usb3vision import camera as driver
 from processing.errors import DeviceError
 from rig.instrument import setting_differences
 from tests.acquisition.cameras.usb3vision import description as layout
@@ -16,8 +17,11 @@ pytestmark = pytest.mark.realtime
 
 
 @pytest.mark.parametrize("name", [name for name in layout.FORMATS if name.startswith("Mono")])
-def test_every_format_gives_the_cameras_pixels(device: VisionDevice, name: str) -> None:
-    camera = camera_on(device, transfer_bytes=1 << 16)  # frames of several transfers
+def test_every_format_gives_the_cameras_pixels(
+    device: VisionDevice, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(driver, "_LARGEST_TRANSFER", 1 << 16)  # frames of several transfers
+    camera = camera_on(device)
     camera.open()
     camera.features.set("PixelFormat", name)
     camera.configure(CameraSettings(width_px=328, height_px=202, offset_x_px=10))
