@@ -42,7 +42,6 @@ ALLOWED = {
     "rig/control/beside.py": "a device's port",
     "rig/control/usbtmc.py": "a device's port",
     "acquisition/cameras/v4l2/kernel.py": "a device's node",
-    "acquisition/cameras/usb3vision/genapi/register_nodes.py": "registers of a camera",
     # other programs' own
     "rig/rerun/output.py": "a stream that Rerun's library writes, read again when it ends",
     "rig/control/firmware/board.py": "runs on the controller, with a rename of its own",

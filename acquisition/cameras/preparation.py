@@ -13,8 +13,8 @@ from acquisition.cameras.colour_plane import (
     names_by_depth,
     preferred_names,
 )
-from acquisition.cameras.named_features import NamedFeatures, is_on
 from acquisition.cameras.pixel_formats import Format
+from acquisition.cameras.wiring import NamedFeatures, is_on
 from processing.errors import DeviceError
 
 Quantity = Literal["exposure_us", "gain_db", "frame_rate_hz"]

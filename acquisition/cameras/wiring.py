@@ -1,12 +1,13 @@
-"""What a GenICam camera is wired to: a trigger, whatever shows its exposures, the clock of the network.
+"""A GenICam camera's features by name, and what it is wired to by them: a trigger, whatever shows its
+exposures, the clock of the network.
 
 Names are those of the Standard Feature Naming Convention (SFNC) and of older cameras.
 """
 
+from abc import ABC, abstractmethod
 from typing import Final
 
-from acquisition.camera import CameraSettings, Edge
-from acquisition.cameras.named_features import NamedFeatures, choose, is_on
+from acquisition.camera import CameraSettings, Edge, FeatureValue
 from processing.errors import DeviceError
 
 _KEPT: Final = ("trigger", "trigger_edge", "exposure_output", "ptp", "binning", "colour_plane")
@@ -15,6 +16,50 @@ _EDGES: Final[dict[Edge, str]] = {"rising": "RisingEdge", "falling": "FallingEdg
 _EXPOSURE: Final = "ExposureActive"
 _PTP: Final = ("PtpEnable", "GevIEEE1588")
 _PTP_LATCHES: Final = ("PtpDataSetLatch", "GevIEEE1588DataSetLatch")
+
+
+class NamedFeatures(ABC):
+    """What code that serves several drivers needs of a camera's features; `name` is the camera's in messages.
+
+    Methods raise DeviceError or the error of the driver's library.
+    """
+
+    name: str
+
+    @abstractmethod
+    def writable(self, feature: str) -> bool:
+        """Whether the camera has the feature and it can be set now."""
+
+    @abstractmethod
+    def choices(self, feature: str) -> tuple[str, ...]:
+        """Values that an enumeration takes now; none for other features."""
+
+    @abstractmethod
+    def read(self, feature: str) -> FeatureValue | None:
+        """Value of a feature, possibly as text; None if the camera has none of this name or it is not
+        readable now.
+        """
+
+    @abstractmethod
+    def write(self, feature: str, value: FeatureValue) -> None:
+        """Set a feature; of a command, any value runs it."""
+
+
+def is_on(value: FeatureValue | None) -> bool:
+    """Whether a switch is on, whichever way its library says so."""
+    return str(value).lower() in ("true", "1", "on")
+
+
+def choose(features: NamedFeatures, feature: str, wanted: str, key: str) -> None:
+    """Set an enumeration for ``camera.KEY``; DeviceError with what the camera offers, if not this value."""
+    if not features.writable(feature):
+        raise DeviceError(f"{features.name}: has no {feature} that can be set; leave camera.{key} out")
+    offered = features.choices(feature)
+    if wanted not in offered:
+        raise DeviceError(
+            f"{features.name}: camera.{key}: its {feature} cannot be {wanted}; it can be {', '.join(offered)}"
+        )
+    features.write(feature, wanted)
 
 
 def with_kept(settings: CameraSettings, before: CameraSettings) -> CameraSettings:

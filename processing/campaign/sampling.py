@@ -4,7 +4,7 @@ Chains walk over the scatters, with the latent numbers integrated: with them the
 which walkers stay away from small and from large scatters (measured: a scatter between contacts came out a
 quarter too small, with R-hat 1.01). Latent numbers are drawn for each scatter, with weights by the exact
 density.
-`emcee` comes with the extra `campaign`.
+`emcee` comes with the extra `series`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -62,7 +62,7 @@ def sample_campaign(
         import emcee
     except ImportError:
         raise ConfigurationError(
-            "the sampler needs emcee: pip install 'optical-pendulum-rig[campaign]', or leave it out"
+            "the sampler needs emcee: pip install 'optical-pendulum-rig[series]', or leave it out"
         ) from None
     design = design_of(runs, model)
     found = likeliest(design)

@@ -2,8 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 
-from acquisition.cameras.usb3vision.feature_readings import FeatureReading
-from acquisition.cameras.usb3vision.genapi.node import Access
+from acquisition.cameras.usb3vision.node_map import READ_WRITE, WRITE_ONLY, FeatureReading
 
 # Cameras report the largest number of the type for a feature without a limit.
 _NO_LIMIT = 2.0**62
@@ -34,8 +33,8 @@ def _remark(reading: FeatureReading) -> str:
     if reading.problem:
         return reading.problem
     if reading.kind == "Command":
-        return "" if reading.access == Access.WRITE_ONLY.value else reading.access
-    if reading.access != Access.READ_WRITE.value:
+        return "" if reading.access == WRITE_ONLY else reading.access
+    if reading.access != READ_WRITE:
         return reading.access
     if reading.choices:
         return "one of " + ", ".join(reading.choices)

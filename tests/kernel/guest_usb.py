@@ -17,6 +17,7 @@ import numpy as np
 import usb.backend.libusb1
 
 from acquisition.camera import CameraLost, CameraSettings
+from acquisition.cameras.usb3vision import camera as driver
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.discovery import find_cameras
 from acquisition.cameras.usb3vision.libusb_transfers import LibusbTransfers
@@ -90,8 +91,8 @@ def packaged_libusb() -> usb.backend.IBackend:
 
 
 def opened(reading: str, backend: usb.backend.IBackend | None = None) -> Usb3VisionCamera:
-    options = Usb3VisionSettings.model_validate({"reading": reading, "control_timeout_s": 2.0})
-    camera = Usb3VisionCamera(options, backend)
+    camera = Usb3VisionCamera(Usb3VisionSettings.model_validate({"reading": reading}), backend)
+    driver._REPLY_S = 2.0  # type: ignore[misc]
     camera.open()
     camera.configure(
         CameraSettings(width_px=WIDTH, height_px=HEIGHT, frame_rate_hz=RATE_HZ, exposure_us=100.0)

@@ -6,7 +6,6 @@
 from tests.validation.benchmarks import benchmark, peers, pooled
 from tests.validation.outside import (
     emva1288,
-    genicam_nodes,
     gum,
     gum_s1,
     iso11146,
@@ -94,11 +93,6 @@ ROWS: tuple[Row, ...] = (
         "faults", "faults", Limit(0, 0), quick=True),
     Row("mcap-readers", _FORMATS, "Other programs read them", "Foxglove's reader in TypeScript, Rerun's in Rust",
         failures_of("tests/acquisition/record/test_readers.py"), "failures", "failures", Limit(0, 0)),
-    Row("genicam-nodes", _FORMATS, "Features of cameras have the values that GenICam gives them",
-        "EMVA's reference implementation, descriptions of three real cameras, three memories", genicam_nodes.compared,
-        "different", "different", Limit(0, 0), quick=True),
-    Row("genicam-writes", _FORMATS, "and are written as it writes them", "the same; every feature set",
-        failures_of("tests/acquisition/cameras/usb3vision/test_oracle.py"), "failures", "failures", Limit(0, 0)),
     Row("pylon-emulator", _FORMATS, "The camera driver keeps its promises on the maker's library",
         "Basler's pylon with its emulated camera, the conformance suite of all drivers",
         failures_of("tests/acquisition/cameras/test_pylon.py"), "failures", "failures", Limit(0, 0)),

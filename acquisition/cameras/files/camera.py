@@ -219,19 +219,16 @@ class FilesCamera:
         if image.dtype != self._dtype:
             raise DeviceError(
                 f"{source.label(index)}: its pixels are {image.dtype}, those of {self._first_label} are "
-                f"{self._dtype}; state camera.files.common_depth = true to bring them to one scale"
+                f"{self._dtype}; convert them to one depth"
             )
-        if image.shape != self._shape and not self._settings.mixed_sizes:
+        if image.shape != self._shape:
             raise Unreadable(
                 f"is {image.shape[1]}x{image.shape[0]} px, {self._first_label} is "
-                f"{self._shape[1]}x{self._shape[0]} "
-                "px; camera.files.mixed_sizes = true takes both"
+                f"{self._shape[1]}x{self._shape[0]} px"
             )
         region = self._region
         if region.width_px is not None and region.height_px is not None:
             x0, y0 = region.offset_x_px or 0, region.offset_y_px or 0
-            if image.shape[0] < y0 + region.height_px or image.shape[1] < x0 + region.width_px:
-                raise Unreadable(f"{image.shape[1]}x{image.shape[0]} px do not hold the region of interest")
             image = image[y0 : y0 + region.height_px, x0 : x0 + region.width_px].copy()
         return image
 
@@ -248,10 +245,7 @@ class FilesCamera:
             pixels = self._one_channel(pixels, label)
         if self._settings.bit_depth is not None:
             full_scale = min(full_scale, 2**self._settings.bit_depth - 1)
-        if self._settings.common_depth and pixels.dtype == np.uint8:
-            return pixels.astype(np.uint16) * np.uint16(257), 65535
-        image: Image = np.ascontiguousarray(pixels)
-        return image, 65535 if self._settings.common_depth else full_scale
+        return np.ascontiguousarray(pixels), full_scale
 
     def _one_channel(self, pixels: NDArray[Any], label: str) -> NDArray[Any]:
         if pixels.shape[2] == 1:

@@ -1,31 +1,83 @@
-"""Frames as raw pixels in one file, whose layout and times a sidecar states (`raw_sidecar`)."""
+"""Frames as raw pixels in one file, and the small TOML file beside it that states their layout and times."""
 
+import tomllib
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
 from acquisition.cameras.files.frame_source import FrameSource, Stored, Unreadable
-from acquisition.cameras.files.raw_sidecar import COLOURED, RawSidecar, possible_sidecars, read_sidecar
 from acquisition.cameras.files.timestamps import FrameTimes, missing_frames, numbers_by_steps
 from acquisition.cameras.pixel_formats import BY_NAME
 from processing.errors import DeviceError
 from processing.ticks import NS_PER_S
 
 _RAW: Final = (".raw", ".bin", ".gray", ".y8", ".y16")
-_SHORTEST_ROW: Final = 16
-_ALIKE: Final = 0.5
-"""Of the whole, how alike rows must be that are taken for neighbours; noise alone is not alike at all."""
-_BETTER: Final = 0.5
-"""How much less neighbouring rows of another length differ where the stated length is doubted."""
+_COLOURED: Final = ("RGB8", "BGR8")
+_FORMATS: Final = (*BY_NAME, *_COLOURED)
 
 
 def is_raw(path: Path) -> bool:
     """Whether a file holds raw pixels, by its name or because a sidecar with all of its name lies beside."""
     return path.suffix.lower() in _RAW or any(
-        one.name.startswith(path.name) and one.is_file() for one in possible_sidecars(path)
+        one.name.startswith(path.name) and one.is_file() for one in _sidecars(path)
     )
+
+
+class RawSidecar(BaseModel, frozen=True, extra="forbid", strict=True):
+    """Layout of a file of raw pixels, one frame after another, rows from the top, without gaps.
+
+    `frames` is their number, needed where the file is cut off. Of `frame_rate_hz`, `times_s` and `times_ns`
+    (one a frame, rising) at most one is stated; without any the times come from elsewhere, as for images.
+    """
+
+    width_px: int = Field(gt=0, le=65536)
+    height_px: int = Field(gt=0, le=65536)
+    pixel_format: str
+    byte_order: Literal["little", "big"] = "little"
+    header_bytes: int = Field(default=0, ge=0)
+    frames: int | None = Field(default=None, gt=0)
+    frame_rate_hz: float | None = Field(default=None, gt=0, le=1e6, allow_inf_nan=False)
+    times_s: list[FiniteFloat] | None = Field(default=None, min_length=1)
+    times_ns: list[int] | None = Field(default=None, min_length=1)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.pixel_format not in _FORMATS:
+            raise ValueError(f"pixel_format = {self.pixel_format!r}: should be one of {', '.join(_FORMATS)}")
+        if self.byte_order == "big" and (
+            self.pixel_format in _COLOURED or BY_NAME[self.pixel_format].transport_bits != 16
+        ):
+            raise ValueError(f"byte_order: pixels of {self.pixel_format} have none; leave it out")
+        stated = [
+            name for name in ("frame_rate_hz", "times_s", "times_ns") if getattr(self, name) is not None
+        ]
+        if len(stated) > 1:
+            raise ValueError(f"{' and '.join(stated)}: state one of them")
+        times_ns = self.stated_times_ns
+        if times_ns is None:
+            return self
+        if self.frames is not None and len(times_ns) != self.frames:
+            raise ValueError(f"{stated[0]}: has {len(times_ns)} entries for frames = {self.frames}")
+        if later := next((k for k, (a, b) in enumerate(pairwise(times_ns), 1) if b <= a), 0):
+            raise ValueError(f"{stated[0]}: entry {later + 1} is not later than the one before it")
+        return self
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of a frame."""
+        if self.pixel_format in _COLOURED:
+            return 3 * self.width_px * self.height_px
+        return BY_NAME[self.pixel_format].byte_count(self.width_px, self.height_px)
+
+    @property
+    def stated_times_ns(self) -> list[int] | None:
+        """The times that are listed, in ns; None where there are none."""
+        if self.times_s is None:
+            return self.times_ns
+        return [round(time_s * NS_PER_S) for time_s in self.times_s]
 
 
 class RawSource(FrameSource):
@@ -33,14 +85,14 @@ class RawSource(FrameSource):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._sidecar, self._layout = read_sidecar(path)
+        self._sidecar, self._layout = _read_sidecar(path)
         layout = self._layout
         self._whole, self.count = self._counted()
         missing = self.count - self._whole
         said = [f"ends {missing} frames before the {self.count} that {self._sidecar.name} states"]
         self.times = _times(layout, self.count)
         gaps = [] if self.times is None else missing_frames(*self.times, f"the times in {self._sidecar.name}")
-        self.said = [*(said if missing else []), *gaps, *self._doubted_rows()]
+        self.said = [*(said if missing else []), *gaps]
         when = "" if layout.frame_rate_hz is None else f"{layout.frame_rate_hz:.9g} frames/s, "
         self.summary = (
             f"{self.count} frames, {when}raw {layout.pixel_format}, {layout.width_px}x{layout.height_px} px"
@@ -56,7 +108,7 @@ class RawSource(FrameSource):
         if len(data) < layout.frame_bytes:
             raise Unreadable("the file became shorter")
         raw = np.frombuffer(data, np.uint8)
-        if layout.pixel_format in COLOURED:
+        if layout.pixel_format in _COLOURED:
             pixels = raw.reshape(layout.height_px, layout.width_px, 3)
             # blue first, as all colours here
             return Stored(pixels[:, :, ::-1] if layout.pixel_format == "RGB8" else pixels, 255)
@@ -92,41 +144,6 @@ class RawSource(FrameSource):
             )
         return whole, whole if stated is None else stated
 
-    def _doubted_rows(self) -> list[str]:
-        """A line where the first or the middle picture has rows of another length than stated."""
-        for index in {0, self._whole // 2}:
-            try:
-                pixels = self.read(index).pixels
-            except Unreadable:
-                continue
-            if other := other_row_length(pixels if pixels.ndim == 2 else pixels[:, :, 1]):
-                stated = f"the {self._layout.width_px} that {self._sidecar.name} states"
-                return [f"its pictures fit rows of {other} px better than {stated}: check width_px"]
-        return []
-
-
-def other_row_length(image: NDArray[Any]) -> int:
-    """The length of rows with which neighbours are far more alike than with the length they have; 0: none.
-
-    Where the picture is not read in its own rows, what is below a pixel lies elsewhere.
-    """
-    flat = image.ravel().astype(np.float64)
-    flat -= flat.mean()
-    width = image.shape[1]
-    lags = np.arange(min(4 * width + 1, flat.size // 4))
-    power = np.abs(np.fft.rfft(flat, 2 * flat.size)) ** 2
-    alike = np.fft.irfft(power)[: len(lags)] / (flat.size - lags)
-    if len(lags) <= max(width, _SHORTEST_ROW) or not alike[0] > 0.0:
-        return 0
-    peaks = 1 + np.flatnonzero((alike[1:-1] > alike[:-2]) & (alike[1:-1] >= alike[2:]))
-    peaks = peaks[peaks >= _SHORTEST_ROW]
-    if not len(peaks):
-        return 0
-    best = int(peaks[np.argmax(alike[peaks])])
-    differs = alike[0] - alike
-    clear = alike[best] > _ALIKE * alike[0] and differs[best] < _BETTER * differs[width]
-    return best if clear and best != width else 0
-
 
 def _times(layout: RawSidecar, count: int) -> FrameTimes | None:
     listed = layout.stated_times_ns
@@ -136,3 +153,40 @@ def _times(layout: RawSidecar, count: int) -> FrameTimes | None:
     if layout.frame_rate_hz is None:
         return None
     return FrameTimes([round(k * NS_PER_S / layout.frame_rate_hz) for k in range(count)], range(count))
+
+
+def _sidecars(path: Path) -> list[Path]:
+    """Where the sidecar of a file may be: ``swing.raw.toml`` or ``swing.toml``."""
+    return [path.with_name(f"{path.name}.toml"), path.with_suffix(".toml")]
+
+
+def _read_sidecar(path: Path) -> tuple[Path, RawSidecar]:
+    """The sidecar of a file of raw pixels, and where it is. Raises DeviceError with one line."""
+    sidecar = next((one for one in _sidecars(path) if one.is_file()), None)
+    if sidecar is None:
+        raise DeviceError(
+            f"{path}: raw pixels need a file beside them that describes their layout: write "
+            f"{path.name}.toml with width_px, height_px, pixel_format "
+            "(Mono8, Mono12p, Mono16, ...) and frame_rate_hz"
+        )
+    try:
+        return sidecar, RawSidecar.model_validate(tomllib.loads(sidecar.read_text(encoding="utf-8-sig")))
+    except ValidationError as error:
+        raise DeviceError(f"{sidecar}: {_in_words(error)}") from None
+    except OSError as error:
+        raise DeviceError(f"{sidecar}: cannot be read: {error.strerror or error}") from None
+    # what is no TOML, or no text
+    except ValueError as error:
+        raise DeviceError(f"{sidecar}: is not TOML: {str(error).splitlines()[0]}") from None
+
+
+def _in_words(error: ValidationError) -> str:
+    """The first fault, unknown keys before missing ones: a slip of the pen makes both."""
+    fault = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
+    place = ".".join(str(part) for part in fault["loc"])
+    said = fault["msg"].removeprefix("Value error, ").replace("Input should", "should")
+    if fault["type"] == "extra_forbidden":
+        return f"{place}: unknown key; known here: {', '.join(RawSidecar.model_fields)}"
+    if fault["type"] == "missing":
+        return f"{place}: is missing; state a value"
+    return f"{place} = {fault['input']!r}: {said}" if place else said

@@ -46,15 +46,6 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
         "them; brightness: the stored luma, for RGB the mean. Equal channels, and luma without chroma, count "
         "as grey",
     )
-    mixed_sizes: bool = Field(
-        default=False,
-        description="deliver frames of another size than the first; otherwise they are counted and left out",
-    )
-    common_depth: bool = Field(
-        default=False,
-        description="8-bit images among 16-bit ones are multiplied by 257, so that full scale is the same; "
-        "without it such a mixture is refused",
-    )
 
     @model_validator(mode="after")
     def _one_clock(self) -> Self:
@@ -62,6 +53,4 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
             raise ValueError("state timestamps_csv or frame_rate_hz, not both")
         if self.force_frame_rate and self.frame_rate_hz is None:
             raise ValueError("force_frame_rate needs frame_rate_hz, the rate to enforce")
-        if self.common_depth and self.bit_depth is not None:
-            raise ValueError("common_depth brings all images to 16 bits; leave bit_depth out")
         return self

@@ -22,6 +22,7 @@ from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.libusb_transfers import LibusbTransfers
 from acquisition.cameras.usb3vision.link import UsbLink
+from acquisition.cameras.usb3vision.node_map import load_genapi
 from acquisition.cameras.usb3vision.open_camera import UsbConnection
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.stream import ExpectedFrames, UsbFrameStream
@@ -32,6 +33,8 @@ from processing.errors import DeviceError
 logger = logging.getLogger(__name__)
 
 _LARGEST_FRAME: Final = 1 << 30
+_LARGEST_TRANSFER: Final = 1 << 20
+_REPLY_S: Final = 0.5
 # `stop` and `close` must return within a second whatever the camera does; time limits of their steps
 _LOCK_S: Final = 0.2
 _COMMANDS_S: Final = 0.25
@@ -76,18 +79,18 @@ class Usb3VisionCamera:
         Raises
         ------
         DeviceError
-            No camera; several and no serial number given; wrong serial number; no permission (the message
-            names the udev rule); in use; or an invalid description.
+            genicam is not installed; no camera; several and no serial number given; wrong serial number; no
+            permission (the message names the udev rule); in use; or an invalid description.
         """
         self.close()
+        load_genapi()
         with self._lock:
             found = find_camera(self._settings.serial, self._backend)
             self._name = found.name
             link = UsbLink(found.device, found.name)
             link.claim()
             try:
-                timeout_s = self._settings.control_timeout_s
-                self._channel = GenCpChannel(link.send, link.receive, link.name, timeout_s=timeout_s)
+                self._channel = GenCpChannel(link.send, link.receive, link.name, timeout_s=_REPLY_S)
                 self._session = UsbConnection.learn(link, self._channel)
                 self._session.halt_leftovers()
                 return self._session.info()
@@ -126,7 +129,7 @@ class Usb3VisionCamera:
             )
             session.registers.enable(False)
             session.link.reset_stream()
-            plan = session.registers.set_up(_LARGEST_FRAME, self._settings.transfer_bytes)
+            plan = session.registers.set_up(_LARGEST_FRAME, _LARGEST_TRANSFER)
             if sum(plan.payload) < expected.image_bytes:
                 size = f"{expected.width_px} x {expected.height_px} in {pixel_format.name}"
                 raise DeviceError(
@@ -232,7 +235,7 @@ class Usb3VisionCamera:
 
     def feature_values(self) -> dict[str, FeatureValue]:
         with self._lock, self._noticing_loss():
-            readings = self._opened().features.readings()
+            readings = self._opened().features.nodes.readings()
             return {
                 one.name: one.value.hex() if isinstance(one.value, bytes) else one.value
                 for one in readings

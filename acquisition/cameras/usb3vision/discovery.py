@@ -18,6 +18,7 @@ from acquisition.cameras.usb3vision.link import (
     WINUSB,
     no_permission,
 )
+from acquisition.cameras.usb3vision.node_map import load_genapi
 from processing.errors import DeviceError
 
 _DEVICE_INFO_TYPE: Final = 0x24
@@ -87,13 +88,18 @@ def list_cameras() -> list[PluggedCamera]:
     remedy = "no permission: run rig doctor --install-udev, and plug the camera in again"
     if sys.platform == "win32":
         remedy = WINUSB
+    missing = ""
+    try:
+        load_genapi()
+    except DeviceError as error:
+        missing = str(error)
     return [
         PluggedCamera(
             driver="usb3vision",
             name=f"{found.vendor} {found.model}".strip(),
             serial=found.serial,
             place=found.usb_speed.text,
-            problem="" if found.accessible else remedy,
+            problem=missing if found.accessible else remedy,
         )
         for found in find_cameras()
     ]

@@ -1,16 +1,13 @@
 """The features of a camera that the rig uses, found by their standard name or by names of older cameras."""
 
 import logging
-from collections.abc import Iterator
 from typing import Any, Final
 
 from acquisition.camera import CameraSettings, FeatureValue, PixelFormat
 from acquisition.cameras import wiring
 from acquisition.cameras.colour_plane import names_by_depth
 from acquisition.cameras.preparation import GenicamFeatures, Quantity
-from acquisition.cameras.usb3vision.feature_readings import FeatureReading, read_all
-from acquisition.cameras.usb3vision.genapi.choice_nodes import Enumeration
-from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
+from acquisition.cameras.usb3vision.node_map import NodeMap
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
@@ -25,7 +22,6 @@ ALIASES: Final[dict[str, tuple[str, ...]]] = {
         "AcquisitionFrameRateEnabled",
         "AcquisitionFrameRateControlEnabled",
     ),
-    "DeviceClockFrequency": ("DeviceClockFrequency", "GevTimestampTickFrequency"),
 }
 _NAMES: Final[dict[Quantity, str]] = {
     "exposure_us": "ExposureTime",
@@ -41,27 +37,20 @@ class Features(GenicamFeatures):
         super().__init__(nodes.name)
         self.nodes = nodes
 
-    def find(self, name: str) -> str | None:
-        """The name of the feature in this camera, also if it is not accessible now; None if it has none."""
-        present = [alias for alias in ALIASES.get(name, (name,)) if alias in self.nodes]
-        for alias in present:
-            if self.nodes.node(alias).access().readable or self.nodes.node(alias).access().writable:
-                return alias
-        return present[0] if present else None
+    def find(self, name: str) -> str:
+        """The name of the feature in this camera, also if it is not accessible now, or it has none."""
+        present = [alias for alias in ALIASES.get(name, ()) if alias in self.nodes] or [name]
+        usable = (alias for alias in present if self.nodes.readable(alias) or self.nodes.writable(alias))
+        return next(usable, present[0])
 
     def get(self, name: str) -> Any:
         """Value of a feature; DeviceError if the camera has no such feature or it cannot be read."""
-        found = self.find(name)
-        if found is None:
-            raise DeviceError(f"{self.name}: has no feature {name}")
-        return self.nodes.get(found)
+        return self.nodes.get(self.find(name))
 
     def get_if_readable(self, name: str) -> Any | None:
         """Value of a feature; None if the camera has no such feature or it cannot be read at present."""
         found = self.find(name)
-        if found is None or not self.nodes.node(found).access().readable:
-            return None
-        return self.nodes.get(found)
+        return self.nodes.get(found) if self.nodes.readable(found) else None
 
     def set(self, name: str, value: Any) -> Any:
         """Set a feature; return the value that the camera reports afterwards.
@@ -73,15 +62,11 @@ class Features(GenicamFeatures):
             message gives the range).
         """
         found = self.find(name)
-        if found is None:
+        if found not in self.nodes:
             raise DeviceError(f"{self.name}: has no feature {name}; leave that setting out")
         self.nodes.set(found, value)
         self.nodes.forget()  # the camera may have changed the value that was written
-        return self.nodes.get(found) if self.nodes.node(found).access().readable else value
-
-    def readings(self) -> Iterator[FeatureReading]:
-        """All implemented features of the camera and their present values; faulty ones have a `problem`."""
-        return read_all(self.nodes)
+        return self.nodes.get(found) if self.nodes.readable(found) else value
 
     def execute(self, name: str) -> None:
         self.nodes.set(name, True)
@@ -89,11 +74,10 @@ class Features(GenicamFeatures):
     # ---- as GenicamFeatures
 
     def writable(self, feature: str) -> bool:
-        return feature in self.nodes and self.nodes.node(feature).access().writable
+        return self.nodes.writable(feature)
 
     def choices(self, feature: str) -> tuple[str, ...]:
-        node = self.nodes.node(feature) if feature in self.nodes else None
-        return node.choices() if isinstance(node, Enumeration) else ()
+        return self.nodes.choices(feature)
 
     def read(self, feature: str) -> FeatureValue | None:
         value = self.get_if_readable(feature)
@@ -124,14 +108,14 @@ class Features(GenicamFeatures):
             if self.writable(self.rate_switch):
                 self.write(self.rate_switch, True)
         found = self.find(_NAMES[key])
-        is_whole = found is not None and self.nodes.node(found).description.kind == "Integer"
+        is_whole = found in self.nodes and self.nodes.kind(found) == "Integer"
         got = self.set(_NAMES[key], round(wanted) if is_whole else wanted)
         if abs(got - wanted) > 1e-6 * abs(wanted):
             logger.info("%s: %s was set to %g, the camera reports %g", self.name, found, wanted, got)
 
     @property
     def rate_switch(self) -> str:
-        return self.find(super().rate_switch) or super().rate_switch
+        return self.find(super().rate_switch)
 
     def _read_back(self, settings: CameraSettings) -> CameraSettings:
         self.nodes.forget()
@@ -142,7 +126,7 @@ class Features(GenicamFeatures):
 
     def possible_rate(self) -> float | None:
         found = self.find("AcquisitionFrameRate")
-        most_hz = None if found is None else self.nodes.node(found).maximum()
+        most_hz = self.nodes.limits(found)[1] if found in self.nodes else None
         return super().possible_rate() or (float(most_hz) if most_hz else None)
 
     def region(self) -> tuple[int | None, int | None, int, int]:
@@ -156,7 +140,7 @@ class Features(GenicamFeatures):
             if value:
                 offset = self.get_if_readable("OffsetX" if size == "Width" else "OffsetY") or 0
                 return max(int(value), int(self.get(size)) + int(offset))
-        largest = self.nodes.node(size).maximum()
+        largest = self.nodes.limits(size)[1]
         return int(largest if largest is not None else self.get(size))
 
     def set_region(self, asked: CameraSettings) -> None:
@@ -183,7 +167,7 @@ class Features(GenicamFeatures):
                         self.set(offset, before)
                     raise
                 if wanted_offset is None and before:
-                    self.set(offset, min(before, int(self.nodes.node(offset).maximum() or 0)))
+                    self.set(offset, min(before, int(self.nodes.limits(offset)[1] or 0)))
             if wanted_offset is not None and (has_offset or wanted_offset):
                 self.set(offset, wanted_offset)
 

@@ -90,7 +90,7 @@ class GenCpChannel:
         receive: Callable[[int, float], bytes],
         name: str,
         *,
-        timeout_s: float = 0.5,
+        timeout_s: float,
         retries: int = 3,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:

@@ -85,11 +85,6 @@ def _unzip(packed: bytes, name: str) -> bytes:
             members = [info for info in archive.infolist() if not info.is_dir()]
             if not members:
                 raise DeviceError(f"{name}: the archive with its description is empty")
-            if members[0].file_size > _LARGEST_FILE:
-                raise DeviceError(
-                    f"{name}: its description has {members[0].file_size} bytes unzipped, more than "
-                    f"{_LARGEST_FILE}: the archive is damaged"
-                )
             return archive.read(members[0])
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as damage:
         raise DeviceError(f"{name}: the archive with its description is damaged: {damage}") from damage

@@ -8,10 +8,10 @@ from typing import Final, Self
 from acquisition.camera import CameraInfo, CameraLost
 from acquisition.cameras.pixel_formats import BY_NAME
 from acquisition.cameras.usb3vision.features import Features
-from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.link import UsbLink
 from acquisition.cameras.usb3vision.manifest import read_description
+from acquisition.cameras.usb3vision.node_map import NodeMap
 from acquisition.cameras.usb3vision.registers import (
     Identity,
     StreamRegisters,
@@ -44,7 +44,7 @@ class UsbConnection:
         xml = read_description(channel, identity.manifest_address, link.name)
         features = Features(NodeMap(xml, channel, link.name))
         for name in ("Width", "Height", "PixelFormat", "AcquisitionStart", "AcquisitionStop"):
-            if features.find(name) is None:
+            if name not in features.nodes:
                 raise DeviceError(f"{link.name}: its description lacks {name}, which every camera must have")
         if identity.timestamp_increment_ns > _COARSE_NS:
             logger.warning(
@@ -90,6 +90,5 @@ class UsbConnection:
 
     def set_locked(self, locked: bool) -> None:
         """Lock or unlock the features that determine the size of frames."""
-        nodes = self.features.nodes
-        if "TLParamsLocked" in nodes and nodes.node("TLParamsLocked").access().writable:
-            nodes.set("TLParamsLocked", int(locked))
+        if self.features.writable("TLParamsLocked"):
+            self.features.write("TLParamsLocked", int(locked))

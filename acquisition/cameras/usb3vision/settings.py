@@ -19,13 +19,9 @@ class Usb3VisionSettings(BaseModel, frozen=True, extra="forbid"):
         le=_MOST,
         description="frames for which reads are queued ahead; None: 100 ms of them, 4 at least",
     )
-    transfer_bytes: int = Field(
-        default=1 << 20, ge=1 << 14, le=1 << 26, description="largest single transfer of a frame's bytes"
-    )
     reading: Literal["auto", "blocking"] = Field(
         default="auto", description="auto queues reads ahead if libusb 1.0 is available; blocking never does"
     )
-    control_timeout_s: float = Field(default=0.5, gt=0, le=10, description="timeout of one reply")
 
     def frames_ahead(self, rate_hz: float | None, frame_bytes: int) -> int:
         """Frames of this size for which reads are queued; `rate_hz` is what the camera states."""

@@ -31,7 +31,6 @@ from acquisition.cameras.usb3vision.packets import (
     parse_leader,
     parse_trailer,
 )
-from acquisition.cameras.usb3vision.payload import Payload
 from acquisition.cameras.usb3vision.registers import TransferPlan
 from acquisition.cameras.usb3vision.transfers import Transfers
 from acquisition.frame import Frame
@@ -72,6 +71,36 @@ class _Part(Enum):
     EMPTY = 4
 
 
+class _Payload:
+    """Bytes of one frame, `byte_count` of them so far."""
+
+    def __init__(self) -> None:
+        self._pieces: list[NDArray[np.uint8]] = []
+        self.byte_count = 0
+
+    def __len__(self) -> int:
+        return len(self._pieces)
+
+    def append(self, piece: NDArray[np.uint8]) -> None:
+        """One more piece, in order."""
+        self._pieces.append(piece)
+        self.byte_count += piece.size
+
+    def whole(self) -> NDArray[np.uint8]:
+        """The payload as one array: without a copy if its pieces are contiguous in one buffer."""
+        first = self._pieces[0]
+        if len(self._pieces) == 1:
+            return first
+        base = first.base
+        lie_together = isinstance(base, np.ndarray) and all(piece.base is base for piece in self._pieces)
+        if lie_together and isinstance(base, np.ndarray) and base.size >= self.byte_count:
+            ends = np.cumsum([piece.size for piece in self._pieces])
+            starts = [piece.ctypes.data - base.ctypes.data for piece in self._pieces]
+            if starts[0] == 0 and starts[1:] == list(ends[:-1]):
+                return base[: self.byte_count]
+        return np.concatenate(self._pieces)
+
+
 class UsbFrameStream:
     """The frames of one run, through `reading`.
 
@@ -102,7 +131,7 @@ class UsbFrameStream:
         self._next_part = 0
         self._buffer = np.empty(0, np.uint8)  # buffer of the frame for which reads are being queued
         self._leader: Leader | None = None
-        self._arrived = Payload()
+        self._arrived = _Payload()
         self._deviations, self._deviated = 0, False
         self._misfits = 0
         self._trouble_since_s: float | None = None
@@ -224,7 +253,7 @@ class UsbFrameStream:
     def _take_leader(self, data: NDArray[np.uint8], *, in_rhythm: bool) -> None:
         self._lose_frame()
         leader = parse_leader(data[:256].tobytes()) if data.size <= self._plan.leader else None
-        self._arrived = Payload()
+        self._arrived = _Payload()
         if leader is None:
             self._refuse_other_payload(data[:256].tobytes())
             self._numbers.disturbed = True

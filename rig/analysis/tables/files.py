@@ -95,15 +95,7 @@ def rows_of(path: Path, raw: bytes) -> Sheet | None:
     if name.endswith((".xlsx", ".xlsm")):
         try:
             return rows_of_workbook(raw)
-        except (
-            zipfile.BadZipFile,
-            zlib.error,
-            EOFError,
-            RuntimeError,
-            KeyError,
-            ValueError,
-            SyntaxError,
-        ) as error:
+        except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError) as error:
             raise DataError(f"{path}: cannot be read as a workbook: {error}") from None
     if name.endswith((".xls", ".ods")):
         raise DataError(f"{path}: save it as .xlsx or as text (CSV); {path.suffix} is not read")

@@ -1,35 +1,23 @@
-"""The first sheet of an .xlsx workbook that holds numbers, as rows of text. An .xlsx file is XML in a zip
-archive.
-"""
+"""The first sheet of an .xlsx workbook that holds numbers, as rows of text."""
 
 import io
 import math
 import re
 import zipfile
-from datetime import datetime, timedelta
-from typing import Final, NamedTuple
-from xml.etree import ElementTree
+from datetime import date, datetime, time, timedelta
+from typing import Any, Final, NamedTuple
 
-from processing.plain_xml import parsed_xml
 from rig.analysis.tables.numbers import is_missing, is_moment, is_number
-from rig.analysis.tables.times import placed
 
-_MAIN: Final = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
-_RELATION: Final = "{http://schemas.openxmlformats.org/officeDocument/2006/relationships}"
-_LARGEST_BYTES: Final = 512 * 1024 * 1024
-_DATES: Final = {*range(14, 23), *range(45, 48)}
-"""Numbers of Excel's own formats that show dates and times."""
-_NO_DATE: Final = re.compile(r'"[^"]*"|\[(?!(?:h+|m+|s+)\])[^\]]*\]|\\.')
-"""Text in quotes, colours and such in brackets, which hold elapsed time, too: ``[ss]``."""
 _FIRST_DAY: Final = datetime(1899, 12, 30)
 _FIRST_DAY_1904: Final = datetime(1904, 1, 1)
 """Day 0 of workbooks that began on a Mac."""
+_BETWEEN: Final = datetime(1902, 1, 1)
+_HIDDEN: Final = re.compile(rb'<(?:row|col)\b[^>]*\bhidden="(?:1|true)"')
+_FAR: Final = re.compile(rb'<c\b[^>]*\br="([A-Z]{3,}\d+)"[^>]*(?<!/)>')
+"""A cell with a value in column AAA, the 703rd, or beyond: there is room for all cells before it."""
 _SHARE: Final = 0.25
 """Of the rows of the longest table, that another sheet must have to be one too."""
-_MOST_EMPTY: Final = 10_000
-"""Rows without cells, one after another; a file may claim any number."""
-_MOST_COLUMNS: Final = 16_384
-_YES: Final = ("1", "true")
 
 
 class Sheet(NamedTuple):
@@ -39,180 +27,104 @@ class Sheet(NamedTuple):
     said: tuple[str, ...] = ()
 
 
-class _Read(NamedTuple):
-    """A sheet as it stands: its rows, which of them and which columns are hidden, a formula without value."""
-
-    rows: list[list[str]]
-    hidden_rows: list[int]
-    hidden_columns: list[str]
-    unknown_formula: str
-
-    @property
-    def of_numbers(self) -> int:
-        """Rows that may be of a table: two numbers, or nothing else."""
-        values = ([_is_value(cell) for cell in row if cell] for row in self.rows)
-        return sum(sum(row) > 1 or (len(row) == 1 and all(row)) for row in values)
-
-
 def rows_of_workbook(raw: bytes) -> Sheet:
     """The first sheet, of those that are seen before those that are hidden, that holds a table of numbers.
 
-    Raises ValueError where there is none, and for formulas whose values the file does not hold.
+    Raises ValueError where there is none, or where the file is damaged.
     """
-    with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-        if sum(entry.file_size for entry in archive.infolist()) > _LARGEST_BYTES:
-            raise ValueError(f"it unpacks to more than {_LARGEST_BYTES >> 20} MiB")
-        names = archive.namelist()
-        texts = _shared_texts(archive) if "xl/sharedStrings.xml" in names else []
-        dates = _date_styles(archive) if "xl/styles.xml" in names else set()
-        first_day, listed = _listed(archive) if "xl/workbook.xml" in names else (_FIRST_DAY, [])
-        sheets = listed or [(_place(name), name, False) for name in sorted(names, key=_place) if _place(name)]
-        read = [
-            (title, hidden, _rows(archive, place, texts, dates, first_day))
-            for title, place, hidden in sheets
-            if place in names
-        ]
-    counts = [found.of_numbers for _, _, found in read]
-    # a few constants above the table, on a sheet of their own, are not the table
-    least = max(2, math.ceil(_SHARE * max(counts, default=0)))
-    holding = [each for each, count in zip(read, counts, strict=True) if count >= least]
-    holding = [each for each in holding if not each[1]] or holding
-    chosen = holding[0] if holding else next((each for each in read if each[2].unknown_formula), None)
-    if chosen is None:
-        raise ValueError("no sheet holds numbers")
-    title, hidden, found = chosen
-    if found.unknown_formula:
+    try:
+        from python_calamine import CalamineError, SheetTypeEnum, SheetVisibleEnum, load_workbook
+    except ImportError:
         raise ValueError(
-            f"the formula in {found.unknown_formula} of sheet {title!r} has no value in the file; open it in "
-            "a spreadsheet program and save it, or save it as CSV"
+            "that needs calamine: pip install 'optical-pendulum-rig[data]', or save it as text (CSV)"
+        ) from None
+    try:
+        plain, hides = _without_styles(raw)
+        book, unstyled = load_workbook(io.BytesIO(raw)), load_workbook(plain)
+        seen = {
+            about.name: about.visible == SheetVisibleEnum.Visible
+            for about in book.sheets_metadata
+            if about.typ == SheetTypeEnum.WorkSheet
+        }
+        read = {
+            title: _rows(
+                book.get_sheet_by_name(title).to_python(skip_empty_area=False),
+                unstyled.get_sheet_by_name(title).to_python(skip_empty_area=False),
+            )
+            for title in seen
+        }
+    except CalamineError as error:
+        raise ValueError(str(error)) from None
+    counts = {title: _of_numbers(rows) for title, rows in read.items()}
+    # a few constants above the table, on a sheet of their own, are not the table
+    least = max(2, math.ceil(_SHARE * max(counts.values(), default=0)))
+    holding = [title for title, count in counts.items() if count >= least]
+    holding = [title for title in holding if seen[title]] or holding
+    if not holding:
+        raise ValueError(
+            "no sheet holds numbers; the values of formulas are in it once a spreadsheet program saves it"
         )
-    said = []
+    title, said = holding[0], []
     if len(holding) > 1:
-        others = ", ".join(repr(each[0]) for each in holding[1:])
+        others = ", ".join(repr(other) for other in holding[1:])
         said.append(f"sheet {title!r}, the first that holds a table; {others} not read: save it as a file")
     elif len(read) > 1:
-        said.append(f"sheet {title!r}" + (", which is hidden" if hidden else ""))
-    if found.hidden_rows:
-        said.append(f"hidden in the workbook, yet read: {placed(found.hidden_rows)}")
-    if found.hidden_columns:
-        said.append(f"hidden in the workbook, yet read: column {', '.join(found.hidden_columns)}")
-    return Sheet(found.rows, tuple(said))
+        said.append(f"sheet {title!r}" + ("" if seen[title] else ", which is hidden"))
+    if hides:
+        said.append("rows or columns that the workbook hides are read, too")
+    return Sheet(read[title], tuple(said))
+
+
+def _without_styles(raw: bytes) -> tuple[io.BytesIO, bool]:
+    """The workbook with dates as the days that it stores, and whether it hides rows or columns.
+
+    What is shown as a date calamine rounds to 1 ms; what it cannot hold in memory ends the whole program.
+    """
+    plain, hides = io.BytesIO(), False
+    with zipfile.ZipFile(io.BytesIO(raw)) as before, zipfile.ZipFile(plain, "w") as after:
+        for entry in before.infolist():
+            part = before.read(entry)
+            if entry.filename.startswith("xl/worksheets/"):
+                hides = hides or _HIDDEN.search(part) is not None
+                if far := _FAR.search(part):
+                    raise ValueError(f"cell {far[1].decode()} is too far from a table; clear it")
+            if entry.filename != "xl/styles.xml":
+                after.writestr(entry, part)
+    plain.seek(0)
+    return plain, hides
+
+
+def _of_numbers(rows: list[list[str]]) -> int:
+    """Rows that may be of a table: two numbers, or nothing else."""
+    values = ([_is_value(cell) for cell in row if cell] for row in rows)
+    return sum(sum(row) > 1 or (len(row) == 1 and all(row)) for row in values)
 
 
 def _is_value(cell: str) -> bool:
     return (is_number(cell) and not is_missing(cell)) or is_moment(cell)
 
 
-def _place(name: str) -> str:
-    """The number of a sheet that no list names, so written that it sorts; empty: no sheet."""
-    found = re.fullmatch(r"xl/worksheets/sheet(\d+)\.xml", name)
-    return f"{int(found[1]):06d}" if found else ""
+def _rows(shown: list[list[Any]], stored: list[list[Any]]) -> list[list[str]]:
+    """Cells as text, from what they show and from what is stored: days where a date or a time is shown."""
+    cells = [list(zip(*rows, strict=True)) for rows in zip(shown, stored, strict=True)]
+    since_1904 = any(
+        isinstance(moment, datetime) and _is_number(days) and moment - timedelta(days=days) > _BETWEEN
+        for row in cells
+        for moment, days in row
+    )
+    first_day = _FIRST_DAY_1904 if since_1904 else _FIRST_DAY
+    return [[_text(moment, value, first_day) for moment, value in row] for row in cells]
 
 
-def _listed(archive: zipfile.ZipFile) -> tuple[datetime, list[tuple[str, str, bool]]]:
-    """Day 0 of the workbook, and its sheets in order: title, place in the archive, whether it is hidden."""
-    book = _tree(archive, "xl/workbook.xml")
-    about = book.find(f"{_MAIN}workbookPr")
-    since_1904 = about is not None and about.attrib.get("date1904") in _YES
-    targets = {}
-    if "xl/_rels/workbook.xml.rels" in archive.namelist():
-        for each in _tree(archive, "xl/_rels/workbook.xml.rels"):
-            target = each.attrib.get("Target", "")
-            targets[each.attrib.get("Id", "")] = target[1:] if target.startswith("/") else f"xl/{target}"
-    sheets = [
-        (
-            sheet.attrib.get("name", ""),
-            targets.get(sheet.attrib.get(f"{_RELATION}id", ""), ""),
-            sheet.attrib.get("state", "visible") != "visible",
-        )
-        for sheet in book.iter(f"{_MAIN}sheet")
-    ]
-    return (_FIRST_DAY_1904 if since_1904 else _FIRST_DAY), sheets
+def _text(shown: Any, stored: Any, first_day: datetime) -> str:
+    if isinstance(shown, date | time | timedelta) and _is_number(stored):
+        # a double of days keeps microseconds, not more
+        moment = first_day + timedelta(microseconds=round(stored * 86_400_000_000))
+        return moment.isoformat(sep=" ")
+    if isinstance(stored, bool) or (isinstance(stored, float) and stored.is_integer()):
+        return str(int(stored))
+    return str(stored)
 
 
-def _tree(archive: zipfile.ZipFile, name: str) -> ElementTree.Element:
-    try:
-        return parsed_xml(archive.read(name))
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
-
-
-def _shared_texts(archive: zipfile.ZipFile) -> list[str]:
-    found = _tree(archive, "xl/sharedStrings.xml").findall(f"{_MAIN}si")
-    return ["".join(part.text or "" for part in item.iter(f"{_MAIN}t")) for item in found]
-
-
-def _date_styles(archive: zipfile.ZipFile) -> set[int]:
-    """Numbers of the styles that show a number of days as a date or a time."""
-    tree = _tree(archive, "xl/styles.xml")
-    own = {
-        int(item.attrib["numFmtId"])
-        for item in tree.iter(f"{_MAIN}numFmt")
-        if re.search("[ymdhs]", _NO_DATE.sub("", item.attrib.get("formatCode", "").lower()))
-    }
-    cells = tree.find(f"{_MAIN}cellXfs")
-    shown = [int(item.attrib.get("numFmtId", 0)) for item in (cells if cells is not None else [])]
-    return {place for place, number in enumerate(shown) if number in _DATES | own}
-
-
-def _rows(
-    archive: zipfile.ZipFile, sheet: str, texts: list[str], dates: set[int], first_day: datetime
-) -> _Read:
-    tree = _tree(archive, sheet)
-    rows: list[list[str]] = []
-    hidden, unknown = [], ""
-    for row in tree.iter(f"{_MAIN}row"):
-        cells: dict[int, str] = {}
-        # empty rows are not stored, but part blocks and count as lines
-        number = int(row.attrib.get("r", len(rows) + 1))
-        rows += [[]] * min(max(number - len(rows) - 1, 0), _MOST_EMPTY)
-        for cell in row.findall(f"{_MAIN}c"):
-            reference = cell.attrib.get("r", "")
-            place = _column(reference) if reference else len(cells)
-            cells[place] = _text(cell, texts, dates, first_day)
-            if cell.find(f"{_MAIN}f") is not None and not cells[place] and cell.attrib.get("t", "n") == "n":
-                unknown = unknown or reference or f"row {len(rows) + 1}"
-        # a cell may have a style and nothing else, in the last column of all
-        filled = [place for place, text in cells.items() if text]
-        rows.append([cells.get(place, "") for place in range(max(filled, default=-1) + 1)])
-        if row.attrib.get("hidden") in _YES:
-            hidden.append(len(rows))
-    width = max((len(row) for row in rows), default=0)
-    columns = [
-        str(number)
-        for each in tree.iter(f"{_MAIN}col")
-        if each.attrib.get("hidden") in _YES
-        for number in range(int(each.attrib["min"]), min(int(each.attrib["max"]), width) + 1)
-    ]
-    return _Read([row + [""] * (width - len(row)) for row in rows], hidden, columns, unknown)
-
-
-def _column(reference: str) -> int:
-    """Number of the column from 0: A1 is 0, AA1 is 26."""
-    number = 0
-    for letter in re.sub(r"\d", "", reference):
-        number = 26 * number + ord(letter) - ord("A") + 1
-    if not 0 < number <= _MOST_COLUMNS:
-        raise ValueError(f"no sheet has a cell {reference}")
-    return number - 1
-
-
-def _text(cell: ElementTree.Element, texts: list[str], dates: set[int], first_day: datetime) -> str:
-    kind = cell.attrib.get("t", "n")
-    if kind == "inlineStr":
-        return "".join(part.text or "" for part in cell.iter(f"{_MAIN}t"))
-    found = cell.find(f"{_MAIN}v")
-    value = (found.text or "") if found is not None else ""
-    if kind == "s":
-        if int(value) >= len(texts):
-            raise ValueError(f"cell {cell.attrib.get('r', '')} refers to a text that is missing")
-        return texts[int(value)]
-    if kind == "n" and value and int(cell.attrib.get("s", 0)) in dates:
-        try:
-            # a double of days keeps microseconds, not more
-            moment = first_day + timedelta(microseconds=round(float(value) * 86_400_000_000))
-            return moment.isoformat(sep=" ")
-        except OverflowError:
-            # no date: the spreadsheet shows none either
-            return value
-    return "" if kind == "e" else value
+def _is_number(cell: Any) -> bool:
+    return isinstance(cell, int | float)

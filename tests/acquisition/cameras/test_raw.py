@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from acquisition.cameras.files.raw import other_row_length
 from tests.acquisition.cameras.made_films import NX, NY, picture, places
 from tests.acquisition.cameras.test_files import play, refusal
 
@@ -23,10 +22,7 @@ def pictures(bits: int = 8) -> NDArray[Any]:
 def written(folder: Path, data: bytes, layout: dict[str, Any], name: str = "swing.raw.toml") -> Path:
     path = folder / "swing.raw"
     path.write_bytes(data)
-    if name.endswith(".json"):
-        (folder / name).write_text(json.dumps(layout))
-    else:
-        (folder / name).write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in layout.items()))
+    (folder / name).write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in layout.items()))
     return path
 
 
@@ -41,7 +37,7 @@ def packed_12p(frames: NDArray[Any]) -> bytes:
     ("name", "layout", "data", "wanted"),
     [
         ("swing.raw.toml", {}, pictures().tobytes(), pictures()),
-        ("swing.json", {}, pictures().tobytes(), pictures()),
+        ("swing.toml", {}, pictures().tobytes(), pictures()),
         ("swing.toml", {"header_bytes": 7}, b"a title" + pictures().tobytes(), pictures()),
         ("swing.toml", {"pixel_format": "Mono12"}, pictures(12).astype("<u2").tobytes(), pictures(12)),
         (
@@ -121,54 +117,29 @@ WHOLE = pictures().tobytes()
         ({"header_bytes": 10**9}, WHOLE, "not a whole number of frames"),
     ],
 )
-@pytest.mark.parametrize("name", ["swing.raw.toml", "swing.raw.json"])
 def test_a_sidecar_that_does_not_fit_is_refused_in_one_line(
-    tmp_path: Path, name: str, layout: dict[str, Any], data: bytes, said: str
+    tmp_path: Path, layout: dict[str, Any], data: bytes, said: str
 ) -> None:
     stated = {key: value for key, value in (LAYOUT | layout).items() if value is not None}
-    assert said in refusal(written(tmp_path, data, stated, name), frame_rate_hz=None)
+    assert said in refusal(written(tmp_path, data, stated), frame_rate_hz=None)
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "said"),
+    ("text", "said"),
     [
-        ("swing.toml", "width_px = ", "swing.toml: is not TOML"),
-        ("swing.toml", "width_px = 1\nwidth_px = 2", "swing.toml: is not TOML"),
-        ("swing.json", "{", "swing.json: is not JSON"),
-        ("swing.json", "[1, 2]", "should be a valid dictionary"),
-        ("swing.json", '{"width_px": 1, "width_px": 2}', "a key is stated twice"),
-        ("swing.json", '{"width_px": 1e999}', "width_px = inf"),
-        ("swing.json", "\udcff", "swing.json: is not JSON"),
+        ("width_px = ", "swing.raw.toml: is not TOML"),
+        ("width_px = 1\nwidth_px = 2", "swing.raw.toml: is not TOML"),
+        ("width_px = inf", "width_px = inf"),
+        ("\udcff", "swing.raw.toml: is not TOML"),
     ],
 )
-def test_a_file_that_is_no_sidecar_is_refused(tmp_path: Path, name: str, text: str, said: str) -> None:
+def test_a_file_that_is_no_sidecar_is_refused(tmp_path: Path, text: str, said: str) -> None:
     path = written(tmp_path, WHOLE, LAYOUT)
-    (tmp_path / "swing.raw.toml").unlink()
-    (tmp_path / name).write_bytes(text.encode(errors="surrogateescape"))
+    (tmp_path / "swing.raw.toml").write_bytes(text.encode(errors="surrogateescape"))
     assert said in refusal(path, frame_rate_hz=None)
 
 
-def test_none_and_two_sidecars_are_refused(tmp_path: Path) -> None:
+def test_a_sidecar_that_is_missing_is_asked_for(tmp_path: Path) -> None:
     path = written(tmp_path, WHOLE, LAYOUT)
-    (tmp_path / "swing.json").write_text("{}")
-    assert "swing.raw.toml and swing.json describe it; keep one" in refusal(path)
-    (tmp_path / "swing.json").unlink()
     (tmp_path / "swing.raw.toml").unlink()
     assert "write swing.raw.toml with width_px, height_px, pixel_format" in refusal(path)
-
-
-@pytest.mark.parametrize("width", [NX // 2, NX * 2, NY, 120])
-def test_rows_of_another_length_than_stated_are_noticed(tmp_path: Path, width: int) -> None:
-    path = written(tmp_path, WHOLE, LAYOUT | {"width_px": width, "height_px": NX * NY // width})
-    camera, _ = play(path, frame_rate_hz=None)
-    assert f"fit rows of {NX} px better than the {width}" in camera.found[1]
-
-
-def test_rows_of_the_right_length_are_not_doubted() -> None:
-    rng = np.random.default_rng(1)
-    for noise in (0.0, 3.0, 30.0, 200.0):
-        for image in pictures():
-            assert not other_row_length(image + noise * rng.standard_normal(image.shape))
-    assert not other_row_length(np.zeros((NY, NX), np.uint8))
-    stripes = np.repeat(np.arange(NY)[:, None] % 8 * 30, NX, axis=1)
-    assert not other_row_length(stripes)

@@ -12,9 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
 from rig.analysis.position_table import TableColumns
+
+MAIN = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+OFFICE = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+PACKAGE = "http://schemas.openxmlformats.org/package/2006/relationships"
 
 ROWS = 240
 STEP_MS = 50
@@ -349,36 +354,75 @@ def _times() -> list[TableCase]:
     ]
 
 
-def workbook(rows: Sequence[Sequence[Any]], dates: bool = False) -> bytes:
-    """A small .xlsx; with `dates` the first column is shown as a date."""
-    main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
-    texts: list[str] = []
-    lines = []
-    for number, row in enumerate(rows, 1):
-        cells = []
-        for letter, value in zip("ABC", row, strict=False):
-            if isinstance(value, str):
-                texts.append(value)
-                cells.append(f'<c r="{letter}{number}" t="s"><v>{len(texts) - 1}</v></c>')
-            else:
-                style = ' s="1"' if dates and letter == "A" else ""
-                cells.append(f'<c r="{letter}{number}"{style}><v>{value!r}</v></c>')
-        lines.append(f'<row r="{number}">{"".join(cells)}</row>')
-    shared = "".join(f"<si><t>{text}</t></si>" for text in texts)
+@dataclass(frozen=True)
+class Sheet:
+    """One sheet; `numbers` are those of its rows, 1, 2, ... if they are left out."""
+
+    rows: Sequence[Sequence[object]]
+    state: str = "visible"
+    hidden_rows: range = range(0)
+    hidden_column: int = 0
+    numbers: Sequence[int] = field(default_factory=tuple)
+
+
+def workbook(sheets: dict[str, Sheet], *, since_1904: bool = False, dates: bool = False) -> bytes:
+    """An .xlsx as Excel writes it: sheets in the workbook's order, whose files are numbered the other way.
+
+    With `dates` the first column is shown as a date.
+    """
     out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("xl/worksheets/sheet1.xml", f'<worksheet xmlns="{main}"><sheetData/></worksheet>')
+    with zipfile.ZipFile(out, "w") as archive:
+        listed, relations = "", ""
+        for k, (title, sheet) in enumerate(sheets.items(), 1):
+            file = f"worksheets/sheet{len(sheets) + 1 - k}.xml"
+            listed += f'<sheet name="{title}" sheetId="{k}" state="{sheet.state}" r:id="rId{k}"/>'
+            relations += f'<Relationship Id="rId{k}" Type="{OFFICE}/worksheet" Target="{file}"/>'
+            archive.writestr(f"xl/{file}", _xml(sheet, dates))
         archive.writestr(
-            "xl/worksheets/sheet2.xml",
-            f'<worksheet xmlns="{main}"><sheetData>{"".join(lines)}</sheetData></worksheet>',
+            "_rels/.rels",
+            f'<Relationships xmlns="{PACKAGE}"><Relationship Id="rId1" '
+            f'Type="{OFFICE}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
         )
-        archive.writestr("xl/sharedStrings.xml", f'<sst xmlns="{main}">{shared}</sst>')
+        archive.writestr(
+            "xl/workbook.xml",
+            f'<workbook xmlns="{MAIN}" xmlns:r="{OFFICE}"><workbookPr date1904="{int(since_1904)}"/>'
+            f"<sheets>{listed}</sheets></workbook>",
+        )
+        archive.writestr(
+            "xl/_rels/workbook.xml.rels",
+            f'<Relationships xmlns="{PACKAGE}">{relations}</Relationships>',
+        )
         archive.writestr(
             "xl/styles.xml",
-            f'<styleSheet xmlns="{main}"><cellXfs><xf numFmtId="0"/>'
+            f'<styleSheet xmlns="{MAIN}"><cellXfs><xf numFmtId="0"/>'
             '<xf numFmtId="22"/></cellXfs></styleSheet>',
         )
     return out.getvalue()
+
+
+def _xml(sheet: Sheet, dates: bool) -> str:
+    lines = []
+    for number, row in zip(sheet.numbers or range(1, len(sheet.rows) + 1), sheet.rows, strict=True):
+        cells = ""
+        for letter, value in zip("ABC", row, strict=False):
+            at = f'r="{letter}{number}"'
+            if isinstance(value, str) and value.startswith("="):
+                cells += f"<c {at}><f>{value[1:]}</f><v></v></c>"
+            elif isinstance(value, str):
+                cells += f'<c {at} t="inlineStr"><is><t>{value}</t></is></c>'
+            else:
+                style = ' s="1"' if dates and letter == "A" else ""
+                cells += f"<c {at}{style}><v>{value!r}</v></c>"
+        hidden = ' hidden="1"' if number in sheet.hidden_rows else ""
+        lines.append(f'<row r="{number}"{hidden}>{cells}</row>')
+    k = sheet.hidden_column
+    columns = f'<cols><col min="{k}" max="{k}" hidden="1"/></cols>' if k else ""
+    return f'<worksheet xmlns="{MAIN}">{columns}<sheetData>{"".join(lines)}</sheetData></worksheet>'
+
+
+def listed(*columns: NDArray[np.float64]) -> list[tuple[float, ...]]:
+    """Rows of these columns."""
+    return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def mat73(**variables: Any) -> bytes:
@@ -451,13 +495,20 @@ def _files() -> list[TableCase]:
         _case("mat, no mat", b"x" * 300, ending="mat", refused="as a .mat file"),
         _case(
             "xlsx",
-            workbook([("t [s]", "x [mm]"), *zip(t.tolist(), x.tolist(), strict=True)]),
+            workbook(
+                {
+                    "empty": Sheet([]),
+                    "A": Sheet([("t [s]", "x [mm]"), *zip(t.tolist(), x.tolist(), strict=True)]),
+                }
+            ),
             ending="xlsx",
             unit="mm",
         ),
         _case(
             "xlsx, dates",
-            workbook([("Datum", "x"), *zip(days.tolist(), x.tolist(), strict=True)], True),
+            workbook(
+                {"A": Sheet([("Datum", "x"), *zip(days.tolist(), x.tolist(), strict=True)])}, dates=True
+            ),
             ending="xlsx",
         ),
         _case("xlsx, no zip", b"no zip", ending="xlsx", refused="cannot be read as a workbook"),

@@ -24,7 +24,7 @@ DOCUMENTS = (*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"))
 OLDER = ROOT / "tests" / "rig" / "data" / "older"
 needs_dask = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None,
-    reason="no Dask here: pip install 'optical-pendulum-rig[test-remote]'",
+    reason="no Dask here: pip install 'optical-pendulum-rig[series]'",
 )
 needs_ss = pytest.mark.skipif(shutil.which("ss") is None, reason="needs ss (iproute2)")
 

@@ -15,7 +15,7 @@ from acquisition.camera import CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.cameras.usb3vision import discovery
 from acquisition.cameras.usb3vision.discovery import FoundCamera, UsbSpeed
-from acquisition.cameras.usb3vision.feature_readings import FeatureReading
+from acquisition.cameras.usb3vision.node_map import FeatureReading
 from acquisition.frame import Frame
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
@@ -227,10 +227,8 @@ def test_a_dump_shows_how_a_camera_behaves_and_not_whose_it_is(
 
 
 def test_a_feature_that_can_not_be_read_says_why() -> None:
-    faulty = FeatureReading(
-        "Odd", "Integer", None, "readable and writable", None, None, "", (), "no register"
-    )
-    raw = FeatureReading("Key", "Register", b"\x01\xff", "read-only", None, None, "", (), "")
+    faulty = FeatureReading("Odd", "Integer", "readable and writable", problem="no register")
+    raw = FeatureReading("Key", "Register", "read-only", b"\x01\xff")
     assert list(feature_lines([faulty, raw])) == ["Odd  -      no register", "Key  01 ff  read-only"]
     assert list(feature_lines([])) == []
 

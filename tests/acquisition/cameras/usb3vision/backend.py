@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 import usb.backend
 import usb.core
 
@@ -20,6 +21,8 @@ from tests.acquisition.cameras.usb3vision.device import (
     UnpluggedError,
     VisionDevice,
 )
+
+WITHOUT_GENICAM = "USB3 Vision cameras need genicam: pip install '.[usb3vision]'"
 
 # Fields of the descriptors, in order
 DEVICE_FIELDS = (
@@ -83,6 +86,7 @@ class InProcessBackend(usb.backend.IBackend):  # type: ignore[misc]
     """Serves test cameras to pyusb; `denied` cameras can't be opened."""
 
     def __init__(self, *devices: VisionDevice) -> None:
+        pytest.importorskip("genicam.genapi", reason=WITHOUT_GENICAM)
         super().__init__()
         self.devices = list(devices)
         self.denied: set[str] = set()

@@ -86,7 +86,7 @@ def _of_line(name: str, register: int, entries: dict[str, int]) -> str:
 def _size(name: str, offset: str, register: int, sensor: str, inc: int) -> str:
     return f"""<Integer Name="{name}"><pIsLocked>TLParamsLocked</pIsLocked><pValue>{name}Reg</pValue>
         <Min>{inc}</Min><pMax>{name}Limit</pMax><Inc>{inc}</Inc></Integer>
-        <IntSwissKnife Name="{name}Limit"><pVariable Name="OFFSET">{offset}</pVariable>
+        <IntSwissKnife Name="{name}Limit"><pVariable Name="OFFSET">{offset}Reg</pVariable>
         <Constant Name="SENSOR">{sensor}</Constant>
         <Formula>SENSOR - OFFSET</Formula></IntSwissKnife>""" + _register(f"{name}Reg", register)
 
@@ -94,7 +94,7 @@ def _size(name: str, offset: str, register: int, sensor: str, inc: int) -> str:
 def _offset(name: str, size: str, register: int, sensor: str) -> str:
     return f"""<Integer Name="{name}"><pValue>{name}Reg</pValue><Min>0</Min>
         <pMax>{name}Limit</pMax><Inc>2</Inc></Integer>
-        <IntSwissKnife Name="{name}Limit"><pVariable Name="SIZE">{size}</pVariable>
+        <IntSwissKnife Name="{name}Limit"><pVariable Name="SIZE">{size}Reg</pVariable>
         <Formula>{sensor} - SIZE</Formula></IntSwissKnife>""" + _register(f"{name}Reg", register)
 
 
@@ -180,7 +180,7 @@ def description(formats: tuple[str, ...] = tuple(FORMATS), exposure_name: str = 
 {_of_line("LineSource", LINE_SOURCE, {"Off": 0, "ExposureActive": 1})}
 <SwissKnife Name="AcquisitionResultingFrameRate"><pVariable Name="T">{exposure_name}</pVariable>
  <pVariable Name="BYTES">PayloadSize</pVariable><pVariable Name="BUS">ThroughputReg</pVariable>
- <pVariable Name="ON">AcquisitionFrameRateEnable</pVariable>
+ <pVariable Name="ON">FrameRateEnableBit</pVariable>
  <pVariable Name="RATE">FrameRateReg</pVariable><Expression Name="POSSIBLE">(BUS = 0) ? (1E6 / T) :
  ((BUS / BYTES &lt; 1E6 / T) ? (BUS / BYTES) : (1E6 / T))</Expression>
  <Formula>((ON = 1) &amp;&amp; (RATE &lt; POSSIBLE)) ? RATE : POSSIBLE</Formula><Unit>Hz</Unit></SwissKnife>

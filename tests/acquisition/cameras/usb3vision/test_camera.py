@@ -13,6 +13,7 @@ import usb.backend.libusb1
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
 from acquisition.cameras.drivers import make_camera
+from acquisition.cameras.usb3vision import camera as driver
 from acquisition.cameras.usb3vision import discovery
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.discovery import find_camera, find_cameras
@@ -218,10 +219,11 @@ def test_stop_returns_in_time_from_a_camera_that_has_fallen_silent(
         assert time.monotonic() - begin_s < 1.0
 
 
-def test_stop_and_close_return_in_time_while_open_hangs() -> None:
+def test_stop_and_close_return_in_time_while_open_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driver, "_REPLY_S", 5.0)
     device = VisionDevice()
     device.faults.replies = lambda command, reply: []
-    camera = camera_on(device, control_timeout_s=5.0)
+    camera = camera_on(device)
     failed = threading.Event()
 
     def opening() -> None:

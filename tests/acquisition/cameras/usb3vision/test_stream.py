@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from acquisition.camera import CameraLost, CameraSettings, FrameTimeout, PixelFormat
+from acquisition.cameras.usb3vision import camera as driver
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame import Frame
@@ -35,13 +36,14 @@ def streaming(
     device: VisionDevice, settings: CameraSettings | None = None, **more: int
 ) -> Iterator[Usb3VisionCamera]:
     """A camera that delivers small frames quickly."""
-    options = Usb3VisionSettings.model_validate({"transfer_bytes": 1 << 14} | more)
-    camera = Usb3VisionCamera(options, InProcessBackend(device))
+    camera = Usb3VisionCamera(Usb3VisionSettings.model_validate(more), InProcessBackend(device))
     camera.open()
     camera.configure(CameraSettings(width_px=200, height_px=102, frame_rate_hz=1000.0, exposure_us=50.0))
     if settings is not None:
         camera.configure(settings)
-    camera.start()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(driver, "_LARGEST_TRANSFER", 1 << 14)
+        camera.start()
     try:
         yield camera
     finally:
@@ -453,11 +455,12 @@ def test_fuzzed_control_never_hangs(edits: list[tuple[int, str, bytes]]) -> None
         return [reply]
 
     device.faults.replies = replies
-    options = Usb3VisionSettings(control_timeout_s=0.02)
-    camera = Usb3VisionCamera(options, InProcessBackend(device))
+    camera = Usb3VisionCamera(backend=InProcessBackend(device))
     message = ""
     try:
-        info = camera.open()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(driver, "_REPLY_S", 0.02)
+            info = camera.open()
         camera.configure(CameraSettings(width_px=160, height_px=100))
         camera.start()
         frame = camera.read(2.0)

@@ -1,1 +1,0 @@
-"""GenApi: a camera's XML turned into features that can be read and set."""

@@ -1,0 +1,245 @@
+"""The features of a camera by name: EMVA's GenApi on the camera's own description and registers."""
+
+import re
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Final
+
+from acquisition.camera import CameraLost, FeatureValue
+from acquisition.cameras.usb3vision.gencp import GenCpChannel
+from processing.errors import DeviceError
+
+ACCESS: Final = (
+    "not implemented",
+    "not available at present",
+    "write-only",
+    "read-only",
+    "readable and writable",
+)
+"""What can be done with a feature, by the numbers of GenApi's access modes."""
+NOT_IMPLEMENTED, _, WRITE_ONLY, READ_ONLY, READ_WRITE = ACCESS
+_PORT: Final = "Device"
+_NUMBERS: Final = ("Integer", "Float")
+_VALUES: Final = (*_NUMBERS, "Boolean", "Enumeration", "String")
+_NO_LIMIT: Final = 1e300
+"""Floats without a limit end at the largest one."""
+_SWITCH: Final = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
+_THROWN: Final = re.compile(r"\s*: \w+Exception thrown.*", re.DOTALL)
+"""Where in its sources GenApi raised an error, which follows what is wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureReading:
+    """One feature for display. `value` is None if it cannot be read; `problem` is then the reason."""
+
+    name: str
+    kind: str
+    access: str = ""
+    value: FeatureValue | bytes | None = None
+    minimum: float | None = None
+    maximum: float | None = None
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    problem: str = ""
+
+
+def load_genapi() -> Any:
+    """EMVA's GenApi. Raises DeviceError that says what to install."""
+    try:
+        from genicam import genapi
+    except ImportError:
+        raise DeviceError(
+            "camera.driver = 'usb3vision' needs genicam: pip install 'optical-pendulum-rig[usb3vision]'"
+        ) from None
+    return genapi
+
+
+class NodeMap:
+    """The features of a camera by name, with a cache of its registers.
+
+    Methods raise DeviceError for a feature that the camera does not have, or that cannot be read or set;
+    errors of the registers are passed on.
+
+    Parameters
+    ----------
+    xml
+        The camera's description.
+    channel
+        Access to its registers.
+    name
+        Name of the camera in messages.
+    """
+
+    def __init__(self, xml: str, channel: GenCpChannel, name: str) -> None:
+        self.name = name
+        self._genapi = genapi = load_genapi()
+        # GenApi holds Python's lock while it waits for its own: two threads in it would wait for ever
+        self._lock = threading.RLock()
+        self._nodes = genapi.NodeMap()
+
+        class Port(genapi.AbstractPort):  # type: ignore[name-defined, misc]
+            """The camera's registers, whose addresses GenApi takes for signed."""
+
+            def read(self, address: int, length: int) -> bytes:
+                return channel.read(address % (1 << 64), length)
+
+            def write(self, address: int, data: Any) -> None:
+                channel.write(address % (1 << 64), bytes(data))
+
+            def get_access_mode(self) -> Any:
+                return genapi.EAccessMode.RW
+
+        with self._asking("the camera's description is not valid"):
+            # the text is already decoded: the parser would fail on a declaration of another encoding
+            self._nodes.load_xml_from_string(re.sub(r"^\s*<\?xml[^>]*\?>", "", xml, count=1))
+            if not self._nodes.connect(Port(), _PORT):
+                raise DeviceError(f"{name}: the camera's description is not valid: it has no port {_PORT!r}")
+
+    def __contains__(self, name: str) -> bool:
+        with self._lock:
+            return bool(self._nodes.has_node(name))
+
+    def access(self, name: str) -> str:
+        """What can be done with a feature at present, one of `ACCESS`, whether or not the camera has it."""
+        with self._asking(f"{name} cannot be read"):
+            return ACCESS[self._node(name).get_access_mode()] if name in self else NOT_IMPLEMENTED
+
+    def readable(self, name: str) -> bool:
+        """Whether the camera has the feature and it can be read at present."""
+        return self.access(name) in (READ_ONLY, READ_WRITE)
+
+    def writable(self, name: str) -> bool:
+        """Whether the camera has the feature and it can be set at present."""
+        return self.access(name) in (WRITE_ONLY, READ_WRITE)
+
+    def kind(self, name: str) -> str:
+        """Kind of a feature by its interface: "Integer", "Float", "Command" and so on."""
+        return type(self._node(name)).__name__.removeprefix("I")
+
+    def choices(self, name: str) -> tuple[str, ...]:
+        """Values that an enumeration takes at present; none for other features."""
+        with self._asking(f"{name} cannot be read"):
+            return tuple(getattr(self._node(name), "symbolics", ())) if name in self else ()
+
+    def limits(self, name: str) -> tuple[float | None, float | None]:
+        """Smallest and largest value of a number at present; None without such a limit, or where unknown."""
+        if self.kind(name) not in _NUMBERS or not self.readable(name):
+            return None, None
+        with self._asking(f"{name} cannot be read"):
+            low, high = self._node(name).min, self._node(name).max
+            return (low if low > -_NO_LIMIT else None), (high if high < _NO_LIMIT else None)
+
+    def get(self, name: str) -> Any:
+        """Value of a feature: int, float, bool, bytes (a register), or str (a text or a choice).
+
+        That of a command is whether the camera is still executing it.
+        """
+        with self._asking(f"{name} cannot be read"):
+            node, kind = self._node(name), self.kind(name)
+            if not self.readable(name):
+                raise DeviceError(f"{self.name}: {name} cannot be read: it is {self.access(name)}")
+            if kind == "Register":
+                return bytes(node.get(node.length))
+            if kind == "Command":
+                return not node.is_done()
+            if kind not in _VALUES:
+                raise DeviceError(f"{self.name}: {name} is a {kind} and has no value")
+            return node.value
+
+    def set(self, name: str, value: Any) -> None:
+        """Set a feature to a value, or to its text; of a command, any value runs it."""
+        with self._asking(f"{name} cannot be set to {value!r}"):
+            node, kind = self._node(name), self.kind(name)
+            if not self.writable(name):
+                raise DeviceError(f"{self.name}: {name} cannot be set: it is {self.access(name)}")
+            if kind == "Command":
+                node.execute()
+            elif kind in _VALUES:
+                node.value = self._allowed(name, value)
+            else:
+                raise DeviceError(f"{self.name}: {name} is a {kind} and cannot be set")
+
+    def forget(self) -> None:
+        """Empty the cache, so that every value is read from the camera again."""
+        with self._lock:
+            self._node(_PORT).node.invalidate_node()
+
+    def readings(self) -> Iterator[FeatureReading]:
+        """All implemented features of the camera and their present values; faulty ones have a `problem`."""
+        self.forget()
+        for name in dict.fromkeys(self._listed("Root")):
+            try:
+                reading = self._reading(name)
+            except CameraLost:
+                raise
+            except DeviceError as error:
+                reading = FeatureReading(name, self.kind(name), problem=str(error))
+            if reading.access != NOT_IMPLEMENTED:
+                yield reading
+
+    # ---- inside
+
+    def _node(self, name: str) -> Any:
+        if name not in self:
+            raise DeviceError(f"{self.name}: has no feature {name!r}")
+        with self._lock:
+            return self._nodes.get_node(name)
+
+    def _listed(self, category: str) -> list[str]:
+        """Names of the features in a category and in those below it."""
+        with self._lock:
+            names = [feature.node.name for feature in self._node(category).features]
+        below = (self._listed(name) if self.kind(name) == "Category" else [name] for name in names)
+        return [name for listed in below for name in listed]
+
+    def _reading(self, name: str) -> FeatureReading:
+        kind, access = self.kind(name), self.access(name)
+        value = self.get(name) if access in (READ_ONLY, READ_WRITE) else None
+        unit = self._node(name).unit if kind in _NUMBERS else ""
+        choices = self.choices(name) if access != NOT_IMPLEMENTED else ()
+        return FeatureReading(name, kind, access, value, *self.limits(name), unit, choices)
+
+    def _allowed(self, name: str, value: Any) -> Any:
+        """A value as its feature takes it; DeviceError, which says what is allowed, if that is not this."""
+        node, kind, stated = self._node(name), self.kind(name), f"{self.name}: {name} = {value}"
+        if kind == "Enumeration" and value not in node.symbolics:
+            listed = ", ".join(node.symbolics)
+            raise DeviceError(f"{self.name}: {name} cannot be {value!r} at present; choices: {listed}")
+        if kind == "Boolean":
+            if str(value).lower() not in _SWITCH:
+                raise DeviceError(f"{stated} must be true or false")
+            return _SWITCH[str(value).lower()]
+        if kind not in _NUMBERS:
+            return str(value)
+        try:
+            number = _number(value) if isinstance(value, str) else value
+        except ValueError:
+            raise DeviceError(f"{self.name}: {name} = {value!r} is not a number") from None
+        whole = kind == "Integer"
+        if whole and number % 1 != 0:
+            raise DeviceError(f"{stated} must be a whole number")
+        low, high, step = node.min, node.max, (node.inc if whole or node.has_inc() else 1) or 1
+        if not low <= number <= high or (whole and (number - low) % step):
+            unit, steps = f" {node.unit}".rstrip(), f" in steps of {step:g}" if step != 1 else ""
+            span = f"{low:.10g} to {high:.10g}{unit}{steps}"
+            raise DeviceError(f"{stated} is out of range; allowed is {span}")
+        return int(number) if whole else float(number)
+
+    @contextmanager
+    def _asking(self, problem: str) -> Iterator[None]:
+        """Hold the lock, and turn GenApi's errors into a DeviceError that begins with this problem."""
+        with self._lock:
+            try:
+                yield
+            except (self._genapi.GenericException, UnicodeDecodeError, RuntimeError) as refused:
+                reason = re.sub(r"\s+", " ", _THROWN.sub("", str(refused))).strip()
+                raise DeviceError(f"{self.name}: {problem}: {reason}") from refused
+
+
+def _number(text: str) -> int | float:
+    try:
+        return int(text, 0)
+    except ValueError:
+        return float(text)
