@@ -61,7 +61,7 @@ bench: $(VENV)/.installed-test
 
 # Every claim with its number: docs/validation.md and what it follows from. ARGS="--quick", ARGS="gum iso11146".
 validation: $(VENV)/.installed-test
-	-$(PIP) install --quiet ".[bench]" ".[test-cameras]"
+	-$(PIP) install --quiet ".[bench]"
 	$(BIN)/python -m tests.validation $(ARGS)
 
 # Of what is committed, in dist; the Containerfile takes it from there.
