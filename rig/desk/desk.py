@@ -13,7 +13,6 @@ from rig.control import SafetyState, rig_state_path
 from rig.desk.acting import Acting
 from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
-from rig.desk.archived import Archived
 from rig.desk.balancing import Balancing
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
@@ -46,9 +45,9 @@ class Desk:
     `rig` is the rig's own safety state.
     """
 
-    def __init__(self, source: Path, overrides: tuple[str, ...] = (), archive: str = "") -> None:
+    def __init__(self, source: Path, overrides: tuple[str, ...] = (), archive: Path = Path()) -> None:
         self.source = source
-        self.archived = Archived(archive)
+        self.archive = archive
         self._overrides = overrides
         self.kept: dict[str, object] = {}
         self.config = load_configuration(source, overrides)

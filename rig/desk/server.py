@@ -122,11 +122,11 @@ def open_desk(
     entrance: Entrance | None = None,
     *,
     browser: bool = True,
-    archive: str = "",
+    archive: Path = Path(),
 ) -> int:
     """Serve the desk of a configuration until Ctrl-C; a session that it has started goes on.
 
-    The runs of an `archive` that is a folder are listed, too. The address with its key is printed on stdout,
+    The runs of an `archive` that is there are listed, too. The address with its key is printed on stdout,
     then the one for watching only. Raises ConfigurationError
     where a desk of this configuration is open already.
     """

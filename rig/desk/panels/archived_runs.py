@@ -6,6 +6,7 @@ from collections.abc import Callable
 from nicegui import run, ui
 
 from processing.errors import RigError
+from rig.archive import find_runs
 from rig.desk.desk import Desk
 from rig.desk.tab import Tab
 
@@ -37,8 +38,8 @@ class ArchivedRuns:
 
     async def refresh(self) -> None:
         """Show what is found now; the archive is read again only for other words, or after a while."""
-        archived, words = self._desk.archived, self._words()
-        if not (archived.is_there and self._wanted()):
+        archive, words = self._desk.archive, self._words()
+        if not (archive.is_file() and self._wanted()):
             return
         if self._asked is None or words != self._asked[0]:
             self._first = 0
@@ -47,9 +48,9 @@ class ArchivedRuns:
             return
         self._asked, self._asked_s = now, now_s
         if not self._table.rows:
-            self._place.set_text(f"{archived.name} is read …")
+            self._place.set_text(f"{archive} is read …")
         try:
-            found = await run.io_bound(archived.find, words, self._first, _ON_A_PAGE)
+            found = await run.io_bound(find_runs, archive, words, self._first, _ON_A_PAGE)
         except RigError as error:
             self._table.rows = []
             self._place.set_text(str(error))
@@ -65,9 +66,9 @@ class ArchivedRuns:
         last = self._first + len(found.rows)
         of = f"{found.found:,}" if found.found == found.all else f"{found.found:,} found, of {found.all:,}"
         self._place.set_text(
-            f"{self._first + 1} to {last} of {of} in {archived.name}"
+            f"{self._first + 1} to {last} of {of} in {archive}"
             if found.rows
-            else f"no run in {archived.name} is found"
+            else f"no run in {archive} is found"
         )
         self._newer.set_enabled(self._first > 0)
         self._older.set_enabled(last < found.found)
