@@ -19,7 +19,6 @@ from processing.fit.errors_of_place import (
 from processing.fit.evidence import NO_EVIDENCE, WAVEFORM, Evidence, Waveform, sine_covariance, waveform_of
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
-from processing.fit.key_comparison import KeyComparison, compare_laboratories
 from processing.fit.known_drive import Signals
 from processing.fit.law_comparison import LawComparison, compare_laws
 from processing.fit.law_errors import Change, ChangeKind, Misfit

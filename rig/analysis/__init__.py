@@ -48,7 +48,6 @@ from rig.analysis.results_file import (
     write_results,
 )
 from rig.analysis.screen import print_results
-from rig.analysis.sealed_results import disclosed_run
 from rig.analysis.settled import loss_of, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints

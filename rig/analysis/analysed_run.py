@@ -14,7 +14,6 @@ from rig.analysis.other_instruments import Reduction
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
-from rig.analysis.sealed_results import public_key_over, sealed_results
 from rig.settings import Watched
 
 
@@ -40,10 +39,8 @@ class AnalysedRun:
     watched: Watched | None = None
 
 
-def session_results(runs: Sequence[AnalysedRun], folder: Path, public_key: str = "") -> SessionResults:
+def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults:
     """What is written of one or more runs; records are named relative to the folder of the file.
-
-    They are sealed where a record or the folder is blind, or for the `public_key` of a blind archive.
 
     Raises ConfigurationError for a key that was changed and that nothing has used.
     """
@@ -52,8 +49,7 @@ def session_results(runs: Sequence[AnalysedRun], folder: Path, public_key: str =
         series=_series(runs),
     )
     refuse_unread(runs)
-    public_key = public_key_over(*(run.record for run in runs), folder) or public_key
-    return sealed_results(results, public_key) if public_key else results
+    return results
 
 
 def refuse_unread(runs: Sequence[AnalysedRun]) -> None:

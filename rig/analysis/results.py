@@ -56,7 +56,6 @@ class RunResults:
     are means over the decay, whether or not a law is fitted. A decrement that changes or is not told from
     nought, and a decay faster than a swing, have no `quality_factor`. `damping` describes how the damping
     depends on the amplitude; None for fewer than twelve half-cycles, and for amplitudes that do not fall.
-    `sealed` contains everything, encrypted, for a run in a blind folder; its results state nothing else.
     """
 
     record: str
@@ -104,7 +103,6 @@ class RunResults:
     log_decrement: Estimate = NOT_DETERMINED
     quality_factor: Estimate | None = None
     damping: Annotated[AmplitudeDamping | None, _IN_AMPLITUDE_UNIT] = None
-    sealed: str | None = None
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.
@@ -159,12 +157,11 @@ class Series:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionResults:
-    """results.json of one or more records; `sealed_series` is the series of blind ones, encrypted."""
+    """results.json of one or more records."""
 
     schema: int = SCHEMA
     runs: tuple[RunResults, ...]
     series: Annotated[Annotated[Series, Beside("fits")] | None, Section] = None
-    sealed_series: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,7 +14,6 @@ from processing.errors import ConfigurationError, RecordError
 from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults, TableResults
 from rig.presentation import plain_values
-from rig.sealing import seal_over
 from rig.settings import migrated, wanted
 
 RESULTS_NAME = "results.json"
@@ -63,17 +62,15 @@ def results_path(source: Path) -> Path:
     return max(later, key=lambda path: int(path.stem.removeprefix("results-")), default=source / RESULTS_NAME)
 
 
-def read_results(source: str | Path, *, sealed: bool = False) -> SessionResults:
+def read_results(source: str | Path) -> SessionResults:
     """results.json of a session's folder, or a results file: of records, or of the decays of a table.
 
-    Sealed ones are read where their folder was opened, and as they are where `sealed` allows it.
-
-    Raises RecordError with one line: no such file, the key that cannot be understood, or that it is sealed.
+    Raises RecordError with one line: no such file, or the key that cannot be understood.
     """
-    return runs_of(read_any_results(Path(source), sealed=sealed))
+    return runs_of(read_any_results(Path(source)))
 
 
-def read_any_results(source: Path, *, sealed: bool = False) -> SessionResults | TableResults:
+def read_any_results(source: Path) -> SessionResults | TableResults:
     """The same, with what a table's results say of the table."""
     path = results_path(source)
     try:
@@ -89,27 +86,7 @@ def read_any_results(source: Path, *, sealed: bool = False) -> SessionResults | 
         raise RecordError(f"{path}: is not a results file; name {RESULTS_NAME} or its folder") from None
     except (ValueError, RecursionError) as error:
         raise RecordError(f"{path}: cannot be read: it is not JSON ({error}); {_REMEDY}") from None
-    found = _decoded(tree, path)
-    if isinstance(found, TableResults) or all(run.sealed is None for run in found.runs):
-        return found
-    return _opened(found, path, sealed=sealed)
-
-
-def _opened(results: SessionResults, path: Path, *, sealed: bool) -> SessionResults:
-    # what reads sealed results needs this module
-    from rig.analysis.sealed_results import disclosed_results
-
-    seal = seal_over(path)
-    if seal is not None and seal.key is not None:
-        return disclosed_results(results, seal.key)
-    if sealed:
-        return results
-    if seal is None:
-        raise RecordError(
-            f"{path}: its values are sealed, and it lies outside the blind folder of its record, where the "
-            "key will be; move it into that folder, and open that with rig archive unblind"
-        )
-    raise RecordError(f"{path}: is blind: its values are sealed; rig archive unblind opens them, for good")
+    return _decoded(tree, path)
 
 
 def decoded(tree: Any, path: Path) -> SessionResults:
@@ -185,7 +162,7 @@ def recorded_results(record: Path, sha256: str) -> tuple[str, RunResults | None]
     files = sorted(record.parent.glob("results*.json"), key=lambda path: path.stat().st_mtime, reverse=True)
     for path in files:
         try:
-            runs = read_results(path, sealed=True).runs
+            runs = read_results(path).runs
         except RecordError:
             continue
         found = next((run for run in runs if run.sha256 == sha256), None)

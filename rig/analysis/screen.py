@@ -29,10 +29,6 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
     short = combined is not None and not logger.isEnabledFor(logging.INFO)
     for number, run in enumerate(results.runs, start=1):
         origin = "SIMULATED run" if run.simulated else "run"
-        if run.sealed is not None:
-            head = f"{origin} {number}: BLIND, sealed; {run.frames} frames, {run.dropped_frames} dropped"
-            print_run(run, head)
-            continue
         head = (
             f"{origin} {number}: {run.half_cycles_text(run.amplitude_unit or '')}, {run.frames} frames, "
             f"{run.dropped_frames} dropped"

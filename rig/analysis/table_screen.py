@@ -22,7 +22,6 @@ from rig.analysis.trajectory import Trajectory
 from rig.analysis.witness_file import StatedWitness
 from rig.instrument import fill_from_files
 from rig.presentation import answer, print_line, with_uncertainty
-from rig.sealing import refuse_blind
 from rig.settings import Watched, load_configuration
 
 _TOO_QUIET = 0.01
@@ -105,7 +104,6 @@ def fit_read(
     witness: StatedWitness | None = None,
 ) -> int:
     """The same of positions that were read before; `report` draws what was found, `laws` are compared."""
-    refuse_blind(path, "the fit of a table or film")
     ground = None if witness is None else witness.read()
     compared = chosen_laws(laws) if laws else ()
     if config_path:
@@ -131,7 +129,6 @@ def fit_envelope_table(
     path: Path, output: Path | None, columns: TableColumns, kind: str, frequency_hz: float | None
 ) -> int:
     """Analyse an envelope, print its time constant, write results.json. Returns the exit status."""
-    refuse_blind(path, "the fit of an envelope")
     if kind not in ENVELOPES:
         raise ConfigurationError(f"--envelope {kind!r}: take one of {', '.join(ENVELOPES)} (in dB)")
     found, results = analyse_envelope(path, columns, decibel=kind == "power", frequency_hz=frequency_hz)

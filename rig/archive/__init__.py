@@ -1,46 +1,20 @@
-"""The commands `rig archive`: a catalogue of the runs of many sessions."""
+"""The commands `rig archive`: the runs of many sessions as rows of one DuckDB file."""
 
 from typing import TYPE_CHECKING, Any
 
-from rig.archive.adding import add_sessions
-from rig.archive.blind import unseal
-from rig.archive.blinding import blind_runs
-from rig.archive.campaigned import RunWithResults, is_sealed, results_of_runs
-from rig.archive.chosen import remark, show_runs, view_runs
-from rig.archive.cluster import client_of
-from rig.archive.listing import Format, list_runs
-from rig.archive.plot import plot_runs
-from rig.archive.remote import brought, is_remote, opened
+from rig.archive.listing import FoundRuns, find_runs, list_runs, runs_in_order, show_runs
 
 if TYPE_CHECKING:
-    from rig.archive.checking import check_archive
-    from rig.archive.crates import Statement
-    from rig.archive.differences import print_differences
-    from rig.archive.finding import FoundRuns, find_runs
-    from rig.archive.laboratories import compare_groups
-    from rig.archive.publishing import publish_runs
-    from rig.archive.refits import code_identity
-    from rig.archive.refitting import refit_runs
-    from rig.archive.thinning import thin_runs
-
-_LATER = {
-    "FoundRuns": "finding",
-    "Statement": "crates",
-    "check_archive": "checking",
-    "code_identity": "refits",
-    "compare_groups": "laboratories",
-    "find_runs": "finding",
-    "print_differences": "differences",
-    "publish_runs": "publishing",
-    "refit_runs": "refitting",
-    "thin_runs": "thinning",
-}
-"""What takes seconds to import, for which `list` must not wait, by module."""
+    from rig.archive.refitting import client_of, refit_runs
+    from rig.archive.updating import add_folders, check_archive, update_archive
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _LATER:
+    # takes seconds to import, for which `list` must not wait
+    if name in ("add_folders", "check_archive", "update_archive"):
+        from rig.archive import updating as later
+    elif name in ("client_of", "refit_runs"):
+        from rig.archive import refitting as later
+    else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
-    return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
+    return getattr(later, name)

@@ -1,90 +1,143 @@
-"""The SQL of the catalogue: the tables and views that a DuckDB connection to an archive has."""
+"""The archive's file: a DuckDB database with the folders that were added and a row for each of their runs.
 
-from typing import Final
-
-from rig.archive.columns import COLUMNS, OF_REFITS, SHORT_NAMES
-from rig.archive.sessions import OF_FACTS, OF_PLACES
-from rig.archive.shelf import SQL_TYPES
-
-_NAMES = ", ".join(COLUMNS)
-NO_ROWS: Final = f"""
-create table no_rows (
-  {", ".join(f"{name} {SQL_TYPES[column.kind]}" for name, column in COLUMNS.items())},
-  {", ".join(f"{name} {kind}" for name, kind in OF_FACTS.items())}, now boolean, listed boolean
-)
+It is a cache of what lies in those folders, so nothing in it needs protection beyond DuckDB's transactions.
 """
-REMARKS: Final = """
-create table remarks as
-  select
-    unnest($1::varchar[]) as run_sha256, unnest($2::varchar[][]) as tags, unnest($3::varchar[][]) as notes
-"""
-ALL_MERGED: Final = """
-create view all_rows as
-  select * from no_rows union all by name select * from read_parquet(getvariable('merged'))
-"""
-"""Where one merged file holds what all facts say."""
 
-_OF_PLACES = ", ".join(OF_PLACES)
-SOME_MERGED: Final = "select * exclude (now, listed) from read_parquet(getvariable('merged'))"
-NONE_MERGED: Final = "select * exclude (now, listed) from no_rows"
-NOT_ALL_MERGED: Final = f"""
-create table every_row as
-  with
-    before as (MERGED),
-    seen as (
-      select states.* exclude ({_OF_PLACES}), facts.*
-      from (select * from no_rows_of_states union all by name select * from loose_rows) as states
-      join loose_facts as facts on facts.version = states.version
-    )
-  select * exclude (now, listed) from no_rows
-  union all by name
-  select * from before anti join loose_facts using (computer, folder, version)
-  union all by name
-  select * from seen;
-create view all_rows as
-  with
-    marked as (
-      select *, (turn, writer, place) = max((turn, writer, place)) over (partition by computer, folder) as now
-      from every_row
-    )
-  select
-    *,
-    now and 1 = row_number() over (
-      partition by sha256, now order by turn desc, writer desc, place desc, run
-    ) as listed
-  from marked
-"""
-"""Where facts came after the merged file: what they say instead, and what then is the last of each folder."""
+import contextlib
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
 
-STATES: Final = f"create view no_rows_of_states as select {_NAMES} from no_rows"
-VIEWS: Final = f"""
-create view versions as select * exclude (now, listed) from all_rows;
-create view latest as select * exclude (now, listed) from all_rows where now;
-create view open_runs as
-  select
-    {", ".join(f"shown.{name}" for name in COLUMNS)},
-    coalesce(tags, []::varchar[]) as tags, coalesce(notes, []::varchar[]) as notes,
-    {", ".join(f"{name} as {short}" for short, name in SHORT_NAMES.items())}
-  from (select * from all_rows where listed) as shown left join remarks on run_sha256 = sha256;
-"""
-"""`versions`: every state that was seen; `latest`: the present one of each folder; the runs, each once."""
+from processing.errors import ConfigurationError, RecordError
+from rig.archive.columns import COLUMNS, SHORT_NAMES, SQL_TYPES
 
-FROM_RESULTS: Final = [*list(COLUMNS)[list(COLUMNS).index("configuration_sha256") :], "version"]
-"""Columns that results decide; the others are the run's."""
-REFIT_COLUMNS: Final = {
-    **{name: COLUMNS[name] for name in ("sha256", *FROM_RESULTS)},
-    **{name: column for name, column in OF_REFITS.items() if name != "newest"},
+_TYPES = {name: SQL_TYPES[column.kind] for name, column in COLUMNS.items()}
+_TABLES: Final = f"""
+create table if not exists folders (folder varchar primary key);
+create table if not exists sessions (folder varchar, files varchar);
+create table if not exists every_run ({", ".join(f"{name} {kind}" for name, kind in _TYPES.items())});
+create or replace view runs as
+  select *, {", ".join(f"{name} as {short}" for short, name in SHORT_NAMES.items())}
+  from every_run
+  qualify row_number() over (partition by sha256 order by added_utc desc, folder) = 1;
+"""
+"""`sessions` says by a hash of names, sizes and times in which state a folder was read; `runs` has a run that
+lies in several folders once.
+"""
+_INSERT: Final = f"""
+insert into every_run by name
+  select unnest(row) from (select unnest(from_json(?::json, '{json.dumps([_TYPES])}')) as row)
+"""
+_READS_ONLY: Final = {
+    "enable_external_access": "false",
+    "lock_configuration": "true",
+    "autoinstall_known_extensions": "false",
+    "python_enable_replacements": "false",
 }
-REFITS: Final = f"""
-create view made as SOURCE;
-create view open_refits as
-  select
-    runs.* replace ({", ".join(f"made.{name} as {name}" for name in FROM_RESULTS)}),
-    level, laws, settings, code, made_utc,
-    row_number() over (
-      partition by made.sha256 order by coalesce(made.turn, 0) desc, made_utc desc, made.version desc
-    ) = 1 as newest
-  from made join open_runs as runs on runs.sha256 = made.sha256
-  where list_contains(getvariable('refits_there'), made.version)
-"""
-"""The newest is the one with the largest turn; only those of earlier versions, without, go by the clock."""
+"""A condition reads the archive and nothing else: no file, no variable of this program."""
+_WAIT_S = 20.0
+"""So long another process is waited for that writes; a transaction takes a part of a second."""
+
+
+def duckdb_module() -> Any:
+    """DuckDB. Raises ConfigurationError where it is not installed."""
+    try:
+        import duckdb
+    except ImportError:
+        raise ConfigurationError(
+            "rig archive needs duckdb: pip install 'optical-pendulum-rig[data]'"
+        ) from None
+    return duckdb
+
+
+@contextlib.contextmanager
+def reading(archive: Path) -> Iterator[Any]:
+    """A connection that reads the archive.
+
+    Raises ConfigurationError where there is none, or for a condition that no row can meet, which is found
+    when rows are fetched; RecordError for a file that cannot be read.
+    """
+    check_is_there(archive)
+    with _connected(archive, read_only=True, config=_READS_ONLY) as connection:
+        if _is_of_another_version(connection):
+            raise RecordError(f"{archive}: another version made it; rig archive update makes it again")
+        yield connection
+
+
+@contextlib.contextmanager
+def writing(archive: Path) -> Iterator[Any]:
+    """A connection in one transaction, of which all is written when the block ends, or nothing."""
+    with _connected(archive) as connection:
+        connection.execute(f"begin transaction; {_TABLES}")
+        if _is_of_another_version(connection):
+            # the folders are kept, and all of them are read again
+            connection.execute(f"drop view runs; drop table every_run; delete from sessions; {_TABLES}")
+        yield connection
+        connection.execute("commit")
+
+
+def check_is_there(archive: Path) -> None:
+    """Raise ConfigurationError where there is no archive."""
+    if not archive.is_file():
+        what = "is a folder; an archive is a file" if archive.is_dir() else "no such archive"
+        raise ConfigurationError(f"{archive}: {what}; rig archive add FOLDER --archive FILE makes one")
+
+
+def write_sessions(connection: Any, sessions: Mapping[str, str], rows: Sequence[Mapping[str, Any]]) -> None:
+    """Put the rows of sessions, each with the hash of its files, in place of those that are there."""
+    forget_sessions(connection, list(sessions))
+    connection.execute(
+        "insert into sessions select unnest(?::varchar[]), unnest(?::varchar[])",
+        [list(sessions), list(sessions.values())],
+    )
+    connection.execute(_INSERT, [json.dumps(rows, allow_nan=False, default=str)])
+
+
+def forget_sessions(connection: Any, folders: Sequence[str]) -> None:
+    """Take away the rows of sessions."""
+    for table in ("sessions", "every_run"):
+        connection.execute(f"delete from {table} where folder in (select unnest(?::varchar[]))", [folders])
+
+
+def _is_of_another_version(connection: Any) -> bool:
+    found = connection.execute("select * from every_run limit 0").description
+    return [item[0] for item in found] != list(COLUMNS)
+
+
+@contextlib.contextmanager
+def _connected(
+    archive: Path, *, read_only: bool = False, config: Mapping[str, str] | None = None
+) -> Iterator[Any]:
+    """A connection; waits for another process that writes, and says in a line what DuckDB raises."""
+    duckdb, given_up_s, connection = duckdb_module(), time.monotonic() + _WAIT_S, None
+    try:
+        while connection is None:
+            try:
+                connection = duckdb.connect(str(archive), read_only=read_only, config=dict(config or {}))
+            except duckdb.IOException as error:
+                if "lock" not in str(error).lower() or time.monotonic() > given_up_s:
+                    raise
+                time.sleep(0.05)
+        yield connection
+    except duckdb.OutOfMemoryException as error:
+        raise RecordError(
+            f"{archive}: the condition needs more memory than there is; choose fewer columns, or add a limit "
+            f"({str(error).splitlines()[0]})"
+        ) from None
+    except (duckdb.ConversionException, duckdb.OutOfRangeException) as error:
+        # as '45 %' is no number
+        said = str(error).splitlines()[0].partition(": ")[2]
+        raise ConfigurationError(
+            f"condition or columns: {said}; docs/reference/archive.md lists the columns and their units"
+        ) from None
+    except duckdb.Error as error:
+        raise RecordError(
+            f"{archive}: cannot be used: {str(error).splitlines()[0]}; a damaged one may be deleted: "
+            "rig archive add FOLDER makes it again"
+        ) from None
+    finally:
+        if connection is not None:
+            # without a commit all is as it was
+            connection.close()

@@ -7,6 +7,13 @@ from processing.derived import Derived
 from processing.quantity import quantities_of
 
 Kind = Literal["text", "number", "count", "yes or no", "time"]
+SQL_TYPES: Final[Mapping[Kind, str]] = {
+    "text": "varchar",
+    "number": "double",
+    "count": "bigint",
+    "yes or no": "boolean",
+    "time": "timestamp",
+}
 
 PARAMETERS: Final = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
 """Of the contact's laws, as far as results hold them."""
@@ -39,20 +46,15 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "sha256": Column("text", "of the record; it identifies the run, and its first characters suffice"),
     "session": Column("text", "SHA-256 of the SHA-256 of all its records; its first characters suffice"),
     "run": Column("text", "name of the record without its ending"),
-    "folder": Column("text", "the session's folder when it was added"),
-    "computer": Column("text", "the computer on which it was added"),
+    "folder": Column("text", "the session's folder"),
     "record": Column("text", "path of the record, relative to the folder if inside it"),
     "record_bytes": Column("count", "size of the record"),
     "state": Column("text", "of the record: whole, cut short, cut, damaged, unreadable, missing"),
     "flaw": Column("text", "what is wrong with the record, in one line"),
-    "windows": Column("text", "of raw pixels: recorded, none, recompressed, dropped"),
+    "windows": Column("text", "of raw pixels: recorded, none"),
     "results": Column("text", "name of the results file"),
     "results_sha256": Column("text", "its hash"),
-    "files": Column(
-        "text", "hash of names, sizes and times of the session's files, by which add recognises it"
-    ),
-    "added_utc": Column("time", "when this version was seen, by the clock of the computer that added it"),
-    "version": Column("text", "name of the file in the archive that holds the row"),
+    "added_utc": Column("time", "when the session was last read"),
     "began_utc": Column("time", "first message of the record"),
     "duration_s": Column("number", "from the first message to the last"),
     "sample": Column("text", "as configured"),
@@ -96,25 +98,8 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "mass_kg": Column("number", "of the pendulum"),
     "ball_radius_m": Column("number", "of the ball"),
     "instrument": Column("text", "kind of pendulum, if not that of the contact's laws"),
-    "sealed": Column("text", "values of a blind run, encrypted for the key of its seal"),
     **{key: item for name in OF_INSTRUMENTS for key, item in _estimated(name, "as reported").items()},
 }
-
-SAID_OF_RUNS: Final[Mapping[str, str]] = {
-    "tags": "tags of the run (rig archive tag), a list: 'good' in tags",
-    "notes": "notes about the run (rig archive note), a list",
-}
-"""Columns that are in no file of a session."""
-
-OF_REFITS: Final[Mapping[str, Column]] = {
-    "level": Column("text", "swings, spots or pixels: what the refit started from"),
-    "laws": Column("text", "laws compared"),
-    "settings": Column("text", "changes to the configuration, as given to --set"),
-    "code": Column("text", "version, commit and hash of the program that made them"),
-    "made_utc": Column("time", "when they were made, by the clock of the computer that made them"),
-    "newest": Column("yes or no", "whether these are the latest of the run"),
-}
-"""Columns beside those of a run in the table of results that were made again."""
 
 SHORT_NAMES: Final[Mapping[str, str]] = {"temperature": "temperature_c", "humidity": "humidity_percent"}
 """Further names in conditions."""

@@ -1,121 +1,203 @@
-"""`rig archive list`: runs that meet a condition, as a table or for other programs."""
+"""Runs of an archive that meet a condition: listed, shown, found by words, or for a campaign."""
 
 import datetime
-import json
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import nan
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Determinacy
-from rig.archive.blind import sealed
+from rig.archive.catalogue import duckdb_module, reading
 from rig.archive.columns import IS_SIMULATED, SHOWN
-from rig.archive.shelf import as_parquet
-from rig.archive.store import Archive, duckdb_module, reads_archive
 from rig.presentation import (
     NOT_KNOWN,
     Cell,
     Table,
     plain,
-    plain_values,
     print_json_line,
     print_tables,
-    say,
     screen_width,
     with_uncertainty,
 )
 
-Format = Literal["table", "csv", "json", "parquet"]
 _DOUBT = " ?"
 _SIMULATED = "SIMULATED: "
 _BETWEEN = 2
 """Characters between two columns of a table."""
-_IMPORTANT = ("id", "run", "level", "b", "c", "state", "newest", "sample", "began_utc", "p", "n")
+_IMPORTANT = (
+    "id", "run", "b", "c", "state", "sample", "began_utc", "p", "n", "humidity_percent", "temperature_c"
+)  # fmt: skip
 """Columns that a narrow terminal shows first."""
+_SHORTEST = 4
 _SHORTENED = 8
 """Characters of a hash that name a run on the screen."""
+_WITH_U = "".join(f", u_{name}, verdict_{name}" for name in ("b", "p", "c", "n"))
+_SAMPLE = f"case when {IS_SIMULATED} then '{_SIMULATED}' else '' end || coalesce(sample, '')"
+_FOUND = (
+    f"left(sha256, {_SHORTENED}) as id, began_utc, folder, run, {_SAMPLE} as sample, operator, state, b, p, c"
+    f"{_WITH_U}"
+)
+_NUMBER = "coalesce(try_cast(regexp_extract(run, '[0-9]+$') as bigint), 0)"
+_IN_ORDER = """
+select sha256, run, coalesce(sample, ''), folder, results from chosen
+order by max(began_utc) over (partition by folder order by number, run) nulls last, folder, number, run
+"""
+_SEARCHED = (
+    "lower(concat_ws(' ', strftime(began_utc, '%Y-%m-%d %H:%M:%S'), folder, run, sample, operator, state, "
+    "contact_history, noted))"
+)
 
 
-@reads_archive
+class FoundRuns(NamedTuple):
+    """Some of the runs that were found, as text by column, and how many those are."""
+
+    columns: Sequence[str]
+    rows: Sequence[Mapping[str, str]]
+    found: int
+    all: int
+
+
+class RunWithResults(NamedTuple):
+    """A run of the archive; `results` is None where it was not fitted."""
+
+    sha256: str
+    run: str
+    sample: str
+    results: Path | None
+
+
 def list_runs(
-    archive: Path,
-    condition: str,
-    columns: Sequence[str],
-    kind: Format | Literal["lines"],
-    output: Path | None,
-    *,
-    refits: bool = False,
+    archive: Path, condition: str, columns: str, output: Path | None, *, json_lines: bool = False
 ) -> None:
-    """Print the runs that meet a condition of SQL (empty: all), or write them to a new file.
+    """Print the runs that meet a condition of SQL (empty: all), or write them to a new CSV file.
 
     `columns` are expressions of SQL; without any those of `SHOWN`, with the run's name before them, and with
-    uncertainties and verdicts of the parameters. The kind `lines` is a JSON object a line.
+    uncertainties and verdicts of the parameters. With `json_lines` a JSON object a line is printed.
 
     Raises ConfigurationError for a condition that is no plain one.
     """
-    if kind == "parquet" and output is None:
-        raise ConfigurationError("--format parquet needs a file: -o FILE")
-    shown = (*SHOWN[:2], "level", "made_utc", *SHOWN[5:-1], "newest") if refits else SHOWN
-    wanted = ", ".join(columns) if columns else f"left(sha256, {_SHORTENED}) as id, {', '.join(shown)}"
-    if not columns and kind == "table":
-        invented = (
-            f"case when {IS_SIMULATED} then '{_SIMULATED}' else '' end || coalesce(sample, '') as sample"
-        )
-        wanted = wanted.replace(" sample,", f" {invented},")
-    elif not columns:
-        wanted += ", camera"
-        # who reads a file does not see what is said on the screen
-        wanted += ", true as blind" if sealed(archive) is not None else ""
-    if not columns:
-        wanted += "".join(f", u_{name}, verdict_{name}" for name in ("b", "p", "c", "n"))
-    if (seal := sealed(archive)) is not None:
-        how = (
-            "a hidden offset is on"
-            if seal.key is not None
-            else "the key is not here, and nothing is shown of"
-        )
-        say(f"BLIND: {how} the parameters; rig archive unblind")
-    connection = Archive(archive).connection(refits=refits)
-    found = selected(connection, wanted, condition, "refits" if refits else "runs")
-    names = list(found.columns)
-    if kind == "parquet":
-        assert output is not None
-        write_output(output, as_parquet(found.to_arrow_table()))
-        return
-    rows = found.fetchall()
-    if kind == "lines":
+    wanted = columns
+    if not columns.strip():
+        wanted = f"left(sha256, {_SHORTENED}) as id, {', '.join(SHOWN)}"
+        if json_lines or output is not None:
+            wanted += ", camera"
+        else:
+            wanted = wanted.replace(" sample,", f" {_SAMPLE} as sample,")
+        wanted += _WITH_U
+    with reading(archive) as connection:
+        found = _selected(connection, wanted, condition)
+        names, rows = list(found.columns), found.fetchall()
+    if json_lines:
         for row in rows:
             print_json_line("run", dict(zip(names, map(_json_value, row), strict=True)))
         return
-    if kind == "json":
-        text = json.dumps(
-            [plain_values(dict(zip(names, map(_json_value, row), strict=True))) for row in rows], indent=1
-        )
-    else:
-        table = _table(names, rows)
-        if kind == "table" and output is None:
-            print_tables([table if columns else narrowed(table, screen_width())])
-            return
-        text = table.csv().rstrip("\n")
+    table = _table(names, rows)
     if output is None:
-        print(text)
-    else:
-        write_output(output, f"{text}\n".encode())
+        print_tables([table if columns else narrowed(table, screen_width())])
+        return
+    try:
+        whole_file.write_new(output, f"{table.csv().rstrip()}\n".encode())
+    except FileExistsError:
+        raise RecordError(f"{output}: exists already and is not overwritten; choose another name") from None
+    except OSError as error:
+        raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
 
 
-def selected(connection: Any, wanted: str, condition: str, table: str = "runs") -> Any:
-    """The result of a query of the table, which reads and does nothing else."""
+def show_runs(archive: Path, names: Sequence[str]) -> None:
+    """Print all that the archive knows of runs."""
+    tables = []
+    with reading(archive) as connection:
+        for run in [run for name in names for run in _named(connection, name)]:
+            found = connection.execute(f"select *, {IS_SIMULATED} from runs where sha256 = ?", [run])
+            columns = [item[0] for item in found.description]
+            *values, simulated = found.fetchone()
+            row = dict(zip(columns, values, strict=False))
+            texts = [
+                (name, _text(value, row.get(f"u_{name}")))
+                for name, value in row.items()
+                if value not in (None, "") and not name.startswith("u_")
+            ]
+            title = f"{_SIMULATED if simulated else ''}{Path(row['folder']) / row['record']}"
+            tables.append(Table(run[:_SHORTENED], title, (), (), ("", ""), texts, ""))
+    print_tables(tables)
+
+
+def chosen_runs(archive: Path, names: Sequence[str], where: str) -> set[str]:
+    """SHA-256 of the runs that are named by the first characters of theirs, or meet a condition."""
+    with reading(archive) as connection:
+        found = {run for name in names for run in _named(connection, name)}
+        if where.strip():
+            found |= {sha256 for (sha256,) in _selected(connection, "sha256", where).fetchall()}
+    return found
+
+
+def find_runs(archive: Path, words: str, first: int = 0, most: int = 20) -> FoundRuns:
+    """The runs with all these words in folder, run, sample, operator, state or notes, newest first."""
+    wanted = words.lower().split()
+    where = " and ".join(f"contains({_SEARCHED}, ?)" for _ in wanted) or "true"
+    with reading(archive) as connection:
+        every, found = connection.execute(
+            f"select count(*), count(*) filter (where {where}) from runs", wanted
+        ).fetchone()
+        rows = connection.execute(
+            f"select {_FOUND} from runs where {where} "
+            "order by began_utc desc nulls last, sha256 limit ? offset ?",
+            [*wanted, most, first],
+        )
+        table = _table([item[0] for item in rows.description], rows.fetchall())
+    texts = [dict(zip(table.head, row, strict=True)) for row in table.shown]
+    return FoundRuns(table.head, texts, int(found), int(every))
+
+
+def runs_in_order(archive: Path, where: str) -> list[RunWithResults]:
+    """The runs that meet a condition of SQL (empty: all), earliest first; without a beginning they are last.
+
+    Runs of one session follow each other by their numbers, also where the clock of the day was set back
+    between them.
+    """
+    with reading(archive) as connection:
+        found = _selected(connection, f"*, {_NUMBER} as number", where)
+        rows = found.query("chosen", _IN_ORDER).fetchall()
+    return [
+        RunWithResults(sha256, run, sample, Path(folder) / results if results else None)
+        for sha256, run, sample, folder, results in rows
+    ]
+
+
+def _named(connection: Any, name: str) -> list[str]:
+    """The SHA-256 of the run, or of the session's runs, that a name begins.
+
+    Raises ConfigurationError where none or several are meant.
+    """
+    if not re.fullmatch(rf"[0-9a-f]{{{_SHORTEST},64}}", name):
+        raise ConfigurationError(
+            f"{name}: names no run; take {_SHORTEST} or more characters of list's first column"
+        )
+    found = connection.execute(
+        "select sha256, session from runs "
+        "where starts_with(sha256, $1) or starts_with(session, $1) order by run",
+        [name],
+    ).fetchall()
+    if not found:
+        raise ConfigurationError(f"{name}: no run of the archive begins so; rig archive list names all")
+    of_one_session = len({session for _, session in found}) == 1 and found[0][1].startswith(name)
+    if len(found) > 1 and not of_one_session:
+        raise ConfigurationError(f"{name}: {len(found)} runs begin so; give more characters")
+    return [run for run, _ in found]
+
+
+def _selected(connection: Any, wanted: str, condition: str) -> Any:
+    """The result of a query of the runs."""
     duckdb = duckdb_module()
     no_condition = re.match(r"\s*(order\s+by|limit|group\s+by|$)", condition, re.IGNORECASE)
-    query = f"select {wanted} from {table} {'' if no_condition else 'where '}{condition}"
+    query = f"select {wanted} from runs {'' if no_condition else 'where '}{condition}"
     try:
-        statements = duckdb.extract_statements(query)
-        if len(statements) != 1:
+        if len(duckdb.extract_statements(query)) != 1:
             raise ConfigurationError(f"condition {condition!r}: is more than one; leave out the semicolon")
         return connection.sql(query)
     except duckdb.OutOfMemoryException:
@@ -125,7 +207,7 @@ def selected(connection: Any, wanted: str, condition: str, table: str = "runs") 
         said = str(error).splitlines()[0].removeprefix("Binder Error: ")
         at_fault = f"condition {condition!r}"
         try:
-            connection.sql(f"select {wanted} from {table} limit 0")
+            connection.sql(f"select {wanted} from runs limit 0")
         except duckdb.Error:
             at_fault = f"columns {wanted!r}"
         raise ConfigurationError(f"{at_fault}: {said}; docs/reference/archive.md lists the columns") from None
@@ -146,37 +228,33 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
 
 
 def narrowed(table: Table, width: int) -> Table:
-    """A table of the most important columns that so many characters hold; says which it lacks."""
-    texts = {name: [row[place] for row in table.shown] for place, name in enumerate(table.head)}
-    needed = {name: max(map(len, (name, *found))) for name, found in texts.items()}
-    if "sample" in needed:
-        # it breaks at spaces, and no word of it is broken
-        longest = max((len(word) for text in texts["sample"] for word in text.split()), default=0)
-        needed["sample"] = max(len("sample"), longest)
-    kept, left = set[str](), width
-    for name in sorted(table.head, key=_importance):
-        if needed[name] <= left:
-            kept.add(name)
-            left -= needed[name] + _BETWEEN
-    shown = [dict(zip(table.head, row, strict=True)) for row in table.shown]
-    if "sample" in kept:
-        # broken here, so that nothing else has to give way to it
-        room = needed["sample"] + max(left + _BETWEEN, 0)
-        shown = [{**row, "sample": "\n".join(textwrap.wrap(row["sample"], room))} for row in shown]
+    """A table of the most important columns that so many characters hold; says which it lacks.
+
+    Texts of the sample are broken at spaces.
+    """
+    columns = dict(zip(table.head, zip(*table.shown, strict=True), strict=True)) if table.shown else {}
+    if "sample" in columns:
+        longest = max(len(word) for text in ("sample", *columns["sample"]) for word in text.split())
+        columns["sample"] = tuple(
+            "\n".join(textwrap.wrap(text, max(longest, 20))) for text in columns["sample"]
+        )
+    needed = {
+        name: _BETWEEN + max(len(line) for text in (name, *texts) for line in text.split("\n"))
+        for name, texts in columns.items()
+    }
+    kept = sorted(columns, key=lambda name: (_IMPORTANT.index(name), name))
+    while sum(needed[name] for name in kept) > width + _BETWEEN:
+        kept.pop()
     head = [name for name in table.head if name in kept]
-    table = replace(table, head=head, shown=[[row[name] for name in head] for row in shown])
-    if len(head) == len(texts):
+    if not columns or len(head) == len(columns):
         return table
-    lacks = ", ".join(name for name in texts if name not in kept)
-    note = f"{table.note}\nno room for {lacks}: rig archive show ID, --columns, --json or a wider window"
-    simulated = sum(text.startswith(_SIMULATED) for text in texts.get("sample", ()))
+    note = f"{table.note}\nno room for {', '.join(name for name in columns if name not in kept)}: "
+    note += "rig archive show ID, --columns, --json or a wider window"
+    simulated = sum(text.startswith(_SIMULATED) for text in columns.get("sample", ()))
     if "sample" not in kept and simulated:
-        note = f"SIMULATED: {simulated} of the runs\n{note}"
-    return replace(table, note=note)
-
-
-def _importance(name: str) -> int:
-    return _IMPORTANT.index(name) if name in _IMPORTANT else len(_IMPORTANT)
+        note = f"{_SIMULATED}{simulated} of the runs\n{note}"
+    shown = list(zip(*(columns[name] for name in head), strict=True))
+    return replace(table, head=head, shown=shown, note=note)
 
 
 def _is_doubtful(name: str, row: Sequence[Any], at: Mapping[str, int]) -> bool:
@@ -189,35 +267,24 @@ def _shown(name: str, row: Sequence[Any], at: Mapping[str, int]) -> str:
     if value is None:
         return NOT_KNOWN
     if f"u_{name}" in at:
-        u = row[at[f"u_{name}"]]
-        text = with_uncertainty(value, nan if u is None else u)
+        text = _text(value, row[at[f"u_{name}"]])
         return f"{text}{_DOUBT}" if _is_doubtful(name, row, at) else text
     if isinstance(value, datetime.datetime):
         return f"{value:%Y-%m-%d %H:%M}"
-    if isinstance(value, list):
-        return "; ".join(map(str, value)) or NOT_KNOWN
     return plain(value, 5) if isinstance(value, float) else str(value)
+
+
+def _text(value: Any, u: float | None) -> str:
+    if isinstance(value, float):
+        return plain(value, 6) if u is None else with_uncertainty(value, u)
+    return str(value)
 
 
 def _cell(value: Any) -> Cell:
     if value is None:
         return nan
-    if isinstance(value, list):
-        return "; ".join(map(str, value))
-    return value if isinstance(value, int | float) else _json_value(value)
+    return value if isinstance(value, int | float) else str(_json_value(value))
 
 
 def _json_value(value: Any) -> Any:
-    if isinstance(value, datetime.datetime | datetime.date):
-        return value.isoformat()
-    return value
-
-
-def write_output(path: Path, data: bytes) -> None:
-    """Write a file that must not exist. Raises RecordError."""
-    try:
-        whole_file.write_new(path, data)
-    except FileExistsError:
-        raise RecordError(f"{path}: exists already and is not overwritten; choose another name") from None
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
+    return value.isoformat() if isinstance(value, datetime.datetime | datetime.date) else value

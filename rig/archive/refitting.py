@@ -1,161 +1,191 @@
-"""`rig archive refit`: many records fitted again, by all processors here or by a cluster."""
+"""`rig archive refit`: sessions fitted again, in processes of this machine or on a cluster."""
 
-import json
 import os
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
-from acquisition.record import whole_file
+from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
-from processing.errors import ConfigurationError, RecordError
-from rig.analysis import chosen_laws
-from rig.archive.blind import sealed
-from rig.archive.chosen import chosen_runs
-from rig.archive.cluster import client_of
-from rig.archive.proved import with_line
-from rig.archive.refits import Level, Recipe, Task, code_identity, refit
-from rig.archive.session_rows import now_utc
-from rig.archive.shelf import MANY
-from rig.archive.store import Archive, reads_archive
-from rig.archive.workers import T, Work, in_processes
-from rig.instrument import recorded_configuration
+from processing.errors import ConfigurationError, RigError
+from rig.analysis import (
+    AnalysedRun,
+    analyse_record,
+    chosen_laws,
+    free_path,
+    laws_of,
+    session_results,
+    write_results,
+)
+from rig.archive.catalogue import reading
+from rig.archive.listing import chosen_runs
+from rig.archive.updating import update_below
+from rig.instrument import code_identity, recorded_configuration
 from rig.presentation import say
+from rig.replay import analyse_replayed
 
-_READABLE = "state not in ('missing', 'unreadable')"
+Level = Literal["swings", "spots", "pixels"]
 _SAID_EVERY = 100
+_WRITTEN_EVERY = 256
 
 
-@reads_archive
+class Task(NamedTuple):
+    """The records of one session, by their SHA-256, to be fitted again by this code."""
+
+    folder: Path
+    records: tuple[tuple[Path, str], ...]
+    level: Level
+    laws: tuple[str, ...]
+    settings: tuple[str, ...]
+    code: str
+
+
+Work = Callable[[Task], str]
+"""Does a task; returns what hindered it, or nothing."""
+
+
 def refit_runs(
     archive: Path,
     names: Sequence[str],
     where: str,
     level: Level,
     *,
-    sent_to: str = "",
     laws: Sequence[str] = (),
     settings: Sequence[str] = (),
     cluster: str = "",
     processes: int | None = None,
-    work: Callable[[Task], str] = refit,
+    work: Work | None = None,
 ) -> int:
-    """Fit runs again that are named or meet a condition (neither: all that can be read).
+    """Fit the sessions again whose runs are named or meet a condition (neither: all that have records).
 
-    What was made by the same code from the same record with the same settings is left as it is, so that an
-    interrupted command is simply started again. Each worker sends its results to `sent_to`, the URL of a
-    remote archive of which `archive` is a copy, and without one writes them into `archive`. Returns the exit
-    status: 1 where a record was given up.
+    The results of each are a new results file beside its records, as `rig fit` makes it, and the rows of the
+    archive are those of the new ones. Returns the exit status: 1 where a session was left as it was.
 
     Raises ConfigurationError for a law or setting that does not exist, before anything is made.
     """
     chosen_laws(laws)
-    recipe = Recipe(level, tuple(laws), tuple(settings), code_identity())
-    runs = chosen_runs(archive, names, where or ("" if names else _READABLE))
-    place = sent_to or str(archive.resolve())
-    store, quarantine = Archive(archive), archive / "quarantine"
-    turn, seal = store.refit_turn() + 1, sealed(archive)
-    public_key = "" if seal is None else seal.public_key
-    tasks = [Task(place, path, sha256, recipe, turn, public_key) for sha256, path in runs.items()]
-    done, given_up = store.refits.names(), {path.stem for path in quarantine.glob("[!.]*.json")}
-    pending = [task for task in tasks if recipe.name(task.sha256) not in done | given_up]
-    skipped = [task for task in tasks if recipe.name(task.sha256) in given_up - done]
-    for task in skipped:
-        say(f"{task.record}: left out: in quarantine since it ended its process; {quarantine} says when")
-    if pending:
-        _check_settings(pending, settings)
-    made, left, dead = 0, 0, 0
-    for task, hindered in _done(work, pending, cluster, processes or os.cpu_count() or 1):
-        if hindered is None:
-            dead += 1
-            _give_up(quarantine, task)
-            say(f"{task.record}: ended its process each time it ran alone; it is now in quarantine")
-        elif hindered:
+    runs = chosen_runs(archive, names, where or ("" if names else "true"))
+    with reading(archive) as connection:
+        found = connection.execute(
+            "select folder, record, sha256 from every_run where ends_with(record, '.mcap') and folder in "
+            "(select folder from runs where list_contains(?, sha256)) "
+            "and state not in ('missing', 'unreadable') order by folder, began_utc, record",
+            [list(runs)],
+        ).fetchall()
+    records: dict[str, list[tuple[Path, str]]] = {}
+    for folder, record, sha256 in found:
+        records.setdefault(folder, []).append((Path(folder) / record, sha256))
+    recipe = (level, tuple(laws), tuple(settings), code_identity())
+    tasks = [Task(Path(folder), tuple(inside), *recipe) for folder, inside in records.items()]
+    if tasks and settings:
+        # one that no configuration has is refused once, not by every session
+        with RecordReader(tasks[0].records[0][0]) as reader:
+            recorded_configuration(reader, settings)
+    do = work or refit
+    done = _on_cluster(do, tasks, cluster) if cluster else _in_processes(do, tasks, processes)
+    made: list[Path] = []
+    left = 0
+    for number, (task, hindered) in enumerate(done, 1):
+        if hindered:
             left += 1
-            say(hindered if str(task.record) in hindered else f"{task.record}: {hindered}")
+            say(hindered if str(task.folder) in hindered else f"{task.folder}: {hindered}")
         else:
-            made += 1
-            if made % MANY == 0:
-                store.refits.merge(at_once=MANY)
-        if (made + left + dead) % _SAID_EVERY == 0:
-            say(f"{made + left + dead} of {len(pending)}")
-    store.refits.merge()
-    known = len(tasks) - len(pending) - len(skipped)
-    print(
-        f"{made} runs fitted again, {known} known already, {left} left out, "
-        f"{dead + len(skipped)} in quarantine"
-    )
-    return 1 if left or dead or skipped else 0
+            made.append(task.folder)
+            if len(made) % _WRITTEN_EVERY == 0:
+                update_below(archive, made[-_WRITTEN_EVERY:])
+        if number % _SAID_EVERY == 0:
+            say(f"{number} of {len(tasks)} sessions")
+    update_below(archive, made[len(made) - len(made) % _WRITTEN_EVERY :])
+    print(f"{len(made)} sessions fitted again, {left} left as they were")
+    return 1 if left else 0
 
 
-def _done(
-    work: Callable[[Task], str], tasks: Sequence[Task], cluster: str, processes: int
-) -> Iterator[tuple[Task, str | None]]:
-    if cluster:
-        return on_cluster(work, tasks, cluster)
+def refit(task: Task) -> str:
+    """Fit the records of one session and write a new results file; says what hindered it, or nothing."""
+    # a commit may change no source: then the same would run
+    if code_identity().rpartition(" ")[2] != task.code.rpartition(" ")[2]:
+        return f"this worker runs other code ({code_identity()}) than was asked for ({task.code})"
+    try:
+        for record, sha256 in task.records:
+            if sha256_of(record) != sha256:
+                return f"{record}: has changed since it was read; rig archive update"
+        runs = [_analysed(record, task) for record, _ in task.records]
+        write_results(free_path(task.folder), session_results(runs, task.folder))
+    except RigError as error:
+        return str(error)
+    return ""
+
+
+def _analysed(record: Path, task: Task) -> AnalysedRun:
+    if task.level == "swings":
+        run = analyse_record(record, task.settings)
+    else:
+        run = analyse_replayed(record, retrack=task.level == "pixels", overrides=task.settings)
+    if task.laws:
+        run = replace(run, results=replace(run.results, laws=laws_of(run, chosen_laws(task.laws))))
+    return run
+
+
+def _in_processes(work: Work, tasks: Sequence[Task], processes: int | None) -> Iterator[tuple[Task, str]]:
+    """Do tasks in processes of this machine; yields each with what hindered it.
+
+    A process that dies takes what is under way with it; what was not done then is tried again, each in a
+    process of its own.
+    """
     # each process is to use one processor: libraries that read this start no threads of their own
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return in_processes(work, tasks, min(processes, len(tasks)))
+    waiting = list(tasks)
+    with _pool(processes) as pool:
+        running = {pool.submit(work, task): task for task in tasks}
+        for done in as_completed(running):
+            if not isinstance(done.exception(), BrokenProcessPool):
+                waiting.remove(running[done])
+                yield running[done], _outcome(done.exception()) or done.result()
+    for task in waiting:
+        with _pool(1) as pool:
+            error = (done := pool.submit(work, task)).exception()
+            yield task, _outcome(error) or done.result()
 
 
-def _check_settings(tasks: Sequence[Task], settings: Sequence[str]) -> None:
-    """A setting that no configuration has is refused once, not by every record."""
-    for task in tasks if settings else ():
-        try:
-            with RecordReader(task.record) as reader:
-                recorded_configuration(reader, settings)
-        except RecordError:
-            continue
-        return
+def _pool(processes: int | None) -> ProcessPoolExecutor:
+    # a fork would take the locks of this process's threads with it
+    return ProcessPoolExecutor(processes, mp_context=get_context("spawn"))
 
 
-def _give_up(quarantine: Path, task: Task) -> None:
-    said = {
-        "record": str(task.record),
-        "sha256": task.sha256,
-        "level": task.recipe.level,
-        "utc": now_utc().isoformat(),
-    }
-    path = quarantine / f"{task.recipe.name(task.sha256)}.json"
-    try:
-        quarantine.mkdir(exist_ok=True)
-        whole_file.replace(path, with_line(json.dumps(said, indent=1).encode()))
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror or error}") from None
+def _outcome(error: BaseException | None) -> str:
+    if isinstance(error, BrokenProcessPool):
+        return "its process was ended, also when it ran alone"
+    # a fault that one session brings to light must not cost the others
+    return "" if error is None else f"failed: {error!r}"
 
 
-def on_cluster(work: Work[T], tasks: Sequence[T], address: str) -> Iterator[tuple[T, str | None]]:
+def _on_cluster(work: Work, tasks: Sequence[Task], address: str) -> Iterator[tuple[Task, str]]:
     """The same on a Dask cluster that runs already, whose workers see the same files under the same names."""
     with client_of(address) as client:
-        from distributed.scheduler import KilledWorker
+        from distributed import as_completed as as_done
 
-        suspects: list[T] = []
-        for task, outcome in _submitted(client, work, tasks):
-            if isinstance(outcome, KilledWorker):
-                suspects.append(task)
-            else:
-                yield task, _text(outcome)
-        # the scheduler itself has tried each several times, among others
-        for suspect in suspects:
-            for task, outcome in _submitted(client, work, [suspect]):
-                yield task, None if isinstance(outcome, KilledWorker) else _text(outcome)
+        running = {client.submit(work, task, pure=False): task for task in tasks}
+        for future in as_done(running):
+            failed = future.status != "finished"
+            yield running[future], f"failed: {future.exception()!r}" if failed else future.result()
 
 
-def _submitted(client: Any, work: Work[T], tasks: Sequence[T]) -> Iterator[tuple[T, object]]:
-    from distributed import as_completed
+def client_of(address: str) -> Any:
+    """A client of the scheduler of a Dask cluster, to be closed.
 
-    waiting, running = deque(tasks), dict[Any, T]()
-    done = as_completed(loop=client.loop)
-    most = 2 * max(1, sum(client.nthreads().values()))
-    while waiting or running:
-        while waiting and len(running) < most:
-            future = client.submit(work, waiting[0], pure=False)
-            running[future] = waiting.popleft()
-            done.add(future)
-        future = next(done)
-        yield running.pop(future), future.result() if future.status == "finished" else future.exception()
-
-
-def _text(outcome: object) -> str:
-    return outcome if isinstance(outcome, str) else f"failed: {outcome!r}"
+    Raises ConfigurationError where Dask is not installed, or no scheduler answers there.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ConfigurationError(
+            "--cluster needs distributed: pip install 'optical-pendulum-rig[series]'"
+        ) from None
+    try:
+        return Client(address, timeout="10s", set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise ConfigurationError(f"--cluster {address}: no Dask scheduler answers there: {error}") from None

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from acquisition.record.digest import known_sha256_of_any, sha256_of
 from acquisition.record.events import CUT_SHORT, end_of
-from acquisition.record.proof import data_crc_matches, identity_of, thinning_of
+from acquisition.record.proof import data_crc_matches
 from acquisition.record.reader import RecordReader
 from acquisition.record.repaired import fullest, originals
 from acquisition.record.topics import WINDOW
@@ -27,8 +27,6 @@ Row = dict[str, Any]
 class SessionRows(NamedTuple):
     """Rows of one session, one a record, and what is to be said of it, in lines."""
 
-    session: str
-    results_sha256: str
     rows: list[Row]
     flaws: list[str]
 
@@ -46,7 +44,7 @@ def session_rows(folder: Path) -> SessionRows:
     if source.is_file():
         results_sha256 = sha256_of(source)
         try:
-            runs = read_results(source, sealed=True).runs
+            runs = read_results(source).runs
             decays = [run for run in runs if isinstance(run, TableDecay)]
             by_record = {folder / run.record: run for run in runs if not isinstance(run, TableDecay)}
         except RecordError as error:
@@ -82,7 +80,7 @@ def session_rows(folder: Path) -> SessionRows:
     session = hashlib.sha256("".join(sorted({row["sha256"] for row in rows})).encode()).hexdigest()
     for row in rows:
         row["session"] = session
-    return SessionRows(session, results_sha256, rows, flaws)
+    return SessionRows(rows, flaws)
 
 
 def _row(folder: Path, path: Path, run: RunResults | None) -> tuple[Row, bool]:
@@ -131,11 +129,8 @@ def _of_record(path: Path) -> Row:
     try:
         with RecordReader(path) as reader:
             contents, texts = reader.contents, reader.metadata
-            row |= {"state": "whole", "sha256": identity_of(reader) or row["sha256"]}
-            thinning = thinning_of(reader)
-            if thinning is not None:
-                row["windows"] = thinning.get("windows")
-            elif not reader.truncated:
+            row["state"] = "whole"
+            if not reader.truncated:
                 # one that was cut lacks the counts
                 row["windows"] = "recorded" if reader.counts.get(WINDOW.topic) else "none"
             if reader.truncated:
@@ -180,7 +175,6 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
         yield name, getattr(run, name)
     for name in ("initial_amplitude", "final_amplitude"):
         yield name, _number(getattr(run, name))
-    yield "sealed", run.sealed
     yield "configuration_sha256", run.inputs_sha256.get("configuration.json")
     yield "conditions_met", all(item.ok for item in run.conditions) if run.conditions else None
     if run.pendulum is not None:

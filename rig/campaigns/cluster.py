@@ -17,7 +17,8 @@ def parts_on_cluster(address: str) -> Iterator[InParts]:
 
     Raises ConfigurationError where no scheduler answers, no worker is there, or one runs other code.
     """
-    from rig.archive import client_of, code_identity
+    from rig.archive import client_of
+    from rig.instrument import code_identity
 
     with client_of(address) as client:
         try:

@@ -21,7 +21,7 @@ class NamedRuns:
     """
 
     folders: Sequence[Path] = ()
-    archive: str | None = None
+    archive: Path | None = None
     where: str = ""
     by_sample: bool = False
 
@@ -41,10 +41,7 @@ class NamedRuns:
         """The runs; none where nothing is named."""
         if self.archive is None:
             return runs_of_folders(self.folders, by_sample=self.by_sample)
-        from rig.archive import opened
-
-        with opened(self.archive) as place:
-            return runs_of_archive(place, self.where)
+        return runs_of_archive(self.archive, self.where)
 
 
 def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list[FoundRun]:
@@ -92,16 +89,12 @@ def _sample(folder: Path) -> str:
 def runs_of_archive(archive: Path, where: str) -> list[FoundRun]:
     """The runs of an archive that meet a condition, in the order of their beginnings; a sample is a contact.
 
-    Raises ConfigurationError for an archive whose values are hidden, for a condition that no run meets.
+    Raises ConfigurationError for a condition that no run meets.
     """
-    from rig.archive import is_sealed, results_of_runs
+    from rig.archive import runs_in_order
 
-    if is_sealed(archive):
-        raise ConfigurationError(
-            f"{archive}: is blind: a campaign would reveal hidden values; rig archive unblind first"
-        )
     found: list[FoundRun] = []
-    for row in results_of_runs(archive, where):
+    for row in runs_in_order(archive, where):
         if row.results is None:
             continue
         label = f"{row.results.parent.name}/{row.run}"
@@ -109,7 +102,7 @@ def runs_of_archive(archive: Path, where: str) -> list[FoundRun]:
         own = [one for one in runs if one.run.sha256 == row.sha256]
         if not own:
             raise RecordError(
-                f"{row.results}: knows no run {row.sha256[:8]}; rig archive add renews the catalogue"
+                f"{row.results}: knows no run {row.sha256[:8]}; rig archive update reads it again"
             )
         found.append(
             FoundRun(

@@ -52,9 +52,7 @@ class Desk:
     `archive` is the folder whose runs are listed, too.
     """
 
-    def __init__(
-        self, source: Path, overrides: tuple[str, ...] = (), archive: Path = Path("archive")
-    ) -> None:
+    def __init__(self, source: Path, overrides: tuple[str, ...] = (), archive: Path = Path()) -> None:
         self.source = source
         self.archive = archive
         self._overrides = overrides

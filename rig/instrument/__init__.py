@@ -30,6 +30,7 @@ from rig.instrument.pendulum import balls, check_materials, material, pendulum_o
 from rig.instrument.pipeline import Block, Deflector, Optics, Pipeline, optics_of, sensor_model
 from rig.instrument.provenance import (
     CONFIGURATION_NAME,
+    code_identity,
     configuration_attachments,
     earlier_schema,
     frame_shape,

@@ -33,7 +33,8 @@ SOURCE_NAME = "configuration.toml"
 RECORD_DESCRIPTION = "record.md"
 _INPUTS = ("configuration.", "calibration/")
 _ROOT = Path(__file__).resolve().parents[2]
-_PACKAGES = ("optical-pendulum-rig", "numpy", "scipy", "numba", "opencv-python-headless", "mcap", "rerun-sdk")
+_OF_NUMBERS = ("numpy", "scipy", "numba", "opencv-python-headless")
+_PACKAGES = ("optical-pendulum-rig", *_OF_NUMBERS, "mcap", "rerun-sdk")
 
 
 def versions() -> dict[str, str]:
@@ -45,6 +46,21 @@ def versions() -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             found[name] = "not installed"
     return found
+
+
+@functools.cache
+def code_identity() -> str:
+    """For example `0.1.0 (394556fc) 5f1c0e9d0a7b3c24`; equal where the same sources would run.
+
+    The commit alone does not say it: a checkout may be changed, an installation has none.
+    """
+    digest = hashlib.sha256()
+    for package in ("rig", "acquisition", "calibration", "processing"):
+        for path in sorted((_ROOT / package).rglob("*.py")):
+            digest.update(f"{path.relative_to(_ROOT).as_posix()}\0".encode() + path.read_bytes())
+    known = versions()
+    digest.update("".join(f"{name} {known[name]}\n" for name in _OF_NUMBERS).encode())
+    return f"{known[_PACKAGES[0]]} ({known['commit'][:8]}) {digest.hexdigest()[:16]}"
 
 
 @functools.cache

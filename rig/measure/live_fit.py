@@ -1,7 +1,6 @@
 """Whether a run can be fitted while it is measured, and what then fits it."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
@@ -11,7 +10,6 @@ from processing.swing import Swing, SwingHarmonics
 from rig.analysis import clock_rate_of, evidence_of, known_drag, loss_of, stated_surroundings
 from rig.instrument import pendulum_on_ball
 from rig.posterior import FittedModel, LivePosterior
-from rig.sealing import refuse_blind
 from rig.settings import Configuration
 
 
@@ -33,15 +31,10 @@ def live_posterior(config: Configuration) -> LivePosterior | None:
     return LivePosterior(model, evidence, in_step=in_step)
 
 
-def check_stop_when(config: Configuration, folder: Path | None = None) -> None:
-    """Raise ConfigurationError if `session.stop_when` asks for parameters that this rig does not fit.
-
-    In a blind `folder` none is fitted while it is measured: when a run ends would tell what it found.
-    """
+def check_stop_when(config: Configuration) -> None:
+    """Raise ConfigurationError if `session.stop_when` asks for parameters that this rig does not fit."""
     if config.session.stop_when and (why := _why_not(config)):
         raise ConfigurationError(f"session.stop_when needs the contact's parameters: {why}")
-    if config.session.stop_when:
-        refuse_blind(folder or config.session.output, "session.stop_when")
 
 
 def _why_not(config: Configuration) -> str:

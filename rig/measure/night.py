@@ -174,7 +174,7 @@ def _set_bad_aside(folder: Path, most: int) -> int:
         if len(file.state.complete) < file.state.runs_wanted:
             return 0
         try:
-            judged = {run.record: failures(run.conditions) for run in read_results(folder, sealed=True).runs}
+            judged = {run.record: failures(run.conditions) for run in read_results(folder).runs}
         except RecordError:
             return 0
         bad = [entry for entry in file.state.complete if judged.get(entry.record)][: max(most, 0)]
@@ -206,7 +206,7 @@ def resume_session(
         else:
             config = complete(instead.config)
             check_materials(config)
-            check_stop_when(config, folder)
+            check_stop_when(config)
             stored = stored_configuration(config)
             changed = file.reconfigure(instead.source, stored)
             say(f"{folder}: continues with {instead.source}, which states {changed}")
@@ -251,15 +251,13 @@ def _whole_results(file: SessionFile) -> SessionResults | None:
         say("there are no results yet, they are made now")
         return None
     try:
-        results = read_results(path, sealed=True)
+        results = read_results(path)
     except RecordError as error:
         say(str(error))
         return None
     if {entry.record for entry in file.state.complete} - {run.record for run in results.runs}:
         # the program was ended before it fitted what it had made
         return None
-    if any(run.sealed for run in results.runs):
-        return results
     if not path.with_name(path.name.replace("results", "report", 1)).with_suffix(".html").exists():
         say(f"report {make_report(path)}")
     return results

@@ -24,7 +24,6 @@ from rig.measure.screen import RunDisplay
 from rig.measure.start_judge import start_limits
 from rig.posterior import LivePosterior
 from rig.presentation import Verdict, say
-from rig.sealing import is_blind
 from rig.settings import Configuration
 from rig.view import open_view
 
@@ -74,7 +73,7 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
     with devices.camera(plan.config) as camera:
         for line in camera.notes:
             _say_if_heard(line)
-        posterior = live_posterior(plan.config) if plan.fitted and not is_blind(record) else None
+        posterior = live_posterior(plan.config) if plan.fitted else None
         parameters = () if posterior is None else posterior.parameters
         view = open_view(plan.config, record, plan.title, camera.info.full_scale_dn, parameters)
         try:

@@ -112,8 +112,7 @@ def replay_record(
             found = replace(run.results, ended=None, warnings=(part, *run.results.warnings))
             run = replace(run, results=found)
     results = session_results([run], output or record.parent)
-    if results.runs[0].sealed is None:
-        _say_differences(record, replay, result, run, partial=partial, retracked=retrack)
+    _say_differences(record, replay, result, run, partial=partial, retracked=retrack)
     print_results(results, [])
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)

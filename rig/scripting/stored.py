@@ -8,17 +8,15 @@ from rig.analysis import SessionResults, TableResults
 from rig.scripting.given import path_of
 
 
-def read_results(source: str | Path, *, sealed: bool = False) -> SessionResults:
+def read_results(source: str | Path) -> SessionResults:
     """results.json of a session's folder, or a results file: of records, or of the decays of a table.
-
-    Sealed ones are read where their folder was opened, and as they are where `sealed` allows it.
 
     Raises
     ------
     RigError
-        No such file, a key that cannot be understood, or sealed results.
+        No such file, or a key that cannot be understood.
     """
-    return analysis.read_results(path_of(source, "source"), sealed=sealed)
+    return analysis.read_results(path_of(source, "source"))
 
 
 def write_results(path: str | Path, results: SessionResults | TableResults) -> None:

@@ -22,7 +22,6 @@ from rig.devices import ClockRate
 from rig.instrument import CameraClock, advice_for, recorded_configuration
 from rig.presentation import balance_numbers, say
 from rig.rerun import LayoutName, ShowMode
-from rig.sealing import is_blind
 from rig.view.analysis_curves import analysis_curves, report_text, run_analysis
 from rig.view.run_properties import run_properties
 from rig.view.viewer import Viewer
@@ -173,7 +172,7 @@ def spot_tables(reader: RecordReader) -> Iterator[NDArray[Any]]:
 def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int) -> tuple[int, int]:
     """Draw one record; returns the numbers of its spots and half-cycles."""
     # their times and amplitudes tell the period and the decay at a glance
-    swings = [] if is_blind(reader.path) else reader.swings()
+    swings = reader.swings()
     if swings:
         viewer.swings(swings, start_ns, run=run)
     advise = _adviser(reader)

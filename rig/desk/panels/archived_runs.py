@@ -39,7 +39,7 @@ class ArchivedRuns:
     async def refresh(self) -> None:
         """Show what is found now; the archive is read again only for other words, or after a while."""
         archive, words = self._desk.archive, self._words()
-        if not (archive.is_dir() and self._wanted()):
+        if not (archive.is_file() and self._wanted()):
             return
         if self._asked is None or words != self._asked[0]:
             self._first = 0

@@ -171,7 +171,7 @@ def build(desk: Desk, tab: Tab) -> None:
 
     async def refresh() -> None:
         nonlocal shown
-        which.set_visibility(desk.archive.is_dir())
+        which.set_visibility(desk.archive.is_file())
         page = index.page(desk.following.folder, str(find.value or ""), first, _ON_A_PAGE)
         rows.clear()
         rows.update({str(row.folder): row for row in page.rows})

@@ -1,0 +1,173 @@
+"""`rig archive add`, `update` and `check`: what folders hold now, and whether it is what the archive says."""
+
+import hashlib
+import os
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from processing.errors import ConfigurationError, RecordError
+from rig.archive.catalogue import check_is_there, forget_sessions, reading, write_sessions, writing
+from rig.archive.session_rows import now_utc, session_rows
+from rig.presentation import say
+
+_WRITTEN_EVERY_S = 5.0
+"""So much of what was read is lost to a kill at most."""
+_COMPARED = ("folder", "record", "run", "sha256", "state", "results", "results_sha256")
+
+
+def add_folders(archive: Path, folders: Sequence[Path], *, read: bool = False) -> str:
+    """Remember folders, and update what is in and below them; returns a line that counts.
+
+    Raises ConfigurationError for a folder without sessions, and as `update_archive` does.
+    """
+    if archive.is_dir():
+        check_is_there(archive)
+    roots = list(dict.fromkeys(folder.resolve() for folder in folders))
+    for root in roots:
+        if not any(True for _ in sessions_below(root, [])):
+            raise ConfigurationError(f"{root}: holds no session (no record, no results.json) in any folder")
+    with writing(archive) as connection:
+        for root in roots:
+            connection.execute("insert or ignore into folders values (?)", [str(root)])
+    return update_below(archive, roots, read=read)
+
+
+def update_archive(archive: Path, *, read: bool = False) -> str:
+    """Read what is new or has changed in all folders that were added; returns a line that counts.
+
+    A session whose files are as they were by name, size and time is not read, unless `read`. What lies in
+    folders that are not here now stays as it is. Flaws of records are said on stderr and listed as `state`.
+
+    Raises RecordError, when all others are written, where a session's files cannot be read.
+    """
+    check_is_there(archive)
+    with writing(archive) as connection:
+        found = connection.execute("select folder from folders order by folder").fetchall()
+    return update_below(archive, [Path(folder) for (folder,) in found], read=read)
+
+
+def update_below(archive: Path, roots: Sequence[Path], *, read: bool = False) -> str:
+    """The same for what lies in and below some folders."""
+    with writing(archive) as connection:
+        known = dict(connection.execute("select folder, files from sessions").fetchall())
+    seen, hidden, unread = dict[str, str](), list[str](), list[Path]()
+    sessions, rows = dict[str, str](), list[dict[str, Any]]()
+    read_sessions = read_runs = 0
+    written_s = time.monotonic()
+    roots = [root for root in roots if not any(root != one and root.is_relative_to(one) for one in roots)]
+    try:
+        for folder, files in (session for root in roots for session in sessions_below(root, hidden)):
+            seen[str(folder)] = files
+            if not read and known.get(str(folder)) == files:
+                continue
+            try:
+                found = session_rows(folder)
+            except RecordError as error:
+                say(f"{error}; {folder} stays as it was in the archive")
+                unread.append(folder)
+                continue
+            for flaw in found.flaws:
+                say(flaw)
+            if not found.rows:
+                continue
+            rows += [row | {"folder": str(folder), "added_utc": now_utc()} for row in found.rows]
+            # a record that lies elsewhere changes unseen: such a folder is read each time
+            inside = not any(Path(row["record"]).is_absolute() for row in found.rows)
+            sessions[str(folder)] = files if inside else ""
+            read_sessions, read_runs = read_sessions + 1, read_runs + len(found.rows)
+            if time.monotonic() - written_s > _WRITTEN_EVERY_S:
+                with writing(archive) as connection:
+                    write_sessions(connection, sessions, rows)
+                sessions, rows, written_s = {}, [], time.monotonic()
+    finally:
+        if sessions:
+            with writing(archive) as connection:
+                write_sessions(connection, sessions, rows)
+    for name in hidden:
+        say(f"{name}: is not here or cannot be read; what the archive has of it stays")
+    lost = [Path(name) for name in known if name not in seen]
+    gone = [
+        str(path)
+        for path in lost
+        if any(map(path.is_relative_to, roots)) and not any(map(path.is_relative_to, hidden))
+    ]
+    if gone:
+        with writing(archive) as connection:
+            forget_sessions(connection, gone)
+    told = (
+        f"{read_sessions} session{'' if read_sessions == 1 else 's'} read "
+        f"({read_runs} run{'' if read_runs == 1 else 's'}), "
+        f"{len(seen) - read_sessions - len(unread)} unchanged, {len(gone)} gone"
+    )
+    if unread:
+        raise RecordError(
+            f"{len(unread)} sessions cannot be read and stay as they were, the first is {unread[0]}; {told}"
+        )
+    return told
+
+
+def sessions_below(root: Path, hidden: list[str]) -> Iterator[tuple[Path, str]]:
+    """Folders with records or results in and below one, with a hash of names, sizes and times of their files.
+
+    Folders that cannot be looked into are appended to `hidden`.
+    """
+    waiting = [str(root)]
+    while waiting:
+        folder = waiting.pop()
+        files, inner, is_session = [], [], False
+        try:
+            with os.scandir(folder) as entries:
+                for entry in entries:
+                    name = entry.name
+                    if entry.is_dir(follow_symlinks=False):
+                        inner.append(entry.path)
+                    elif name.endswith((".mcap", ".json")) and entry.is_file():
+                        status = entry.stat()
+                        files.append(f"{name}\0{status.st_size}\0{status.st_mtime_ns}")
+                        is_session |= name.endswith(".mcap") or name.startswith("results")
+        except OSError:
+            hidden.append(folder)
+            continue
+        waiting += sorted(inner, reverse=True)
+        if is_session:
+            yield Path(folder), hashlib.sha256("\n".join(sorted(files)).encode()).hexdigest()
+
+
+def check_archive(archive: Path) -> int:
+    """Read every session again and compare hashes; prints what differs, returns 1 where something does."""
+    by_folder = dict[str, list[dict[str, Any]]]()
+    with reading(archive) as connection:
+        found = connection.execute(f"select {', '.join(_COMPARED)} from every_run order by all").fetchall()
+    for values in found:
+        by_folder.setdefault(values[0], []).append(dict(zip(_COMPARED, values, strict=True)))
+    different, said_s = 0, time.monotonic()
+    for number, (folder, rows) in enumerate(by_folder.items(), 1):
+        for line in _differences(Path(folder), rows):
+            print(line)
+            different += 1
+        if time.monotonic() - said_s > _WRITTEN_EVERY_S:
+            said_s = time.monotonic()
+            say(f"{number} of {len(by_folder)} sessions")
+    print(f"{len(by_folder)} sessions with {len(found)} runs read, {different} not as they were")
+    return 1 if different else 0
+
+
+def _differences(folder: Path, rows: Sequence[dict[str, Any]]) -> list[str]:
+    try:
+        now = {(row["record"], row["run"]): row for row in session_rows(folder).rows}
+    except RecordError as error:
+        return [str(error)]
+    lines = []
+    for row in rows:
+        record, found = folder / row["record"], now.get((row["record"], row["run"]))
+        if found is None or (found["state"] == "missing" and row["state"] != "missing"):
+            lines.append(f"{record}: is not there any more")
+        elif found["state"] != row["state"]:
+            lines.append(f"{record}: was {row['state']} and is {found['state']}: {found['flaw']}")
+        elif found["sha256"] != row["sha256"]:
+            lines.append(f"{record}: has other bytes than when it was read; rig archive update --read")
+    results = [{(row["results"], row["results_sha256"]) for row in one} for one in (rows, now.values())]
+    changed = sorted({str(name) for name, _ in results[0] - results[1] if name})
+    return lines + [f"{folder / name}: has changed since it was read; rig archive update" for name in changed]
