@@ -42,8 +42,7 @@ from rig.campaigns.results import (
     SamplerFindings,
     likelihood_tree,
 )
-from rig.campaigns.stated import StatedCampaign, StatedEffect
-from rig.campaigns.stated_model import model_of, names_of, refuse_other_contacts
+from rig.campaigns.stated import StatedCampaign, StatedEffect, model_of, names_of, refuse_other_contacts
 
 _BAD = 0.5
 _FEW = 0.05

@@ -1,5 +1,6 @@
 """An unattended night: the series of a plan one after the other, each when its conditions allow."""
 
+import datetime
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -8,7 +9,7 @@ from typing import NamedTuple
 
 from acquisition.record.reader import RecordReader
 from acquisition.record.repaired import repaired
-from processing.errors import RecordError
+from processing.errors import ConfigurationError, RecordError
 from rig.analysis import SessionResults, read_results, results_path
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
@@ -25,7 +26,6 @@ from rig.measure.session import (
     session_folder,
 )
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile, read_session
-from rig.measure.waiting import Sleep, Waiting, check_conditions
 from rig.presentation import failures, say
 from rig.settings import (
     Configuration,
@@ -38,6 +38,70 @@ from rig.settings import (
 )
 
 _SEED_STEP = 2_000_003
+Sleep = Callable[[float], None]
+_LONG_ENOUGH_S = 60.0
+"""Look at rest that holds the eight periods which the ground's drive needs."""
+
+
+def check_conditions(asked: PlannedSeries, config: Configuration) -> None:
+    """Raise ConfigurationError for conditions that a configuration cannot see."""
+    who, source = f"series {asked.name}", asked.config
+    if asked.asks_the_air and config.environment_sensor.kind == "none":
+        what = "temperature_c needs a thermometer"
+        if asked.humidity_percent is not None:
+            what = "humidity_percent needs a sensor of the air"
+        raise ConfigurationError(f"{who}: {what}: see [environment_sensor] in {source}")
+    if asked.asks_the_rest and (config.start.way == "at once" or config.lever is None):
+        what = "quiet_arcsec" if asked.quiet_arcsec is not None else "ground_rad_per_s2_rthz"
+        raise ConfigurationError(
+            f"{who}: {what} needs a pendulum at rest and [lever]:"
+            f" set start.way to 'by hand', 'magnet' or 'starter' in {source}"
+        )
+    if asked.ground_rad_per_s2_rthz is not None and config.preflight.duration_s < _LONG_ENOUGH_S:
+        raise ConfigurationError(
+            f"{who}: ground_rad_per_s2_rthz needs eight periods at rest: set preflight.duration_s to "
+            f"{_LONG_ENOUGH_S:g} or more, it is {config.preflight.duration_s:g} in {source}"
+        )
+
+
+class Waiting:
+    """Waits until a run may be tried again; `over` once it must not any more."""
+
+    def __init__(self, asked: PlannedSeries, now_s: Callable[[], float], sleep: Sleep) -> None:
+        self._who, self._now_s, self._sleep = f"series {asked.name}", now_s, sleep
+        self._every_s, self._longest_s = asked.try_every_s, asked.wait_max_s
+        self._waited_s = self._this_s = 0.0
+        self._since = self._last = ""
+        self._refused = False
+        self.over = False
+
+    def __call__(self, why: str) -> bool:
+        """Whether to try again, after a time, what was refused for this reason."""
+        left_s = self._longest_s - self._waited_s
+        if not self._since:
+            self._since = f"{datetime.datetime.now().astimezone():%H:%M}"
+        if left_s <= 0:
+            self.over = True
+            say(f"{self._who} is left out: not ready within {self._longest_s:g} s: {why}", error=True)
+            return False
+        self._last, self._refused = why, True
+        say(f"{self._who}: waiting since {self._since}: {why}")
+        begun_s = self._now_s()
+        self._sleep(min(self._every_s, left_s))
+        lasted_s = self._now_s() - begun_s
+        self._waited_s += lasted_s
+        self._this_s += lasted_s
+        return True
+
+    def said(self) -> list[str]:
+        """What the run that is tried now has waited for; asked at every try."""
+        if not self._refused:
+            # the run before was made
+            self._since, self._this_s = "", 0.0
+        self._refused = False
+        if not self._since:
+            return []
+        return [f"waited from {self._since} for {self._this_s / 60:.0f} min: {self._last}"]
 
 
 def measure_plan(
