@@ -38,7 +38,7 @@ def campaign(
         typer.Option(help="The model: parameters, effects, priors (campaign.toml).", callback=there),
     ] = None,
     archive: Annotated[
-        str | None, typer.Option(help="Take the runs of an archive; each sample is a contact.")
+        Path | None, typer.Option(help="Take the runs of an archive; each sample is a contact.")
     ] = None,
     where: Where = "",
     by_sample: Annotated[
