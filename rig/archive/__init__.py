@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from rig.archive.publishing import publish_runs
     from rig.archive.refits import code_identity
     from rig.archive.refitting import refit_runs
-    from rig.archive.thinning import thin_runs
 
 _LATER = {
     "FoundRuns": "finding",
@@ -33,7 +32,6 @@ _LATER = {
     "print_differences": "differences",
     "publish_runs": "publishing",
     "refit_runs": "refitting",
-    "thin_runs": "thinning",
 }
 """What takes seconds to import, for which `list` must not wait, by module."""
 

@@ -208,7 +208,7 @@ def files_of(folder: Path) -> str:
             status = entry.stat()
             found.append(f"{entry.name}\0{status.st_size}\0{status.st_mtime_ns}")
     if has_hidden:
-        # what a killed `thin` or `recover` left
+        # what a killed `recover` left
         take_away_leftovers(folder)
     return hashlib.sha256("\n".join(sorted(found)).encode()).hexdigest()
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from acquisition.record.proof import measured_sha256_of
+from acquisition.record.digest import sha256_of
 from processing.errors import ConfigurationError, RecordError
 from rig.archive.adding import add_sessions
 from rig.archive.facts import Fact, FactLog
@@ -190,7 +190,7 @@ def _records(archive: Path) -> tuple[list[str], int]:
                 if mark in done:
                     continue
                 read += 1
-                if measured_sha256_of(path) != sha256:
+                if sha256_of(path) != sha256:
                     wrong.append(f"{path}: is not the record that was added; rig archive add")
                     continue
             except (OSError, RecordError) as error:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from acquisition.record.proof import Thinning, measured_sha256_of
+from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.whole_file import being_written, folder_being_written, folder_beside
 from processing.errors import ConfigurationError, MissingPackage, RecordError
@@ -16,7 +16,6 @@ from rig.archive.blind import sealed
 from rig.archive.chosen import chosen_runs, simulated_among
 from rig.archive.crates import ELN_CRATE, Statement, check_crate, describe
 from rig.archive.eln import check_eln, is_eln, write_eln
-from rig.archive.thinning import thin_copy
 from rig.sealing import refuse_blind
 
 _INPUTS = ("configuration.", "calibration/", "record.md")
@@ -28,7 +27,6 @@ def publish_runs(
     where: str,
     output: Path,
     statement: Statement,
-    pixels: Thinning | None = None,
 ) -> str:
     """Write runs that are named or meet a condition as an RO-Crate into a new folder; says what it holds.
 
@@ -36,11 +34,10 @@ def publish_runs(
 
     One folder a session, with its records, their results, and configuration and calibrations as the records
     hold them. The output appears when everything in it is proved: each record has the hash that the archive
-    knows, and every file is described. With `pixels` those are recompressed or dropped, in the copies alone,
-    as `rig archive thin` does it: the copy states the hash of the record as it was measured.
+    knows, and every file is described.
 
     Raises ConfigurationError without the package rocrate, for no runs, or what is stated wrongly; RecordError
-    where a record is not here, has changed, or must not be thinned.
+    where a record is not here or has changed.
     """
     try:
         from rocrate.rocrate import ROCrate
@@ -83,18 +80,15 @@ def publish_runs(
         for number, (folder, records) in enumerate(sorted(by_folder.items()), 1):
             session = target / f"session-{number}-{folder.name}"
             _copy_session(folder, records, session)
-            if pixels is not None:
-                for record, sha256 in records.items():
-                    copy, rule = session / record.name, f"{pixels} in a publication"
-                    thin_copy(archive, record, copy, sha256, pixels, rule)
         describe(crate, target, statement, simulated, len(runs))
         check_crate(target)
 
     try:
         if is_eln(output):
-            with being_written(output, prove=check_eln) as beside, folder_beside(output) as content:
+            with being_written(output) as beside, folder_beside(output) as content:
                 fill(content, ROCrate(version=ELN_CRATE))
                 write_eln(content, output.stem, beside)
+                check_eln(beside)
         else:
             with folder_being_written(output) as beside:
                 fill(beside, ROCrate())
@@ -114,7 +108,7 @@ def _copy_session(folder: Path, records: dict[Path, str], target: Path) -> None:
             raise RecordError(f"{record}: is not here; publish on the computer where it lies")
         copy = target / record.name
         shutil.copyfile(record, copy)
-        if measured_sha256_of(copy) != sha256:
+        if sha256_of(copy) != sha256:
             raise RecordError(f"{record}: has changed since it was added; rig archive add")
         if number == 0:
             _copy_inputs(copy, target / "inputs")

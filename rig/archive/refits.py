@@ -10,8 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import zstandard
 
-from acquisition.record.proof import Thinning, measured_sha256_of, thinning_of
-from acquisition.record.reader import RecordReader
+from acquisition.record.digest import sha256_of
 from processing.errors import ConfigurationError, RecordError, RigError
 from rig.analysis import (
     AnalysedRun,
@@ -113,12 +112,8 @@ def refit(task: Task) -> str:
     if code_identity().rpartition(" ")[2] != recipe.code.rpartition(" ")[2]:
         return f"this worker runs other code ({code_identity()}) than was asked for ({recipe.code})"
     try:
-        if measured_sha256_of(task.record) != task.sha256:
+        if sha256_of(task.record) != task.sha256:
             return f"{task.record}: has changed since it was added; rig archive add"
-        if recipe.level == "pixels" and _dropped(task.record):
-            return (
-                f"{task.record}: its windows of pixels were dropped by rig archive thin; --level spots can be"
-            )
     except RecordError as error:
         return str(error)
     row: dict[str, Any] = {"sha256": task.sha256, "version": name}
@@ -151,12 +146,6 @@ def refit(task: Task) -> str:
     else:
         refit_shelf(Path(task.archive)).write(name, packed)
     return ""
-
-
-def _dropped(record: Path) -> bool:
-    with RecordReader(record) as reader:
-        said = thinning_of(reader)
-        return said is not None and said.get("windows") == Thinning.DROPPED
 
 
 def _analysed(task: Task) -> AnalysedRun:

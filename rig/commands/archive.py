@@ -1,7 +1,6 @@
 """`rig archive`: a catalogue of the runs of many sessions."""
 
 import re
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -34,7 +33,7 @@ def register(app: typer.Typer) -> None:
     archive = typer.Typer(help="A catalogue of the runs of many sessions.", no_args_is_help=True)
     archive.command("add")(add)
     archive.command("list")(list_)
-    for command in (check, plot, show, tag, note, refit, diff, compare, blind, unblind, view, publish, thin):
+    for command in (check, plot, show, tag, note, refit, diff, compare, blind, unblind, view, publish):
         archive.command()(command)
     app.add_typer(archive, name="archive")
 
@@ -287,52 +286,11 @@ def publish(
     where: Where = "",
     licence: Annotated[str, typer.Option(help="SPDX identifier of the licence.")] = "CC-BY-4.0",
     citation: Annotated[str, typer.Option(help="What to cite; default: authors and title.")] = "",
-    pixels: Annotated[
-        Literal["kept", "recompressed", "dropped"],
-        typer.Option(help="Windows of pixels in the copies; the records stay as they are."),
-    ] = "kept",
     archive: Archive = PLACE,
 ) -> None:
     """Write runs with results and inputs as an RO-Crate: a folder, or a file .eln for notebooks."""
-    from acquisition.record.proof import Thinning
     from rig.archive import Statement, opened, publish_runs
 
-    thinning = None if pixels == "kept" else Thinning(pixels)
     with opened(archive) as folder:
         statement = Statement(title, licence, author, citation)
-        print(publish_runs(folder, names or [], where, output, statement, thinning))
-
-
-def thin(
-    names: Names = None,
-    where: Where = "",
-    drop_after: Annotated[
-        int | None, typer.Option("--drop-after", min=0, help="Drop windows of pixels after this many months.")
-    ] = None,
-    recompress_after: Annotated[
-        int | None,
-        typer.Option("--recompress-after", min=0, help="Store them in fewer bytes after this many months."),
-    ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
-    archive: Archive = PLACE,
-) -> None:
-    """Drop the pixels of old records that have results, or store them in fewer bytes; asks first."""
-    from rig.archive import opened, thin_runs
-
-    with opened(archive) as folder:
-        raise typer.Exit(
-            thin_runs(
-                folder,
-                names or [],
-                where,
-                drop_after=drop_after,
-                recompress_after=recompress_after,
-                agreed=(lambda question: True) if yes else _agreed,
-            )
-        )
-
-
-def _agreed(question: str) -> bool:
-    if not sys.stdin.isatty():
-        raise ConfigurationError(f"{question} Nobody is there to be asked; --yes agrees")
-    return typer.confirm(question)
+        print(publish_runs(folder, names or [], where, output, statement))

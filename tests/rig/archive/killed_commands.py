@@ -5,7 +5,6 @@ a file, or at one of its requests to where a remote archive lies.
 """
 
 import contextlib
-import datetime
 import importlib.util
 import json
 import os
@@ -18,9 +17,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
+from acquisition.record import recovered_beside
 from acquisition.record.reader import RecordReader
-from acquisition.record.repaired import repaired
-from rig.archive import add_sessions, blind_runs, remark, thin_runs
+from acquisition.record.recover import recover
+from rig.archive import add_sessions, blind_runs, remark
 from rig.archive.bucket import Bucket
 from rig.archive.checking import check_archive
 from rig.archive.refits import Recipe, Task, code_identity, refit
@@ -158,8 +158,6 @@ def _between(before: Any, what: Any, after: Any) -> bool:
 
 def commands() -> list[Command]:
     """Those that change an archive or a record."""
-    rule = {"drop_after": 0, "recompress_after": None}
-    today = datetime.date(2027, 11, 22)
 
     def sessions(base: Path) -> None:
         for name in ("series", "uncalibrated"):
@@ -187,10 +185,6 @@ def commands() -> list[Command]:
         assert not said
         archive.refits.merge(at_once=1)
 
-    def thinned(base: Path) -> None:
-        thin_runs(base / "archive", [], "run = 'run-1'", **rule, agreed=lambda question: True, today=today)
-        add_sessions(base / "archive", [base / "runs"])
-
     def damaged(base: Path) -> None:
         added(base)
         Archive(base / "archive").merge(at_once=1)
@@ -199,6 +193,11 @@ def commands() -> list[Command]:
 
     def cut(base: Path) -> None:
         sessions(base)
+
+    def recovered(base: Path) -> None:
+        record = base / "runs" / "series" / "run-2.mcap"
+        if not recovered_beside(record).exists():
+            recover(record, recovered_beside(record))
 
     def tagged(base: Path) -> None:
         if "good" not in str(_runs(base)):
@@ -241,13 +240,12 @@ def commands() -> list[Command]:
         Command("add", sessions, add, _runs),
         Command("add again", withdrawn, add, _runs),
         Command("refit", added, refitted, lambda base: _runs(base, refits=True)),
-        Command("thin", added, thinned, _windows),
         Command("tag", added, tagged, _runs),
         Command("blind", added, blinded, _seals),
         Command(
             "check --repair", damaged, lambda base: check_archive(base / "archive", repair=True), _states
         ),
-        Command("recover", cut, lambda base: repaired(base / "runs" / "series" / "run-2.mcap"), _copies),
+        Command("recover", cut, recovered, _copies),
         *remote,
     ]
 
@@ -293,12 +291,6 @@ def _runs_of(folder: Path, *, refits: bool = False) -> object:
 
 def _states(base: Path) -> object:
     return sorted(path.name for path in (base / "archive" / "sessions").iterdir())
-
-
-def _windows(base: Path) -> object:
-    """The record itself: it is one of the two."""
-    with RecordReader(base / "runs" / "series" / "run-1.mcap") as reader:
-        return [len(list(reader.windows())), len(reader.spots()), not reader.doubts()]
 
 
 def _copies(base: Path) -> object:

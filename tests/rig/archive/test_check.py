@@ -151,7 +151,7 @@ def test_records_are_hashed_again_and_an_interrupted_check_goes_on(
     assert "; 3 records read, 0 not as" in capsys.readouterr().out
     import rig.archive.checking as checking
 
-    hashed, looked = checking.measured_sha256_of, []
+    hashed, looked = checking.sha256_of, []
 
     def once(path: Path) -> str:
         looked.append(path)
@@ -159,7 +159,7 @@ def test_records_are_hashed_again_and_an_interrupted_check_goes_on(
             raise KeyboardInterrupt
         return hashed(path)
 
-    monkeypatch.setattr(checking, "measured_sha256_of", once)
+    monkeypatch.setattr(checking, "sha256_of", once)
     with pytest.raises(KeyboardInterrupt):
         check_archive(archive, records=True)
     monkeypatch.undo()

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
-from acquisition.record.repaired import repaired
+from acquisition.record import recovered_beside
+from acquisition.record.recover import recover
 from processing.errors import ConfigurationError, RecordError
-from rig.archive import add_sessions, list_runs, remark, thin_runs
+from rig.archive import add_sessions, list_runs, remark
 from rig.archive.facts import FactLog
 from rig.archive.refits import Recipe, Task, refit
 from rig.archive.remarks import read_remarks
@@ -199,20 +200,13 @@ def test_a_pipe_among_the_records_does_not_hang(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="locks of POSIX")
-def test_what_a_killed_thin_left_is_taken_away_by_the_next(series: Path, archive: Path) -> None:
-    import datetime
-
+def test_what_a_killed_recover_left_is_taken_away_by_the_next(series: Path, archive: Path) -> None:
     add_sessions(archive, [series])
     left = series / ".run-1.mcap.0123abcd"
     left.write_bytes(b"half")
     (series / ".run-1.mcap.0123abcd.claim").touch()
-    rule = {"drop_after": 0, "recompress_after": None}
-    today = datetime.date(2027, 11, 22)
-    thin_runs(archive, [], "run = 'run-1'", **rule, agreed=lambda question: True, today=today)
-    assert not [path for path in series.iterdir() if path.name.startswith(".")]
-    left.write_bytes(b"half")
     add_sessions(archive, [series])
-    assert not left.exists()
+    assert not [path for path in series.iterdir() if path.name.startswith(".")]
 
 
 def test_a_condition_that_needs_too_much_memory_is_no_wrong_condition(
@@ -269,35 +263,14 @@ def test_a_changed_fact_a_swapped_one_and_a_newer_one_are_refused(series: Path, 
         listed(archive)
 
 
-def test_an_archive_of_an_earlier_version_is_read_and_taken_over(tmp_path: Path) -> None:
-    """Written by the version before facts: `data/older-archive` says how."""
-    archive = shutil.copytree(Path(__file__).parent / "data" / "older-archive", tmp_path / "archive")
-    before = listed(archive, "run, folder, c, results, tags, year(added_utc)")
-    assert [row[0] for row in before] == ["run-1", "run-1", "run-2"]
-    assert {row[3] for row in before if row[2]} == {"results-2.json"}
-    assert before[0][4] == ["good"] or before[1][4] == ["good"]
-    assert not (archive / "facts").exists()
-    shutil.copytree(OLDER / "uncalibrated", tmp_path / "runs" / "new")
-    add_sessions(archive, [tmp_path / "runs"])
-    after = listed(archive, "run, folder, c, results, tags, year(added_utc)")
-    assert [row for row in after if "new" not in row[1]] == [
-        row for row in before if row[0] != "run-1" or row[2]
-    ]
-    Archive(archive).merge(at_once=1)
-    assert listed(archive, "run, folder, c, results, tags, year(added_utc)") == after
-    assert not list((archive / "merged").glob("runs-*"))
-
-
-def test_of_a_record_and_its_repaired_copies_the_fullest_is_taken(series: Path, archive: Path) -> None:
-    """Half a copy, as a version of before left it where it was killed, is not; a whole one is."""
-    cut, half = series / "run-2.mcap", series / "run-2-recovered.mcap"
-    half.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
+def test_of_a_record_and_its_recovered_copy_the_copy_is_taken(series: Path, archive: Path) -> None:
+    cut = series / "run-2.mcap"
     add_sessions(archive, [series])
     assert [row[0] for row in listed(archive, "run")] == ["run-1", "run-2"]
     assert records_in(series) == [series / "run-1.mcap", cut]
-    whole, _ = repaired(cut)
+    whole = recover(cut, recovered_beside(cut)).path
     add_sessions(archive, [series])
-    assert listed(archive, "run, state")[1] == ("run-2-recovered-2", "whole")
+    assert listed(archive, "run, state")[1] == ("run-2-recovered", "whole")
     assert records_in(series) == [series / "run-1.mcap", whole]
 
 

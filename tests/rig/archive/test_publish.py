@@ -11,12 +11,9 @@ from typing import Any, ClassVar
 
 import pytest
 
-from acquisition.record.digest import sha256_of
-from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
 from rig.archive import add_sessions
 from rig.archive.eln import check_eln, unpacked
-from rig.archive.store import Archive
 from tests.rig.command_line import rig
 
 OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
@@ -126,29 +123,6 @@ def test_a_crate_is_what_its_profile_asks(
         assert not [
             str(item.message) for item in found if not any(word in str(item.message) for word in unstated)
         ]
-
-
-@pytest.mark.parametrize(("pixels", "said"), [("recompressed", "recorded"), ("dropped", "dropped")])
-def test_copies_are_thinned_and_of_the_same_measurement(
-    archive: Path, tmp_path: Path, pixels: str, said: str
-) -> None:
-    """Recompressed, this short record would be no smaller: its copy stays as it is."""
-    record = archive.parent / "runs" / "series" / "run-1.mcap"
-    before = record.read_bytes()
-    words = ("--where", "state = 'whole'", "-o", tmp_path / "crate", "--pixels", pixels, *SAID)
-    done = rig("archive", "publish", *words, "--archive", archive)
-    assert done.returncode == 0, done.stderr
-    (copy,) = (tmp_path / "crate").rglob("*.mcap")
-    assert (copy.read_bytes() == before) is (said == "recorded")
-    assert record.read_bytes() == before
-    with RecordReader(copy) as reader, RecordReader(record) as measured:
-        assert reader.spots().tobytes() == measured.spots().tobytes()
-        kept = 0 if said == "dropped" else len(list(measured.windows()))
-        assert len(list(reader.windows())) == kept
-    again = tmp_path / "again"
-    assert rig("archive", "add", tmp_path / "crate", "--archive", again).returncode == 0
-    rows = Archive(again).connection().execute("select sha256, windows, b > 0 from runs").fetchall()
-    assert rows == [(sha256_of(record), said, True)]
 
 
 def test_what_has_changed_is_not_published(archive: Path, tmp_path: Path) -> None:
