@@ -14,36 +14,121 @@ import contextlib
 import errno
 import json
 import os
+import random
 import secrets
 import shutil
-import struct
 import sys
+import tempfile
 import threading
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
-from acquisition.record.background_sync import BackgroundSync
 from acquisition.record.chunk_builder import ChunkBuilder
-from acquisition.record.descriptions import OWN_SHA256, sha256_of_description
-from acquisition.record.records import MAGIC
-from acquisition.record.reserve import Reserve
+from acquisition.record.records import CHUNK_HEAD, INDEX_HEAD, MAGIC, OWN_SHA256, ZSTD, sha256_of_description
 from acquisition.record.summary import Summary, serialised, shortest_ending
 from acquisition.record.topics import LIBRARY, METADATA_COPY
-from acquisition.record.whole_file import being_written, sync_folder
+from acquisition.record.whole_file import sync_folder
 from processing.errors import RecordError
 
 _ZSTD_LEVEL = 1
 _HURRIED_ZSTD_LEVEL = -10
 """Takes a quarter of the time for frames of 12 bits, and saves almost nothing of their size."""
-_CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")
-_INDEX_HEAD = struct.Struct("<BQHI")
 _FULL_DISK = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
 _SPARE_BYTES = 64 * 1024
+_RESERVE_STEP_BYTES = 1024 * 1024
+
+
+class BackgroundSync:
+    """Forces a file to the disk in a thread, so that the thread that writes it does not wait.
+
+    It runs `action` on request; all requests during a run are answered by one further run.
+
+    The thread ends when there is nothing left to do, so that a record that is never closed leaves no thread.
+    An OSError of the action is kept until `take_failure`.
+    """
+
+    def __init__(self, action: Callable[[], None]) -> None:
+        self._action = action
+        self._lock = threading.Lock()
+        self._asked = False
+        self._thread: threading.Thread | None = None
+        self._failure: OSError | None = None
+
+    def request(self) -> None:
+        """Start a run of the action after this call, as soon as possible; does not wait for it."""
+        with self._lock:
+            self._asked = True
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="record sync", daemon=True)
+                self._thread.start()
+
+    def wait(self) -> None:
+        """Wait until all requested runs have ended."""
+        thread = self._thread
+        if thread is not None:
+            thread.join()
+
+    def take_failure(self) -> OSError | None:
+        """First error since the last call, or None."""
+        with self._lock:
+            failure, self._failure = self._failure, None
+        return failure
+
+    def _work(self) -> None:
+        while True:
+            with self._lock:
+                if not self._asked:
+                    self._thread = None
+                    return
+                self._asked = False
+            try:
+                self._action()
+            except OSError as error:
+                with self._lock:
+                    self._failure = self._failure or error
+
+
+class Reserve:
+    """Disk space that is released when the disk is full, so that a record can still be finished.
+
+    It is a nameless temporary file beside the record: a kill frees it, nothing is left behind.
+
+    Filled with random bytes, which no file system compresses away. Raises OSError where the room
+    does not exist.
+    """
+
+    def __init__(self, folder: Path, size: int) -> None:
+        self._file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 lives as long as the record
+        self._random = random.Random(0)
+        self.size = 0
+        try:
+            self.hold(size)
+        except OSError:
+            self.release()
+            raise
+
+    def hold(self, size: int) -> None:
+        """Make it at least so large."""
+        while not self._file.closed and self.size < size:
+            written = self._file.write(self._random.randbytes(min(_RESERVE_STEP_BYTES, size - self.size)))
+            self.size += written or 0
+            os.fsync(self._file.fileno())
+
+    def release(self) -> bool:
+        """Give the room back; False where that was done before."""
+        if self._file.closed:
+            return False
+        try:
+            self._file.truncate(0)
+        finally:
+            self._file.close()
+        self.size = 0
+        return True
 
 
 class McapFile:
@@ -57,7 +142,7 @@ class McapFile:
     cannot be written (disk full after the release of the reserve, drive removed).
     """
 
-    def __init__(self, path: Path, library: str, reserve_bytes: int, zstd_level: int = _ZSTD_LEVEL) -> None:
+    def __init__(self, path: Path, reserve_bytes: int) -> None:
         self.full: OSError | None = None
         self.size = 0
         self._crc = 0
@@ -66,14 +151,14 @@ class McapFile:
         self._reserve_bytes = reserve_bytes
         self._reserve_lock = threading.Lock()
         self._background = BackgroundSync(self._force)
-        self._compressor = zstandard.ZstdCompressor(level=zstd_level)
+        self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
         self._hurried = zstandard.ZstdCompressor(level=_HURRIED_ZSTD_LEVEL)
         self._path = path
         # also readable, so that a record whose name was removed can be copied
         self._file = path.open("x+b", buffering=0)
         try:
             self._reserve = Reserve(path.parent, reserve_bytes)
-            self._append(MAGIC + serialised(Header("", library)))
+            self._append(MAGIC + serialised(Header("", LIBRARY)))
             sync_folder(path.parent)
         except OSError:
             self._file.close()
@@ -106,27 +191,19 @@ class McapFile:
         self._append(record)
         self._summary.add_attachment(place, len(record), attachment)
 
-    def add_channel(
-        self, topic: str, schema_name: str, descriptor: bytes, texts: Mapping[str, str] | None = None
-    ) -> int:
+    def add_channel(self, topic: str, schema_name: str, descriptor: bytes) -> int:
         """Add a channel of protobuf messages.
 
-        It is written outside the chunks, so that each chunk can be read without the others, and twice, so
-        that one changed bit does not make the topic unreadable. `texts` are the channel's metadata; unlike
-        metadata records they are repeated in the summary, under its checksum.
+        It is written outside the chunks, so that each chunk can be read without the others.
         """
-        schemas, channels = self._summary.schemas, self._summary.channels
-        schema = schemas.get((schema_name, descriptor))
-        data = b""
-        if schema is None:
-            schema = Schema(len(schemas) + 1, descriptor, "protobuf", schema_name)
-            schemas[schema_name, descriptor] = schema
-            data = serialised(schema)
-        channel = Channel(len(channels) + 1, topic, "protobuf", dict(texts or {}), schema.id)
+        number = len(self._summary.channels) + 1
+        schema = Schema(number, descriptor, "protobuf", schema_name)
+        channel = Channel(number, topic, "protobuf", {}, number)
         channel.metadata[OWN_SHA256] = sha256_of_description(channel, schema)
-        channels.append(channel)
-        self._append(2 * (data + serialised(channel)))
-        return channel.id
+        self._summary.schemas.append(schema)
+        self._summary.channels.append(channel)
+        self._append(serialised(schema) + serialised(channel))
+        return number
 
     def add_chunk(self, builder: ChunkBuilder, *, hurried: bool = False) -> None:
         """Compress the builder's messages, append them as a chunk and clear the builder; nothing if empty.
@@ -136,15 +213,15 @@ class McapFile:
         if not builder.data:
             return
         compressed = (self._hurried if hurried else self._compressor).compress(builder.data)
-        head = _CHUNK_HEAD.pack(
+        head = CHUNK_HEAD.pack(
             Opcode.CHUNK,
-            _CHUNK_HEAD.size - 9 + len(compressed),
+            CHUNK_HEAD.size - 9 + len(compressed),
             builder.start_ns,
             builder.end_ns,
             len(builder.data),
             zlib.crc32(builder.data),
-            4,
-            b"zstd",
+            len(ZSTD),
+            ZSTD,
             len(compressed),
         )
         chunk_start = self.size
@@ -155,10 +232,10 @@ class McapFile:
         for channel, entries in builder.index.items():
             offsets[channel] = place
             parts += [
-                _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)),
+                INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)),
                 entries,
             ]
-            place += _INDEX_HEAD.size + len(entries)
+            place += INDEX_HEAD.size + len(entries)
         self._append(b"".join(parts))
         index_bytes = place - chunk_start - chunk_length
         self._summary.add_chunk(builder, chunk_start, chunk_length, len(compressed), offsets, index_bytes)
@@ -278,46 +355,14 @@ class McapFile:
             return self._reserve.release()
 
 
-def create_record(path: Path, reserve_bytes: int, zstd_level: int = _ZSTD_LEVEL) -> McapFile:
+def create_record(path: Path, reserve_bytes: int) -> McapFile:
     """Create the file of a record. Raises RecordError if it exists or cannot be created."""
     try:
-        return McapFile(path, LIBRARY, reserve_bytes, zstd_level)
+        return McapFile(path, reserve_bytes)
     except FileExistsError:
         raise RecordError(f"{path}: exists already and is never overwritten; choose another name") from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
-
-
-@contextlib.contextmanager
-def new_record(
-    path: Path,
-    source: Path,
-    reserve_bytes: int,
-    zstd_level: int = _ZSTD_LEVEL,
-    *,
-    prove: Callable[[Path], None] | None = None,
-    replaces: bool = False,
-) -> Iterator[McapFile]:
-    """The file of a record made from `source`, which takes its name when it is finished and proved.
-
-    None is left where it could not be, or where the process was killed. Raises RecordError where the name is
-    taken, unless it `replaces`, or where it cannot be written.
-    """
-    try:
-        with being_written(path, prove=prove, replaces=replaces) as beside:
-            file = McapFile(beside, LIBRARY, reserve_bytes, zstd_level)
-            try:
-                yield file
-                if file.full is not None:
-                    raise file.full
-            finally:
-                # before it is removed, for which it must be closed on Windows
-                file.abandon()
-    except FileExistsError:
-        raise RecordError(f"{path}: exists already and is never overwritten; choose another name") from None
-    except OSError as error:
-        why = f"{path}: cannot be written: {error.strerror or error}; {source} is unchanged"
-        raise RecordError(why) from error
 
 
 def _sync_file(number: int) -> None:

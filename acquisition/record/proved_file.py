@@ -4,17 +4,15 @@ import logging
 from collections.abc import Callable, Iterator, Sized
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, Self, TypeVar
+from typing import IO, NamedTuple, Self, TypeVar
 
 from mcap.opcode import Opcode
 from pydantic import TypeAdapter, ValidationError
 
-from acquisition.record.chunk_reader import ChunkDamage, ChunkPlace, OpenedChunk, UnpackLimit, open_chunk
+from acquisition.record.chunk_reader import ChunkDamage, ChunkPlace, open_chunk
 from acquisition.record.contents import Contents, read_contents
-from acquisition.record.descriptions import own_texts
-from acquisition.record.disk_faults import FaultTolerantFile
-from acquisition.record.records import MAGIC, intact_attachment, read_record
-from acquisition.record.topics import METADATA_COPY, SCHEMA_VERSION, SPOT
+from acquisition.record.records import MAGIC, intact_attachment, read_at, read_record
+from acquisition.record.topics import METADATA_COPY, SCHEMA_VERSION
 from processing.errors import RecordError
 
 _log = logging.getLogger(__name__)
@@ -51,8 +49,7 @@ class ProvedFile:
         self.file = open_mcap(path)
         try:
             self.contents: Contents = read_contents(self.file)
-            self._prove_metadata()
-            check_ours(path, self.contents)
+            self._read_metadata()
         except OSError as error:
             self.file.close()
             raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
@@ -87,20 +84,13 @@ class ProvedFile:
             f"rig recover {self.path} makes a complete file of it"
         )
 
-    @property
-    def disk_notice(self) -> str:
-        """One line about parts that the disk could not give so far; empty if there are none."""
-        count = self.file.unreadable_bytes
-        return f"{count} bytes cannot be read from its disk, they are taken as lost" if count else ""
-
     def doubts(self) -> list[str]:
         """What has to be said with everything that was read so far: cut short, damaged, changed; one line
         each.
         """
         lines = [self.cut_notice] if self.truncated else []
         lines += [f"damaged, not used: {damage.what}" for damage in self.damages]
-        lines += [f"the record's structure: {text}" for text in self.contents.damage]
-        return lines + ([self.disk_notice] if self.disk_notice else [])
+        return lines + [f"the record's structure: {text}" for text in self.contents.damage]
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
@@ -130,52 +120,26 @@ class ProvedFile:
         return int(self.metadata["record"]["epoch_offset_ns"])
 
     def by_chunk(
-        self,
-        take: Callable[[OpenedChunk, frozenset[int] | None], _Found],
-        topics: frozenset[str],
-        start_ns: int | None = None,
+        self, take: Callable[[bytes, frozenset[int]], _Found], topic: str, start_ns: int | None = None
     ) -> Iterator[_Found]:
-        """What `take` returns for each chunk's bytes and the topics' channels (None: all), if not empty.
+        """What `take` returns for each chunk's bytes and the topic's channels, if not empty.
 
         Chunks that end before `start_ns` (on the frames' clock) are not read.
         """
-        from_ns = None if start_ns is None else start_ns + self.epoch_offset_ns
-        wanted = None
-        if topics:
-            channels = self.contents.channels.items()
-            wanted = frozenset(number for number, channel in channels if channel.topic in topics)
-        opened = self.chunk_opener()
+        from_ns = 0 if start_ns is None else start_ns + self.epoch_offset_ns
+        channels = self.contents.channels.items()
+        wanted = frozenset(number for number, channel in channels if channel.topic == topic)
         for place in self.contents.chunks:
-            if from_ns is not None and place.end_ns < from_ns:
-                continue
             listed = self.contents.indexed and place.channels
-            if wanted is not None and listed and not wanted & place.channels:
+            if place.end_ns < from_ns or (listed and not wanted & place.channels):
                 continue
             try:
-                found = take(opened(place), wanted)
+                found = take(open_chunk(self.file, place), wanted)
             except ChunkDamage as damage:
                 self.note_damage(place, str(damage))
                 continue
             if len(found):
                 yield found
-
-    def chunk_opener(self) -> Callable[[ChunkPlace], OpenedChunk]:
-        """What opens the chunks in one pass through them.
-
-        It raises ChunkDamage, and RecordError where they unpack to more than a measurement can.
-        """
-        limit = UnpackLimit(self.contents.size)
-
-        def opened(place: ChunkPlace) -> OpenedChunk:
-            chunk = open_chunk(self.file, place)
-            if not limit.allows(max(len(chunk.data), place.length)):
-                raise RecordError(
-                    f"{self.path}: its chunks unpack to more than can have been measured; "
-                    "it was not written by rig run"
-                )
-            return chunk
-
-        return opened
 
     def note_damage(self, place: ChunkPlace, what: str) -> None:
         """Add a damaged chunk to `damages`, once."""
@@ -189,30 +153,43 @@ class ProvedFile:
             self.damages.append(damage)
             _log.warning("%s: damaged at byte %d, not used: %s", self.path, offset, damage.what)
 
-    def _prove_metadata(self) -> None:
-        """Take the metadata from their copy, which has a checksum."""
-        contents = self.contents
+    def _read_metadata(self) -> None:
+        """Take the metadata from their copy, which has a checksum, and see whether the record is ours."""
+        path, contents = self.path, self.contents
         copy = self._attached(METADATA_COPY)
-        if copy is None:
-            contents.unproved += [f"metadata {name}" for name in contents.metadata]
-            return
+        if copy is not None:
+            try:
+                contents.metadata = _SECTIONS.validate_json(copy)
+            except ValidationError:
+                raise RecordError(f"{path}: {METADATA_COPY} in it was not written by this program") from None
+        head = contents.metadata.get("record", {})
+        if not head and METADATA_COPY not in contents.attachments:
+            topics = ", ".join(sorted(channel.topic for channel in contents.channels.values()))
+            if not topics and not contents.whole:
+                raise RecordError(f"{path}: was cut short before anything was recorded")
+            raise RecordError(
+                f"{path}: is an MCAP file of another program (topics: {topics or 'none'}); "
+                "only records of rig run can be read"
+            )
         try:
-            proved = _SECTIONS.validate_json(copy)
-        except ValidationError:
-            raise RecordError(f"{self.path}: {METADATA_COPY} in it was not written by this program") from None
-        changed = [name for name, texts in proved.items() if contents.metadata.get(name) != texts]
-        if changed:
-            contents.damage.append(f"metadata {', '.join(changed)}: bytes have changed; a copy is taken")
-        contents.metadata = proved
+            version = int(head["schema_version"])
+            int(head["epoch_offset_ns"])
+        except (KeyError, ValueError):
+            raise RecordError(f"{path}: its own description is damaged: {head}") from None
+        if version > SCHEMA_VERSION:
+            raise RecordError(
+                f"{path}: has schema version {version}, this program reads up to {SCHEMA_VERSION}; "
+                "update optical-pendulum-rig"
+            )
 
 
-def open_mcap(path: Path) -> FaultTolerantFile:
+def open_mcap(path: Path) -> IO[bytes]:
     """Open an MCAP file. Raises RecordError if it is missing, cannot be read, or is another kind of file."""
     try:
         if not path.is_dir() and path.exists() and not path.is_file():
             raise RecordError(f"{path}: is not a file but a pipe or device; copy the record into a file")
-        file = FaultTolerantFile(path)
-        head = file.read(len(MAGIC) + 1)
+        file = path.open("rb")
+        head = read_at(file, 0, len(MAGIC) + 1)
     except FileNotFoundError:
         raise RecordError(f"{path}: no such record{_instead_of(path)}") from None
     except OSError as error:
@@ -221,9 +198,7 @@ def open_mcap(path: Path) -> FaultTolerantFile:
         raise RecordError(f"{str(path)!r}: is not the name of a file ({error})") from None
     if not _is_magic(head):
         file.close()
-        if file.unreadable_bytes:
-            raise RecordError(f"{path}: cannot be read from its disk")
-        what = "is empty" if not head else "is not an MCAP file"
+        what = "is empty, or cannot be read from its disk" if not head else "is not an MCAP file"
         raise RecordError(f"{path}: {what}; a record is made by rig run")
     return file
 
@@ -240,35 +215,3 @@ def _is_magic(head: bytes) -> bool:
     return head[: len(MAGIC)] == MAGIC or (
         alike >= len(MAGIC) - 1 and head[len(MAGIC) :] == bytes([Opcode.HEADER])
     )
-
-
-def check_ours(path: Path, contents: Contents) -> None:
-    """Check the metadata "record", of which the channel of spots contains a copy.
-
-    The copy is taken if both exist: it is repeated in the summary, which has a checksum.
-    """
-    metadata = contents.metadata.get("record", {})
-    spots = (c for c in contents.channels.values() if c.topic == SPOT.topic)
-    beside = next(map(own_texts, spots), {})
-    if metadata and beside and metadata != beside:
-        contents.damage.append("metadata record differs from its copy: bytes have changed")
-    head = {**metadata, **beside}
-    if not head:
-        topics = ", ".join(sorted(channel.topic for channel in contents.channels.values()))
-        if not topics and not contents.whole:
-            raise RecordError(f"{path}: was cut short before anything was recorded")
-        raise RecordError(
-            f"{path}: is an MCAP file of another program (topics: {topics or 'none'}); "
-            "only records of rig run can be read"
-        )
-    try:
-        version = int(head["schema_version"])
-        int(head["epoch_offset_ns"])
-    except (KeyError, ValueError):
-        raise RecordError(f"{path}: its own description is damaged: {head}") from None
-    if version > SCHEMA_VERSION:
-        raise RecordError(
-            f"{path}: has schema version {version}, this program reads up to {SCHEMA_VERSION}; "
-            "update optical-pendulum-rig"
-        )
-    contents.metadata["record"] = head

@@ -1,33 +1,22 @@
 """Reads a record, complete or truncated, chunk by chunk; memory does not grow with the file."""
 
 import datetime
-import math
-from collections.abc import Callable, Collection, Iterator
-from functools import partial
-from itertools import chain
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
 from acquisition.frame_losses import FrameLosses
-from acquisition.record.balances import balances_of
-from acquisition.record.chunk_reader import (
-    OpenedChunk,
-    PackedMessages,
-    RawMessage,
-    messages_in,
-    packed_messages,
-)
+from acquisition.record.chunk_reader import Message, messages_in, packed_messages
 from acquisition.record.events import Event
 from acquisition.record.foxglove import decode_log
 from acquisition.record.pixels import decode_image, decode_window
 from acquisition.record.proved_file import ProvedFile
-from acquisition.record.schemas import MessageType, message_type_of, parse_message_type
-from acquisition.record.spots_and_swings import deflections_of, spot_table, swings_of
+from acquisition.record.schemas import MessageType, parse_message_type
+from acquisition.record.spots_and_swings import balances_of, deflections_of, swings_of
 from acquisition.record.topics import (
     BALANCE,
     DEFLECTION_FIELDS,
@@ -37,6 +26,7 @@ from acquisition.record.topics import (
     LOSSES,
     NOTE,
     SPOT,
+    SPOT_UNCALIBRATED,
     SWING,
     WINDOW,
     RecordedLog,
@@ -55,15 +45,6 @@ _Decoded = TypeVar("_Decoded")
 _ROWS_AT_ONCE = 4096
 
 
-class Message(NamedTuple):
-    """One encoded message; `log_time_ns` is UTC."""
-
-    topic: str
-    sequence: int
-    log_time_ns: int
-    data: bytes
-
-
 class RecordReader(ProvedFile):
     """Reads the messages of one record as values; a context manager (see `ProvedFile`)."""
 
@@ -73,7 +54,7 @@ class RecordReader(ProvedFile):
 
     @property
     def full_scale_dn(self) -> int:
-        """Largest grey value of the camera; 255 if an older record does not state it."""
+        """Largest grey value of the camera; 255 if the record does not state it."""
         return int(self.metadata.get("camera", {}).get("full_scale_dn", "255"))
 
     def utc(self, time_ns: int) -> datetime.datetime:
@@ -83,8 +64,7 @@ class RecordReader(ProvedFile):
     @property
     def deflection_unit(self) -> DeflectionUnit:
         """Unit of deflections and amplitudes: rad, or px without a calibrated lever."""
-        stated = self.metadata["record"].get("deflection_unit")
-        return DeflectionUnit.PX if stated == "px" else DeflectionUnit.RAD
+        return DeflectionUnit(self.metadata["record"]["deflection_unit"])
 
     @property
     def counts(self) -> dict[str, int]:
@@ -93,26 +73,26 @@ class RecordReader(ProvedFile):
             channel.topic: self.contents.counts[number] for number, channel in self.contents.channels.items()
         }
 
-    def messages(self, *topics: str) -> Iterator[Message]:
-        """Messages of the given topics (without any: of all), in the order of the file.
+    def messages(self, topic: str, start_ns: int | None = None) -> Iterator[Message]:
+        """Messages of a topic in the order of the file, which is that of time.
 
-        Numbers and pixels are in different chunks: messages of one topic are in order of time, those of
-        different topics only within a chunk.
+        Those before `start_ns` (on the frames' clock) are left out, and chunks before it are not read.
         """
-        names = {number: channel.topic for number, channel in self.contents.channels.items()}
-        for raw in chain.from_iterable(self.by_chunk(_messages, frozenset(topics))):
-            yield Message(names.get(raw.channel, ""), raw.sequence, raw.log_time_ns, raw.data)
+        from_ns = 0 if start_ns is None else start_ns + self.epoch_offset_ns
+        for messages in self.by_chunk(messages_in, topic, start_ns):
+            for message in messages:
+                if message.log_time_ns >= from_ns:
+                    yield message
 
     def table(self, topic: str) -> NDArray[Any]:
-        """The numbers of all messages of a topic as a structured array (n,), without texts and bytes.
+        """All messages of a topic of numbers as a structured array (n,).
 
         The names of the fields are those in the file, with units. Empty if the record has no such topic.
         """
         kind = self.message_type(topic)
         if kind is None:
             return np.empty(0, dtype=np.dtype([]))
-        # what is stated may be a lie: a message takes more than a byte of the file
-        table = np.empty(min(self.counts[topic], self.contents.size), dtype=kind.table_dtype)
+        table = np.empty(self.counts[topic], dtype=kind.table_dtype)
         filled = 0
         for part in self._tables(kind):
             if filled + len(part) > len(table):
@@ -124,21 +104,14 @@ class RecordReader(ProvedFile):
         return table[:filled]
 
     def values(self, topic: str, value_class: type[_Value]) -> list[_Value]:
-        """All messages of a topic as values of the dataclass or NamedTuple with which they were written.
-
-        Fields that an older record does not contain are NaN (float), 0 (int) or empty (str).
-        """
+        """All messages of a topic as values of the dataclass or NamedTuple with which they were written."""
         kind = self.message_type(topic)
         if kind is None:
             return []
-        wanted = message_type_of(value_class, kind.full_name, topic)
-        absent: dict[str, Any] = {name: math.nan if sort == "double" else 0 for name, sort in wanted.numbers}
-        absent |= {name: "" for name, _ in wanted.tail}
-        found = []
-        for message in self.messages(topic):
-            fields = dict(zip(kind.names, self._decoded(topic, message, kind.decode), strict=True))
-            found.append(value_class(**{name: fields.get(name, absent[name]) for name in wanted.names}))
-        return found
+        return [
+            value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
+            for message in self.messages(topic)
+        ]
 
     def spots(self) -> NDArray[Any]:
         """All spots as a structured array (n,) with the fields of `topics.SPOT`, one row per frame.
@@ -146,7 +119,11 @@ class RecordReader(ProvedFile):
         Without a lever (`deflection_unit` is px) the fields are those of `topics.SPOT_UNCALIBRATED`. NaN
         where the spot was lost.
         """
-        return spot_table(self.table(SPOT.topic), self.deflection_unit)
+        if self.message_type(SPOT.topic) is None:
+            # cut before anything was measured
+            calibrated = self.deflection_unit is DeflectionUnit.RAD
+            return np.empty(0, (SPOT if calibrated else SPOT_UNCALIBRATED).table_dtype)
+        return self.table(SPOT.topic)
 
     def deflections(self, spots: NDArray[Any] | None = None) -> Deflections:
         """Deflections in rows returned by `spots` or `spot_blocks`; without any, those of the whole
@@ -166,8 +143,7 @@ class RecordReader(ProvedFile):
         if kind is None:
             return
         wanted = None if fields is None else {"time_ns", *fields}
-        for part in self._tables(kind, start_ns, wanted):
-            table = spot_table(part, self.deflection_unit, wanted)
+        for table in self._tables(kind, start_ns, wanted):
             if start_ns is not None:
                 table = table[table["time_ns"] >= start_ns]
             if len(table):
@@ -183,7 +159,7 @@ class RecordReader(ProvedFile):
         return swings_of(self.table(SWING.topic))
 
     def balances(self) -> list[Balance]:
-        """All balances, in `deflection_unit`; NaN for numbers that an older record does not contain."""
+        """All balances, in `deflection_unit`."""
         return balances_of(self.table(BALANCE.topic), self.deflection_unit)
 
     def events(self) -> list[Event]:
@@ -195,7 +171,7 @@ class RecordReader(ProvedFile):
         return self.values(NOTE.topic, RecordedNote)
 
     def losses(self) -> FrameLosses | None:
-        """Numbers of lost frames by cause; None if an older record does not contain them."""
+        """Numbers of lost frames by cause; None in a record that was cut before they were written."""
         found = self.values(LOSSES.topic, RecordedLosses)
         return FrameLosses(*found[-1][1:]) if found else None
 
@@ -204,44 +180,24 @@ class RecordReader(ProvedFile):
         kind = self.message_type(WINDOW.topic)
         if kind is None:
             return
-        for message in self._since(WINDOW.topic, start_ns):
-            yield self._decoded(WINDOW.topic, message, lambda data: decode_window(kind, data))
+        for message in self.messages(WINDOW.topic, start_ns):
+            yield decode_window(kind, message.data)
 
     def images(self, start_ns: int | None = None) -> Iterator[Frame]:
         """Whole frames, in order of time, one at a time; `start_ns` as in `spot_blocks`.
 
         Their device time and host time are both the time of the frame: a record has no other time for them.
         """
-        for message in self._since(IMAGE_TOPIC, start_ns):
+        for message in self.messages(IMAGE_TOPIC, start_ns):
             time_ns = message.log_time_ns - self.epoch_offset_ns
-            image = self._decoded(IMAGE_TOPIC, message, decode_image)
-            yield Frame(image, message.sequence, time_ns, time_ns)
+            yield Frame(decode_image(message.data), message.sequence, time_ns, time_ns)
 
     def log(self) -> list[RecordedLog]:
         """Lines of the log."""
         offset_ns = self.epoch_offset_ns
         return [
-            self._decoded(LOG_TOPIC, message, partial(decode_log, message.log_time_ns - offset_ns))
-            for message in self.messages(LOG_TOPIC)
+            decode_log(message.log_time_ns - offset_ns, message.data) for message in self.messages(LOG_TOPIC)
         ]
-
-    def _decoded(
-        self, topic: str, message: Message | RawMessage, decode: Callable[[bytes], _Decoded]
-    ) -> _Decoded:
-        """One message decoded. Raises RecordError if its bytes are sound and yet no such message."""
-        try:
-            return decode(message.data)
-        except (ValueError, DecodeError) as error:
-            what = f"message {message.sequence} of {topic} cannot be read ({error})"
-            raise RecordError(f"{self.path}: {what}; it was not written by rig run") from None
-
-    def _since(self, topic: str, start_ns: int | None) -> Iterator[RawMessage]:
-        """Messages of one topic from a time on the frames' clock on."""
-        from_ns = None if start_ns is None else start_ns + self.epoch_offset_ns
-        for messages in self.by_chunk(_messages, frozenset([topic]), start_ns):
-            for message in messages:
-                if from_ns is None or message.log_time_ns >= from_ns:
-                    yield message
 
     def _tables(
         self, kind: MessageType, start_ns: int | None = None, fields: Collection[str] | None = None
@@ -249,26 +205,14 @@ class RecordReader(ProvedFile):
         """The numbers of a topic, some thousand rows at a time: a chunk may hold only a few dozen."""
         held: list[NDArray[np.void]] = []
         count = 0
-        for part in self.by_chunk(packed_messages, frozenset([kind.topic]), start_ns):
-            alike = isinstance(part, np.ndarray) and (not held or part.dtype == held[0].dtype)
-            if held and (not alike or count >= _ROWS_AT_ONCE):
-                yield self._table_of(kind, np.concatenate(held), fields)
+        for part in self.by_chunk(packed_messages, kind.topic, start_ns):
+            held.append(part)
+            count += len(part)
+            if count >= _ROWS_AT_ONCE:
+                yield kind.decode_table(np.concatenate(held), fields)
                 held, count = [], 0
-            if isinstance(part, np.ndarray):
-                held.append(part)
-                count += len(part)
-            else:
-                yield self._table_of(kind, part, fields)
         if held:
-            yield self._table_of(kind, np.concatenate(held), fields)
-
-    def _table_of(
-        self, kind: MessageType, messages: PackedMessages, fields: Collection[str] | None
-    ) -> NDArray[Any]:
-        try:
-            return kind.decode_table(messages, fields)
-        except ValueError as error:
-            raise RecordError(f"{self.path}: {error}; it was not written by rig run") from None
+            yield kind.decode_table(np.concatenate(held), fields)
 
     def message_type(self, topic: str) -> MessageType | None:
         """Message type of a topic as described in the file; None if the record has no such topic."""
@@ -278,12 +222,5 @@ class RecordReader(ProvedFile):
                     schema = self.contents.schemas.get(channel.schema_id)
                     if schema is None:
                         raise RecordError(f"{self.path}: the description of {topic} is damaged")
-                    try:
-                        self._types[topic] = parse_message_type(schema.name, topic, schema.data)
-                    except ValueError as error:
-                        raise RecordError(f"{self.path}: topic {topic}: {error}") from None
+                    self._types[topic] = parse_message_type(schema.name, topic, schema.data)
         return self._types.get(topic)
-
-
-def _messages(chunk: OpenedChunk, channels: frozenset[int] | None) -> list[RawMessage]:
-    return list(messages_in(chunk, channels))

@@ -1,5 +1,7 @@
-"""The records of an MCAP file: opcode, length, content. One is read, parsed, and judged by itself."""
+"""The records of an MCAP file: opcode, length, content. One is read and parsed by itself."""
 
+import errno
+import hashlib
 import io
 import struct
 import zlib
@@ -8,25 +10,22 @@ from typing import IO, Any
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-)
+from mcap.records import Attachment, AttachmentIndex, Channel, Header, Metadata, Schema, Statistics
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 """Opcode and length of the content."""
-CHUNK = struct.Struct("<QQQII")
-"""First log time, last log time, bytes without compression, CRC, length of the compression's name."""
-MESSAGE_INDEX = struct.Struct("<HI")
-"""Channel, bytes of entries."""
+ZSTD = b"zstd"
+"""Name of the compression, always this one."""
+CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")
+"""Opcode, length, first and last log time, bytes without compression, CRC of these, length of the
+compression's name, the name, compressed bytes, which follow.
+"""
+INDEX_HEAD = struct.Struct("<BQHI")
+"""Opcode and length of a chunk's message index, channel, bytes of entries, which follow."""
 INDEX_ENTRY_BYTES = 16
+OWN_SHA256 = "sha256"
+"""Key in a channel's metadata: SHA-256 of its description, for which MCAP has no checksum."""
 _SMALL_RECORD_BYTES = 256 * 1024 * 1024
 _CLASSES: dict[int, Any] = {
     Opcode.HEADER: Header,
@@ -36,23 +35,16 @@ _CLASSES: dict[int, Any] = {
     Opcode.STATISTICS: Statistics,
     Opcode.ATTACHMENT: Attachment,
     Opcode.ATTACHMENT_INDEX: AttachmentIndex,
-    Opcode.METADATA_INDEX: MetadataIndex,
 }
-_LENGTHS: dict[int, int] = {Opcode.FOOTER: 20, Opcode.DATA_END: 4, Opcode.SUMMARY_OFFSET: 17}
 _CRC_BYTES = 4
+_FAULTS = {errno.EIO, getattr(errno, "EUCLEAN", errno.EIO), getattr(errno, "EBADMSG", errno.EIO)}
 
 
 def parse(opcode: int, data: bytes) -> Any:
-    """A record of the mcap library from its bytes; None for a kind that is not needed here.
-
-    Raises ValueError if the bytes are not such a record.
-    """
-    kind = _CLASSES.get(opcode)
-    if kind is None:
-        return None
+    """A record of the mcap library from its bytes. Raises ValueError if they are not such a record."""
     stream = ReadDataStream(io.BytesIO(data))
     try:
-        record = kind.read(stream)
+        record = _CLASSES[opcode].read(stream)
     except (struct.error, UnicodeDecodeError, OverflowError, McapError) as error:
         raise ValueError(str(error) or type(error).__name__) from None
     if stream.count != len(data):
@@ -68,33 +60,33 @@ def intact_attachment(data: bytes) -> bytes:
     return attachment.data
 
 
+def read_at(file: IO[bytes], place: int, count: int) -> bytes:
+    """Bytes of a file; none where its disk cannot give some of them, as exFAT's after a power cut."""
+    file.seek(place)
+    try:
+        return file.read(count)
+    except OSError as error:
+        # a disk that was pulled out is no damage
+        if error.errno not in _FAULTS:
+            raise
+        return b""
+
+
 def read_record(file: IO[bytes], place: int) -> tuple[int, bytes]:
     """Opcode and content of the record at a position in the file. Raises ValueError if there is none."""
-    file.seek(place)
-    head = file.read(HEAD.size)
+    head = read_at(file, place, HEAD.size)
     if len(head) < HEAD.size:
         raise ValueError(f"no record at byte {place}")
     opcode, length = HEAD.unpack(head)
     if length > _SMALL_RECORD_BYTES:
         raise ValueError(f"record at byte {place} claims {length} bytes")
-    data = file.read(length)
+    data = read_at(file, place + HEAD.size, length)
     if len(data) < length:
         raise ValueError(f"record at byte {place} ends early")
     return opcode, data
 
 
-def check_form(opcode: int, data: bytes) -> None:
-    """Raise ValueError if a record other than a chunk cannot have been written so."""
-    if opcode == Opcode.MESSAGE_INDEX:
-        if len(data) < MESSAGE_INDEX.size:
-            raise ValueError("its index ends early")
-        _, of_entries = MESSAGE_INDEX.unpack_from(data)
-        if of_entries % INDEX_ENTRY_BYTES or len(data) != MESSAGE_INDEX.size + of_entries:
-            raise ValueError("its index contradicts its length")
-    elif opcode in _LENGTHS:
-        if len(data) != _LENGTHS[opcode]:
-            raise ValueError("its length is not that of its kind")
-    elif opcode == Opcode.ATTACHMENT:
-        intact_attachment(data)
-    else:
-        parse(opcode, data)
+def sha256_of_description(channel: Channel, schema: Schema) -> str:
+    """Hexadecimal SHA-256 over everything that says how a topic's messages are read."""
+    parts = [channel.id, channel.topic, channel.message_encoding, schema.id, schema.name, schema.encoding]
+    return hashlib.sha256(repr(parts).encode() + schema.data).hexdigest()

@@ -7,24 +7,20 @@ The descriptor is stored in the file, so that viewers can plot the fields.
 
 import dataclasses
 import struct
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, get_type_hints
 
 import numpy as np
 from google.protobuf import descriptor_pb2
-from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from acquisition.record.descriptor import PROTO_TYPE, Kind, Meanings, descriptor_of
 
 _KIND: dict[int, Kind] = {number: kind for kind, number in PROTO_TYPE.items()}
-_DEFAULT: dict[Kind, Any] = {"double": 0.0, "int": 0, "text": "", "bytes": b""}
 _NUMPY: dict[Kind, str] = {"double": "<f8", "int": "<i8"}
-_MORE_FIELDS = 256
-"""Fields of a later version that a message may have; more would only keep a reader busy."""
-_WIRE_VARINT, _WIRE_FIXED64, _WIRE_LENGTH, _WIRE_FIXED32 = 0, 1, 2, 5
+_WIRE_FIXED64, _WIRE_LENGTH = 1, 2
 
 
 @dataclass(frozen=True)
@@ -108,138 +104,40 @@ class MessageType:
         return np.repeat(row, count)
 
     def decode(self, data: bytes) -> tuple[Any, ...]:
-        """Values of the fields in order, from any valid encoding; an absent field has the default of proto3.
-
-        Raises ValueError if the bytes are not such a message.
-        """
-        kinds = [kind for _, kind in (*self.numbers, *self.tail)]
-        values = [_DEFAULT[kind] for kind in kinds]
-        place, end, most_fields = 0, len(data), 2 * len(kinds) + _MORE_FIELDS
+        """Values of the fields in order. Raises ValueError if the bytes are not such a message."""
         layout, _ = self._layout
-        if end >= layout.size:
-            # messages encoded by this module contain all numbers, in order
-            head = layout.unpack_from(data)
-            if list(head[0::2]) == self._tags:
-                values[: len(self.numbers)] = head[1::2]
-                place = layout.size
         try:
-            while place < end:
-                key, place = _read_varint(data, place)
-                most_fields -= 1
-                if key < 8 or most_fields < 0:
-                    raise ValueError(f"{self.full_name}: is not such a message")
-                field, wire = (key >> 3) - 1, key & 7
-                known = 0 <= field < len(kinds)
-                if wire == _WIRE_FIXED64:
-                    if known:
-                        code = "<d" if kinds[field] == "double" else "<q"
-                        values[field] = struct.unpack_from(code, data, place)[0]
-                    place += 8
-                elif wire == _WIRE_LENGTH:
-                    length, place = _read_varint(data, place)
-                    raw, place = data[place : place + length], place + length
-                    if known:
-                        values[field] = raw.decode() if kinds[field] == "text" else raw
-                elif wire == _WIRE_VARINT:
-                    _, place = _read_varint(data, place)
-                elif wire == _WIRE_FIXED32:
-                    place += 4
-                else:
-                    raise ValueError(f"wire type {wire} is unknown")
+            head = layout.unpack_from(data)
+            values, place = [*head[1::2]], layout.size
+            found = [*head[0::2]]
+            for tag, (_, kind) in zip(self._tail_tags, self.tail, strict=True):
+                found.append(data[place : place + len(tag)])
+                length, start = _read_varint(data, place + len(tag))
+                place = start + length
+                raw = data[start:place]
+                values.append(raw.decode() if kind == "text" else raw)
         except (IndexError, struct.error):
-            place = end + 1
-        if place != end:
-            raise ValueError(f"{self.full_name}: message of {end} bytes ends inside a field")
+            raise ValueError(f"{self.full_name}: message of {len(data)} bytes ends inside a field") from None
+        if found != [*self._tags, *self._tail_tags] or place != len(data):
+            raise ValueError(f"{self.full_name}: is not such a message")
         return tuple(values)
 
-    def decode_table(
-        self, messages: NDArray[np.void] | Sequence[bytes], names: Collection[str] | None = None
-    ) -> NDArray[Any]:
-        """The numbers of many messages as a structured array (n,), of all fields or of those in `names`.
-
-        Messages of equal length may be the items of an array, which is faster.
-        """
+    def decode_table(self, messages: NDArray[np.void], names: Collection[str] | None = None) -> NDArray[Any]:
+        """Messages of numbers as a structured array (n,), of all fields or of those in `names`."""
+        wire = messages.view(self.wire_dtype)
         wanted = [(name, kind) for name, kind in self.numbers if names is None or name in names]
-        wire = self._as_written(messages)
-        if wire is None:
-            wire = self.wire_rows(len(messages))
-            columns = zip(*[self.decode(bytes(data)) for data in messages], strict=True)
-            for (name, _), column in zip(self.numbers, columns, strict=False):
-                wire[name] = column
         table = np.empty(len(wire), dtype=[(name, _NUMPY[kind]) for name, kind in wanted])
         for name, _ in wanted:
             table[name] = wire[name]
         return table
 
-    def _as_written(self, messages: NDArray[np.void] | Sequence[bytes]) -> NDArray[Any] | None:
-        """The messages as rows of `wire_dtype`, if they are encoded as we write them; otherwise None."""
-        size = self.wire_dtype.itemsize
-        if not isinstance(messages, np.ndarray):
-            if any(len(message) != size for message in messages):
-                return None
-            messages = np.frombuffer(b"".join(messages), dtype=f"V{size}")
-        if self.tail or messages.dtype.itemsize != size:
-            return None
-        found = messages.view(np.uint8).reshape(len(messages), size)[:, self._tag_bytes]
-        as_ours = np.array_equal(found, np.broadcast_to(self._all_tags, found.shape))
-        return messages.view(self.wire_dtype) if as_ours else None
-
-    @cached_property
-    def _all_tags(self) -> NDArray[np.uint8]:
-        return np.frombuffer(b"".join(self._tags), dtype=np.uint8)
-
-    @cached_property
-    def _tag_bytes(self) -> NDArray[np.intp]:
-        """Which bytes of an encoded message are tags."""
-        row = np.zeros(1, dtype=self.wire_dtype)
-        for tag, (name, _) in zip(self._tags, self.numbers, strict=True):
-            row[f"tag {name}"] = np.void(b"\xff" * len(tag))
-        return np.flatnonzero(row.view(np.uint8))
-
 
 def parse_message_type(full_name: str, topic: str, descriptor: bytes) -> MessageType:
-    """Message type from the descriptor in a file.
-
-    Raises ValueError if the descriptor is damaged, or not that of a flat message with 64-bit numbers.
-    """
-    try:
-        files = descriptor_pb2.FileDescriptorSet.FromString(descriptor)
-    except DecodeError:
-        raise ValueError(f"{full_name}: its descriptor cannot be read") from None
-    found = [
-        message
-        for file in files.file
-        for message in file.message_type
-        if f"{file.package}.{message.name}" == full_name
-    ]
-    if not found:
-        raise ValueError(f"{full_name}: its descriptor does not describe it")
-    fields = sorted(found[0].field, key=lambda field: field.number)
-    kinds = [_KIND.get(field.type) for field in fields]
-    numeric = [kind in _NUMPY for kind in kinds]
-    in_order = [field.number for field in fields] == list(range(1, len(fields) + 1))
-    names = [field.name for field in fields]
-    named_apart = len(set(names)) == len(names) and all(str(name).isidentifier() for name in names)
-    if None in kinds or not (in_order and named_apart) or numeric != sorted(numeric, reverse=True):
-        raise ValueError(f"{full_name}: is not a flat message of fixed-width numbers")
-    named = tuple((field.name, kind) for field, kind in zip(fields, kinds, strict=True) if kind is not None)
-    count = sum(numeric)
-    return MessageType(full_name, topic, named[:count], named[count:])
-
-
-def conform(table: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Rows (n,) of an older schema with the fields of `dtype`; missing doubles are NaN, missing integers
-    0.
-    """
-    if table.dtype == dtype:
-        return table
-    out = np.zeros(len(table), dtype=dtype)
-    for name in dtype.names or ():
-        if name in (table.dtype.names or ()):
-            out[name] = table[name]
-        elif dtype[name].kind == "f":
-            out[name] = np.nan
-    return out
+    """Message type from the descriptor in a file."""
+    (file,) = descriptor_pb2.FileDescriptorSet.FromString(descriptor).file
+    named: list[tuple[str, Kind]] = [(field.name, _KIND[field.type]) for field in file.message_type[0].field]
+    count = sum(kind in _NUMPY for _, kind in named)
+    return MessageType(full_name, topic, tuple(named[:count]), tuple(named[count:]))
 
 
 def message_type_of(value_class: type, full_name: str, topic: str) -> MessageType:
@@ -297,5 +195,3 @@ def _read_varint(data: bytes, place: int) -> tuple[int, int]:
         if byte < 0x80:
             return value, place
         shift += 7
-        if shift > 63:
-            raise ValueError("a number of more than 64 bits")

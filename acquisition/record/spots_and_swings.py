@@ -1,14 +1,15 @@
-"""Conversion of spots and swings to messages and back."""
+"""Conversion of spots, swings and balances to messages and back."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.schemas import MessageType, conform
-from acquisition.record.topics import DEFLECTION_FIELDS, SPOT, SPOT_UNCALIBRATED, SWING
+from acquisition.record.schemas import MessageType
+from acquisition.record.topics import DEFLECTION_FIELDS, SWING
 from processing.angle import ARCSEC_RAD
+from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import SPOT_DTYPE, Spot
 from processing.swing import Swing
@@ -47,19 +48,6 @@ def spot_rows(
     return rows
 
 
-def spot_table(
-    table: NDArray[Any], unit: DeflectionUnit, fields: Collection[str] | None = None
-) -> NDArray[Any]:
-    """A record's table of spots with the present fields of `SPOT` or `SPOT_UNCALIBRATED`; see `conform`.
-
-    With `fields`, only these of them.
-    """
-    present = (SPOT if unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED).table_dtype
-    if fields is not None:
-        present = np.dtype([(name, present[name]) for name in present.names or () if name in fields])
-    return conform(table, present)
-
-
 def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:
     """The deflections in a table of spots."""
     # copies, so that the deflections do not keep the whole table in memory
@@ -90,3 +78,17 @@ def encode_swing(kind: MessageType, swing: Swing) -> bytes:
 def swings_of(table: NDArray[Any]) -> list[Swing]:
     """Swings from a record's table, whose first fields are those of `Swing` in order."""
     return [Swing(*row[: len(Swing.__dataclass_fields__)]) for row in table.tolist()]
+
+
+def encode_balance(kind: MessageType, balance: Balance) -> bytes:
+    """Message of type `BALANCE` or `BALANCE_UNCALIBRATED`, as the balance's unit is."""
+    return kind.encode(*[getattr(balance, name) for name in names_with_units(balance.unit)])
+
+
+def balances_of(table: NDArray[Any], unit: DeflectionUnit) -> list[Balance]:
+    """Balances from a record's table."""
+    names = names_with_units(unit)
+    return [
+        Balance(**{name: row[key] for name, key in names.items()}, unit=unit)
+        for row in (dict(zip(table.dtype.names or (), row, strict=True)) for row in table.tolist())
+    ]

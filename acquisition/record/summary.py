@@ -37,7 +37,7 @@ class Summary:
     """
 
     def __init__(self) -> None:
-        self.schemas: dict[tuple[str, bytes], Schema] = {}
+        self.schemas: list[Schema] = []
         self.channels: list[Channel] = []
         self.chunk_index = bytearray()
         self.end_ns = 0
@@ -98,7 +98,7 @@ class Summary:
         data_end = serialised(DataEnd(crc))
         start = place + len(data_end)
         groups: list[tuple[Opcode, bytes]] = [
-            (Opcode.SCHEMA, b"".join(serialised(schema) for schema in self.schemas.values())),
+            (Opcode.SCHEMA, b"".join(serialised(schema) for schema in self.schemas)),
             (Opcode.CHANNEL, b"".join(serialised(channel) for channel in self.channels)),
             (Opcode.STATISTICS, serialised(self._statistics())),
             (Opcode.CHUNK_INDEX, bytes(self.chunk_index)),

@@ -12,7 +12,7 @@ import re
 import secrets
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -46,17 +46,13 @@ def replace(path: Path, data: bytes, *, mode: int = 0o666) -> None:
 
 
 @contextlib.contextmanager
-def being_written(
-    path: Path, *, prove: Callable[[Path], None] | None = None, replaces: bool = False
-) -> Iterator[Path]:
-    """A name to write a file under that takes its own when the block ends, forced to the disk and proved.
+def being_written(path: Path) -> Iterator[Path]:
+    """A name to write a file under that takes its own when the block ends, forced to the disk.
 
-    Nothing is left of it where the block or `prove` raises; what was left by a process that was killed while
-    it wrote the same file is taken away before.
-
-    Raises FileExistsError, unless `replaces`, and OSError where it cannot be written.
+    Nothing is left of it where the block raises; what was left by a process that was killed while it wrote
+    the same file is taken away before. Raises FileExistsError, and OSError where it cannot be written.
     """
-    if not replaces and os.path.lexists(path):
+    if os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
     take_away_leftovers(path.parent, path.name)
     beside = _name_beside(path)
@@ -65,12 +61,7 @@ def being_written(
     try:
         yield beside
         _force(beside)
-        if prove is not None:
-            prove(beside)
-        if replaces:
-            os.replace(beside, path)
-        else:
-            _take_free_name(beside, path)
+        _take_free_name(beside, path)
         sync_folder(path.parent)
     finally:
         # the claim goes last: without it the file would be nobody's

@@ -7,14 +7,13 @@ from types import TracebackType
 from typing import Any, Self
 
 from acquisition.frame import Frame, Image
-from acquisition.record.balances import encode_balance
 from acquisition.record.chunk_builder import ChunkBuilder
 from acquisition.record.container import create_record
 from acquisition.record.events import Event, EventKind
 from acquisition.record.foxglove import encode_camera_calibration, encode_log, foxglove_topics
 from acquisition.record.pixels import encode_image, encode_window
 from acquisition.record.schemas import MessageType
-from acquisition.record.spots_and_swings import encode_swing, spot_rows
+from acquisition.record.spots_and_swings import encode_balance, encode_swing, spot_rows
 from acquisition.record.topics import (
     BALANCE,
     BALANCE_UNCALIBRATED,
@@ -249,8 +248,7 @@ class RecordWriter:
         for name, data in attachments.items():
             self._attach(name, data, opened_ns)
         for kind in (self._spot, self._swing, EVENT, WINDOW):
-            about = metadata["record"] if kind is self._spot else None
-            self._channel(kind.topic, kind.full_name, kind.descriptor, about)
+            self._channel(kind.topic, kind.full_name, kind.descriptor)
         for topic, schema, descriptor in foxglove_topics():
             self._channel(topic, schema, descriptor)
         self._flush()
@@ -259,10 +257,8 @@ class RecordWriter:
         media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
         self._file.add_attachment(name, media_type, data, time_ns)
 
-    def _channel(
-        self, topic: str, schema: str, descriptor: bytes, about: Mapping[str, str] | None = None
-    ) -> None:
-        self._channels[topic] = self._file.add_channel(topic, schema, descriptor, about)
+    def _channel(self, topic: str, schema: str, descriptor: bytes) -> None:
+        self._channels[topic] = self._file.add_channel(topic, schema, descriptor)
 
     def _declare(self, kind: MessageType) -> None:
         """Add the channel of a topic that only some records have, at its first message."""

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.record.digest import known_sha256_of_any
-from acquisition.record.proof import measured_sha256_of
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import RecordError
 from processing.fit import (
@@ -170,8 +169,7 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> RunResults
 def _sha256_if_readable(path: Path) -> str:
     """By which results know their record; empty where its disk cannot give all of it."""
     try:
-        # a film may be a folder of images
-        return known_sha256_of_any(path) if path.is_dir() else measured_sha256_of(path, known=True)
+        return known_sha256_of_any(path)
     except RecordError:
         return ""
 

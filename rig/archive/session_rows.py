@@ -7,11 +7,10 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from acquisition.record import recovered_beside
 from acquisition.record.digest import known_sha256_of_any, sha256_of
 from acquisition.record.events import CUT_SHORT, end_of
-from acquisition.record.proof import data_crc_matches
 from acquisition.record.reader import RecordReader
-from acquisition.record.repaired import fullest, originals
 from acquisition.record.topics import WINDOW
 from acquisition.record.utc import utc
 from processing.errors import RecordError
@@ -56,8 +55,8 @@ def session_rows(folder: Path) -> SessionRows:
         for path in sorted(folder.glob("*.mcap"))
         if path.exists() and path not in found
     ]
-    # of a record and its repaired copies one: the fullest that proves itself
-    kept = {fullest(path, copies) if copies else path for path, copies in originals(found).items()}
+    # of a record and its recovered copy the copy
+    kept = {path for path in found if recovered_beside(path) not in found}
     for path in sorted(kept | (by_record.keys() - found)):
         row, stale = _row(folder, path, by_record.get(path))
         if stale:
@@ -138,7 +137,7 @@ def _of_record(path: Path) -> Row:
                     "state": "cut",
                     "flaw": "no footer: it is being measured, or was cut short (rig recover completes it)",
                 }
-            elif contents.damage or not data_crc_matches(reader.file, contents):
+            elif contents.damage or not contents.data_crc_matches(reader.file):
                 row |= {"state": "damaged", "flaw": "; ".join(contents.damage) or "its bytes have changed"}
             elif (end := end_of(reader.events())) is None or end.kind in CUT_SHORT:
                 flaw = "it has no end" if end is None else f"{end.kind}: {end.text}"

@@ -205,12 +205,12 @@ def fit_records(
 
 
 def refuse_copies(paths: Sequence[Path]) -> None:
-    """Raise ConfigurationError where two records are the same run: one was copied, or thinned."""
-    from acquisition.record.proof import measured_sha256_of
+    """Raise ConfigurationError where two records are the same run: one was copied."""
+    from acquisition.record.digest import sha256_of
 
     first: dict[str, Path] = {}
     for path in paths if len(paths) > 1 else ():
-        other = first.setdefault(measured_sha256_of(path), path)
+        other = first.setdefault(sha256_of(path), path)
         if other is not path:
             raise ConfigurationError(
                 f"{path}: holds the run of {other} (same hash), which counts once in a series"

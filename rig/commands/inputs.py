@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
+from acquisition.record import recovered_beside
 from processing.errors import ConfigurationError
 
 _Given = TypeVar("_Given", Path, list[Path], Path | None, list[Path] | None)
@@ -66,8 +67,7 @@ def with_results(given: _Given) -> _Given:
 
 
 def records_in(path: Path) -> list[Path]:
-    """The record itself, or those of a session's folder in their order; of one and its repaired copies
-    the fullest that proves itself.
+    """The record itself, or those of a session's folder in their order; instead of one its recovered copy.
 
     Raises ConfigurationError for a folder without records.
     """
@@ -78,20 +78,11 @@ def records_in(path: Path) -> list[Path]:
         for file in path.glob("run-*.mcap")
         if (found := re.fullmatch(r"run-(\d+)", file.stem))
     )
-    records = [_fullest(file) for _, file in runs]
+    records = [copy if (copy := recovered_beside(file)).exists() else file for _, file in runs]
     records = records or sorted(path.glob("*.mcap"))
     if records:
         return records
     raise ConfigurationError(f"{path}: holds no record (run-1.mcap, ...); name one, or a session's folder")
-
-
-def _fullest(record: Path) -> Path:
-    if not any(record.parent.glob(f"{record.stem}-recovered*")):
-        return record
-    # reading records takes a second to import, which commands that need none must not wait for
-    from acquisition.record.repaired import copies_of, fullest
-
-    return fullest(record, copies_of(record))
 
 
 def one_record(path: Path) -> Path:

@@ -2,12 +2,11 @@
 
 from pathlib import Path
 
+from acquisition.record import recovered_beside
 from acquisition.record.check import check_record
-from acquisition.record.proof import is_sound
 from acquisition.record.reader import RecordReader
 from acquisition.record.recorded_camera import RecordedCamera
-from acquisition.record.recover import Recovery, recover
-from acquisition.record.repaired import repaired
+from acquisition.record.recover import recover
 from acquisition.record.utc import utc_text
 from processing.ticks import seconds
 from rig.presentation import answer, print_line
@@ -84,20 +83,13 @@ def recover_record(path: Path, output: Path | None) -> None:
     Of a sound record it only says so.
     """
     with RecordReader(path) as reader:
-        if is_sound(reader.file, reader.contents):
+        if reader.contents.is_sound(reader.file):
             print_line(f"{path}: is sound, every byte is as written; there is nothing to recover")
             answer(path=path, sound=True)
             return
-    found: tuple[Path, Recovery | None] = (
-        repaired(path) if output is None else (output, recover(path, output))
-    )
-    target, recovery = found
+    target = output or recovered_beside(path)
+    recovery = recover(path, target)
     answer(path=target, sound=False, recovery=recovery)
-    if recovery is None:
-        print_line(
-            f"{target}: is a sound copy of what can be read of {path.name} as it is; nothing was written"
-        )
-        return
     counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in recovery.messages.items() if count)
     print_line(f"{target}: {counts or 'no messages'}, up to {utc_text(recovery.end_ns)}")
     print_line(f"lost: {recovery.lost_bytes} bytes after the last complete record")
@@ -105,14 +97,8 @@ def recover_record(path: Path, output: Path | None) -> None:
         topics = ", ".join(damage.topics)
         span = f"{topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: " if topics else ""
         print_line(f"lost: {span}{damage.what}")
-    for text in (*recovery.doubles, *recovery.foreign):
-        print_line(f"left out: {text}")
-    if recovery.moved:
-        print_line(f"sorted: {recovery.moved} chunks were out of the order of their frames")
     for text in recovery.damage:
         print_line(f"damaged: {text}")
-    for part in recovery.unproved:
-        print_line(f"not verified: {part} has no checksum; compare it with what you know of the run")
 
 
 def _size(count: int) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.proof import measured_sha256_of
+from acquisition.record.digest import known_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SPOT, SWING
 from acquisition.record.utc import utc
@@ -107,7 +107,7 @@ def read_run(path: Path, results: RunResults | None) -> ExportedRun:
         notes = tuple(reader.doubts())
         if configuration is None and CONFIGURATION_NAME in reader.contents.attachment_places:
             notes = (*notes, "the configuration is damaged and not part of this export")
-    provenance["sha256"] = measured_sha256_of(path, known=True)
+    provenance["sha256"] = known_sha256_of(path)
     if results is not None and results.sha256 != provenance["sha256"]:
         raise RecordError(
             f"{path}: differs from the record from which {RESULTS_NAME} was made (other hash); "

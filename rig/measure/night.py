@@ -7,8 +7,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
+from acquisition.record import recovered_beside
 from acquisition.record.reader import RecordReader
-from acquisition.record.repaired import repaired
+from acquisition.record.recover import recover
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import SessionResults, read_results, results_path
 from rig.devices import Devices
@@ -257,7 +258,7 @@ def resume_session(
     """Continue an interrupted session: complete runs are kept, the missing ones are made.
 
     They get the configuration with which the session was begun, or `instead`, which is then the session's. A
-    truncated record is left unchanged and a repaired copy is made next to it. New runs get new numbers.
+    truncated record is left unchanged and a recovered copy is made next to it. New runs get new numbers.
     Returns the exit status like `measure_session`.
     """
     with closing(SessionFile.opened(folder)) as file:
@@ -335,7 +336,7 @@ def _notice_cut(record: Path) -> None:
 
 
 def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
-    """Note how a record ended that has an end; make a repaired copy of one that was cut off."""
+    """Note how a record ended that has an end; make a recovered copy of one that was cut off."""
     record = file.folder / entry.record
     if said := end_noted(file, entry):
         say(said)
@@ -343,7 +344,9 @@ def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
     name, reason = "", "the session was interrupted"
     if record.exists():
         try:
-            whole, _ = repaired(record)
+            whole = recovered_beside(record)
+            if not whole.exists():
+                recover(record, whole)
             name = whole.name
             say(f"{entry.record} was cut short and stays as it is; {whole.name} is a whole copy")
         except RecordError as error:

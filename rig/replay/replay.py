@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
-from acquisition.record.proof import thinning_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import CAMERA_STEP, WINDOW, RecordedClockStep, RecordedWindow
 from processing.deflections import Deflections
@@ -95,9 +94,6 @@ class Replay:
         self._config = config if retrack else config.model_copy(update={"sensor": recorded.sensor})
         if retrack and not reader.counts.get(WINDOW.topic):
             why = "" if recorded.record.windows else " (it was made with record.windows = false)"
-            said = thinning_of(reader)
-            if said is not None:
-                why = f" (rig archive thin dropped them on {said.get('utc', '?')[:10]})"
             raise RecordError(
                 f"{reader.path}: contains no windows of raw pixels{why}, the spot cannot be tracked again; "
                 "replay it without --retrack"

@@ -7,7 +7,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
-from acquisition.record.proof import measured_sha256_of
+from acquisition.record.digest import sha256_of
 from processing.errors import ConfigurationError
 
 _SAVED = "save what is in memory first (to_csv, numpy.save) and name the file"
@@ -68,7 +68,7 @@ def refuse_twice(paths: Sequence[Path]) -> None:
     for path in paths if len(paths) > 1 else ():
         if not path.is_file():
             continue
-        other = first.setdefault(measured_sha256_of(path), path)
+        other = first.setdefault(sha256_of(path), path)
         if other is not path:
             raise ConfigurationError(f"{path}: is the same run as {other}, which counts once in a series")
 

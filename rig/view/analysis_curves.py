@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from acquisition.record.proof import measured_sha256_of
+from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from processing.deflections import DeflectionUnit
 from processing.fit import FitMethod
@@ -36,7 +36,7 @@ def run_analysis(record: Path) -> RunAnalysis:
     # drawing reports takes a second to import, which must not delay a live view
     from rig.report import turning_points_again
 
-    _, known = recorded_results(record, measured_sha256_of(record))
+    _, known = recorded_results(record, sha256_of(record))
     results = analyse_record(record).results if known is None else known
     with RecordReader(record) as reader:
         stored = results.turning_points or turning_points_again(reader, results)

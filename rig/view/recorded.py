@@ -4,7 +4,6 @@ import logging
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
-from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import REFERENCE, SPOT, SPOT_UNCALIBRATED
+from acquisition.record.topics import REFERENCE
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
@@ -162,11 +161,10 @@ def overview(path: Path) -> Overview:
 
 
 def spot_tables(reader: RecordReader) -> Iterator[NDArray[Any]]:
-    """Yield the record's spots, some thousand at a time."""
-    kind = SPOT if reader.deflection_unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED
-    messages = reader.messages(kind.topic)
-    while block := list(islice(messages, BLOCK_ROWS)):
-        yield kind.decode_table([message.data for message in block])
+    """Yield the record's spots, a thousand at a time."""
+    for table in reader.spot_blocks():
+        for begin in range(0, len(table), BLOCK_ROWS):
+            yield table[begin : begin + BLOCK_ROWS]
 
 
 def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int) -> tuple[int, int]:

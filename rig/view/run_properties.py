@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from math import isfinite
 
-from acquisition.record.proof import measured_sha256_of
+from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from processing.fit import FitMethod
 from rig.analysis import recorded_results, recorded_surroundings
@@ -32,7 +32,7 @@ def _stated(reader: RecordReader) -> Iterator[tuple[str, str]]:
 def _fit(reader: RecordReader) -> Iterator[tuple[str, float | str]]:
     if not any(reader.path.parent.glob("results*.json")):
         return
-    _, results = recorded_results(reader.path, measured_sha256_of(reader.path))
+    _, results = recorded_results(reader.path, sha256_of(reader.path))
     fit = None if results is None else results.fits.get(FitMethod.EXACT)
     if fit is not None:
         yield "law", fit.law

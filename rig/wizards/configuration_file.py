@@ -64,20 +64,15 @@ def write_configuration(path: Path, stated: Keys) -> Configuration:
     """
     refuse_existing(path)
     text = configuration_text(stated, datetime.datetime.now().astimezone())
-    found: list[Configuration] = []
-
-    def prove(beside: Path) -> None:
-        try:
-            found.append(load_configuration(beside, needs_camera="camera.driver" in stated))
-        except ConfigurationError as error:
-            raise ConfigurationError(str(error).replace(str(beside), str(path))) from None
-
     try:
-        with whole_file.being_written(path, prove=prove) as beside:
+        with whole_file.being_written(path) as beside:
             beside.write_text(text, encoding="utf-8")
+            try:
+                return load_configuration(beside, needs_camera="camera.driver" in stated)
+            except ConfigurationError as error:
+                raise ConfigurationError(str(error).replace(str(beside), str(path))) from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
-    return found[0]
 
 
 def refuse_existing(path: Path) -> None:

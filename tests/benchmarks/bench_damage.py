@@ -1,9 +1,7 @@
-"""What is lost of a damaged record: changed bits, cuts, both; and what files that claim gigabytes take."""
+"""What is lost of a damaged record: changed bits, cuts, both."""
 
 import contextlib
 import logging
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -14,23 +12,12 @@ from rich.console import Console
 from rich.table import Table
 
 from acquisition.record.check import check_record
-from acquisition.record.chunk_reader import messages_in
+from acquisition.record.chunk_reader import messages_in, open_chunk
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
-from tests.acquisition.record.bombs import BOMBS, make_bomb
 from tests.acquisition.record.samples import BLOCK, write_sample
 
 FRAMES = 640
-COMMANDS = ("info", "check", "recover", "fit", "export")
-_MEASURE = """
-import os, subprocess, sys
-quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-_, _, usage = os.wait4(subprocess.Popen(sys.argv[1:], **quiet).pid, 0)
-print(usage.ru_maxrss, usage.ru_utime + usage.ru_stime)
-"""
-"""Starts a command and tells its use, from a small process: a child's most memory is never less than its
-parent's was.
-"""
 
 
 def damages(count: int) -> dict[str, Any]:
@@ -58,14 +45,6 @@ def damages(count: int) -> dict[str, Any]:
 def run(quick: bool = False) -> dict[str, Any]:
     """All numbers; `quick` takes a twentieth of the places."""
     results = damages(50 if quick else 1000)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for kind in ("zeros", "empty messages") if quick else BOMBS:
-            make_bomb(folder / "bomb.mcap", kind)
-            for command in COMMANDS:
-                peak_mib, spent_s = _taken(folder, command)
-                results[f"{kind}: {command}, MiB resident"] = peak_mib
-                results[f"{kind}: {command}, CPU s"] = spent_s
     table = Table("damage", "measured")
     for key, value in results.items():
         table.add_row(key, f"{value:,.4g}" if isinstance(value, float) else str(value))
@@ -120,28 +99,9 @@ def _frames(path: Path) -> tuple[set[int], set[int]]:
 def _frames_by_chunk(path: Path) -> list[tuple[int, int]]:
     """Of every chunk its end in the file, and how many spots and windows it holds."""
     with RecordReader(path) as reader:
-        wanted = {n for n, c in reader.contents.channels.items() if c.topic in ("/spot", "/window")}
-        opened = reader.chunk_opener()
+        topics = ("/spot", "/window")
+        wanted = frozenset(n for n, c in reader.contents.channels.items() if c.topic in topics)
         return [
-            (place.offset + place.length, sum(m.channel in wanted for m in messages_in(opened(place))))
+            (place.offset + place.length, len(messages_in(open_chunk(reader.file, place), wanted)))
             for place in reader.contents.chunks
         ]
-
-
-def _taken(folder: Path, command: str) -> tuple[float, float]:
-    """Most memory of a command in MiB, and its processor time in s."""
-    words = [command, str(folder / "bomb.mcap")]
-    if command == "recover":
-        words += ["-o", str(folder / f"{time.monotonic_ns()}.mcap")]
-    elif command == "fit":
-        words += ["-o", str(folder / f"{time.monotonic_ns()}")]
-    elif command == "export":
-        words += ["--format", "csv", "-o", str(folder / f"{time.monotonic_ns()}")]
-    told = subprocess.run(
-        [sys.executable, "-S", "-c", _MEASURE, sys.executable, "-m", "rig", *words],
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-    )
-    peak_kib, spent_s = told.stdout.split()
-    return float(peak_kib) / 1024, float(spent_s)

@@ -245,7 +245,7 @@ def _compression() -> dict[str, Any]:
     sizes = {}
     for name in ("planes", "pixels"):
         with tempfile.TemporaryDirectory() as folder:
-            file = McapFile(Path(folder) / "a.mcap", "bench", 0)
+            file = McapFile(Path(folder) / "a.mcap", 0)
             before = file.size
             builder = ChunkBuilder()
             for place, image in enumerate(images):
@@ -264,8 +264,9 @@ def _compression() -> dict[str, Any]:
 def _a_day(folder: Path, chunks: int) -> dict[str, Any]:
     """A record with as many chunks as 24 h have: how long `info` takes, whole and cut."""
     path = folder / "day.mcap"
-    file = McapFile(path, "optical-pendulum-rig", 0)
-    file.add_metadata({"record": {"schema_version": "1", "epoch_offset_ns": "0"}}, 0)
+    file = McapFile(path, 0)
+    head = {"schema_version": "1", "epoch_offset_ns": "0", "deflection_unit": "rad"}
+    file.add_metadata({"record": head}, 0)
     channels = [file.add_channel(kind.topic, kind.full_name, kind.descriptor) for kind in (SPOT, SWING)]
     spot, swing = SPOT.encode(*[0] * len(SPOT.numbers)), SWING.encode(*[0] * len(SWING.numbers))
     builder = ChunkBuilder()

@@ -1,5 +1,6 @@
 """A file that is not a record gives one clear line, and no file is written."""
 
+import json
 import os
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from mcap.writer import Writer
 from acquisition.record.check import check_record
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
-from acquisition.record.topics import SCHEMA_VERSION
+from acquisition.record.topics import METADATA_COPY, SCHEMA_VERSION
 from acquisition.record.writer import RecordWriter
 from processing.errors import RecordError
 from tests.acquisition.record.samples import write_sample
@@ -36,7 +37,8 @@ def newer(path: Path) -> None:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        writer.add_metadata("record", {"schema_version": str(SCHEMA_VERSION + 1), "epoch_offset_ns": "0"})
+        head = {"schema_version": str(SCHEMA_VERSION + 1), "epoch_offset_ns": "0"}
+        writer.add_attachment(0, 0, METADATA_COPY, "application/json", json.dumps({"record": head}).encode())
         writer.finish()
 
 
@@ -44,7 +46,9 @@ def nameless(path: Path) -> None:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        writer.add_metadata("record", {"schema_version": "one"})
+        writer.add_attachment(
+            0, 0, METADATA_COPY, "application/json", b'{"record": {"schema_version": "one"}}'
+        )
         writer.finish()
 
 

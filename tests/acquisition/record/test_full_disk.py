@@ -11,11 +11,10 @@ import pytest
 from mcap.reader import make_reader
 
 from acquisition.record.check import check_record
-from acquisition.record.container import McapFile
+from acquisition.record.container import McapFile, Reserve
 from acquisition.record.events import end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
-from acquisition.record.reserve import Reserve
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
@@ -168,7 +167,7 @@ writer.close()
 def test_a_piece_written_in_parts_is_whole(tmp_path: Path) -> None:
     """Raw files may take less than they are given."""
     path = tmp_path / "run.mcap"
-    file = McapFile(path, "test", 4096)
+    file = McapFile(path, 4096)
     taken: list[int] = []
     raw = file._file
 

@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 from acquisition.record import container
-from acquisition.record.background_sync import BackgroundSync
 from acquisition.record.check import check_record
+from acquisition.record.container import BackgroundSync, Reserve
 from acquisition.record.reader import RecordReader
-from acquisition.record.reserve import Reserve
 from acquisition.record.writer import RecordWriter
 from processing.errors import RecordError
 

@@ -41,16 +41,10 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_beside_it(
     assert (tmp_path / "file").read_bytes() == b"old"
 
 
-def test_what_is_not_proved_takes_no_name(tmp_path: Path) -> None:
-    def refuse(beside: Path) -> None:
-        assert beside.read_bytes() == b"data"
-        raise ValueError("no")
-
-    with (
-        pytest.raises(ValueError, match="no"),
-        whole_file.being_written(tmp_path / "file", prove=refuse) as beside,
-    ):
-        beside.write_bytes(b"data")
+def test_what_is_not_finished_takes_no_name(tmp_path: Path) -> None:
+    writing = whole_file.being_written(tmp_path / "file")
+    writing.__enter__().write_bytes(b"data")
+    assert not writing.__exit__(ValueError, ValueError("no"), None)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -65,18 +59,16 @@ def test_a_disk_that_gives_back_something_else_is_an_error(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("replaces", [False, True])
-def test_a_file_that_somebody_else_writes(tmp_path: Path, replaces: bool) -> None:
+def test_a_file_that_somebody_else_writes(tmp_path: Path) -> None:
     path = tmp_path / "file"
-    with whole_file.being_written(path, replaces=replaces) as beside:
+    with whole_file.being_written(path) as beside:
         beside.write_bytes(b"mine")
         # he is alive: nothing of his is taken away
         assert whole_file.take_away_leftovers(tmp_path) == []
         path.write_bytes(b"other")
-        if not replaces:
-            with pytest.raises(FileExistsError):
-                whole_file.being_written(path).__enter__()
-            path.unlink()
+        with pytest.raises(FileExistsError):
+            whole_file.being_written(path).__enter__()
+        path.unlink()
     assert path.read_bytes() == b"mine"
 
 

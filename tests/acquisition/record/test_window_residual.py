@@ -109,19 +109,3 @@ def test_a_tilted_spot_is_stored_as_it_is() -> None:
     stored = field(encode_window(1, 2, image, 100, 200, tilted))
     assert (stored["bit_planes"], stored["model_inverse_x"]) == (0, 0)
     assert stored["pixels"] == image.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("width", "height"), [(0, 2**30), (2**30, 0), (4096, 4096), (2**30, 1), (-1, 4), (4, -1)]
-)
-def test_a_window_of_a_size_that_no_sensor_has_is_refused(width: int, height: int) -> None:
-    """Even one without a pixel: whoever draws its rows would never end."""
-    lying = WINDOW.encode(1, 2, 0, 0, width, height, 1, 0, 0, 0, 0, 0, 0, 0, 0, b"")
-    with pytest.raises(ValueError, match=f"a window of {width} x {height} pixels"):
-        decode_window(WINDOW, lying)
-
-
-def test_a_window_of_pixels_of_three_bytes_is_refused() -> None:
-    lying = WINDOW.encode(1, 2, 0, 0, 1, 1, 3, 0, 0, 0, 0, 0, 0, 0, 0, b"abc")
-    with pytest.raises(ValueError, match="3 bytes a pixel"):
-        decode_window(WINDOW, lying)

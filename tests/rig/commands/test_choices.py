@@ -5,7 +5,6 @@ from typing import Any, get_args
 import pytest
 import typer
 
-from acquisition.record.proof import Thinning
 from rig.archive.listing import Format as ListFormat
 from rig.archive.refits import Level
 from rig.cli import app
@@ -22,7 +21,6 @@ from tests.rig.commands.wrong_inputs import commands
         (("archive", "list"), "--format", get_args(ListFormat)),
         (("archive", "refit"), "--level", get_args(Level)),
         (("archive", "view"), "--mode", get_args(ShowMode)),
-        (("archive", "publish"), "--pixels", ("kept", *Thinning)),
         (("view",), "--layout", get_args(LayoutName)),
     ],
 )
