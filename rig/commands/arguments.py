@@ -46,9 +46,7 @@ CampaignFile = Annotated[
     Path | None,
     typer.Option(help="The model: parameters, effects, priors (campaign.toml).", callback=there),
 ]
-InArchive = Annotated[
-    Path | None, typer.Option(help="Take the runs of an archive; each sample is a contact.")
-]
+InArchive = Annotated[str | None, typer.Option(help="Take the runs of an archive; each sample is a contact.")]
 Where = Annotated[str, typer.Option(help="Only runs that meet a condition, as in rig archive list.")]
 BySample = Annotated[
     bool, typer.Option("--by-sample", help="Folders with the same session.sample are one contact.")
