@@ -21,14 +21,11 @@ ALLOWED = {
     "rig/export/nexus.py": "under the name that being_written gives",
     "rig/wizards/configuration_file.py": "under the name that being_written gives",
     "rig/measure/plain_record.py": "in the folder that folder_being_written gives",
-    "rig/archive/eln.py": "in the folder that folder_being_written gives",
-    "rig/archive/publishing.py": "in the folder that folder_being_written gives",
     # lines that are added, never changed
     "rig/balance/history.py": "a history to which lines are added",
     "rig/measure/notes.py": "lines of a file beside the record, which holds them too",
     "rig/devices/audit.py": "a chain of lines, each forced to the disk, which knows where it was cut",
     "rig/desk/jobs.py": "what a program prints",
-    "rig/archive/checking.py": "how far a check has come, which a cut only makes shorter",
     # no content that anybody keeps
     "rig/channel/server.py": "a live port, gone with its process",
     "processing/byte_lock.py": "a lock",

@@ -1,20 +1,20 @@
 """The commands `rig archive`: the runs of many sessions as rows of one DuckDB file."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from rig.archive.listing import FoundRuns, find_runs, list_runs, runs_in_order, show_runs
+from rig.archive.listing import find_runs, list_runs, selected, show_runs
 
 if TYPE_CHECKING:
     from rig.archive.refitting import client_of, refit_runs
     from rig.archive.updating import add_folders, check_archive, update_archive
 
+_LATER = {"add_folders": "updating", "check_archive": "updating", "update_archive": "updating"}
+_LATER |= {"client_of": "refitting", "refit_runs": "refitting"}
+"""What takes seconds to import, for which `list` must not wait, by module."""
+
 
 def __getattr__(name: str) -> Any:
-    # takes seconds to import, for which `list` must not wait
-    if name in ("add_folders", "check_archive", "update_archive"):
-        from rig.archive import updating as later
-    elif name in ("client_of", "refit_runs"):
-        from rig.archive import refitting as later
-    else:
+    if name not in _LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(later, name)
+    return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)

@@ -46,9 +46,8 @@ def duckdb_module() -> Any:
     try:
         import duckdb
     except ImportError:
-        raise ConfigurationError(
-            "rig archive needs duckdb: pip install 'optical-pendulum-rig[data]'"
-        ) from None
+        remedy = "pip install 'optical-pendulum-rig[data]'"
+        raise ConfigurationError(f"rig archive needs duckdb: {remedy}") from None
     return duckdb
 
 
@@ -121,13 +120,8 @@ def _connected(
                     raise
                 time.sleep(0.05)
         yield connection
-    except duckdb.OutOfMemoryException as error:
-        raise RecordError(
-            f"{archive}: the condition needs more memory than there is; choose fewer columns, or add a limit "
-            f"({str(error).splitlines()[0]})"
-        ) from None
-    except (duckdb.ConversionException, duckdb.OutOfRangeException) as error:
-        # as '45 %' is no number
+    except (duckdb.ConversionException, duckdb.OutOfRangeException, duckdb.OutOfMemoryException) as error:
+        # as '45 %' is no number, or a column joined with itself
         said = str(error).splitlines()[0].partition(": ")[2]
         raise ConfigurationError(
             f"condition or columns: {said}; docs/reference/archive.md lists the columns and their units"

@@ -117,5 +117,7 @@ SHOWN: Final = (
     "state",
 )
 """What `list` shows by default."""
+IMPORTANT: Final = ("run", "sample", "began_utc", "b", "c", "state")
+"""What it shows where there is no room for all."""
 IS_SIMULATED: Final = "coalesce(camera = 'simulated rig', false)"
 """Whether the numbers of a run were invented, in SQL."""

@@ -1,5 +1,6 @@
 """`rig archive refit`: sessions fitted again, in processes of this machine or on a cluster."""
 
+import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -21,8 +22,7 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.archive.catalogue import reading
-from rig.archive.listing import chosen_runs
+from rig.archive.listing import meant, selected
 from rig.archive.updating import update_below
 from rig.instrument import code_identity, recorded_configuration
 from rig.presentation import say
@@ -30,85 +30,32 @@ from rig.replay import analyse_replayed
 
 Level = Literal["swings", "spots", "pixels"]
 _SAID_EVERY = 100
-_WRITTEN_EVERY = 256
+_WORKER_WITHIN_S = 10
+_RECORDS = """
+select folder, record, sha256 from every_run
+where ends_with(record, '.mcap') and state not in ('missing', 'unreadable')
+  and folder in (select folder from chosen)
+order by folder, began_utc, record
+"""
+"""Of the sessions of the runs that are meant."""
 
 
 class Task(NamedTuple):
-    """The records of one session, by their SHA-256, to be fitted again by this code."""
+    """The records of one session, each with its SHA-256, to be fitted again."""
 
     folder: Path
     records: tuple[tuple[Path, str], ...]
     level: Level
     laws: tuple[str, ...]
     settings: tuple[str, ...]
-    code: str
 
 
 Work = Callable[[Task], str]
 """Does a task; returns what hindered it, or nothing."""
 
 
-def refit_runs(
-    archive: Path,
-    names: Sequence[str],
-    where: str,
-    level: Level,
-    *,
-    laws: Sequence[str] = (),
-    settings: Sequence[str] = (),
-    cluster: str = "",
-    processes: int | None = None,
-    work: Work | None = None,
-) -> int:
-    """Fit the sessions again whose runs are named or meet a condition (neither: all that have records).
-
-    The results of each are a new results file beside its records, as `rig fit` makes it, and the rows of the
-    archive are those of the new ones. Returns the exit status: 1 where a session was left as it was.
-
-    Raises ConfigurationError for a law or setting that does not exist, before anything is made.
-    """
-    chosen_laws(laws)
-    runs = chosen_runs(archive, names, where or ("" if names else "true"))
-    with reading(archive) as connection:
-        found = connection.execute(
-            "select folder, record, sha256 from every_run where ends_with(record, '.mcap') and folder in "
-            "(select folder from runs where list_contains(?, sha256)) "
-            "and state not in ('missing', 'unreadable') order by folder, began_utc, record",
-            [list(runs)],
-        ).fetchall()
-    records: dict[str, list[tuple[Path, str]]] = {}
-    for folder, record, sha256 in found:
-        records.setdefault(folder, []).append((Path(folder) / record, sha256))
-    recipe = (level, tuple(laws), tuple(settings), code_identity())
-    tasks = [Task(Path(folder), tuple(inside), *recipe) for folder, inside in records.items()]
-    if tasks and settings:
-        # one that no configuration has is refused once, not by every session
-        with RecordReader(tasks[0].records[0][0]) as reader:
-            recorded_configuration(reader, settings)
-    do = work or refit
-    done = _on_cluster(do, tasks, cluster) if cluster else _in_processes(do, tasks, processes)
-    made: list[Path] = []
-    left = 0
-    for number, (task, hindered) in enumerate(done, 1):
-        if hindered:
-            left += 1
-            say(hindered if str(task.folder) in hindered else f"{task.folder}: {hindered}")
-        else:
-            made.append(task.folder)
-            if len(made) % _WRITTEN_EVERY == 0:
-                update_below(archive, made[-_WRITTEN_EVERY:])
-        if number % _SAID_EVERY == 0:
-            say(f"{number} of {len(tasks)} sessions")
-    update_below(archive, made[len(made) - len(made) % _WRITTEN_EVERY :])
-    print(f"{len(made)} sessions fitted again, {left} left as they were")
-    return 1 if left else 0
-
-
 def refit(task: Task) -> str:
     """Fit the records of one session and write a new results file; says what hindered it, or nothing."""
-    # a commit may change no source: then the same would run
-    if code_identity().rpartition(" ")[2] != task.code.rpartition(" ")[2]:
-        return f"this worker runs other code ({code_identity()}) than was asked for ({task.code})"
     try:
         for record, sha256 in task.records:
             if sha256_of(record) != sha256:
@@ -128,6 +75,55 @@ def _analysed(record: Path, task: Task) -> AnalysedRun:
     if task.laws:
         run = replace(run, results=replace(run.results, laws=laws_of(run, chosen_laws(task.laws))))
     return run
+
+
+def refit_runs(
+    archive: Path,
+    names: Sequence[str],
+    where: str,
+    level: Level,
+    *,
+    laws: Sequence[str] = (),
+    settings: Sequence[str] = (),
+    cluster: str = "",
+    processes: int | None = None,
+    work: Work = refit,
+) -> int:
+    """Fit the sessions again whose runs are named or meet a condition (neither: all that have records).
+
+    The results of each are a new results file beside its records, as `rig fit` makes it, and the rows of the
+    archive are those of the new ones. Returns the exit status: 1 where a session was left as it was.
+
+    Raises ConfigurationError for a law or setting that does not exist, before anything is made.
+    """
+    chosen_laws(laws)
+    if names and where:
+        raise ConfigurationError(f"--where {where!r}: has no effect beside {names[0]}; leave out one")
+    records = dict[str, list[tuple[Path, str]]]()
+    for folder, record, sha256 in selected(archive, "*", where or meant(archive, names), _RECORDS)[1]:
+        records.setdefault(folder, []).append((Path(folder) / record, sha256))
+    recipe = (level, tuple(laws), tuple(settings))
+    tasks = [Task(Path(folder), tuple(inside), *recipe) for folder, inside in records.items()]
+    if tasks and settings:
+        # one that no configuration has is refused once, not by every session
+        with RecordReader(tasks[0].records[0][0]) as reader:
+            recorded_configuration(reader, settings)
+    made, left = list[Path](), 0
+    try:
+        for task, hindered in (
+            _on_cluster(work, tasks, cluster) if cluster else _in_processes(work, tasks, processes)
+        ):
+            if hindered:
+                left += 1
+                say(hindered if str(task.folder) in hindered else f"{task.folder}: {hindered}")
+            else:
+                made.append(task.folder)
+            if (len(made) + left) % _SAID_EVERY == 0:
+                say(f"{len(made) + left} of {len(tasks)} sessions")
+    finally:
+        update_below(archive, made)
+    print(f"{len(made)} sessions fitted again, {left} left as they were")
+    return 1 if left else 0
 
 
 def _in_processes(work: Work, tasks: Sequence[Task], processes: int | None) -> Iterator[tuple[Task, str]]:
@@ -174,18 +170,32 @@ def _on_cluster(work: Work, tasks: Sequence[Task], address: str) -> Iterator[tup
             yield running[future], f"failed: {future.exception()!r}" if failed else future.result()
 
 
-def client_of(address: str) -> Any:
-    """A client of the scheduler of a Dask cluster, to be closed.
+@contextlib.contextmanager
+def client_of(address: str) -> Iterator[Any]:
+    """A client of the scheduler of a Dask cluster that runs already, and runs the same code.
 
-    Raises ConfigurationError where Dask is not installed, or no scheduler answers there.
+    Raises ConfigurationError where Dask is not installed, no scheduler answers, no worker is there, or one
+    runs other code.
     """
     try:
         from distributed import Client
     except ImportError:
-        raise ConfigurationError(
-            "--cluster needs distributed: pip install 'optical-pendulum-rig[series]'"
-        ) from None
+        remedy = "pip install 'optical-pendulum-rig[series]'"
+        raise ConfigurationError(f"--cluster needs distributed: {remedy}") from None
     try:
-        return Client(address, timeout="10s", set_as_default=False)
+        client = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise ConfigurationError(f"--cluster {address}: no Dask scheduler answers there: {error}") from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_WORKER_WITHIN_S)
+        except TimeoutError:
+            raise ConfigurationError(
+                f"--cluster {address}: it has no worker; dask worker {address} adds one"
+            ) from None
+        codes, own = client.run(code_identity), code_identity()
+        if other := next((worker for worker, code in codes.items() if code != own), None):
+            raise ConfigurationError(
+                f"--cluster {address}: {other} runs other code ({codes[other]}) than this program ({own})"
+            )
+        yield client

@@ -1,4 +1,4 @@
-"""A session's folder as rows of the catalogue: its records, and what its newest results say of each."""
+"""A session's folder as rows of the archive: its records, and what its newest results say of each."""
 
 import datetime
 import hashlib
@@ -35,31 +35,23 @@ def session_rows(folder: Path) -> SessionRows:
 
     Raises RecordError where a file cannot be read: what it holds is then not known.
     """
-    flaws: list[str] = []
-    source = results_path(folder)
-    by_record: dict[Path, RunResults] = {}
-    decays: list[TableDecay] = []
-    results_sha256 = ""
+    rows, flaws = list[Row](), list[str]()
+    source, results = results_path(folder), list[RunResults]()
+    of_source: Row = {"results_sha256": sha256_of(source) if source.is_file() else ""}
     if source.is_file():
-        results_sha256 = sha256_of(source)
         try:
-            runs = read_results(source).runs
-            decays = [run for run in runs if isinstance(run, TableDecay)]
-            by_record = {folder / run.record: run for run in runs if not isinstance(run, TableDecay)}
+            results = list(read_results(source).runs)
         except RecordError as error:
             flaws.append(str(error))
-    rows = []
+    by_record = {folder / run.record: run for run in results if not isinstance(run, TableDecay)}
     found = {path for path in folder.glob("*.mcap") if path.is_file()}
-    flaws += [
-        f"{path}: is not a file but a pipe, a folder or a device, and is left out"
-        for path in sorted(folder.glob("*.mcap"))
-        if path.exists() and path not in found
-    ]
     # of a record and its recovered copy the copy
     kept = {path for path in found if recovered_beside(path) not in found}
     for path in sorted(kept | (by_record.keys() - found)):
-        row, stale = _row(folder, path, by_record.get(path))
-        if stale:
+        run = by_record.get(path)
+        name = str(path.relative_to(folder) if path.is_relative_to(folder) else path)
+        row = {"run": path.stem, "record": name, "flaw": "", **_of_record(path, run)}
+        if run is not None and run.sha256 and run.sha256 != row["sha256"]:
             flaws.append(
                 f"{source}: its results of {path} are of an earlier record of that name (other hash) and are "
                 "left out; rig fit makes new ones"
@@ -67,33 +59,15 @@ def session_rows(folder: Path) -> SessionRows:
             if path.parent != folder:
                 # a session of the folder in which that record lies
                 continue
-        row |= {"results": source.name if path in by_record else None, "results_sha256": results_sha256}
-        rows.append(row)
-        if row["flaw"]:
-            flaws.append(f"{path}: {row['state']}: {row['flaw']}")
+        elif run is not None:
+            row |= row_of_results(run)
+        rows.append(row | of_source | {"results": source.name if run is not None else None})
+    decays = [run for run in results if isinstance(run, TableDecay)]
     for number, decay in enumerate(decays, start=1):
-        row = _of_table(folder, decay, number)
-        rows.append(row | {"results": source.name, "results_sha256": results_sha256})
-        if row["flaw"]:
-            flaws.append(f"{folder / decay.record}: {row['state']}: {row['flaw']}")
+        rows.append(_of_table(folder, decay, number) | of_source | {"results": source.name})
+    flaws += [f"{folder / row['record']}: {row['state']}: {row['flaw']}" for row in rows if row["flaw"]]
     session = hashlib.sha256("".join(sorted({row["sha256"] for row in rows})).encode()).hexdigest()
-    for row in rows:
-        row["session"] = session
-    return SessionRows(rows, flaws)
-
-
-def _row(folder: Path, path: Path, run: RunResults | None) -> tuple[Row, bool]:
-    """The row of a record, and whether its results are of another one and left out."""
-    inside = path.is_relative_to(folder)
-    row: Row = {"run": path.stem, "record": str(path.relative_to(folder) if inside else path), "flaw": ""}
-    stale = False
-    if run is not None and not path.exists():
-        row |= {"sha256": run.sha256, "record_bytes": run.record_bytes, "state": "missing"}
-        row["flaw"] = "results name a record that is not there"
-    else:
-        row |= _of_record(path)
-        stale = run is not None and bool(run.sha256) and run.sha256 != row["sha256"]
-    return (row if run is None or stale else row | row_of_results(run)), stale
+    return SessionRows([row | {"session": session} for row in rows], flaws)
 
 
 def _of_table(folder: Path, decay: TableDecay, number: int) -> Row:
@@ -102,14 +76,13 @@ def _of_table(folder: Path, decay: TableDecay, number: int) -> Row:
     The first is known by the table's hash, the others, and those of a table with several runs, by one that
     follows from it.
     """
-    path = folder / decay.record
-    known, name = decay.sha256, decay.source_name
-    of_one = f" run {decay.run}" if decay.run else ""
-    of_one += f" decay {number}" if number > 1 else ""
+    path, name = folder / decay.record, decay.source_name
+    of_one = (f" run {decay.run}" if decay.run else "") + (f" decay {number}" if number > 1 else "")
+    of_both = hashlib.sha256(f"{decay.sha256}{of_one}".encode()).hexdigest()
     row: Row = {
         "run": name if number == 1 else f"{name}-decay-{number}",
         "record": decay.record,
-        "sha256": hashlib.sha256(f"{known}{of_one}".encode()).hexdigest() if of_one else known,
+        "sha256": of_both if of_one else decay.sha256,
         "record_bytes": path.stat().st_size if path.is_file() else None,
         "duration_s": _number(decay.ended_s - decay.began_s),
         "state": "whole",
@@ -117,51 +90,46 @@ def _of_table(folder: Path, decay: TableDecay, number: int) -> Row:
     }
     if not path.exists():
         row |= {"state": "missing", "flaw": "results name a table that is not there"}
-    elif known_sha256_of_any(path) != known:
+    elif known_sha256_of_any(path) != decay.sha256:
         row |= {"state": "damaged", "flaw": "the table has changed since the results were made"}
     return row | row_of_results(decay)
 
 
-def _of_record(path: Path) -> Row:
+def _of_record(path: Path, run: RunResults | None) -> Row:
     """What a record says of itself, and the state it is in."""
-    row: Row = {"sha256": sha256_of(path), "record_bytes": path.stat().st_size}
+    if run is not None and not path.exists():
+        flaw = "results name a record that is not there"
+        return {"sha256": run.sha256, "record_bytes": run.record_bytes, "state": "missing", "flaw": flaw}
+    row: Row = {"sha256": sha256_of(path), "record_bytes": path.stat().st_size, "state": "whole"}
     try:
         with RecordReader(path) as reader:
-            contents, texts = reader.contents, reader.metadata
-            row["state"] = "whole"
-            if not reader.truncated:
-                # one that was cut lacks the counts
-                row["windows"] = "recorded" if reader.counts.get(WINDOW.topic) else "none"
+            contents = reader.contents
             if reader.truncated:
-                row |= {
-                    "state": "cut",
-                    "flaw": "no footer: it is being measured, or was cut short (rig recover completes it)",
-                }
+                row["state"] = "cut"
+                row["flaw"] = "no footer: it is being measured, or was cut short (rig recover completes it)"
             elif contents.damage or not contents.data_crc_matches(reader.file):
                 row |= {"state": "damaged", "flaw": "; ".join(contents.damage) or "its bytes have changed"}
             elif (end := end_of(reader.events())) is None or end.kind in CUT_SHORT:
                 flaw = "it has no end" if end is None else f"{end.kind}: {end.text}"
                 row |= {"state": "cut short", "flaw": flaw}
+            if not reader.truncated:
+                # one that was cut lacks the counts
+                row["windows"] = "recorded" if reader.counts.get(WINDOW.topic) else "none"
             if contents.start_ns:
                 row["began_utc"] = utc(contents.start_ns).replace(tzinfo=None)
                 row["duration_s"] = seconds(contents.end_ns - contents.start_ns)
-            row |= _of_metadata(texts)
+            session, camera, versions = (
+                reader.metadata.get(name, {}) for name in ("session", "camera", "versions")
+            )
+            row |= {name: session.get(name) for name in ("sample", "operator", "contact_history", "host")}
+            row |= {"camera": camera.get("model"), "camera_serial": camera.get("serial")}
+            row["code_version"] = versions.get("optical-pendulum-rig")
+            row["code_commit"] = versions.get("commit")
             row["noted"] = "; ".join(note.event.text for note in reader.notes()) or None
             row |= recorded_surroundings(reader).known()
     except RecordError as error:
         row |= {"state": "unreadable", "flaw": str(error).removeprefix(f"{path}: ")}
     return row
-
-
-def _of_metadata(texts: dict[str, dict[str, str]]) -> Row:
-    session, camera, versions = (texts.get(name, {}) for name in ("session", "camera", "versions"))
-    return {
-        **{name: session.get(name) for name in ("sample", "operator", "contact_history", "host")},
-        "camera": camera.get("model"),
-        "camera_serial": camera.get("serial"),
-        "code_version": versions.get("optical-pendulum-rig"),
-        "code_commit": versions.get("commit"),
-    }
 
 
 def row_of_results(run: RunResults) -> Row:
@@ -207,8 +175,7 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
     if run.instrument is not None:
         yield "instrument", run.instrument.kind
         for name in OF_INSTRUMENTS:
-            value = getattr(run.instrument, name)
-            if value is not None:
+            if (value := getattr(run.instrument, name)) is not None:
                 yield from _estimate(name, value)
 
 
@@ -222,5 +189,5 @@ def _number(value: float) -> float | None:
 
 
 def now_utc() -> datetime.datetime:
-    """The time as the catalogue keeps it: UTC, without a zone."""
+    """The time as the archive keeps it: UTC, without a zone."""
     return datetime.datetime.now(datetime.UTC).replace(tzinfo=None)

@@ -4,6 +4,7 @@ import hashlib
 import os
 import time
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -137,37 +138,36 @@ def sessions_below(root: Path, hidden: list[str]) -> Iterator[tuple[Path, str]]:
 
 def check_archive(archive: Path) -> int:
     """Read every session again and compare hashes; prints what differs, returns 1 where something does."""
-    by_folder = dict[str, list[dict[str, Any]]]()
     with reading(archive) as connection:
-        found = connection.execute(f"select {', '.join(_COMPARED)} from every_run order by all").fetchall()
-    for values in found:
-        by_folder.setdefault(values[0], []).append(dict(zip(_COMPARED, values, strict=True)))
+        stored = connection.execute(f"select {', '.join(_COMPARED)} from every_run order by all").fetchall()
     different, said_s = 0, time.monotonic()
-    for number, (folder, rows) in enumerate(by_folder.items(), 1):
-        for line in _differences(Path(folder), rows):
+    for folder, rows in groupby(stored, key=lambda row: str(row[0])):
+        for line in _differences(Path(folder), [row[1:] for row in rows]):
             print(line)
             different += 1
         if time.monotonic() - said_s > _WRITTEN_EVERY_S:
             said_s = time.monotonic()
-            say(f"{number} of {len(by_folder)} sessions")
-    print(f"{len(by_folder)} sessions with {len(found)} runs read, {different} not as they were")
+            say(f"read up to {folder}")
+    print(f"{len(stored)} runs read, {different} differences")
     return 1 if different else 0
 
 
-def _differences(folder: Path, rows: Sequence[dict[str, Any]]) -> list[str]:
+def _differences(folder: Path, rows: Sequence[tuple[Any, ...]]) -> Iterator[str]:
     try:
         now = {(row["record"], row["run"]): row for row in session_rows(folder).rows}
     except RecordError as error:
-        return [str(error)]
-    lines = []
-    for row in rows:
-        record, found = folder / row["record"], now.get((row["record"], row["run"]))
-        if found is None or (found["state"] == "missing" and row["state"] != "missing"):
-            lines.append(f"{record}: is not there any more")
-        elif found["state"] != row["state"]:
-            lines.append(f"{record}: was {row['state']} and is {found['state']}: {found['flaw']}")
-        elif found["sha256"] != row["sha256"]:
-            lines.append(f"{record}: has other bytes than when it was read; rig archive update --read")
-    results = [{(row["results"], row["results_sha256"]) for row in one} for one in (rows, now.values())]
-    changed = sorted({str(name) for name, _ in results[0] - results[1] if name})
-    return lines + [f"{folder / name}: has changed since it was read; rig archive update" for name in changed]
+        yield str(error)
+        return
+    changed = dict[str, None]()
+    for record, run, sha256, state, results, results_sha256 in rows:
+        path, found = folder / record, now.get((record, run))
+        if found is None or (found["state"] == "missing" and state != "missing"):
+            yield f"{path}: is not there any more"
+            continue
+        if found["state"] != state:
+            yield f"{path}: was {state} and is {found['state']}: {found['flaw']}"
+        elif found["sha256"] != sha256:
+            yield f"{path}: has other bytes than when it was read; rig archive update --read"
+        if results and (found["results"], found["results_sha256"]) != (results, results_sha256):
+            changed[results] = None
+    yield from (f"{folder / name}: has changed since it was read; rig archive update" for name in changed)

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from acquisition.record.digest import sha256_of
@@ -11,6 +11,14 @@ from rig.analysis import read_results, results_path
 from rig.campaigns.likelihoods import FoundRun
 
 _SESSION = "session.json"
+_IN_ORDER = """
+with numbered as (
+  select *, coalesce(try_cast(regexp_extract(run, '[0-9]+$') as bigint), 0) as number from chosen
+)
+select sha256, run, sample, folder, results from numbered where results is not null
+order by max(began_utc) over (partition by folder order by number, run) nulls last, folder, number, run
+"""
+"""Runs of one session follow each other by their numbers, also where the clock was set back between them."""
 
 
 @dataclass(frozen=True)
@@ -91,24 +99,15 @@ def runs_of_archive(archive: Path, where: str) -> list[FoundRun]:
 
     Raises ConfigurationError for a condition that no run meets.
     """
-    from rig.archive import runs_in_order
+    from rig.archive import selected
 
     found: list[FoundRun] = []
-    for row in runs_in_order(archive, where):
-        if row.results is None:
-            continue
-        label = f"{row.results.parent.name}/{row.run}"
-        runs = _runs(row.results, "", row.sample or row.results.parent.name)
-        own = [one for one in runs if one.run.sha256 == row.sha256]
+    for sha256, run, sample, folder, results in selected(archive, "*", where, _IN_ORDER)[1]:
+        path = Path(folder) / results
+        own = [one for one in _runs(path, "", sample or path.parent.name) if one.run.sha256 == sha256]
         if not own:
-            raise RecordError(
-                f"{row.results}: knows no run {row.sha256[:8]}; rig archive update reads it again"
-            )
-        found.append(
-            FoundRun(
-                label=label, contact=own[0].contact, results_sha256=own[0].results_sha256, run=own[0].run
-            )
-        )
+            raise RecordError(f"{path}: knows no run {sha256[:8]}; rig archive update reads it again")
+        found.append(replace(own[0], label=f"{path.parent.name}/{run}"))
     if not found:
         raise ConfigurationError(
             f"condition {where!r}: no run with results meets it; rig archive list shows all"

@@ -59,7 +59,7 @@ def campaign(
     \b
     Examples:
       rig campaign runs/monday runs/tuesday -o campaigns/glass
-      rig campaign --archive archive --where "sample = 'K8'" --config campaign.toml -o campaigns/k8
+      rig campaign --archive archive.duckdb --where "sample = 'K8'" --config campaign.toml -o campaigns/k8
     """
     if archive is None and not folders:
         raise ConfigurationError("rig campaign needs runs: name folders of sessions, or --archive")

@@ -24,10 +24,7 @@ from processing.errors import RigError
 from rig.analysis import encoded, read_results
 from rig.analysis.position_table import TableColumns
 from rig.archive import list_runs
-from rig.archive.columns import COLUMNS
-from rig.archive.facts import Fact
-from rig.archive.remarks import read_remarks
-from rig.archive.store import Archive
+from rig.archive.catalogue import write_sessions, writing
 from rig.balance import history
 from rig.calibrate.inputs import read_ladder, read_transfer
 from rig.measure.session_file import SessionFile
@@ -137,15 +134,6 @@ def read_stack(path: Path) -> None:
         camera.close()
 
 
-def read_remark(path: Path) -> None:
-    """With another one beside it, which tells the order of the two."""
-    folder = path.parent / "remarks"
-    folder.mkdir(exist_ok=True)
-    path.replace(folder / path.name)
-    (folder / "2.json").write_bytes(REMARK)
-    read_remarks(path.parent)
-
-
 def written_again(path: Path) -> None:
     json.dumps(encoded(read_results(path)))
 
@@ -182,7 +170,6 @@ set = ["session.runs=2"]
 """
 TURN = b'{"utc": "2026-11-22T00:00:00+00:00", "weight": "a", "turns": 0.5, '
 TURN += b'"before": [1.0, 2.0, 3e-6], "after": [1.5, 2.0, 3e-6], "u": [0.1, 0.1, 1e-7]}\n'
-REMARK = b'{"utc": "2026-11-22T00:00:00Z", "user": "A", "runs": ["ab"], "add": ["good"], "note": "dry"}'
 FILES: dict[str, tuple[Path | bytes, str, Callable[[Path], Any]]] = {
     "configuration": (OLDER / "session.toml", "session.toml", load_configuration),
     "session": (OLDER / "series" / "session.json", "session.json", read_session),
@@ -202,7 +189,6 @@ FILES: dict[str, tuple[Path | bytes, str, Callable[[Path], Any]]] = {
     "ground": (GROUND, "ground.csv", read_ground_file),
     "night's plan": (PLAN, "night.toml", load_plan),
     "turned weights": (2 * TURN, "weights.jsonl", history.read),
-    "remark": (REMARK, "1.json", read_remark),
     "times": (b"time_ns,sequence\n10,0\n", "timestamps.csv", read_images),
 }
 
@@ -225,18 +211,12 @@ def test_a_file(kind: str, wanted: list[tuple[str, float, bytes]]) -> None:
 @settings(FEW, max_examples=10)
 @given(wanted=changes())
 def test_an_archive(wanted: list[tuple[str, float, bytes]]) -> None:
-    """What the merged file, a list and its rows are read from."""
     with tempfile.TemporaryDirectory() as made:
-        folder = Path(made)
-        archive = Archive(folder)
-        archive.begin()
-        state = archive.sessions.write("one", [{**dict.fromkeys(COLUMNS), "sha256": "ab", "b": 1e-3}])
-        archive.log.write([Fact("here", "there", *state, "", "2026-11-22T00:00:00")])
-        path, listed = archive.sessions.path(state[0]), folder / "listed.csv"
+        path, listed = Path(made) / "archive.duckdb", Path(made) / "listed.csv"
+        with writing(path) as connection:
+            write_sessions(connection, {"f": ""}, [{"sha256": "ab", "folder": "f", "b": 1e-3}])
         path.write_bytes(changed(path.read_bytes(), wanted))
-        one_line(lambda: archive.merge(at_once=1))
-        one_line(lambda: list_runs(folder, "", ["b"], "csv", listed))
-        assert not listed.exists() or listed.read_text() == "b\n0.001\n"
+        one_line(lambda: list_runs(path, "", "b", listed))
 
 
 @pytest.mark.parametrize(

@@ -58,17 +58,18 @@ class ArchivedRuns:
         if found is None or self._asked != now:
             # typed on meanwhile
             return
+        listed, count, every = found
         self._table.columns = [
-            {"name": name, "label": name, "field": name, "align": "left"} for name in found.columns
+            {"name": name, "label": name, "field": name, "align": "left"} for name in listed.head
         ]
-        self._table.rows = [dict(row) for row in found.rows]
+        self._table.rows = [dict(zip(listed.head, row, strict=True)) for row in listed.shown]
         self._table.update()
-        last = self._first + len(found.rows)
-        of = f"{found.found:,}" if found.found == found.all else f"{found.found:,} found, of {found.all:,}"
+        last = self._first + len(listed.shown)
+        of = f"{count:,}" if count == every else f"{count:,} found, of {every:,}"
         self._place.set_text(
             f"{self._first + 1} to {last} of {of} in {archive}"
-            if found.rows
+            if listed.shown
             else f"no run in {archive} is found"
         )
         self._newer.set_enabled(self._first > 0)
-        self._older.set_enabled(last < found.found)
+        self._older.set_enabled(last < count)

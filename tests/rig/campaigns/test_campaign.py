@@ -1,5 +1,6 @@
 """`rig campaign`: from folders, or an archive, to campaign.json, page, tables and figures."""
 
+import datetime
 import json
 import shutil
 from dataclasses import replace
@@ -11,8 +12,11 @@ import pytest
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
 from rig.analysis import read_results
+from rig.archive import selected
+from rig.archive.catalogue import write_sessions, writing
 from rig.campaigns import StatedCampaign, answer_of, read_campaign, runs_of_folders
 from rig.campaigns.likelihoods import FoundRun, compressed
+from rig.campaigns.sources import _IN_ORDER
 from rig.campaigns.tables import effects_table
 from tests.rig.campaigns.made_sessions import (
     ENERGY_OVER_C,
@@ -262,10 +266,23 @@ def test_runs_of_an_archive(tmp_path: Path) -> None:
     none = rig(*words, "--where", "b > 1e9", cwd=tmp_path)
     assert none.returncode == 2
     assert "no run with results meets it" in none.stderr
-    assert rig("archive", "blind", "p", "--archive", "catalogue", cwd=tmp_path).returncode == 0
-    blind = rig(*words, cwd=tmp_path)
-    assert blind.returncode == 2
-    assert "is blind" in blind.stderr
+
+
+def test_runs_of_an_archive_are_in_the_order_of_their_beginnings(tmp_path: Path) -> None:
+    """A session whose clock was set back between its runs 9 and 10 is not turned round."""
+    evening = datetime.datetime(2024, 2, 28, 23, 0)
+    begun_h = {f"b/run-{n}": n / 3 if n < 10 else n / 3 - 1 for n in range(1, 13)}
+    begun_h |= {"a/run-1": 0.0, "a/run-2": 26.0, "c/run-1": None}
+    rows = []
+    for number, (name, hours) in enumerate(begun_h.items()):
+        folder, run = name.split("/")
+        began = None if hours is None else (evening + datetime.timedelta(hours=hours)).isoformat()
+        rows.append({"sha256": f"{number}", "folder": folder, "run": run, "began_utc": began, "results": "x"})
+    with writing(tmp_path / "archive.duckdb") as connection:
+        write_sessions(connection, {"a": "", "b": "", "c": ""}, rows)
+    found = selected(tmp_path / "archive.duckdb", "*", "", _IN_ORDER)[1]
+    runs = [f"{row[3]}/{row[1]}" for row in found]
+    assert runs == ["a/run-1", *(f"b/run-{n}" for n in range(1, 13)), "a/run-2", "c/run-1"]
 
 
 def test_sessions_of_one_sample_are_one_contact(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ def test_a_cluster_says_the_same(
 ) -> None:
     folders = humid_campaign(tmp_path)
     port = free_port()
-    for command in [text for text in documented() if "--tls-ca-file" not in text]:
+    for command in documented():
         start(started, command.replace("8786", str(port)).replace("8787", "0"), tmp_path)
     done = rig("campaign", *folders, "--cluster", f"tcp://127.0.0.1:{port}")
     assert done.returncode == 0, done.stderr

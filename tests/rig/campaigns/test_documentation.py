@@ -29,7 +29,7 @@ def test_the_commands_and_the_file_of_the_page(tmp_path: Path) -> None:
     assert tree["changes"][0]["parameter"] == "c"
     # records with humidities and samples take minutes to measure: the words alone are checked here
     shutil.copytree(OLDER / "first", tmp_path / "runs" / "first")
-    assert rig("archive", "add", "runs/first", "--archive", "archive", cwd=tmp_path).returncode == 0
+    assert rig("archive", "add", "runs/first", cwd=tmp_path).returncode == 0
     none = rig(*of_archive, cwd=tmp_path)
     assert none.returncode == 2
     assert "no run with results meets it" in none.stderr

@@ -5,11 +5,10 @@ from typing import Any, get_args
 import pytest
 import typer
 
-from rig.archive.listing import Format as ListFormat
-from rig.archive.refits import Level
+from rig.archive.refitting import Level
 from rig.cli import app
 from rig.export.session_export import Format as ExportFormat
-from rig.rerun.messages import LayoutName, Mode, ShowMode
+from rig.rerun.messages import LayoutName, Mode
 from rig.settings.configuration import ViewSettings
 from tests.rig.commands.wrong_inputs import commands
 
@@ -18,9 +17,7 @@ from tests.rig.commands.wrong_inputs import commands
     ("command", "option", "choices"),
     [
         (("export",), "--format", get_args(ExportFormat)),
-        (("archive", "list"), "--format", get_args(ListFormat)),
         (("archive", "refit"), "--level", get_args(Level)),
-        (("archive", "view"), "--mode", get_args(ShowMode)),
         (("view",), "--layout", get_args(LayoutName)),
     ],
 )

@@ -12,10 +12,6 @@ from tests.rig.commands.wrong_inputs import commands
 DEMO = str(CONFIGS / "demo.toml")
 NEW_FILES = {
     ("archive", "list"): ("out.csv", "-o"),
-    ("archive", "plot", "c", "b"): ("out.svg", "-o"),
-    ("archive", "compare", "c"): ("out.png", "-o"),
-    ("archive", "view"): ("out.rrd", "--rrd"),
-    ("archive", "publish", "--title", "t", "--author", "a"): ("out", "-o"),
     ("camera", "snap", DEMO): ("out.png", "-o"),
     ("camera", "dump", DEMO): ("out.zip", "-o"),
     ("camera", "align", DEMO): ("out.rrd", "--rrd"),

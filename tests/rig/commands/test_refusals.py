@@ -73,7 +73,6 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
         ),
         (("calibrate", "lever", "run-1.mcap"), "run-1.mcap: is a record; a list of measured"),
         (("fit", DEMO), f"{DEMO}: is not a table; name a record"),
-        (("archive", "tag", "09dd9188", "good"), "the tag comes first: rig archive tag good 09dd9188"),
         (
             ("doctor", DEMO, "--set", "max_duration_s=3"),
             "unknown key; did you mean session.max_duration_s or",

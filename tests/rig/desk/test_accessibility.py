@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from rig.archive import add_sessions
+from rig.archive import add_folders
 from rig.channel import Channel, SessionNews
 from rig.desk.theme import THEMES
 from rig.settings import Configuration
@@ -187,9 +187,9 @@ def finished(output: Path, name: str) -> Path:
     folder = output / f"over-{name}"
     shutil.copytree(OLDER / "series", folder)
     (folder / "report.html").write_text("<html lang='en'><head><title>r</title></head></html>", "utf-8")
-    archive = output.parent / "archive"
+    archive = output.parent / "archive.duckdb"
     if not archive.exists():
-        add_sessions(archive, [OLDER / "series", OLDER / "uncalibrated"])
+        add_folders(archive, [OLDER / "series", OLDER / "uncalibrated"])
     return folder
 
 

@@ -1,0 +1,113 @@
+"""`rig archive refit`: sessions fitted again, each with a new results file, whatever a record does."""
+
+import json
+import os
+import shutil
+import signal
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from rig.archive import add_folders, refit_runs, selected
+from rig.archive.refitting import Task, Work, _in_processes
+from rig.replay import analyse_replayed
+from tests.rig.command_line import rig
+
+OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Path:
+    """An archive of one session: a whole run and one that was cut short."""
+    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    add_folders(tmp_path / "archive.duckdb", [tmp_path / "runs"])
+    return tmp_path / "archive.duckdb"
+
+
+def in_this_process(work: Work, tasks: Sequence[Task], processes: int | None) -> Iterator[tuple[Task, str]]:
+    """Starting processes takes seconds; what they do has a test of its own."""
+    return ((task, work(task)) for task in tasks)
+
+
+@pytest.mark.slow
+def test_results_made_again_stand_beside_the_earlier_ones_and_are_listed(
+    archive: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.archive.refitting._in_processes", in_this_process)
+    series = archive.parent / "runs" / "series"
+    earlier = (series / "results.json").read_bytes()
+    words = ("--where", "state = 'whole'", "--set", "fit.robust=true", "--law", "viscous")
+    done = rig("archive", "refit", *words, "--archive", archive)
+    assert (done.returncode, done.stdout) == (0, "1 sessions fitted again, 0 left as they were\n")
+    assert (series / "results.json").read_bytes() == earlier
+    tree = json.loads((series / "results-2.json").read_text())
+    assert [run["record"] for run in tree["runs"]] == ["run-1.mcap", "run-2.mcap"]
+    assert tree["runs"][0]["settings"]["robust"] is True
+    assert "viscous" in json.dumps(tree["runs"][0]["laws"])
+    columns = "run, b, results"
+    listed = [
+        (run["record"][:5], run["fits"]["exact"]["b"]["value"], "results-2.json") for run in tree["runs"]
+    ]
+    assert selected(archive, columns, "order by run")[1] == listed
+    # the same that rig fit finds of the folder
+    assert rig("fit", series, *words[2:], "-o", archive.parent / "fit").returncode == 0
+    fitted = json.loads((archive.parent / "fit" / "results.json").read_text())
+    assert [run["fits"] for run in fitted["runs"]] == [run["fits"] for run in tree["runs"]]
+
+
+@pytest.mark.slow
+def test_each_level_begins_further_back(archive: Path) -> None:
+    record = archive.parent / "runs" / "series" / "run-1.mcap"
+    spots, pixels = (analyse_replayed(record, retrack=again).results for again in (False, True))
+    assert spots.sha256 == pixels.sha256
+    assert spots.half_cycles == pixels.half_cycles > 10
+    b, b_again = (run.fits["exact"].estimate("b") for run in (spots, pixels))
+    assert b.value == pytest.approx(b_again.value, abs=3 * b.standard_uncertainty)
+
+
+def test_what_cannot_be_done_is_said_and_not_written(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.archive.refitting._in_processes", in_this_process)
+    refused = rig("archive", "refit", "--set", "fit.colour=red", "--archive", archive)
+    assert refused.returncode == 2
+    assert "fit.colour" in refused.stderr
+    assert "no such law" in rig("archive", "refit", "--law", "wishful", "--archive", archive).stderr
+    both = rig("archive", "refit", "09dd", "--where", "true", "--archive", archive)
+    assert "has no effect beside 09dd" in both.stderr
+    record = archive.parent / "runs" / "series" / "run-1.mcap"
+    record.write_bytes(record.read_bytes() + b"\0")
+    changed = rig("archive", "refit", "--archive", archive)
+    assert changed.returncode == 1
+    assert "has changed since it was read" in changed.stderr
+    assert not list(record.parent.glob("results-*.json"))
+
+
+def deadly(task: Task) -> str:
+    """Ends its process as a fault in a library does, once or each time, or raises."""
+    kind, marker = task.folder.name, task.folder.parent / "once"
+    if kind == "poison" or (kind == "once" and not marker.exists()):
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    if kind == "fault":
+        raise ValueError("of this one alone")
+    return ""
+
+
+@pytest.mark.slow
+def test_a_session_that_ends_its_process_costs_no_other(tmp_path: Path) -> None:
+    names = ("a", "poison", "b", "once", "fault", "c")
+    tasks = [Task(tmp_path / name, (), "swings", (), ()) for name in names]
+    said = {task.folder.name: outcome for task, outcome in _in_processes(deadly, tasks, 2)}
+    assert said == {
+        **dict.fromkeys(("a", "b", "c", "once"), ""),
+        "poison": "its process was ended, also when it ran alone",
+        "fault": "failed: ValueError('of this one alone')",
+    }
+
+
+def test_a_cluster_that_is_not_there_is_said(archive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    done = rig("archive", "refit", "--cluster", "tcp://127.0.0.1:9", "--archive", archive)
+    assert done.returncode == 2
+    assert "no Dask scheduler answers there" in done.stderr or "needs distributed" in done.stderr
+    assert refit_runs(archive, [], "b > 1e9", "swings") == 0
+    assert capsys.readouterr().out == "0 sessions fitted again, 0 left as they were\n"
