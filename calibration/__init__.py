@@ -6,14 +6,6 @@ scipy.stats would slow down the start of every command.
 
 from calibration.axes import Axes, deflections, displacements
 from calibration.axes_fit import AxesFit, Sign, fit_axes
-from calibration.certificate import Certificate, CertifiedQuantity, is_certificate, parse_certificate
-from calibration.certificate_document import (
-    CertificateFacts,
-    CertifiedMeasurement,
-    ResultGroup,
-    ResultNumber,
-    certificate_bytes,
-)
 from calibration.known_angle import ScaleCheck, check_scale, moved_between
 from calibration.ladder import LadderSteps
 from calibration.lever_fit import LadderFit, fit_ladder, lever_from_shifts, lever_from_tilts

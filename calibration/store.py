@@ -1,46 +1,28 @@
 """Calibration files: TOML with provenance; a new file never overwrites an older one."""
 
-import base64
 import datetime
-import hashlib
 import json
 import math
 import re
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from calibration.certificate import is_certificate
 from processing.errors import ConfigurationError, RecordError
 
-Kind = Literal["lever", "axes", "sensor", "clock", "shutter", "air", "pointing", "check", "mass"]
-SCHEMA = 2
-"""2 has the content of sources; a file without is still written as 1, which every version reads."""
+Kind = Literal["lever", "axes", "sensor", "clock", "shutter", "air", "pointing", "check"]
+SCHEMA = 1
 
 
 class Source(BaseModel, frozen=True, extra="forbid"):
-    """A file from which the calibration was made; `content` is the whole of it in base64, where it is kept.
-
-    A certificate is kept, because nothing else on the rig holds it.
-    """
+    """A file from which the calibration was made."""
 
     name: str
     sha256: str = Field(pattern="^[0-9a-f]{64}$")
-    content: str = Field(default="", repr=False)
-
-    @model_validator(mode="after")
-    def _as_named(self) -> Self:
-        if self.content and hashlib.sha256(self.data()).hexdigest() != self.sha256:
-            raise ValueError(f"the content of {self.name} is not that of its SHA-256")
-        return self
-
-    def data(self) -> bytes:
-        """The file itself; empty where it is not kept."""
-        return base64.b64decode(self.content, validate=True)
 
 
 class CalibrationFile(BaseModel, frozen=True, extra="forbid"):
@@ -108,10 +90,6 @@ def read_calibration(path: Path, kind: Kind | None = None) -> CalibrationFile:
 
 def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> CalibrationFile:
     """The same for the content of a file, as a record stores it; `name` is used in messages."""
-    if is_certificate(data):
-        raise ConfigurationError(
-            f"{name}: is XML; rig calibrate lever, or mass, makes a calibration of a certificate"
-        )
     try:
         found = CalibrationFile.model_validate(tomllib.loads(data.decode("utf-8")))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
@@ -168,7 +146,7 @@ def toml_text(calibration: CalibrationFile) -> str:
         lines += [
             "",
             "[[sources]]",
-            *(f"{key} = {toml_value(value)}" for key, value in source.items() if value),
+            *(f"{key} = {toml_value(value)}" for key, value in source.items()),
         ]
     for name, table in tables.items():
         lines += ["", f"[{name}]"]

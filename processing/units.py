@@ -63,25 +63,12 @@ _OTHERS: Final[Mapping[str, Size]] = {
     "e": _of(1.0, electron=1),
     "dB": _of(1.0, dB=1),
 }
-D_SI: Final[Mapping[str, str]] = {
-    "m": "metre", "g": "gram", "s": "second", "A": "ampere", "V": "volt", "Hz": "hertz", "N": "newton",
-    "Pa": "pascal", "J": "joule", "W": "watt", "rad": "radian", "1": "one", "%": "percent", "ppm": "ppm",
-    "min": "minute", "h": "hour", "d": "day", "deg": "degree", "arcmin": "arcminute", "arcsec": "arcsecond",
-    "°C": "degreecelsius", "K": "kelvin", "dB": "decibel",
-}  # fmt: skip
-"""What D-SI, the format of certificates, calls them (SI brochure); of counts it has no names."""
-COUNTS: Final = ("px", "DN", "e")
-"""Counts of something: of dimension one in the SI."""
 _SPELLINGS: Final[Mapping[str, str]] = {
     "°": "deg", "degrees": "deg", "degree": "deg", "degC": "°C", "″": "arcsec", '"': "arcsec", "′": "arcmin",
     "'": "arcmin", "percent": "%", "sec": "s", "seconds": "s", "second": "s", "msec": "ms", "usec": "us",
     "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns", "minutes": "min", "hours": "h",
     "days": "d", "radians": "rad", "pixel": "px", "pixels": "px", "count": "DN",
     "counts": "DN",
-}  # fmt: skip
-D_SI_PREFIXES: Final[Mapping[str, str]] = {
-    "G": "giga", "M": "mega", "k": "kilo", "h": "hecto", "c": "centi", "m": "milli", "u": "micro",
-    "n": "nano", "p": "pico", "f": "femto",
 }  # fmt: skip
 _PREFIXES: Final[Mapping[str, float]] = {
     "G": 1e9, "M": 1e6, "k": 1e3, "h": 1e2, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9,

@@ -2,7 +2,6 @@
 
 from rig.calibrate.air import VanesToCut, calibrate_air, vanes_to_cut
 from rig.calibrate.axes import calibrate_axes
-from rig.calibrate.certificate import calibrate_mass
 from rig.calibrate.clock import calibrate_clock
 from rig.calibrate.filing import Filing
 from rig.calibrate.inputs import LADDER_UNITS, LadderFile, TransferFile

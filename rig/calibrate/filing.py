@@ -1,9 +1,7 @@
 """Writes a calibration file with its author, date, validity and sources."""
 
-import base64
 import datetime
 import getpass
-import hashlib
 import socket
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -46,23 +44,17 @@ def file_calibration(
     sources: Sequence[Path],
     notes: Sequence[str] = (),
     measured_at: datetime.datetime | None = None,
-    valid_until: datetime.datetime | None = None,
-    certificate: Mapping[str, bytes] | None = None,
 ) -> Path:
-    """Write one calibration, valid from `measured_at` (None: now) or until `valid_until`; returns the file.
+    """Write one calibration, valid from `measured_at` (None: now) on; returns the file.
 
     `values` fill a section of the configuration, `details` are shown in a report, `sources` are the
-    files used, whose hashes are stored. `certificate` is one by its name, which is stored whole.
+    files used, whose hashes are stored.
     """
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     measured_at = measured_at or now
-    valid_until = valid_until or measured_at + datetime.timedelta(days=filing.valid_days)
+    valid_until = measured_at + datetime.timedelta(days=filing.valid_days)
     used = [Source(name=path.name, sha256=sha256_of(path)) for path in sources if path.is_file()]
-    for name, data in (certificate or {}).items():
-        content = base64.b64encode(data).decode()
-        used.append(Source(name=name, sha256=hashlib.sha256(data).hexdigest(), content=content))
     calibration = CalibrationFile(
-        schema_version=2 if certificate else 1,
         kind=kind,
         made_by=filing.made_by or _user(),
         made_at=now,

@@ -39,7 +39,7 @@ class LadderStep(BaseModel, frozen=True, extra="forbid"):
 
 
 class LadderFile(BaseModel, frozen=True, extra="forbid"):
-    """A ladder of known tilts or shifts, or the geometry of the lever instead, or a certificate of its arm.
+    """A ladder of known tilts or shifts, or the geometry of the lever instead.
 
     `pixel_pitch_m` is that of the sensor; `binning` is the camera's where spots are stated (records know
     theirs). Steps are in the order of the measurement. `u_reference` is the standard uncertainty of one
@@ -57,14 +57,13 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
     binning: int = Field(default=1, ge=1, le=16)
     step: tuple[LadderStep, ...] = ()
     geometry: LeverGeometry | None = None
-    certificate: Path | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.unit not in LADDER_UNITS[self.kind]:
             raise ValueError(f"unit = {self.unit!r}: {', '.join(LADDER_UNITS[self.kind])} for a {self.kind}")
-        if [bool(self.step), self.geometry is not None, self.certificate is not None].count(True) != 1:
-            raise ValueError("state either [[step]] or [geometry] or certificate")
+        if bool(self.step) == (self.geometry is not None):
+            raise ValueError("state either [[step]] or [geometry]")
         return self
 
     def in_si(self, reading: float) -> float:

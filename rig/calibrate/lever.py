@@ -16,7 +16,6 @@ from calibration import (
     require_rest,
 )
 from processing.errors import ConfigurationError
-from rig.calibrate.certificate import certificate_in, lever_of_certificate
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.calibrate.inputs import LadderFile, read_ladder
 from rig.calibrate.spots import binning_of_record, mean_spot, spots_of_record
@@ -24,20 +23,8 @@ from rig.presentation import percent, signed_percent
 
 
 def calibrate_lever(ladder: Path, filing: Filing) -> Path:
-    """Calibrate the lever from its geometry, from a ladder of tilts or shifts (see `read_ladder`), or from a
-    certificate.
-    """
-    if (certificate := certificate_in(ladder)) is not None:
-        return lever_of_certificate(ladder, certificate, filing)
+    """Calibrate the lever from its geometry, or from a ladder of tilts or shifts (see `read_ladder`)."""
     table = read_ladder(ladder)
-    if table.certificate is not None:
-        path = ladder.parent / table.certificate
-        if (certificate := certificate_in(path)) is None:
-            raise ConfigurationError(
-                f"{path}: is not a digital calibration certificate (XML); {ladder} names it"
-            )
-        stated = {"pixel_pitch_m": table.needed("pixel_pitch_m"), "binning": table.binning}
-        return lever_of_certificate(path, certificate, filing, stated, [ladder])
     if table.geometry is not None:
         found = lever_from_geometry(table.geometry)
         details = {"u_scale_relative": found.lever.u_scale_relative, **details_of(found, "lever")}

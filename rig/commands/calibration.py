@@ -60,15 +60,14 @@ def register(app: typer.Typer) -> None:
     group = typer.Typer(help="Make a calibration file.", no_args_is_help=True)
     for made in (lever, axes, sensor, clock, shutter, air, pointing, check):
         group.command()(in_json(_command(made)))
-    group.command()(in_json(mass))
     app.add_typer(group, name="calibrate")
 
 
 def lever(ladder: AskedLadder, filing: "Filing") -> Path:
     """Calibrate pixels to radians.
 
-    From geometry, known tilts or known shifts of the sensor, or a certificate (DCC). Without a file it asks
-    step by step, and continues where it was interrupted.
+    From geometry, known tilts or known shifts of the sensor. Without a file it asks step by step, and
+    continues where it was interrupted.
 
     \b
     Examples:
@@ -218,31 +217,6 @@ def check(
     if lever is None:
         raise typer.BadParameter(f"is missing: which lever shall {ladder} check?", param_hint="--lever")
     return check_known_angle(ladder, lever, filing)
-
-
-def mass(
-    certificate: Annotated[
-        Path,
-        typer.Argument(
-            help="Digital calibration certificate (DCC, XML).", show_default=False, callback=there
-        ),
-    ],
-    output: Folder = Path("calibrations"),
-    valid_days: Days = 90.0,
-    by: By = "",
-) -> None:
-    """Take the pendulum's mass from a certificate.
-
-    Value and standard uncertainty, whatever its coverage factor and its unit. A recalibration date in the
-    certificate replaces --valid-days.
-
-    \b
-    Example:
-      rig calibrate mass mass.xml
-    """
-    from rig.calibrate import calibrate_mass
-
-    _say(calibrate_mass(certificate, _filing(output, valid_days, by)))
 
 
 def _filing(output: Folder = Path("calibrations"), valid_days: Days = 90.0, by: By = "") -> "Filing":

@@ -66,17 +66,15 @@ def export(
     source: Annotated[
         Path,
         typer.Argument(
-            help="Folder of a session, one record (.mcap), or a calibration file.",
+            help="Folder of a session, or one record (.mcap).",
             show_default=False,
             callback=with_results,
         ),
     ],
-    output: Annotated[Path, output_option("Folder to write; with hdf5, dcc: file.", show_default=False)],
+    output: Annotated[Path, output_option("Folder to write; with hdf5: file.", show_default=False)],
     format_: Annotated[
-        Literal["csv", "parquet", "hdf5", "dcc", "latex"],
-        typer.Option(
-            "--format", help="hdf5: NeXus; dcc: calibration certificate; latex: the report's tables."
-        ),
+        Literal["csv", "parquet", "hdf5", "latex"],
+        typer.Option("--format", help="hdf5: NeXus; latex: the report's tables."),
     ] = "csv",
 ) -> None:
     """Export spots, half-cycles and results for other programs.
@@ -85,10 +83,10 @@ def export(
     Example:
       rig export runs/first --format csv -o runs/csv
     """
-    from rig.export import ONE_FILE, export_session
+    from rig.export import export_session
     from rig.presentation import answer
 
-    (new_file(makes_folders=True) if format_ in ONE_FILE else folder_without())(output)
+    (new_file(makes_folders=True) if format_ == "hdf5" else folder_without())(output)
     for path in export_session(source, format_, output):
         print(path)
         answer(written=[path])

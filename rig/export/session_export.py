@@ -6,7 +6,6 @@ from typing import Literal
 from acquisition.record.whole_file import write_new
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import TableDecay
-from rig.export.certificate import write_certificate_of_calibration, write_certificate_of_runs
 from rig.export.nexus import item_name, write_nexus
 from rig.export.run import read_run, runs_in, series_in
 from rig.export.series import SERIES_NAME, exported_series
@@ -15,9 +14,7 @@ from rig.export.tables import TABLES, table_path, write_csv, write_parquet
 from rig.presentation import say
 from rig.report import latex_tables
 
-Format = Literal["csv", "parquet", "hdf5", "dcc", "latex"]
-ONE_FILE = ("hdf5", "dcc")
-"""Formats that make one file, not a folder of them."""
+Format = Literal["csv", "parquet", "hdf5", "latex"]
 
 
 def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
@@ -25,14 +22,10 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
 
     What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, three
     files a run, and one with what the runs say together. HDF5: `output` is the file, one NXentry a run and
-    one for the series. DCC: `output` is a digital calibration certificate of the results, or of those of a
-    calibration file. LaTeX: a folder with the tables of the report. Nothing that exists is written over.
+    one for the series. LaTeX: a folder with the tables of the report. Nothing that exists is written over.
 
     Raises RecordError for a source without records, ConfigurationError for a file that exists.
     """
-    if kind == "dcc" and source.suffix.lower() == ".toml":
-        write_certificate_of_calibration(source, output)
-        return [output]
     if kind == "latex":
         return _export_latex(source, output)
     found = runs_in(source)
@@ -45,9 +38,9 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
         made.append(table_path(output, SERIES_NAME, "results", suffix))
     if len(set(made)) < len(made) or (kind == "hdf5" and len(set(map(item_name, names))) < len(names)):
         raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
-    for path in [output] if kind in ONE_FILE else made:
+    for path in [output] if kind == "hdf5" else made:
         if path.exists():
-            place = "name" if kind in ONE_FILE else "folder"
+            place = "name" if kind == "hdf5" else "folder"
             raise ConfigurationError(f"{path}: exists already and is not overwritten; choose another {place}")
     folder = source if source.is_dir() else source.parent
     runs = [
@@ -60,11 +53,6 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
         for note in run.notes:
             say(f"{run.name}: {note}" if source.is_dir() else note)
     fitted = [(run, results) for run, (_, _, results) in zip(runs, found, strict=True) if results]
-    if kind == "dcc":
-        if not fitted:
-            raise RecordError(f"{source}: has no results to certify; rig fit makes some")
-        write_certificate_of_runs(fitted, output, series)
-        return [output]
     together = None if series is None else exported_series(source, series, fitted)
     try:
         if kind == "hdf5":

@@ -9,7 +9,7 @@ from typing import Any
 from calibration import CalibrationFile, Kind, Lever, moved_between, parse_calibration
 from processing.errors import ConfigurationError
 from rig.presentation import percent, signed_percent
-from rig.settings import Configuration, FitSettings, PendulumSettings, validate_configuration
+from rig.settings import Configuration, FitSettings, validate_configuration
 
 PREFIX = "calibration/"
 _SECTIONS: Mapping[Kind, str] = {
@@ -19,10 +19,6 @@ _SECTIONS: Mapping[Kind, str] = {
     "clock": "timebase",
     "shutter": "shutter",
 }
-
-
-_SAME_BODY = 0.02
-"""A mass that is stated roughly may be off the certified one by this part."""
 
 
 def fill_from_files(config: Configuration) -> Configuration:
@@ -54,8 +50,6 @@ def fill_from_files(config: Configuration) -> Configuration:
         # open and vacuum are asked for by name, and hold
         if config.fit.drag == "air":
             update["fit"] = _with_measured_drag(config, found, air)
-    if config.calibration.mass is not None:
-        update["pendulum"] = _with_certified_mass(config, config.calibration.mass)
     if config.calibration.pointing is not None:
         parse_calibration(_read(config.calibration.pointing, "pointing"), str(config.calibration.pointing))
     for path in config.calibration.checks:
@@ -76,28 +70,6 @@ def _with_measured_drag(config: Configuration, found: CalibrationFile, path: Pat
     return filled
 
 
-def _with_certified_mass(config: Configuration, path: Path) -> PendulumSettings:
-    """The pendulum with the mass of a certificate, which may not be that of another body."""
-    found = parse_calibration(_read(path, "mass"), str(path), "mass")
-    stated = config.pendulum
-    if stated is None:
-        raise ConfigurationError(
-            f"calibration.mass = {str(path)!r}: there is no [pendulum]; add it, or leave calibration.mass out"
-        )
-    certified_kg = float(found.values["mass_kg"])
-    off = stated.mass_kg / certified_kg - 1
-    if abs(off) > _SAME_BODY:
-        raise ConfigurationError(
-            f"pendulum.mass_kg = {stated.mass_kg:g} is {signed_percent(off)} off the {certified_kg:g} kg of "
-            f"calibration.mass = {str(path)!r}: state the mass of the body that was certified"
-        )
-    tree = {
-        "camera": {"driver": config.camera.driver},
-        "pendulum": stated.model_dump() | {"u_mass_kg": 0.0} | found.values,
-    }
-    return validate_configuration(tree, str(path)).pendulum or stated
-
-
 def _section_values(found: CalibrationFile) -> dict[str, Any]:
     """What fills the section: the values, and for a sensor the map of its hot pixels from the details."""
     hot = found.details.get("hot_pixels_xy") if found.kind == "sensor" else None
@@ -106,7 +78,7 @@ def _section_values(found: CalibrationFile) -> dict[str, Any]:
 
 def calibration_attachments(config: Configuration) -> dict[str, bytes]:
     """Contents of the calibration files in use, by their names in a record."""
-    paths = {kind: getattr(config.calibration, kind) for kind in (*_SECTIONS, "mass", "air", "pointing")}
+    paths = {kind: getattr(config.calibration, kind) for kind in (*_SECTIONS, "air", "pointing")}
     found = {f"{PREFIX}{kind}.toml": _read(path) for kind, path in paths.items() if path is not None}
     for number, path in enumerate(config.calibration.checks, 1):
         found[f"{PREFIX}check-{number}.toml"] = _read(path)
@@ -155,7 +127,7 @@ def judge_calibration(
             missing.append(kind)
     if missing:
         warnings.append(f"not calibrated: {', '.join(missing)} (rig calibrate)")
-    others: tuple[Kind, ...] = ("mass", "air", "pointing")
+    others: tuple[Kind, ...] = ("air", "pointing")
     for kind in others:
         data = attachments.get(f"{PREFIX}{kind}.toml")
         if data is not None:
@@ -184,7 +156,7 @@ def _entry(found: CalibrationFile, data: bytes, at: datetime.datetime) -> dict[s
         "sha256": hashlib.sha256(data).hexdigest(),
         **found.model_dump(
             mode="json",
-            exclude={"details": True, "schema_version": True, "sources": {"__all__": {"content"}}},
+            exclude={"details", "schema_version"},
         ),
     }
 

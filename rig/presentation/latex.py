@@ -3,8 +3,8 @@
 import re
 from typing import Final
 
-from processing.d_si import in_d_si
 from processing.errors import ConfigurationError
+from processing.units import factors, split_prefix
 from rig.presentation.table import Table
 
 _NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
@@ -24,6 +24,19 @@ _OTHERS: Final = {
     "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}",
 }  # fmt: skip
+_UNITS: Final = {
+    "m": "metre", "g": "gram", "s": "second", "A": "ampere", "V": "volt", "Hz": "hertz", "N": "newton",
+    "Pa": "pascal", "J": "joule", "W": "watt", "rad": "radian", "%": "percent", "ppm": "ppm",
+    "min": "minute", "h": "hour", "d": "day", "deg": "degree", "arcmin": "arcminute", "arcsec": "arcsecond",
+    "°C": "degreecelsius", "K": "kelvin", "dB": "decibel",
+}  # fmt: skip
+"""siunitx's names of the units of the project's table."""
+_PREFIXES: Final = {
+    "G": "giga", "M": "mega", "k": "kilo", "h": "hecto", "c": "centi", "m": "milli", "u": "micro",
+    "n": "nano", "p": "pico", "f": "femto",
+}  # fmt: skip
+_WITHOUT_NAME: Final = ("px", "DN", "e", "1")
+"""Counts of something, and the unit one."""
 _WITH_U = re.compile(rf"\(?({_NUMBER}) ± ({_NUMBER})\)?(?: × 10([⁻⁰¹²³⁴-⁹]+))?")
 _PLAIN = re.compile(rf"({_NUMBER})(?: × 10([⁻⁰¹²³⁴-⁹]+))?")
 
@@ -80,14 +93,29 @@ def _power(raised: str | None) -> str:
 
 
 def _unit(text: str) -> str:
-    """A unit of the project's table by siunitx's names, which are those of D-SI; else as it is written."""
+    """A unit of the project's table by siunitx's names; else as it is written."""
     if not text.strip():
         return ""
     try:
-        named = in_d_si(text)
+        named = _siunitx(text)
     except ConfigurationError:
         return rf"\unit{{{_raised(text)}}}"
-    return rf"\unit{{{named}}}" if named != r"\one" else _text(text)
+    return rf"\unit{{{named}}}" if named else _text(text)
+
+
+def _siunitx(unit: str) -> str:
+    """Empty where all of it is of dimension one; raises ConfigurationError for a text that is no unit."""
+    words = []
+    for symbol, power in factors(unit):
+        prefix, rest = split_prefix(symbol.replace("μ", "u").replace("µ", "u"))
+        if rest in _WITHOUT_NAME:
+            continue
+        # the one unit that has its prefix in its name
+        word = "".join(f"\\{name}" for name in (_PREFIXES.get(prefix), _UNITS[rest]) if name)
+        word = word.replace(r"\kilo\gram", r"\kilogram")
+        raised = power if power.denominator == 1 else float(power)
+        words.append(word if power == 1 else rf"{word}\tothe{{{raised}}}")
+    return "".join(words)
 
 
 def _raised(text: str) -> str:

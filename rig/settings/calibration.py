@@ -14,9 +14,6 @@ class CalibrationSettings(BaseModel, frozen=True, extra="forbid"):
     sensor: Path | None = Field(default=None, description="fills [sensor]")
     lever: Path | None = Field(default=None, description="fills [lever]")
     axes: Path | None = Field(default=None, description="fills [axes]")
-    mass: Path | None = Field(
-        default=None, description="fills pendulum.mass_kg and its uncertainty, as a certificate states them"
-    )
     clock: Path | None = Field(default=None, description="fills [timebase]")
     shutter: Path | None = Field(default=None, description="fills [shutter]")
     air: Path | None = Field(

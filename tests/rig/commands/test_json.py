@@ -59,7 +59,6 @@ NOT_RUN = {
     "paper": "takes minutes; test_paper.py",
     "camera dump": "needs a USB3 Vision camera",
     "light audit": "needs a log of a laser; test_light.py",
-    "calibrate mass": "needs a certificate; tests/rig/calibrate",
     "light acknowledge": "needs a trip; test_light.py",
     **{
         f"calibrate {kind}": "all kinds are one function, which calibrate lever runs"

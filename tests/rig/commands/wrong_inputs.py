@@ -13,8 +13,8 @@ from rig.settings import Configuration
 from rig.settings.wording import section_fields, section_of
 
 _MEANT = "tin"
-_STATED = {"config", "file", "ladder", "frames", "lever", "plan", "vanes", "certificate"}
-"""Arguments that name what somebody has stated, in TOML or a certificate: like a configuration, no record."""
+_STATED = {"config", "file", "ladder", "frames", "lever", "plan", "vanes"}
+"""Arguments that name what somebody has stated, in TOML: like a configuration, no record."""
 
 
 class WrongKey(NamedTuple):

@@ -17,8 +17,6 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.units import size
 from rig.analysis import (
-    DampingResults,
-    InstrumentResults,
     InstrumentSeries,
     OverPlaces,
     Series,
@@ -27,12 +25,9 @@ from rig.analysis import (
 )
 from rig.analysis.analysed_run import session_results
 from rig.analysis.record_fit import analyse_record
-from rig.export.certificate import write_certificate_of_runs
-from rig.export.run import ExportedRun
 from rig.export.session_export import export_session
 from rig.report.figures_contact import series_figure
 from rig.report.session_report import latex_tables
-from tests.rig.certificates import schema
 
 
 def numbers_of(tree: Any, above: str = "") -> Iterator[tuple[str, float]]:
@@ -94,31 +89,6 @@ def test_hdf5_has_an_entry_for_the_series(
         assert entry["results/values/budget/gamma_pa/value"].attrs["units"] == "Pa"
 
 
-def test_a_certificate_states_what_the_runs_determine_together(
-    measured_series: Path, series: dict[str, Any], shared_data: Path, tmp_path: Path
-) -> None:
-    export_session(measured_series, "dcc", tmp_path / "runs.xml")
-    found = schema(shared_data)
-    found.validate(str(tmp_path / "runs.xml"))
-    tree = found.to_dict(str(tmp_path / "runs.xml"))
-    *_, together = tree["dcc:measurementResults"]["dcc:measurementResult"]
-    assert together["dcc:name"]["dcc:content"][0]["$"] == "series of 2 runs"
-    (exact,) = (
-        one
-        for one in together["dcc:results"]["dcc:result"]
-        if one["dcc:name"]["dcc:content"][0]["$"][:5] == "exact"
-    )
-    stated = {each["@refType"][0]: each["si:real"] for each in exact["dcc:data"]["dcc:quantity"]}
-    n, unc = series["exact"]["n"], stated["rig_n"]["si:expandedUnc"]
-    assert stated["rig_n"]["si:value"] == n["value"]
-    assert unc["si:uncertainty"] / unc["si:coverageFactor"] == n["standard_uncertainty"]
-    # Student's t of one degree of freedom: P(|t| < 2) = 2 arctan(2) / pi
-    assert unc["si:coverageProbability"] == pytest.approx(2 * math.atan(2) / math.pi, abs=1e-6)
-    for name, item in series["exact"].items():
-        if item["standard_uncertainty"] > 0.1 * abs(item["value"]):
-            assert f"rig_{name}" not in stated
-
-
 def test_a_run_without_fit_shifts_no_number(measured_series: Path, tmp_path: Path) -> None:
     """The report blamed run 2 where run 3 stood apart, as runs that could not be fitted were not counted."""
     first = analyse_record(measured_series / "run-1.mcap")
@@ -158,31 +128,6 @@ def test_places_of_a_sample_have_units_and_tables(measured_series: Path, tmp_pat
     text = latex_tables(tmp_path)["series.tex"]
     assert "ratio of damping times" in text
     assert "0.323" in text
-
-
-def test_a_damping_time_is_certified(measured_series: Path, shared_data: Path, tmp_path: Path) -> None:
-    """A Koenig pendulum "has no results to certify", as its time stands one step further down."""
-    (first, *_) = read_results(measured_series).runs
-    koenig = InstrumentResults(
-        kind="koenig", damping=DampingResults(6.0, 3.0, Estimate(80.8, 0.1), Estimate(57.7, 0.1), 0)
-    )
-    run = replace(first, fits={}, budget={}, identifiability=(), instrument=koenig)
-    nothing = np.empty(0)
-    exported = ExportedRun("run-1", {}, {}, {}, spots=nothing, swings=nothing, began="2026-01-01T00:00:00")
-    series = Series(runs=3, instrument=KOENIG)
-    write_certificate_of_runs([(exported, run)], tmp_path / "k.xml", series)
-    found = schema(shared_data)
-    found.validate(str(tmp_path / "k.xml"))
-    one, together = found.to_dict(str(tmp_path / "k.xml"))["dcc:measurementResults"]["dcc:measurementResult"]
-    for measured, value in ((one, 80.8), (together, 80.8)):
-        (result,) = (
-            each
-            for each in measured["dcc:results"]["dcc:result"]
-            if "koenig" in each["dcc:name"]["dcc:content"][0]["$"]
-        )
-        stated = {each["@refType"][0]: each["si:real"] for each in result["dcc:data"]["dcc:quantity"]}
-        assert stated["rig_time_s"]["si:value"] == value
-        assert stated["rig_time_s"]["si:unit"] == r"\second"
 
 
 def test_two_names_that_are_one_in_nexus(measured_series: Path, tmp_path: Path) -> None:

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from processing.units import _OTHERS, _PREFIXABLE
 from rig.presentation import Table, latex_table
+from rig.presentation.latex import _UNITS, _WITHOUT_NAME
 from tests.rig.command_line import rig
 
 
@@ -45,6 +47,11 @@ def test_a_cell(cell: str, text: str) -> None:
 )
 def test_a_unit(unit: str, text: str) -> None:
     assert lines_of("x", "1", unit)[8] == rf"x & \num{{1}} & {text} \\"
+
+
+def test_every_unit_of_the_table_has_a_name_or_is_a_count() -> None:
+    """But mas, in which nothing is reported."""
+    assert {*_OTHERS, *_PREFIXABLE} - {"mas"} == {*_UNITS, *_WITHOUT_NAME}
 
 
 def test_a_heading_names_its_unit() -> None:
