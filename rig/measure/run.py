@@ -1,10 +1,12 @@
 """Executes one run in several threads, from the first attempt at a start to the closed record."""
 
+import gc
 import logging
+import sys
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from acquisition.frame import Frame
@@ -12,7 +14,6 @@ from acquisition.record.events import Event, EventKind
 from processing.errors import DataError, DeviceError
 from rig.instrument import Phase, Snapshot, Wall
 from rig.measure.end_of_run import StopRequest
-from rig.measure.interpreter import ready_for_frames
 from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
 from rig.measure.run_parts import RunOutcome, RunParts
@@ -26,6 +27,30 @@ _PATIENCE_S = 60.0
 """For so long nothing may move before what hangs is abandoned; a slow disk gets its time."""
 _LITTLE_PATIENCE_S = 2.0
 """The same after a second interrupt."""
+
+_TURN_S = 0.0005
+"""After so long a thread passes Python's lock on. Each numerical kernel lays it down, and would wait Python's
+5 ms to get it back from a busy thread: a loop over many small kernels would hold frames up for seconds."""
+
+
+@contextmanager
+def ready_for_frames(*, live: bool) -> Iterator[None]:
+    """Within this context threads wait for one another only shortly.
+
+    For a `live` camera, what is there when it begins is left out of every later search for unreachable
+    objects: those of the libraries are so many that one search stops all threads for some tenths of a
+    second, in which the buffers of a camera run over. Frames made on demand would wait.
+    """
+    usual_turn_s = sys.getswitchinterval()
+    sys.setswitchinterval(_TURN_S)
+    if live:
+        gc.collect()
+        gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(usual_turn_s)
 
 
 class Run:

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from rig.measure.interpreter import ready_for_frames
+from rig.measure.run import ready_for_frames
 
 
 @pytest.mark.slow

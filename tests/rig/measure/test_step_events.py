@@ -9,7 +9,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from processing.swing import Swing
 from rig.instrument import Block
-from rig.measure.step_events import StepEvents
+from rig.measure.recording import StepEvents
 
 HALF_PERIOD_NS = 2_000_000_000
 

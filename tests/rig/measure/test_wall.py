@@ -11,7 +11,7 @@ from acquisition.record.reader import RecordReader
 from processing.balance import BalanceEstimator
 from processing.swing import SwingDetector
 from rig.instrument import Wall
-from rig.measure import camera_state, measure_session, step_events
+from rig.measure import camera_state, measure_session, recording
 from rig.measure.screen import RunDisplay
 from rig.posterior import LivePosterior
 from rig.settings import load_configuration
@@ -22,7 +22,7 @@ WATCHERS = {
     "the display": (RunDisplay, "show"),
     "the live fit": (LivePosterior, "take"),
     "the estimate of the balance": (BalanceEstimator, "update"),
-    "the watch for steps": (step_events.StepEvents, "take"),
+    "the watch for steps": (recording.StepEvents, "take"),
     "the camera's temperature": (camera_state.TemperatureWatch, "take"),
 }
 
