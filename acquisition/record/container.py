@@ -194,7 +194,8 @@ class McapFile:
     def add_channel(self, topic: str, schema_name: str, descriptor: bytes) -> int:
         """Add a channel of protobuf messages.
 
-        It is written outside the chunks, so that each chunk can be read without the others.
+        It is written outside the chunks, so that each chunk can be read without the others, and twice, so
+        that one changed bit of a file without its ending does not make the topic unreadable.
         """
         number = len(self._summary.channels) + 1
         schema = Schema(number, descriptor, "protobuf", schema_name)
@@ -202,7 +203,7 @@ class McapFile:
         channel.metadata[OWN_SHA256] = sha256_of_description(channel, schema)
         self._summary.schemas.append(schema)
         self._summary.channels.append(channel)
-        self._append(serialised(schema) + serialised(channel))
+        self._append(2 * (serialised(schema) + serialised(channel)))
         return number
 
     def add_chunk(self, builder: ChunkBuilder, *, hurried: bool = False) -> None:

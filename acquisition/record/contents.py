@@ -9,7 +9,7 @@ import os
 import struct
 import zlib
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import IO
 
@@ -51,7 +51,8 @@ class Contents:
 
     `whole` is False for a file without an ending; `readable_bytes` is the end of its last complete record.
     `indexed` is True if the chunks come from a summary with a correct checksum, so that their channels are
-    reliable. `attachments` are their sizes, `attachment_places` where their copies are. `damage` describes
+    reliable. `schemas` and `channels` are those that agree with their SHA-256, of all `read_schemas`.
+    `attachments` are their sizes, `attachment_places` where their copies are. `damage` describes
     parts of the structure that could not be read.
     """
 
@@ -60,6 +61,7 @@ class Contents:
     whole: bool = False
     indexed: bool = False
     readable_bytes: int = 0
+    read_schemas: dict[int, Schema] = field(default_factory=dict)
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -128,7 +130,7 @@ def read_contents(file: IO[bytes]) -> Contents:
 def _walk(file: IO[bytes], contents: Contents) -> None:
     """List the data section record by record, without decompression, up to its last complete record.
 
-    Behind bytes that are no record it goes on at the next chunk.
+    Behind bytes that are no record it goes on at the next chunk, or description of a topic.
     """
     chunk: tuple[int, int, int, int] | None = None
     channels: tuple[int, ...] = ()
@@ -164,6 +166,8 @@ def _walk(file: IO[bytes], contents: Contents) -> None:
         except (struct.error, ValueError) as error:
             # the length of the record before may be what has changed
             found = _next_chunk(file, before + 1, size)
+            if chunk is None:
+                found = _next_description(file, before + 1, found or size) or found
             if found is None:
                 break
             contents.damage.append(f"between bytes {before} and {found}: {error}")
@@ -195,6 +199,17 @@ def _next_chunk(file: IO[bytes], place: int, size: int) -> int | None:
         place += 1
 
 
+def _next_description(file: IO[bytes], place: int, end: int) -> int | None:
+    """Position of the next schema that a channel follows, before the first chunk."""
+    data = read_at(file, place, min(end - place, _BLOCK_BYTES))
+    for at in range(len(data) - HEAD.size):
+        opcode, length = HEAD.unpack_from(data, at)
+        following = at + HEAD.size + length
+        if opcode == Opcode.SCHEMA and following < len(data) and data[following] == Opcode.CHANNEL:
+            return place + at
+    return None
+
+
 def _list_or_note(file: IO[bytes], contents: Contents, place: int) -> None:
     """List one record of the data section; if it is damaged, note that and keep the rest readable."""
     try:
@@ -208,14 +223,15 @@ def _list_small(contents: Contents, place: int, opcode: int, data: bytes) -> Non
     if isinstance(record, Header):
         contents.library = record.library
     elif isinstance(record, Schema):
-        contents.schemas[record.id] = record
+        contents.read_schemas[record.id] = record
     elif isinstance(record, Channel):
-        schema = contents.schemas.get(record.schema_id)
-        if schema is None or record.metadata.get(OWN_SHA256) != sha256_of_description(record, schema):
-            contents.damage.append(f"the description of {record.topic} has changed")
-            # its messages cannot be read
-            record.schema_id = 0
-        contents.channels[record.id] = record
+        schema = contents.read_schemas.get(record.schema_id)
+        if schema is not None and record.metadata.get(OWN_SHA256) == sha256_of_description(record, schema):
+            contents.schemas[schema.id], contents.channels[record.id] = schema, record
+        else:
+            contents.damage.append(f"a description of {record.topic} has changed")
+            # without an intact copy its messages cannot be read
+            contents.channels.setdefault(record.id, replace(record, schema_id=0))
     elif isinstance(record, Metadata):
         contents.metadata[record.name] = record.metadata
     elif isinstance(record, Statistics):

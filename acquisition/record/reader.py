@@ -41,7 +41,6 @@ from processing.errors import RecordError
 from processing.swing import Swing
 
 _Value = TypeVar("_Value")
-_Decoded = TypeVar("_Decoded")
 _ROWS_AT_ONCE = 4096
 
 

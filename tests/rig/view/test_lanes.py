@@ -7,7 +7,7 @@ import rerun as rr
 
 from acquisition.record.events import Event, EventKind
 from rig.rerun import layout
-from rig.rerun.lanes import Lanes
+from rig.rerun.drawing import Lanes
 
 
 class Stream:
