@@ -13,7 +13,7 @@ from acquisition.record.chunk_reader import ChunkDamage, ChunkPlace, open_chunk
 from acquisition.record.contents import Contents, read_contents
 from acquisition.record.records import MAGIC, intact_attachment, read_at, read_record
 from acquisition.record.topics import METADATA_COPY, SCHEMA_VERSION
-from processing.errors import RecordError
+from processing.errors import RecordError, require_schema
 
 _log = logging.getLogger(__name__)
 _Found = TypeVar("_Found", bound=Sized)
@@ -176,11 +176,7 @@ class ProvedFile:
             int(head["epoch_offset_ns"])
         except (KeyError, ValueError):
             raise RecordError(f"{path}: its own description is damaged: {head}") from None
-        if version > SCHEMA_VERSION:
-            raise RecordError(
-                f"{path}: has schema version {version}, this program reads up to {SCHEMA_VERSION}; "
-                "update optical-pendulum-rig"
-            )
+        require_schema(str(path), version, SCHEMA_VERSION, RecordError)
 
 
 def open_mcap(path: Path) -> IO[bytes]:

@@ -28,6 +28,7 @@ from acquisition.record.topics import (
     SPOT,
     SPOT_UNCALIBRATED,
     SWING,
+    SWING_UNCALIBRATED,
     WINDOW,
     RecordedLog,
     RecordedLosses,
@@ -138,7 +139,7 @@ class RecordReader(ProvedFile):
         With `start_ns` (on the frames' clock), spots before that time are left out, and chunks before it are
         not read. With `fields`, only these fields (and `time_ns`) are decoded, which is faster.
         """
-        kind = self.message_type(SPOT.topic)
+        kind = self._type_of(SPOT if self.deflection_unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED)
         if kind is None:
             return
         wanted = None if fields is None else {"time_ns", *fields}
@@ -155,6 +156,7 @@ class RecordReader(ProvedFile):
 
     def swings(self) -> list[Swing]:
         """All half-cycles, with amplitudes in `deflection_unit`."""
+        self._type_of(SWING if self.deflection_unit is DeflectionUnit.RAD else SWING_UNCALIBRATED)
         return swings_of(self.table(SWING.topic))
 
     def balances(self) -> list[Balance]:
@@ -212,6 +214,13 @@ class RecordReader(ProvedFile):
                 held, count = [], 0
         if held:
             yield kind.decode_table(np.concatenate(held), fields)
+
+    def _type_of(self, own: MessageType) -> MessageType | None:
+        """Type of a topic's messages, which must have the fields of `own`; None without the topic."""
+        found = self.message_type(own.topic)
+        if found is not None and (found.numbers, found.tail) != (own.numbers, own.tail):
+            raise RecordError(f"{self.path}: topic {own.topic} has other fields than this version writes")
+        return found
 
     def message_type(self, topic: str) -> MessageType | None:
         """Message type of a topic as described in the file; None if the record has no such topic."""

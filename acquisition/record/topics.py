@@ -15,7 +15,6 @@ from processing.spot import Spot, SpotFlag
 from processing.swing import SwingFlag
 
 SCHEMA_VERSION = 1
-"""Increased if a reader of the previous version would misunderstand a record; not for additional fields."""
 PACKAGE = "optical_pendulum"
 LIBRARY = "optical-pendulum-rig"
 

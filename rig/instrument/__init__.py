@@ -32,7 +32,6 @@ from rig.instrument.provenance import (
     CONFIGURATION_NAME,
     code_identity,
     configuration_attachments,
-    earlier_schema,
     frame_shape,
     inputs_sha256,
     recorded_configuration,

@@ -14,6 +14,5 @@ from rig.report.session_report import (
     save_figures,
     save_tables,
 )
-from rig.report.source import turning_points_again
 from rig.report.tables_instruments import instrument_table
 from rig.report.tables_uncertainty import series_table

@@ -19,7 +19,7 @@ from tests.acquisition.record.hanging_disk import wait_for
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENTS = (*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"))
-OLDER = ROOT / "tests" / "rig" / "data" / "older"
+SAMPLES = ROOT / "tests" / "rig" / "data" / "samples"
 needs_dask = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None,
     reason="no Dask here: pip install 'optical-pendulum-rig[series]'",
@@ -119,7 +119,7 @@ def test_a_cluster_fits_sessions_again(started: "list[subprocess.Popen[bytes]]",
     port = free_port()
     for command in documented():
         start(started, command.replace("8786", str(port)).replace("8787", "0"), tmp_path)
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
     add_folders(tmp_path / "archive.duckdb", [tmp_path / "runs"])
     assert refit_runs(tmp_path / "archive.duckdb", [], "", "swings", cluster=f"tcp://127.0.0.1:{port}") == 0
     assert (tmp_path / "runs" / "series" / "results-2.json").exists()

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from acquisition.frame import Frame
 from acquisition.record.events import ERROR_KINDS, WARNING_KINDS
 from acquisition.record.writer import RecordWriter
 from processing.angle import ARCSEC_RAD
-from processing.balance import Balance, names_with_units
+from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
@@ -50,10 +51,11 @@ def make_record(path: Path, *, start_s: float = 7.0, rows: int = 1000, unit: str
                 index, time_ns, 1e-4, 120 * factor, 0.005 * factor, 2.035, 1e-4, 0.0, 1 - 2 * (index % 2), 0
             )
             writer.write_swing(swing)
-            known = {"transverse_ratio": 0.02, "u_transverse_ratio": 0.0005}
-            known |= {"line_angle_rad": math.radians(1.5), "u_line_angle_rad": math.radians(0.01)}
-            numbers = dict.fromkeys(names_with_units(DeflectionUnit(unit)), math.nan) | known
-            writer.write_balance(Balance(**numbers | {"time_ns": time_ns, "unit": DeflectionUnit(unit)}))
+            unknown: dict[str, Any] = dict.fromkeys(Balance.__dataclass_fields__, math.nan)
+            line = {"line_angle_rad": math.radians(1.5), "u_line_angle_rad": math.radians(0.01)}
+            line |= {"transverse_ratio": 0.02, "u_transverse_ratio": 0.0005}
+            at = {"time_ns": time_ns, "unit": DeflectionUnit(unit)}
+            writer.write_balance(Balance(**{**unknown, **line, **at}))
         writer.write_event(int(times_ns[200]), "gap", "1 frame is missing")
         image = view_scene.spot_image((420.0, 160.0), np.random.default_rng(0))
         writer.write_image(Frame(image, int(sequence[100]), int(times_ns[100]), int(times_ns[100])))
