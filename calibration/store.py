@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from processing.errors import ConfigurationError, RecordError
+from processing.errors import ConfigurationError, RecordError, require_schema
 
 Kind = Literal["lever", "axes", "sensor", "clock", "shutter", "air", "pointing", "check"]
 SCHEMA = 1
@@ -32,7 +32,7 @@ class CalibrationFile(BaseModel, frozen=True, extra="forbid"):
     plain values for a report. `method` and `notes` are text for the user. Times include the offset from UTC.
     """
 
-    schema_version: int = Field(default=1, ge=1, le=SCHEMA)
+    schema_version: int = SCHEMA
     kind: Kind
     made_by: str = ""
     made_at: datetime.datetime
@@ -91,7 +91,9 @@ def read_calibration(path: Path, kind: Kind | None = None) -> CalibrationFile:
 def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> CalibrationFile:
     """The same for the content of a file, as a record stores it; `name` is used in messages."""
     try:
-        found = CalibrationFile.model_validate(tomllib.loads(data.decode("utf-8")))
+        tree = tomllib.loads(data.decode("utf-8"))
+        require_schema(name, tree.get("schema_version", SCHEMA), SCHEMA, ConfigurationError)
+        found = CalibrationFile.model_validate(tree)
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigurationError(f"{name}: is not TOML: {error}") from None
     except ValidationError as error:
@@ -126,7 +128,6 @@ _WANTED = {
     "date": "a time with its offset from UTC, such as 2026-01-31T12:00:00Z",
     "dict": "a table",
     "int": "a whole number",
-    "less_than": "a version that this program knows; a later one wrote the file",
     "model": "a table",
     "string_pattern": "the 64 hexadecimal digits of a SHA-256",
     "string": "text, in quotes",

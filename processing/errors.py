@@ -39,6 +39,12 @@ class DataError(RigError):
     """The data do not suffice for the analysis requested (too few swings, no spot, no decay)."""
 
 
+def require_schema(what: str, stated: object, read: int, kind: type[RigError]) -> None:
+    """Raise `kind` for a file, `what`, whose schema is another than the one that is read."""
+    if stated != read or isinstance(stated, bool):
+        raise kind(f"{what}: is of schema {stated!r}; this version reads schema {read}")
+
+
 def in_one_line(error: Exception) -> str:
     """The error as one line, with its kind where it is not one of these."""
     text = re.sub(r"\s+", " ", f"{error}").strip()

@@ -6,7 +6,7 @@ from typing import Final, Literal, NamedTuple
 
 
 class EventKind(StrEnum):
-    """Kinds of events; records of other versions may hold further ones."""
+    """Kinds of events."""
 
     START = "start"
     """The first frame of the record."""
@@ -121,30 +121,17 @@ class Event(NamedTuple):
         return f"{self.kind}: {self.text}"
 
 
-_EARLIER_TEXTS: Final = {
-    "start not accepted: ": EventKind.REJECTED,
-    "stopped by the user": EventKind.STOPPED,
-    "terminated": EventKind.STOPPED,
-    "the program has failed": EventKind.FAILED,
-    "no frame ": EventKind.FAILED,
-    "camera: ": EventKind.FAILED,
-}
 _ENDS: Final = (EventKind.STOP, EventKind.REJECTED)
 CUT_SHORT: Final = (EventKind.STOPPED, EventKind.FAILED)
 """Kinds of ends that are none."""
 
 
 def end_of(events: Sequence[Event]) -> Event | None:
-    """The end of a run: STOP where it came to its end, REJECTED, STOPPED or FAILED; None without any.
-
-    Earlier versions recorded every end as a STOP, and said in its text alone which it was: that is read here
-    and nowhere else.
-    """
+    """The end of a run: STOP where it came to its end, REJECTED, STOPPED or FAILED; None without any."""
     place = max((place for place, event in enumerate(events) if event.kind in _ENDS), default=None)
     if place is None:
         return None
     end, before = events[place], events[place - 1] if place else None
     if before is not None and before.kind in CUT_SHORT:
         return end._replace(kind=before.kind)
-    kinds = [kind for text, kind in _EARLIER_TEXTS.items() if end.text.startswith(text)]
-    return end._replace(kind=kinds[0]) if kinds else end
+    return end

@@ -15,7 +15,7 @@ from acquisition.record.descriptions import own_texts
 from acquisition.record.disk_faults import FaultTolerantFile
 from acquisition.record.records import MAGIC, intact_attachment, read_record
 from acquisition.record.topics import METADATA_COPY, SCHEMA_VERSION, SPOT
-from processing.errors import RecordError
+from processing.errors import RecordError, require_schema
 
 _log = logging.getLogger(__name__)
 _Found = TypeVar("_Found", bound=Sized)
@@ -266,9 +266,5 @@ def check_ours(path: Path, contents: Contents) -> None:
         int(head["epoch_offset_ns"])
     except (KeyError, ValueError):
         raise RecordError(f"{path}: its own description is damaged: {head}") from None
-    if version > SCHEMA_VERSION:
-        raise RecordError(
-            f"{path}: has schema version {version}, this program reads up to {SCHEMA_VERSION}; "
-            "update optical-pendulum-rig"
-        )
+    require_schema(str(path), version, SCHEMA_VERSION, RecordError)
     contents.metadata["record"] = head

@@ -1,7 +1,6 @@
 """Reads a record, complete or truncated, chunk by chunk; memory does not grow with the file."""
 
 import datetime
-import math
 from collections.abc import Callable, Collection, Iterator
 from functools import partial
 from itertools import chain
@@ -27,9 +26,10 @@ from acquisition.record.foxglove import decode_log
 from acquisition.record.pixels import decode_image, decode_window
 from acquisition.record.proved_file import ProvedFile
 from acquisition.record.schemas import MessageType, message_type_of, parse_message_type
-from acquisition.record.spots_and_swings import deflections_of, spot_table, swings_of
+from acquisition.record.spots_and_swings import deflections_of, swings_of
 from acquisition.record.topics import (
     BALANCE,
+    BALANCE_UNCALIBRATED,
     DEFLECTION_FIELDS,
     EVENT,
     IMAGE_TOPIC,
@@ -37,7 +37,9 @@ from acquisition.record.topics import (
     LOSSES,
     NOTE,
     SPOT,
+    SPOT_UNCALIBRATED,
     SWING,
+    SWING_UNCALIBRATED,
     WINDOW,
     RecordedLog,
     RecordedLosses,
@@ -73,7 +75,7 @@ class RecordReader(ProvedFile):
 
     @property
     def full_scale_dn(self) -> int:
-        """Largest grey value of the camera; 255 if an older record does not state it."""
+        """Largest grey value of the camera; 255 if the record does not state it."""
         return int(self.metadata.get("camera", {}).get("full_scale_dn", "255"))
 
     def utc(self, time_ns: int) -> datetime.datetime:
@@ -124,21 +126,12 @@ class RecordReader(ProvedFile):
         return table[:filled]
 
     def values(self, topic: str, value_class: type[_Value]) -> list[_Value]:
-        """All messages of a topic as values of the dataclass or NamedTuple with which they were written.
-
-        Fields that an older record does not contain are NaN (float), 0 (int) or empty (str).
-        """
-        kind = self.message_type(topic)
+        """All messages of a topic as values of the dataclass or NamedTuple with which they were written."""
+        kind = self._type_of(message_type_of(value_class, "", topic))
         if kind is None:
             return []
-        wanted = message_type_of(value_class, kind.full_name, topic)
-        absent: dict[str, Any] = {name: math.nan if sort == "double" else 0 for name, sort in wanted.numbers}
-        absent |= {name: "" for name, _ in wanted.tail}
-        found = []
-        for message in self.messages(topic):
-            fields = dict(zip(kind.names, self._decoded(topic, message, kind.decode), strict=True))
-            found.append(value_class(**{name: fields.get(name, absent[name]) for name in wanted.names}))
-        return found
+        decoded = (self._decoded(topic, message, kind.decode) for message in self.messages(topic))
+        return [value_class(**dict(zip(kind.names, values, strict=True))) for values in decoded]
 
     def spots(self) -> NDArray[Any]:
         """All spots as a structured array (n,) with the fields of `topics.SPOT`, one row per frame.
@@ -146,7 +139,8 @@ class RecordReader(ProvedFile):
         Without a lever (`deflection_unit` is px) the fields are those of `topics.SPOT_UNCALIBRATED`. NaN
         where the spot was lost.
         """
-        return spot_table(self.table(SPOT.topic), self.deflection_unit)
+        own = SPOT if self.deflection_unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED
+        return np.empty(0, own.table_dtype) if self._type_of(own) is None else self.table(own.topic)
 
     def deflections(self, spots: NDArray[Any] | None = None) -> Deflections:
         """Deflections in rows returned by `spots` or `spot_blocks`; without any, those of the whole
@@ -162,12 +156,11 @@ class RecordReader(ProvedFile):
         With `start_ns` (on the frames' clock), spots before that time are left out, and chunks before it are
         not read. With `fields`, only these fields (and `time_ns`) are decoded, which is faster.
         """
-        kind = self.message_type(SPOT.topic)
+        kind = self._type_of(SPOT if self.deflection_unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED)
         if kind is None:
             return
         wanted = None if fields is None else {"time_ns", *fields}
-        for part in self._tables(kind, start_ns, wanted):
-            table = spot_table(part, self.deflection_unit, wanted)
+        for table in self._tables(kind, start_ns, wanted):
             if start_ns is not None:
                 table = table[table["time_ns"] >= start_ns]
             if len(table):
@@ -180,10 +173,12 @@ class RecordReader(ProvedFile):
 
     def swings(self) -> list[Swing]:
         """All half-cycles, with amplitudes in `deflection_unit`."""
+        self._type_of(SWING if self.deflection_unit is DeflectionUnit.RAD else SWING_UNCALIBRATED)
         return swings_of(self.table(SWING.topic))
 
     def balances(self) -> list[Balance]:
-        """All balances, in `deflection_unit`; NaN for numbers that an older record does not contain."""
+        """All balances, in `deflection_unit`."""
+        self._type_of(BALANCE if self.deflection_unit is DeflectionUnit.RAD else BALANCE_UNCALIBRATED)
         return balances_of(self.table(BALANCE.topic), self.deflection_unit)
 
     def events(self) -> list[Event]:
@@ -195,7 +190,7 @@ class RecordReader(ProvedFile):
         return self.values(NOTE.topic, RecordedNote)
 
     def losses(self) -> FrameLosses | None:
-        """Numbers of lost frames by cause; None if an older record does not contain them."""
+        """Numbers of lost frames by cause; None if the record does not contain them."""
         found = self.values(LOSSES.topic, RecordedLosses)
         return FrameLosses(*found[-1][1:]) if found else None
 
@@ -269,6 +264,13 @@ class RecordReader(ProvedFile):
             return kind.decode_table(messages, fields)
         except ValueError as error:
             raise RecordError(f"{self.path}: {error}; it was not written by rig run") from None
+
+    def _type_of(self, own: MessageType) -> MessageType | None:
+        """Type of a topic's messages, which must have the fields of `own`; None without the topic."""
+        found = self.message_type(own.topic)
+        if found is not None and (found.numbers, found.tail) != (own.numbers, own.tail):
+            raise RecordError(f"{self.path}: topic {own.topic} has other fields than this version writes")
+        return found
 
     def message_type(self, topic: str) -> MessageType | None:
         """Message type of a topic as described in the file; None if the record has no such topic."""

@@ -227,21 +227,6 @@ def parse_message_type(full_name: str, topic: str, descriptor: bytes) -> Message
     return MessageType(full_name, topic, named[:count], named[count:])
 
 
-def conform(table: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Rows (n,) of an older schema with the fields of `dtype`; missing doubles are NaN, missing integers
-    0.
-    """
-    if table.dtype == dtype:
-        return table
-    out = np.zeros(len(table), dtype=dtype)
-    for name in dtype.names or ():
-        if name in (table.dtype.names or ()):
-            out[name] = table[name]
-        elif dtype[name].kind == "f":
-            out[name] = np.nan
-    return out
-
-
 def message_type_of(value_class: type, full_name: str, topic: str) -> MessageType:
     """Message type of a flat dataclass or NamedTuple whose fields are int, bool, float or str.
 

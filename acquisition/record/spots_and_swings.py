@@ -1,13 +1,13 @@
 """Conversion of spots and swings to messages and back."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.schemas import MessageType, conform
-from acquisition.record.topics import DEFLECTION_FIELDS, SPOT, SPOT_UNCALIBRATED, SWING
+from acquisition.record.schemas import MessageType
+from acquisition.record.topics import DEFLECTION_FIELDS, SWING
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import SPOT_DTYPE, Spot
@@ -45,19 +45,6 @@ def spot_rows(
     if deflections.unit is DeflectionUnit.RAD:
         rows["x_arcsec"], rows["y_arcsec"] = deflections.x / ARCSEC_RAD, deflections.y / ARCSEC_RAD
     return rows
-
-
-def spot_table(
-    table: NDArray[Any], unit: DeflectionUnit, fields: Collection[str] | None = None
-) -> NDArray[Any]:
-    """A record's table of spots with the present fields of `SPOT` or `SPOT_UNCALIBRATED`; see `conform`.
-
-    With `fields`, only these of them.
-    """
-    present = (SPOT if unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED).table_dtype
-    if fields is not None:
-        present = np.dtype([(name, present[name]) for name in present.names or () if name in fields])
-    return conform(table, present)
 
 
 def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:

@@ -14,8 +14,7 @@ from processing.deflections import DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.swing import SwingFlag
 
-SCHEMA_VERSION = 2
-"""Increased if a reader of the previous version would misunderstand a record; not for additional fields."""
+SCHEMA_VERSION = 1
 PACKAGE = "optical_pendulum"
 LIBRARY = "optical-pendulum-rig"
 
@@ -243,7 +242,7 @@ SWING_UNCALIBRATED = _message(
 BALANCE = _message("Balance", "/balance", *_balance(DeflectionUnit.RAD))
 """One state of the balance."""
 BALANCE_UNCALIBRATED = _message("UncalibratedBalance", "/balance", *_balance(DeflectionUnit.PX))
-"""The same in px, except the angle of the line. The oldest records in px have the names of `BALANCE`."""
+"""The same in px, except the angle of the line."""
 WINDOW = _message(
     "Window",
     "/window",

@@ -23,8 +23,7 @@ class AnalysedRun:
     """The results of one run, and what a series of runs needs beyond them.
 
     `points` are the turning points that were fitted. `reduction` is there for a pendulum that is not
-    described by the contact's laws, `rig` where the contact radius is calculated after Hertz,
-    `earlier_schema` what `earlier_schema` of `rig.instrument` says of its configuration.
+    described by the contact's laws, `rig` where the contact radius is calculated after Hertz.
     `watched` is the configuration of which keys were changed.
     """
 
@@ -36,7 +35,6 @@ class AnalysedRun:
     reduction: Reduction | None = None
     harmonics: SwingHarmonics | None = None
     lost_spots: int = 0
-    earlier_schema: str = ""
     watched: Watched | None = None
 
 

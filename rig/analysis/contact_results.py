@@ -28,8 +28,8 @@ class Correlation:
 class Fit(FitQuality):
     """One fit of one decay: parameters by name, and how well the curve describes the data.
 
-    `law` names the law of `processing.contact.laws` that was fitted, empty in files of earlier versions.
-    `ground` and `whiteness` are empty for the asymptotic fit and in files of earlier versions.
+    `law` names the law of `processing.contact.laws` that was fitted.
+    `ground` and `whiteness` are empty for the asymptotic fit.
     """
 
     law: str = ""

@@ -51,10 +51,6 @@ def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[st
         The run was not fitted, or not with the law that is stated.
     """
     stored = run.turning_points
-    if stored is None and run.fits:
-        raise DataError(
-            f"{run.record}: its results are of an older version, without turning points; fit it again"
-        )
     curves = None if stored is None else curves_of(stored.points(), run)
     if stored is None or curves is None or run.pendulum is None:
         raise DataError(

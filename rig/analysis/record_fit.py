@@ -29,7 +29,6 @@ from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.witness_file import Begin, WitnessRecord
 from rig.analysis.witnessed_fits import of_source
 from rig.instrument import (
-    earlier_schema,
     inputs_sha256,
     judge_calibration,
     optics_of,
@@ -66,7 +65,7 @@ def analyse_record(
         run = analyse_run(reader, watched.config, swings, blocks, unit, blocks.beam, witness=witness)
         if less is not None:
             run = replace(run, results=replace(run.results, notes=(*run.results.notes, less.text)))
-        run = replace(run, earlier_schema=earlier_schema(reader), watched=watched)
+        run = replace(run, watched=watched)
         return with_dropped_frames(run, blocks.following - run.results.frames, reader, watched.config)
 
 
@@ -101,7 +100,6 @@ def analyse_run(
     unit: DeflectionUnit,
     beam: BeamUse,
     *,
-    replayed: bool = False,
     witness: WitnessRecord | None = None,
 ) -> AnalysedRun:
     """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it.
@@ -110,7 +108,7 @@ def analyse_run(
     have passed.
     """
     deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
-    clock = run_clock(reader, config, replayed=replayed)
+    clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate
 
     def beside(turn_time_ns: int) -> tuple[Witness, bool]:

@@ -1,6 +1,5 @@
 """The values of results.json. Field names are its keys, fixed so that other programs can rely on them.
 
-Every field has a default: files of earlier versions, which lack some of them, are read as well.
 `rig.analysis.encoding` says how estimates, arrays and "not determined" are spelled in the file.
 """
 
@@ -28,9 +27,7 @@ from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.presentation import Verdict
 
-SCHEMA = 2
-"""Version of the file. 1, the first, has no `amplitude_unit`, `record_bytes` and `turning_points`, and px
-under the names in arcsec of a record without a lever."""
+SCHEMA = 1
 _Run = TypeVar("_Run")
 _IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitude_unit")
 
@@ -41,15 +38,15 @@ class RunResults:
 
     `record` is relative to the folder of the file where possible. `sha256` is its hash, `inputs_sha256` those
     of the configuration and the calibrations in it. `simulated`: its frames are those of the simulated rig;
-    None if an older file does not say, and for a table. `losses` counts the missing frames by cause; None if
-    an older record does not say. `beam` names the model fitted to the spots and counts their flags.
+    None for a table. `losses` counts the missing frames by cause; None if the record does not say. `beam`
+    names the model fitted to the spots and counts their flags.
     `measured_again_on` is the motion on which the fitted turning points were measured again (see
     `processing.fit.remeasure`); None: they are as detected. `position_errors` were subtracted from the
     deflections before that; None if the run shows none. `laws` compares several laws, if requested.
     `adhesion` is the contact spot with adhesion, if c is seen and the spot's radius is Hertz's.
     `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px for a record without a
     lever; those in arcsec are then not determined. `ended` is why the run ended, as its record says. `clock`
-    compares the camera's clock with the computer's; None for frames made on demand, and in older files.
+    compares the camera's clock with the computer's; None for frames made on demand.
     `surroundings` are the air and the history of the contact; `conditions` judges them together with light,
     losses and what else the record shows. `witness` is the result of a witness of the ground, if there was
     one. What follows from a fit (`pendulum` to `notes`) is empty without one. `period_s` and `log_decrement`
@@ -109,8 +106,8 @@ class RunResults:
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.
 
-        `unit` is that of the record's deflections as shown, which files of schema 1 do not name. A pendulum
-        that swings by degrees has its amplitudes in them.
+        `unit` is that of the record's deflections as shown. A pendulum that swings by degrees has its
+        amplitudes in them.
         """
         if not self.half_cycles or not isfinite(self.initial_amplitude + self.final_amplitude):
             return f"{self.half_cycles or 'no'} half-cycles"
@@ -139,7 +136,7 @@ class Series:
     """A series of runs: each fit's parameters combined, in `fits` by the fit's name.
 
     `combined_runs` are the numbers of the runs that could be fitted, counted from 1 among all, in the order
-    of the lists `runs` of `fits`; empty in older files.
+    of the lists `runs` of `fits`; empty for another instrument, of which all are combined.
     """
 
     runs: int = 0

@@ -10,12 +10,12 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from acquisition.record import whole_file
-from processing.errors import ConfigurationError, RecordError
+from processing.errors import RecordError, require_schema
 from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults, TableResults
 from rig.presentation import plain_values
 from rig.sealing import seal_over
-from rig.settings import migrated, wanted
+from rig.settings import wanted
 
 RESULTS_NAME = "results.json"
 _REMEDY = "rig fit makes it again from the record"
@@ -131,39 +131,14 @@ def _decoded(tree: Any, path: Path) -> SessionResults | TableResults:
         )
     kind = TableResults if isinstance(tree, dict) and "trajectory" in tree else SessionResults
     runs = tree.get("runs" if kind is SessionResults else "decays") if isinstance(tree, dict) else None
-    if kind is TableResults and not runs:
-        raise RecordError(
-            f"{path}: an earlier version made it, which kept no single decays; rig fit {tree['trajectory']} "
-            "makes it again"
-        )
     if not isinstance(runs, list) or not runs:
         raise RecordError(f"{path}: names no runs; it was not made by rig run or rig fit")
+    require_schema(str(path), tree.get("schema"), SCHEMA, RecordError)
     try:
-        today, _ = migrated(tree, str(path), _STEPS)
-        found: SessionResults | TableResults = _codec(kind).read(today)
-    except ConfigurationError as error:
-        raise RecordError(str(error)) from None
+        found: SessionResults | TableResults = _codec(kind).read(tree)
     except ValidationError as error:
         raise RecordError(f"{path}: {_one_line(error.errors()[0])}; {_REMEDY}") from None
     return found
-
-
-def _with_amplitudes(tree: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Schema 1 had amplitudes under one name only, in whichever unit the record has."""
-    if "runs" not in tree:
-        return tree
-    ends = ("initial", "final")
-    runs = [
-        {f"{end}_amplitude": run.get(f"{end}_amplitude_arcsec") for end in ends} | run
-        if isinstance(run, dict)
-        else run
-        for run in tree["runs"]
-    ]
-    return {**tree, "runs": runs}
-
-
-_STEPS = (_with_amplitudes,)
-"""The first makes schema 2 from schema 1, and so on."""
 
 
 def _one_line(fault: ErrorDetails) -> str:

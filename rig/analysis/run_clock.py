@@ -13,7 +13,7 @@ from calibration import relate_clocks
 from processing.errors import DataError
 from processing.quantity import Quantity
 from processing.ticks import seconds
-from rig.devices import U_FREE_RUNNING, U_QUARTZ, U_SYNCHRONISED, mended_times
+from rig.devices import U_FREE_RUNNING, U_QUARTZ, U_SYNCHRONISED
 from rig.instrument import rate_text
 from rig.presentation import Verdict
 from rig.settings import Configuration
@@ -35,7 +35,7 @@ class RunClock:
     `drift_ppm` is the camera's rate against the computer's, less 1; NaN if unknown. `u_rate` is the relative
     uncertainty of the run's second, as in the budget: that of the calibration or, without one, of the assumed
     ideal rate; it includes `u_steps_s`, that of all steps together. `steps` were subtracted from the times,
-    the largest is `largest_step_s`; `left_in` are still in the recorded times, and a replay subtracts them.
+    the largest is `largest_step_s`.
     """
 
     drift_ppm: Annotated[float, Quantity("clock drift", "rate of the camera's clock against the computer's")]
@@ -44,7 +44,6 @@ class RunClock:
     steps: int = 0
     largest_step_s: Annotated[float, Quantity("step", "largest step of the camera's clock")] = 0.0
     u_steps_s: float = 0.0
-    left_in: int = 0
     synchronised: bool = False
 
     @property
@@ -57,11 +56,8 @@ class RunClock:
         return f"{rate}, second within {1e6 * self.u_rate:.2g} ppm{stepped}"
 
 
-def run_clock(reader: RecordReader, config: Configuration, *, replayed: bool = False) -> RunClock | None:
-    """What the record shows of its clock; None of frames made on demand, whose times are their own.
-
-    `replayed`: steps in the recorded times were taken off.
-    """
+def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
+    """What the record shows of its clock; None of frames made on demand, whose times are their own."""
     if config.on_demand:
         return None
     anchors = reader.table(CLOCK.topic)
@@ -72,15 +68,8 @@ def run_clock(reader: RecordReader, config: Configuration, *, replayed: bool = F
         return RunClock(drift_ppm=math.nan, u_drift_ppm=math.nan, u_rate=u_host, synchronised=synchronised)
     table = np.concatenate(blocks)
     sequence, device_ns, host_ns = (table[name].astype(np.int64) for name in _FIELDS)
-    taken_off = [(one.step_ns, one.u_step_ns) for one in reader.values(CAMERA_STEP.topic, RecordedClockStep)]
-    mended = mended_times(sequence, device_ns, host_ns)
-    left_in = () if mended is None else mended.steps
-    if mended is not None:
-        rows = np.searchsorted(sequence, mended.sequence)
-        sequence, host_ns = sequence[rows], host_ns[rows]
-        device_ns = device_ns[rows] + mended.added_ns
-    steps = [*taken_off, *((step.step_ns, step.u_ns) for _, step in left_in)]
-    u_steps_s = seconds(math.sqrt(sum(float(u_ns) ** 2 for _, u_ns in steps)))
+    steps = reader.values(CAMERA_STEP.topic, RecordedClockStep)
+    u_steps_s = seconds(math.sqrt(sum(float(step.u_step_ns) ** 2 for step in steps)))
     every = max(1, len(sequence) // _MOST_FRAMES)
     try:
         relation = relate_clocks(device_ns[::every], host_ns[::every], sequence[::every])
@@ -94,10 +83,9 @@ def run_clock(reader: RecordReader, config: Configuration, *, replayed: bool = F
         drift_ppm=drift_ppm,
         u_drift_ppm=u_drift_ppm,
         u_rate=math.hypot(_u_of_rate(config, rate, u_rate, u_host), u_steps_s / over_s),
-        steps=len(steps) - (0 if replayed else len(left_in)),
-        largest_step_s=seconds(max((ns for ns, _ in steps), key=abs, default=0)),
+        steps=len(steps),
+        largest_step_s=seconds(max((step.step_ns for step in steps), key=abs, default=0)),
         u_steps_s=u_steps_s,
-        left_in=0 if replayed else len(left_in),
         synchronised=synchronised,
     )
 
@@ -117,10 +105,6 @@ def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float)
 
 def clock_verdict(clock: RunClock) -> Verdict:
     """Steps that were taken off are a warning while they are known to a part of what turning points are."""
-    if clock.left_in:
-        reason = f"it stepped {clock.left_in} times, and its times still contain the steps"
-        remedy = "rig replay takes it off"
-        return Verdict("camera's clock", False, reason, remedy, measured=clock.text, limit=_LIMIT)
     if not clock.steps:
         return Verdict("camera's clock", True, measured=clock.text, limit=_LIMIT)
     known = f"it was taken off its times, known to {clock.u_steps_s:.1g} s"

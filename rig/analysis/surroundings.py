@@ -10,7 +10,7 @@ import numpy as np
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT, SPOT
 from acquisition.record.utc import utc
-from processing.air import humid_air, is_possible
+from processing.air import humid_air
 from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_drag_s
 from processing.surroundings import Surroundings
 from rig.settings import Configuration
@@ -45,9 +45,8 @@ def _read(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]
     table = reader.table(ENVIRONMENT.topic)
     found = {}
     for name in _AIR:
-        # older records have what a broken sensor said, too
-        readings = table[name].tolist() if len(table) else []
-        read = np.array([value for value in readings if is_possible(name, value)])
+        readings = table[name] if len(table) else np.empty(0)
+        read = readings[np.isfinite(readings)]
         found[name] = float(np.mean(read)) if len(read) else stated.get(name, nan)
         if name == "temperature_c" and len(read) >= _FEWEST:
             at = np.linspace(-0.5, 0.5, len(read))

@@ -184,15 +184,11 @@ def fit_records(
         session_results,
         write_results,
     )
-    from rig.presentation import say
 
     compared = chosen_laws(laws) if laws else ()
     refuse_copies(paths)
     ground = None if witness is None else witness.read()
     runs = [analyse_record(path, overrides, witness=ground) for path in paths]
-    for run in runs:
-        if run.earlier_schema:
-            say(run.earlier_schema)
     if compared:
         runs = [replace(run, results=replace(run.results, laws=laws_of(run, compared))) for run in runs]
     folder = output or paths[0].parent

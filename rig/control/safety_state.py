@@ -23,6 +23,7 @@ except ImportError:  # pragma: no cover
     fcntl = None  # type: ignore[assignment]
 
 _LOGS_KEPT = 200
+_SCHEMA = 1
 
 
 class TripCause(StrEnum):
@@ -76,7 +77,7 @@ class _LogEnd(BaseModel, frozen=True, extra="forbid"):
 class _Stored(BaseModel, frozen=True, extra="forbid"):
     """The file: the last number given, what is latched, whether light was on that outlives a program."""
 
-    schema_number: int = 1
+    schema_number: int = _SCHEMA
     number: int = 0
     latched: _Latched | None = None
     lit: bool = False
@@ -166,12 +167,15 @@ class SafetyState:
         if self.path is None:
             return
         try:
-            self._stored = _Stored.model_validate_json(self.path.read_bytes())
+            stored = _Stored.model_validate_json(self.path.read_bytes())
         except FileNotFoundError:
             was_there = self._is_noted(self.path.with_suffix(".lock"))
             self._stored = _unknown(f"{self.path} is gone") if was_there else _Stored()
         except (OSError, ValidationError):
             self._stored = _unknown(f"{self.path} cannot be read")
+        else:
+            of_another = f"{self.path} is of schema {stored.schema_number}, and schema {_SCHEMA} is read"
+            self._stored = stored if stored.schema_number == _SCHEMA else _unknown(of_another)
 
     @staticmethod
     def _is_noted(lock: Path) -> bool:

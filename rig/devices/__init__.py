@@ -21,6 +21,5 @@ from rig.devices.latest_frames import watch_latest
 from rig.devices.leave import TypedLeave, ask_leave, at_terminal
 from rig.devices.light_watch import LightWatch
 from rig.devices.picture import PictureFigures, find_exposure
-from rig.devices.recorded_times import MendedTimes, mended_times
 from rig.devices.session_devices import Devices, OpenCamera
 from rig.devices.udev import RULES_FOLDER, install_rules, udev_rules

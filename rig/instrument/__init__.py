@@ -31,7 +31,6 @@ from rig.instrument.pipeline import Block, BothSpots, Deflector, Optics, Pipelin
 from rig.instrument.provenance import (
     CONFIGURATION_NAME,
     configuration_attachments,
-    earlier_schema,
     frame_shape,
     inputs_sha256,
     recorded_configuration,

@@ -9,7 +9,6 @@ import socket
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -23,8 +22,8 @@ from rig.settings import (
     Configuration,
     apply_overrides,
     in_words,
-    migrated,
     stored_configuration,
+    unnumbered,
     validate_configuration,
 )
 
@@ -152,13 +151,20 @@ def frame_shape(reader: RecordReader) -> tuple[int, int]:
 
 
 def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) -> Configuration:
-    """The configuration that a record was made with, with ``KEY=VALUE`` overrides applied.
-
-    One of an earlier schema is read in today's keys, as `earlier_schema` says.
-    """
-    tree, _ = _migrated(reader)
+    """The configuration that a record was made with, with ``KEY=VALUE`` overrides applied."""
+    attachment = reader.attachments.get(CONFIGURATION_NAME)
+    if attachment is None:
+        if CONFIGURATION_NAME in reader.contents.attachment_places or reader.contents.damage:
+            raise RecordError(
+                f"{reader.path}: its configuration is damaged and no copy is intact, so the settings "
+                "of the measurement are unknown; restore the record from a backup"
+            )
+        raise RecordError(f"{reader.path}: contains no configuration; it was not made by rig run")
     try:
+        tree = unnumbered(json.loads(attachment), f"{reader.path}: its configuration")
         config = Configuration.model_validate(tree)
+    except ConfigurationError as error:
+        raise RecordError(str(error)) from None
     except ValidationError as error:
         said = in_words(Configuration, error.errors()[0])
         raise RecordError(f"{reader.path}: its configuration is of another version ({said})") from None
@@ -172,23 +178,3 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
             tree["fit"].pop(key, None)
     apply_overrides(tree, overrides)
     return validate_configuration(tree, str(reader.path), overrides)
-
-
-def earlier_schema(reader: RecordReader) -> str:
-    """One line for a record whose configuration had other keys than it is read with; empty otherwise."""
-    return _migrated(reader)[1]
-
-
-def _migrated(reader: RecordReader) -> tuple[dict[str, Any], str]:
-    attachment = reader.attachments.get(CONFIGURATION_NAME)
-    if attachment is None:
-        if CONFIGURATION_NAME in reader.contents.attachment_places or reader.contents.damage:
-            raise RecordError(
-                f"{reader.path}: its configuration is damaged and no copy is intact, so the settings "
-                "of the measurement are unknown; restore the record from a backup"
-            )
-        raise RecordError(f"{reader.path}: contains no configuration; it was not made by rig run")
-    try:
-        return migrated(json.loads(attachment), f"{reader.path}: its configuration")
-    except ConfigurationError as error:
-        raise RecordError(str(error)) from None

@@ -32,8 +32,8 @@ from rig.settings import (
     PlannedSeries,
     load_configuration,
     load_plan,
-    migrated,
     stored_configuration,
+    unnumbered,
     validate_configuration,
 )
 
@@ -201,10 +201,8 @@ def resume_session(
     Returns the exit status like `measure_session`.
     """
     with closing(SessionFile.opened(folder)) as file:
-        tree, note = migrated(file.state.configuration, f"{folder / STATE_NAME}: its configuration")
-        if note:
-            say(note)
         if instead is None:
+            tree = unnumbered(file.state.configuration, f"{folder / STATE_NAME}: its configuration")
             config = validate_configuration(tree, str(folder / STATE_NAME))
             say(f"{folder}: continues as begun, with {file.state.source} (--config takes another)")
         else:

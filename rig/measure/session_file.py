@@ -11,10 +11,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import IO, Any, Self
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from acquisition.record import whole_file
-from processing.errors import ConfigurationError, RecordError, RigError
+from processing.errors import ConfigurationError, RecordError, RigError, require_schema
 
 try:
     import fcntl
@@ -86,19 +86,16 @@ def read_session(folder: Path) -> SessionState:
     """The session in a folder, whether it still runs or not; raises ConfigurationError if there is none."""
     path = folder / STATE_NAME
     try:
-        state = SessionState.model_validate_json(path.read_bytes())
+        tree = json.loads(path.read_bytes())
+        if isinstance(tree, dict):
+            require_schema(str(path), tree.get("schema_version"), _SCHEMA, ConfigurationError)
+        return SessionState.model_validate(tree)
     except FileNotFoundError:
         raise ConfigurationError(
             f"{folder}: contains no session to resume ({STATE_NAME} is missing)"
         ) from None
-    except (OSError, ValidationError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigurationError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
-    if state.schema_version > _SCHEMA:
-        raise ConfigurationError(
-            f"{path}: schema {state.schema_version} was written by a later version; "
-            f"this one reads up to {_SCHEMA}"
-        )
-    return state
 
 
 def withdraw_unrecorded(folder: Path, made: Sequence[Path] = ()) -> None:

@@ -22,7 +22,7 @@ from rig.analysis import (
     with_dropped_frames,
     write_results,
 )
-from rig.instrument import earlier_schema, recorded_configuration
+from rig.instrument import recorded_configuration
 from rig.presentation import Keys, answer, print_line, say
 from rig.replay.comparison import parameter_changes
 from rig.replay.player import HELP, MOST_FRAMES, Player
@@ -78,8 +78,6 @@ def replay_record(
         remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
         watched = Watched(recorded_configuration(reader, overrides), overrides, remedy)
         config = watched.config
-        if note := earlier_schema(reader):
-            say(note)
         if reader.truncated:
             say(reader.cut_notice)
         wants_view = mode != "none" or rrd is not None
@@ -101,8 +99,6 @@ def replay_record(
             if mode == "web" and not player.ended_by_user:
                 say("the page has all of it and stays until q or Ctrl-C; the results follow then")
                 _stay(keys)
-        for remark in replay.clock_remarks:
-            say(remark)
         result = replay.finish()
         partial = replay.partial or replay.sought or player.ended_by_user
         run = replace(_analysed(reader, config, result), watched=watched)
@@ -158,7 +154,7 @@ def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> 
     if less is not None and less.used:
         deflections = [less(one) for one in deflections]
         swings = swings_of_blocks(deflections)
-    run = analyse_run(reader, config, swings, deflections, config.deflection_unit, result.beam, replayed=True)
+    run = analyse_run(reader, config, swings, deflections, config.deflection_unit, result.beam)
     if less is not None:
         run = replace(run, results=replace(run.results, notes=(*run.results.notes, less.text)))
     return with_dropped_frames(run, result.dropped_frames, reader, config)

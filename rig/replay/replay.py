@@ -17,7 +17,7 @@ from processing.errors import RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
-from rig.devices import ClockRate, MendedTimes, mended_times
+from rig.devices import ClockRate
 from rig.instrument import Block, CameraClock, frame_shape, optics_of, recorded_configuration, shutter_of
 from rig.replay.comparison import ReplayComparison, ReplayDifferences
 from rig.settings import Configuration
@@ -113,14 +113,9 @@ class Replay:
             raise RecordError(f"{reader.path}: contains no spots; there is nothing to replay")
         self.start_ns = int(head["time_ns"][0])
         self._last_ns = max(reader.contents.end_ns - reader.epoch_offset_ns, self.start_ns)
-        # frames made on demand have host times that say nothing
-        self._mended = None if self._config.on_demand else _mended_times(reader)
         self._steps = [
             (one.time_ns, one.step_ns) for one in reader.values(CAMERA_STEP.topic, RecordedClockStep)
         ]
-        if self._mended is not None:
-            self._steps += [(time_ns, step.step_ns) for time_ns, step in self._mended.steps]
-            self._last_ns = max(self._last_ns + int(self._mended.added_ns[-1]), self.start_ns)
         if from_s > seconds(self._last_ns - self.start_ns):
             length_s = seconds(self._last_ns - self.start_ns)
             raise RecordError(f"{reader.path}: is {length_s:.1f} s long and cannot start at {from_s:g} s")
@@ -223,11 +218,9 @@ class Replay:
         shape = self._shape
         self._pipeline = optics_of(self._config, self._reader.full_scale_dn).pipeline(shape)
         from_ns = None if time_ns <= self.start_ns else time_ns
-        self._tables = self._spot_blocks(from_ns)
+        self._tables = self._reader.spot_blocks(from_ns)
         self._table, self._row = self._table[:0], 0
-        self._windows: Iterator[RecordedWindow] = self._reader.windows(
-            None if self._mended is not None else from_ns
-        )
+        self._windows: Iterator[RecordedWindow] = self._reader.windows(from_ns)
         self._window: RecordedWindow | None = None
         self._images = self._reader.images(from_ns)
         self._image: Frame | None = None
@@ -239,37 +232,6 @@ class Replay:
         self._clock = CameraClock()
         self._first_sequence, self._last_sequence = -1, -1
         self._comparison = ReplayComparison(self.start_ns)
-
-    @property
-    def clock_remarks(self) -> tuple[str, ...]:
-        """What was done with recorded times that stepped; one line each."""
-        mended = self._mended
-        if mended is None:
-            return ()
-        left_out = f"; {mended.left_out} frames without a right time are left out" if mended.left_out else ""
-        return tuple(
-            f"the camera's clock stepped by {seconds(step.step_ns):+.6g} s "
-            f"(u {seconds(max(step.u_ns, 1)):.1g} s) at {seconds(time_ns - self.start_ns):.2f} s of the "
-            f"record: taken off the times from there on{left_out}"
-            for time_ns, step in mended.steps
-        )
-
-    def _spot_blocks(self, from_ns: int | None) -> Iterator[NDArray[Any]]:
-        """The recorded spots with mended times."""
-        mended = self._mended
-        for table in self._reader.spot_blocks(None if mended is not None else from_ns):
-            if mended is None:
-                yield table
-                continue
-            places = np.searchsorted(mended.sequence, table["sequence"])
-            places = np.minimum(places, len(mended.sequence) - 1)
-            good = mended.sequence[places] == table["sequence"]
-            rows = table[good].copy()
-            for name in ("time_ns", "device_time_ns"):
-                rows[name] += mended.added_ns[places[good]]
-            rows = rows[rows["time_ns"] >= (from_ns or self.start_ns)]
-            if len(rows):
-                yield rows
 
     def _block(self, rows: NDArray[Any], spots: list[Spot]) -> Block:
         if self._retrack or not self._same_deflections:
@@ -320,14 +282,6 @@ class Replay:
                 found.append((self._image, spots[row]))
             self._image = None
         return found
-
-
-def _mended_times(reader: RecordReader) -> MendedTimes | None:
-    names = ("sequence", "device_time_ns", "host_time_ns")
-    blocks = [[block[name] for name in names] for block in reader.spot_blocks(fields=names)]
-    if not blocks:
-        return None
-    return mended_times(*(np.concatenate(column).astype(np.int64) for column in zip(*blocks, strict=True)))
 
 
 def _spots(table: NDArray[Any]) -> list[Spot]:

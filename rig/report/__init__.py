@@ -8,7 +8,6 @@ from rig.report.html import check_report
 from rig.report.latex_files import latex_tables
 from rig.report.run_data import RunData, ShownTrajectory, ShownUnit
 from rig.report.session_report import draw_run, make_report, save_figures, save_tables
-from rig.report.source import turning_points_again
 from rig.report.table_report import make_table_report
 from rig.report.tables_instruments import instrument_table
 from rig.report.tables_uncertainty import series_table

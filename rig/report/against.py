@@ -65,7 +65,7 @@ def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[Seen]:
     if len(found) < 2:
         raise RecordError(
             f"--against {name}: known for {len(found)} of {len(fitted)} fitted runs, two are needed: state "
-            "it in the configuration or let a sensor read it; rig fit renews the results of older records"
+            "it in the configuration or let a sensor read it"
         )
     return found
 

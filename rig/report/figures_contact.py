@@ -110,7 +110,7 @@ def series_figure(series: Series) -> ReportFigure:
         axes.axhline(middle, color=EXACT, lw=1.0)
         axes.errorbar(x, values, u, fmt="o", color=DATA, ms=3.5, elinewidth=0.8, capsize=2)
         axes.set_xlim(0.5, len(item.runs) + 0.5)
-        axes.set_xticks(x, [str(number) for number in series.combined_runs or x])
+        axes.set_xticks(x, [str(number) for number in series.combined_runs])
         axes.set_title(quantity(name).label)
         axes.ticklabel_format(axis="y", useOffset=False, scilimits=(-3, 4))
         axes.tick_params(axis="y", labelsize=7)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
-from acquisition.record.recorded_camera import RecordedCamera
 from processing.swing import ResidualSpectrum, TurningPoints
 from rig.analysis import RunResults, Series, StoredTurningPoints, TableDecay
 
@@ -62,10 +61,8 @@ class RunData:
 
     @property
     def simulated(self) -> bool:
-        """Whether the frames are those of the simulated rig; older results leave that to the record."""
-        if self.results.simulated is not None:
-            return self.results.simulated
-        return RecordedCamera.of(self.provenance).simulated
+        """Whether the frames are those of the simulated rig."""
+        return bool(self.results.simulated)
 
     @property
     def of_table(self) -> bool:

@@ -16,7 +16,6 @@ from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import RecordedNote
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
-from processing.fit import measured_again, points_in_true_time
 from processing.instruments import DEGREE_RAD
 from processing.swing import ResidualSpectrum, residual_spectrum
 from rig.analysis import (
@@ -66,7 +65,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
         }
         configuration = reader.attachments.get(CONFIGURATION_NAME)
         rate = _clock_rate(reader, notes)
-        stored = results.turning_points or turning_points_again(reader, results)
+        stored = results.turning_points or StoredTurningPoints()
         spectrum = _spectrum(reader, deflections) if results.fits else None
         if len(spots):
             provenance["file"] = {
@@ -99,19 +98,6 @@ def _as_line(note: RecordedNote, rate: float, spots: NDArray[Any]) -> str:
     """What an operator has noted, and how long after the first frame."""
     first_ns = int(spots["time_ns"][0]) if len(spots) else note.time_ns
     return f"noted at {(note.time_ns - first_ns) * 1e-9 * rate:.1f} s, {note.event.text}"
-
-
-def turning_points_again(reader: RecordReader, results: RunResults) -> StoredTurningPoints:
-    """Turning points for results of schema 1, which do not hold them.
-
-    Those that were fitted where the results say on which motion they were measured again; else as detected.
-    """
-    clock_rate = _clock_rate(reader, [])
-    motion, swings = results.measured_again_on, reader.swings()
-    if motion is not None:
-        swings = measured_again(swings, reader.deflection_blocks(), motion)
-    points = points_in_true_time(swings, clock_rate)
-    return StoredTurningPoints.of(points, swings, reader.deflection_unit, clock_rate)
 
 
 def _spectrum(reader: RecordReader, deflections: Deflections) -> ResidualSpectrum | None:

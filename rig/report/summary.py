@@ -143,12 +143,10 @@ def _lasted(run: RunData) -> str:
 
 
 def _surroundings(run: RunData) -> str:
-    """Air and history of the contact as results have them; of older ones the air as stated."""
+    """Air and history of the contact."""
     found = run.results.surroundings
-    stated = {name: float(text) for name, text in run.provenance.get("environment", {}).items()}
-    known = stated if found is None else found.known()
     said = []
-    for name, value in known.items():
+    for name, value in ({} if found is None else found.known()).items():
         shown = quantity(name)
         said.append(f"{shown.name} {plain(value * shown.factor, 4)} {shown.unit}")
     return ", ".join(said)

@@ -11,17 +11,19 @@ from rig.settings.configuration import (
     SessionSettings,
 )
 from rig.settings.configuration_file import (
+    SCHEMA,
+    SCHEMA_KEY,
     FaultyConfiguration,
     apply_overrides,
     keys_with_faults,
     load_configuration,
     stored_configuration,
+    unnumbered,
     validate_configuration,
 )
 from rig.settings.deciding_plan import DecidingPlan, decides, load_deciding_plan
 from rig.settings.effect import Watched
 from rig.settings.instrument import InstrumentSettings
-from rig.settings.migrations import SCHEMA, SCHEMA_KEY, Step, migrated
 from rig.settings.night_plan import PlannedSeries, load_plan
 from rig.settings.phases import PreflightSettings
 from rig.settings.run_conditions import RunConditions

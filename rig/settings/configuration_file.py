@@ -4,23 +4,22 @@ A file may begin with ``extends = "other.toml"`` (relative to itself) and then s
 differs. On the command line ``--set a.b.c=value`` replaces any key by its dotted path.
 """
 
-import logging
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import BaseModel
 
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, require_schema
 from processing.units import unit_of_name
 from rig.settings.configuration import Configuration
-from rig.settings.migrations import SCHEMA, SCHEMA_KEY, migrated
 from rig.settings.toml_file import read_toml
 from rig.settings.typed import quantity, states_unit
 from rig.settings.wording import KeyFault, dotted, validated
 
-logger = logging.getLogger(__name__)
+SCHEMA_KEY: Final = "schema"
+SCHEMA: Final = 1
 
 
 def load_configuration(
@@ -46,10 +45,7 @@ def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     tree = read_toml(path, "configuration file; rig init writes one")
     if path.resolve() in seen:
         raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
-    # one without a number is a person's, written after today's documents
-    tree, note = migrated({SCHEMA_KEY: SCHEMA} | tree, str(path))
-    if note:
-        logger.warning("%s", note)
+    tree = unnumbered(tree, str(path))
     base = tree.pop("extends", None)
     if base is None:
         return tree
@@ -60,6 +56,15 @@ def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
             f"{path}: extends = {base!r}: no such file in {path.parent.resolve()}, the folder of this one"
         )
     return _merged(read_toml_tree(path.parent / base, (*seen, path.resolve())), tree)
+
+
+def unnumbered(tree: Mapping[str, Any], what: str) -> dict[str, Any]:
+    """The tables of a configuration without the number of its schema, which a person may leave out.
+
+    Raises ConfigurationError, one line, for another number than that of this version.
+    """
+    require_schema(what, tree.get(SCHEMA_KEY, SCHEMA), SCHEMA, ConfigurationError)
+    return {key: value for key, value in tree.items() if key != SCHEMA_KEY}
 
 
 def stored_configuration(config: Configuration) -> dict[str, Any]:

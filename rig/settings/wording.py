@@ -14,7 +14,6 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from processing.units import unit_of_name
-from rig.settings.migrations import GONE
 
 _Place = tuple[int | str, ...]
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -24,8 +23,6 @@ def in_words(root: type, fault: ErrorDetails) -> str:
     """One line for a fault that pydantic found in the tables of `root`."""
     path = dotted(fault["loc"])
     if is_unknown_key(fault):
-        if path in GONE:
-            return f"{path}: is no longer a key: {GONE[path]}; leave it out"
         section = str(fault["loc"][-1])
         if isinstance(fault["input"], Mapping) and section in section_fields(root):
             # the dotted path of a key, as --set takes it and as commands print it, below a section's head

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from acquisition.record.proof import measured_sha256_of
-from acquisition.record.reader import RecordReader
 from processing.deflections import DeflectionUnit
 from processing.fit import FitMethod
 from processing.swing import TurningPoints
 from rig.analysis import (
     RunResults,
+    StoredTurningPoints,
     analyse_record,
     curves_of,
     parameter_table,
@@ -34,15 +34,11 @@ class RunAnalysis(NamedTuple):
 
 def run_analysis(record: Path) -> RunAnalysis:
     """The results next to the record if they were made from this file, else a new fit."""
-    # drawing reports takes a second to import, which must not delay a live view
-    from rig.report import turning_points_again
-
     refuse_blind(record, "the analysing layout")
 
     _, known = recorded_results(record, measured_sha256_of(record))
     results = analyse_record(record).results if known is None else known
-    with RecordReader(record) as reader:
-        stored = results.turning_points or turning_points_again(reader, results)
+    stored = results.turning_points or StoredTurningPoints()
     # of a record, so never a table's
     return RunAnalysis(record, results, stored.points(), DeflectionUnit(stored.unit))
 

@@ -11,7 +11,7 @@ import h5py
 from rig.export.session_export import export_session
 from tests.rig.replay.replay_record import make_record
 
-OLDER = Path(__file__).resolve().parents[1] / "rig" / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "rig" / "data" / "samples"
 _CHECK = """
 import logging, sys
 from nexusformat.nexus.validate import validate_file
@@ -27,8 +27,8 @@ def run(quick: bool = False) -> dict[str, Any]:
         folder = Path(name)
         make_record(folder / "run-1.mcap", 30.0)
         sources = {
-            "two runs with results": OLDER / "series",
-            "in px": OLDER / "uncalibrated",
+            "two runs with results": SAMPLES / "series",
+            "in px": SAMPLES / "uncalibrated",
             "a record of today": folder / "run-1.mcap",
         }
         for number, (what, source) in enumerate(sources.items()):

@@ -28,7 +28,7 @@ PLANNED_FROM_ARCSEC, PLANNED_RUNS = (300.0, 124.0), (1, 3)
 VAULT = ROOT / "configs" / "vault.toml"
 RESULT_FIGURES = (("fig12-decay", "fig13-period"), ("table4-loops", "losses"))
 _REFERENCES = ROOT / "tests" / "rig" / "view" / "data"
-_RESULTS = ROOT / "tests" / "rig" / "data" / "older" / "series"
+_RESULTS = ROOT / "tests" / "rig" / "data" / "samples" / "series"
 
 
 def drawn_now() -> dict[str, str]:

@@ -13,14 +13,14 @@ import pytest
 import rig
 
 ROOT = Path(__file__).resolve().parents[2]
-OLDER = Path(__file__).parent / "data" / "older"
+SAMPLES = Path(__file__).parent / "data" / "samples"
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a session in runs/first."""
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "first")
-    shutil.copytree(OLDER / "calibrations", tmp_path / "calibrations")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "first")
+    shutil.copytree(SAMPLES / "calibrations", tmp_path / "calibrations")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -61,7 +61,7 @@ def test_a_session_is_a_series(folder: Path) -> None:
 
 
 def test_an_uncalibrated_record_says_px() -> None:
-    record = rig.open_record(OLDER / "uncalibrated" / "run-1.mcap")
+    record = rig.open_record(SAMPLES / "uncalibrated" / "run-1.mcap")
     assert record.unit == "px"
     assert record.deflections().unit == "px"
     assert "amplitude_px" in record.swings().dtype.names

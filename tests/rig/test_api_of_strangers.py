@@ -8,8 +8,8 @@ import pytest
 
 import rig
 
-OLDER = Path(__file__).parent / "data" / "older"
-RECORD = OLDER / "uncalibrated" / "run-1.mcap"
+SAMPLES = Path(__file__).parent / "data" / "samples"
+RECORD = SAMPLES / "uncalibrated" / "run-1.mcap"
 
 
 class Frame:
@@ -30,7 +30,7 @@ class Frame:
         (Frame(), "not a Frame"),
         ([], "source: is empty; name at least one"),
         ([np.arange(3.0)], "source: a path is needed, not a ndarray; save what is in memory first"),
-        (OLDER / "first", r"is a folder; rig.open_session\(folder\) opens a session"),
+        (SAMPLES / "first", r"is a folder; rig.open_session\(folder\) opens a session"),
         ([RECORD, rig.open_record(RECORD)], "is the same run as .*, which counts once in a series"),
     ],
 )
@@ -90,7 +90,7 @@ def test_a_law_that_is_no_function_is_refused() -> None:
 
 
 def test_results_are_read_and_written_by_a_text_too(tmp_path: Path) -> None:
-    found = rig.read_results(str(OLDER / "first"))
+    found = rig.read_results(str(SAMPLES / "first"))
     rig.write_results(str(tmp_path / "results.json"), found)
     with pytest.raises(rig.RigError, match="exists already and is not overwritten"):
         rig.write_results(str(tmp_path / "results.json"), found)
@@ -118,7 +118,10 @@ def test_results_are_read_and_written_by_a_text_too(tmp_path: Path) -> None:
         (lambda: rig.fit_table("x.csv", "mm", positions=2.0), "positions: names of columns, or numbers"),  # type: ignore[arg-type]
         (lambda: rig.fit_table("x.csv", "mm", positions=None), "positions: .* not None"),  # type: ignore[arg-type]
         (lambda: rig.fit_table("x.csv", "mm", time=True), "time: names of columns, or numbers from 1"),
-        (lambda: rig.curves(rig.read_results(OLDER / "first")), r"results.runs\[0\]\), not a SessionResults"),  # type: ignore[arg-type]
+        (
+            lambda: rig.curves(rig.read_results(SAMPLES / "first")),
+            r"results.runs\[0\]\), not a SessionResults",
+        ),  # type: ignore[arg-type]
     ],
 )
 def test_what_cannot_be_meant_is_refused_in_a_line(call: Any, said: str) -> None:
@@ -130,7 +133,7 @@ def test_what_cannot_be_meant_is_refused_in_a_line(call: Any, said: str) -> None
 def test_what_is_no_results_is_not_written_as_such(tmp_path: Path) -> None:
     """A file of it was written, which nothing could read again."""
     path = tmp_path / "results.json"
-    for given in (rig.read_results(OLDER / "first").runs[0], {"a": 1}, None):
+    for given in (rig.read_results(SAMPLES / "first").runs[0], {"a": 1}, None):
         with pytest.raises(rig.RigError, match=r"results: what rig\.fit or rig\.fit_table returned"):
             rig.write_results(path, given)  # type: ignore[arg-type]
     assert not path.exists()

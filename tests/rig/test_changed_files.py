@@ -35,7 +35,7 @@ from rig.settings import load_configuration
 from rig.settings.night_plan import load_plan
 from tests.acquisition.record.samples import write_sample
 
-OLDER = Path(__file__).parent / "data" / "older"
+SAMPLES = Path(__file__).parent / "data" / "samples"
 STRANGE = [b"\0", b"-1", b"1e400", b"nan", b"null", b"[" * 2000, b"{", b'"', b"9" * 30, b"\xff", b"\n", b"[]"]
 FEW = settings(max_examples=60, suppress_health_check=list(HealthCheck))
 
@@ -184,11 +184,11 @@ TURN = b'{"utc": "2026-11-22T00:00:00+00:00", "weight": "a", "turns": 0.5, '
 TURN += b'"before": [1.0, 2.0, 3e-6], "after": [1.5, 2.0, 3e-6], "u": [0.1, 0.1, 1e-7]}\n'
 REMARK = b'{"utc": "2026-11-22T00:00:00Z", "user": "A", "runs": ["ab"], "add": ["good"], "note": "dry"}'
 FILES: dict[str, tuple[Path | bytes, str, Callable[[Path], Any]]] = {
-    "configuration": (OLDER / "session.toml", "session.toml", load_configuration),
-    "session": (OLDER / "series" / "session.json", "session.json", read_session),
-    "results": (OLDER / "series" / "results.json", "results.json", written_again),
-    "calibration": (OLDER / "calibrations" / "lever-001.toml", "lever-001.toml", read_calibration),
-    "table": (OLDER / "decay.csv", "decay.csv", read_table),
+    "configuration": (SAMPLES / "session.toml", "session.toml", load_configuration),
+    "session": (SAMPLES / "series" / "session.json", "session.json", read_session),
+    "results": (SAMPLES / "series" / "results.json", "results.json", written_again),
+    "calibration": (SAMPLES / "calibrations" / "lever-001.toml", "lever-001.toml", read_calibration),
+    "table": (SAMPLES / "decay.csv", "decay.csv", read_table),
     "PGM": (b"P5 16 12 255\n" + bytes(range(192)), "frame0.pgm", read_images),
     "PNG": (stored("png"), "frame0.png", read_images),
     "TIFF stack": (stored("tiff"), "frames.tiff", read_stack),

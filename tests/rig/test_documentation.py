@@ -141,7 +141,7 @@ def test_a_rig_is_built_as_it_is_written(tmp_path: Path, measured_series: Path) 
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a short session in the place of the tutorial's; the outputs it keeps are from that."""
     path = ROOT / "docs" / "notebooks" / "own-law.ipynb"
-    shutil.copytree(ROOT / "tests" / "rig" / "data" / "older" / "series", tmp_path / "runs" / "tutorial")
+    shutil.copytree(ROOT / "tests" / "rig" / "data" / "samples" / "series", tmp_path / "runs" / "tutorial")
     (tmp_path / "docs" / "notebooks").mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "docs" / "notebooks")
     ran = runpy.run_path(str(path.parent / "fill.py"))["run_cells"](path)

@@ -64,7 +64,7 @@ CASES = {
     ),
     "foreign": (foreign, r"another program \(topics: /robot/pose\)"),
     "empty MCAP": (empty_mcap, r"another program \(topics: none\)"),
-    "newer": (newer, f"schema version {SCHEMA_VERSION + 1}, this program reads up to {SCHEMA_VERSION}"),
+    "newer": (newer, f"is of schema {SCHEMA_VERSION + 1}; this version reads schema {SCHEMA_VERSION}"),
     "own description damaged": (nameless, "its own description is damaged"),
     "cut in its head": (cut_in_its_head, "cut short before anything was recorded"),
 }

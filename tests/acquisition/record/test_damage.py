@@ -173,21 +173,6 @@ def test_metadata_are_read_from_the_copy_with_a_checksum(tmp_path: Path, whole: 
             assert "metadata session: bytes have changed; a copy is taken" in reader.contents.damage
 
 
-def test_what_an_older_record_does_not_prove_is_said_for_ever(tmp_path: Path) -> None:
-    """Neither metadata nor descriptions have a checksum in a cut file of an earlier version."""
-    path, copy, again = (tmp_path / name for name in ("run.mcap", "copy.mcap", "again.mcap"))
-    older = (Path(__file__).parent / "data" / "record-v2.mcap").read_bytes()
-    path.write_bytes(older)
-    assert recover(path, copy).unproved == ()
-    copy.unlink()
-    path.write_bytes(older[:-37])
-    assert {"metadata session", "description of /spot"} <= set(recover(path, copy).unproved)
-    recover(copy, again)
-    (told,) = (finding for finding in check_record(again) if finding.severity == "warning")
-    assert "recovered from run.mcap; " in told.text
-    assert "unproved: description of /balance, " in told.text
-
-
 def test_many_changes_at_once_never_break_the_reader(tmp_path: Path, whole: bytes) -> None:
     rng = np.random.default_rng(4)
     path = tmp_path / "run.mcap"

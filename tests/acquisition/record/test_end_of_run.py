@@ -1,4 +1,4 @@
-"""How a run ended is the kind of its last event; only records of earlier versions have it in a text."""
+"""How a run ended is the kind of its last event."""
 
 import pytest
 
@@ -14,8 +14,6 @@ START = Event(0, EventKind.START, "first frame")
         (EventKind.STOP, "a start that was not accepted came before", EventKind.STOP),
         (EventKind.REJECTED, "start not accepted: first amplitude 8.0 arcsec", EventKind.REJECTED),
         (EventKind.REJECTED, "said in other words", EventKind.REJECTED),
-        # of a record from before there was the kind
-        (EventKind.STOP, "start not accepted: first amplitude 8.0 arcsec", EventKind.REJECTED),
     ],
 )
 def test_the_end_is_known_by_its_kind(recorded: EventKind, text: str, kind: EventKind) -> None:

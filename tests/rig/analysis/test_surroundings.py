@@ -8,15 +8,11 @@ from pathlib import Path
 import pytest
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import ENVIRONMENT, Environment
-from acquisition.record.writer import RecordWriter
-from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from processing.surroundings import Surroundings
 from rig.analysis.surroundings import doubts_of, recorded_surroundings
 from rig.instrument import recorded_configuration
 from rig.settings import load_configuration
-from tests.acquisition.record.samples import EPOCH_OFFSET_NS
 from tests.rig.command_line import CONFIGS
 
 
@@ -66,18 +62,3 @@ def test_results_have_the_drag_of_air_beside_the_fitted_one(measured_series: Pat
         "dwell_s",
         "age_s",
     }
-
-
-def test_what_a_broken_sensor_has_left_in_a_record_is_no_air(tmp_path: Path) -> None:
-    """A wire that broke in the night says -999: no fit of the run may fail, or take the drag of such air."""
-    record = tmp_path / "run-1.mcap"
-    said = [(20.0, 45.0, 101325.0)] * 4 + [(-999.0, 45.0, 0.0)] * 3 + [(-273.15, 999.9, 101325.0)]
-    with RecordWriter(
-        record, EPOCH_OFFSET_NS, metadata={}, attachments={}, deflection_unit=DeflectionUnit.RAD
-    ) as writer:
-        for time_ns, air in enumerate(said):
-            writer.write(ENVIRONMENT, Environment(time_ns, *air), time_ns)
-    with RecordReader(record) as reader:
-        found = recorded_surroundings(reader)
-    assert (found.temperature_c, found.humidity_percent, found.pressure_pa) == (20.0, 45.0, 101325.0)
-    assert found.temperature_change_k == pytest.approx(0.0)

@@ -28,7 +28,7 @@ from rig.archive.remote import opened
 from rig.archive.store import Archive
 from rig.sealing import seal_over
 
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 _CALLS = ("fsync", "link", "replace", "rename", "write", "unlink", "remove", "mkdir", "open")
 _REQUESTS = ("names", "read", "create", "overwrite", "take_away", "try_to_write_over")
 _ENDED_NORMALLY = 0
@@ -163,7 +163,7 @@ def commands() -> list[Command]:
 
     def sessions(base: Path) -> None:
         for name in ("series", "uncalibrated"):
-            shutil.copytree(OLDER / name, base / "runs" / name)
+            shutil.copytree(SAMPLES / name, base / "runs" / name)
 
     def added(base: Path) -> None:
         sessions(base)

@@ -141,7 +141,7 @@ def make_sessions(folder: Path, count: int, *, templates: int = 24, seed: int = 
                     if isinstance(item, dict) and item.get("standard_uncertainty"):
                         item["value"] += item["standard_uncertainty"] * random.normal()
             runs.append(said)
-        (place / "results.json").write_text(json.dumps({"schema": 2, "runs": runs}))
+        (place / "results.json").write_text(json.dumps({"schema": 1, "runs": runs}))
         began = datetime.datetime.fromtimestamp(FIRST_NS * 1e-9, datetime.UTC)
         (place / "session.json").write_text(json.dumps({"began": began.isoformat(), "runs": RUNS}))
         yield place

@@ -20,13 +20,13 @@ from rig.sealing import is_blind, seal_over
 from tests.rig.archive.histories import killed_at
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 
 @pytest.fixture
 def archive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
     add_sessions(tmp_path / "archive", [tmp_path / "runs"])
     return tmp_path / "archive"
 

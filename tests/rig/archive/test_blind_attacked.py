@@ -23,7 +23,7 @@ from rig.archive.store import Archive
 from rig.sealing import refuse_blind, seal_over
 from tests.rig.command_line import rig
 
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 _OPEN = ("beam", "losses", "clock", "settings", "calibration", "surroundings", "conditions", "pendulum")
 """Parts of results that a blind run states: what was asked for, and how frames and air were."""
 
@@ -47,7 +47,7 @@ class Blind:
     def __init__(self, base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.base, self.runs, self.archive = base, base / "here" / "runs", base / "here" / "archive"
         monkeypatch.setenv("XDG_DATA_HOME", str(base / "owner"))
-        shutil.copytree(OLDER / "series", self.runs / "series")
+        shutil.copytree(SAMPLES / "series", self.runs / "series")
         (self.runs / "series" / "results.json").unlink()
         self.record = self.runs / "series" / "run-1.mcap"
         true = session_results([analyse_record(self.record)], self.runs / "series")
@@ -175,10 +175,10 @@ def test_the_owner_sees_moved_values_and_opens_true_ones_once(
 @pytest.mark.slow
 def test_rows_that_were_fitted_elsewhere_are_sealed_in_a_blind_archive(blind: Blind) -> None:
     other = blind.base / "open" / "series"
-    shutil.copytree(OLDER / "series", other)
+    shutil.copytree(SAMPLES / "series", other)
     add_sessions(blind.archive, [other])
     shutil.rmtree(blind.base / "open")
-    true = set(numbers(json.loads((OLDER / "series" / "results.json").read_text())))
+    true = set(numbers(json.loads((SAMPLES / "series" / "results.json").read_text())))
     blind.true = sorted(value for value in true if math.isfinite(value))
     # uncertainties are not hidden
     told = [place for place in blind.found() if "/sessions/" not in place]

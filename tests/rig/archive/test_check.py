@@ -15,7 +15,7 @@ from rig.archive.checking import check_archive
 from rig.archive.refits import Recipe, Task, code_identity, refit
 from rig.archive.store import Archive
 
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 
 def everything(archive: Path) -> str:
@@ -31,7 +31,7 @@ def make_archive(base: Path) -> Path:
     """An archive that holds files of every kind."""
     archive = base / "archive"
     for name in ("series", "uncalibrated"):
-        shutil.copytree(OLDER / name, base / "runs" / name)
+        shutil.copytree(SAMPLES / name, base / "runs" / name)
     # before all others: what lies open from before cannot be made again in a blind archive
     blind_runs(archive, ["b"])
     add_sessions(archive, [base / "runs" / "series"])

@@ -21,7 +21,7 @@ from tests.acquisition.record.hanging_disk import wait_for
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENTS = (*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"))
-OLDER = ROOT / "tests" / "rig" / "data" / "older"
+SAMPLES = ROOT / "tests" / "rig" / "data" / "samples"
 needs_dask = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None,
     reason="no Dask here: pip install 'optical-pendulum-rig[test-remote]'",
@@ -184,7 +184,7 @@ def test_between_computers_nobody_is_answered_without_a_certificate(
         if "--tls-ca-file" in command:
             here = command.replace("HOST", "127.0.0.1").replace("8786", str(port)).replace("8787", "0")
             start(started, here, tmp_path)
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
     add_sessions(tmp_path / "archive", [tmp_path / "runs"])
 
     def refit(own: str, ca: str = "ca.pem") -> "subprocess.CompletedProcess[str]":

@@ -16,7 +16,7 @@ from rig.archive.store import Archive
 from tests.rig.archive.test_refit import in_this_process
 from tests.rig.command_line import rig
 
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 TRUE = {"rig-1": 2.0, "rig-2": 2.1, "rig-3": 3.5, "rig-4": 1.9, "rig-5": 2.0, "rig-6": 2.1}
 
 
@@ -107,7 +107,7 @@ def test_blind_values_are_offset_by_rig_until_what_is_frozen_is_recorded(archive
 def test_what_moved_is_named_with_its_cause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rig.archive.refitting.in_processes", in_this_process)
     archive = tmp_path / "archive"
-    shutil.copytree(OLDER / "series", tmp_path / "runs")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs")
     add_sessions(archive, [tmp_path / "runs"])
     assert "no run that is meant has two versions" in rig("archive", "diff", "--archive", archive).stderr
     whole = ("--where", "state = 'whole'", "--archive", archive)

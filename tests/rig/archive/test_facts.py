@@ -19,13 +19,13 @@ from rig.archive.store import CONFIG, Archive
 from rig.commands.inputs import records_in
 from tests.acquisition.record.hanging_disk import Mounted, NoFuse, mounted
 
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 
 @pytest.fixture
 def series(tmp_path: Path) -> Path:
     """A session of two runs, the second of them cut short."""
-    return shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    return shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
 
 
 @pytest.fixture
@@ -173,8 +173,8 @@ def test_a_read_error_is_an_error_and_nobodys_identity(
     disk: Mounted, archive: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # of FUSE only what a test needs is there: the folder behind it is filled instead
-    shutil.copytree(OLDER / "series", disk.hangs.with_name("source") / "series")
-    shutil.copytree(OLDER / "uncalibrated", disk.hangs.with_name("source") / "other")
+    shutil.copytree(SAMPLES / "series", disk.hangs.with_name("source") / "series")
+    shutil.copytree(SAMPLES / "uncalibrated", disk.hangs.with_name("source") / "other")
     series = disk.folder / "series"
     add_sessions(archive, [series])
     before = listed(archive)
@@ -227,7 +227,7 @@ def test_a_condition_that_needs_too_much_memory_is_no_wrong_condition(
 
 def test_a_vanished_log_is_a_refusal(series: Path, archive: Path) -> None:
     add_sessions(archive, [series])
-    add_sessions(archive, [shutil.copytree(OLDER / "uncalibrated", series.parent / "more")])
+    add_sessions(archive, [shutil.copytree(SAMPLES / "uncalibrated", series.parent / "more")])
     log = archive / "facts"
     names = sorted(path.name for path in log.iterdir())
     assert len(names) == 3
@@ -270,14 +270,14 @@ def test_a_changed_fact_a_swapped_one_and_a_newer_one_are_refused(series: Path, 
 
 
 def test_an_archive_of_an_earlier_version_is_read_and_taken_over(tmp_path: Path) -> None:
-    """Written by the version before facts: `data/older-archive` says how."""
+    """Written by the version before facts: `data/samples-archive` says how."""
     archive = shutil.copytree(Path(__file__).parent / "data" / "older-archive", tmp_path / "archive")
     before = listed(archive, "run, folder, c, results, tags, year(added_utc)")
     assert [row[0] for row in before] == ["run-1", "run-1", "run-2"]
     assert {row[3] for row in before if row[2]} == {"results-2.json"}
     assert before[0][4] == ["good"] or before[1][4] == ["good"]
     assert not (archive / "facts").exists()
-    shutil.copytree(OLDER / "uncalibrated", tmp_path / "runs" / "new")
+    shutil.copytree(SAMPLES / "uncalibrated", tmp_path / "runs" / "new")
     add_sessions(archive, [tmp_path / "runs"])
     after = listed(archive, "run, folder, c, results, tags, year(added_utc)")
     assert [row for row in after if "new" not in row[1]] == [
@@ -302,7 +302,7 @@ def test_of_a_record_and_its_repaired_copies_the_fullest_is_taken(series: Path, 
 
 
 def test_a_state_that_is_damaged_is_missed_and_never_merged_away(series: Path, archive: Path) -> None:
-    shutil.copytree(OLDER / "uncalibrated", series.parent / "other")
+    shutil.copytree(SAMPLES / "uncalibrated", series.parent / "other")
     add_sessions(archive, [series.parent])
     before = listed(archive)
     for state in sorted((archive / "sessions").iterdir()):

@@ -19,13 +19,13 @@ from rig.archive.eln import check_eln, unpacked
 from rig.archive.store import Archive
 from tests.rig.command_line import rig
 
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 SAID = ("--title", "Friction of steel on K8", "--author", "Ada Example https://orcid.org/0000-0000-0000-0001")
 
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Path:
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
     add_sessions(tmp_path / "archive", [tmp_path / "runs"])
     return tmp_path / "archive"
 
@@ -182,8 +182,8 @@ def listed(archive: Path) -> Any:
 
 def test_a_file_for_notebooks_is_as_its_format_asks_and_imported_again(tmp_path: Path) -> None:
     """Each MUST of the ELN Consortium's file format; names with spaces, two sessions."""
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "a series")
-    shutil.copytree(OLDER / "uncalibrated", tmp_path / "runs" / "uncalibrated")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "a series")
+    shutil.copytree(SAMPLES / "uncalibrated", tmp_path / "runs" / "uncalibrated")
     archive, file = tmp_path / "archive", tmp_path / "friction.eln"
     add_sessions(archive, [tmp_path / "runs"])
     words = ("archive", "publish", "--where", "true", "-o", file, *SAID, "--archive", archive)

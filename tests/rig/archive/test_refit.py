@@ -21,13 +21,13 @@ from rig.replay import analyse_replayed
 from tests.rig.archive.deadly_work import deadly
 from tests.rig.command_line import rig
 
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Path:
     """An archive of one session: a whole run and one that was cut short."""
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
     add_sessions(tmp_path / "archive", [tmp_path / "runs"])
     return tmp_path / "archive"
 

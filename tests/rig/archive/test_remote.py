@@ -20,7 +20,7 @@ from rig.archive.remote import brought, opened, write_new
 from tests.rig.command_line import Done, rig
 
 REASON = "no server of S3 here: pip install 'optical-pendulum-rig[test-remote]'"
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 
 @pytest.fixture
@@ -56,8 +56,8 @@ def test_two_computers_use_one_archive(
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
-    shutil.copytree(OLDER / "uncalibrated", tmp_path / "more" / "uncalibrated")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "uncalibrated", tmp_path / "more" / "uncalibrated")
     assert on("one", "add", tmp_path / "runs").startswith("1 session added (2 runs)")
     assert on("two", "add", tmp_path / "runs", tmp_path / "more").startswith(
         "1 session added (1 run), 1 known"
@@ -117,7 +117,7 @@ def bucket() -> Any:
 def test_an_emptied_bucket_is_a_refusal_and_takes_nothing_away_here(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
     cache = tmp_path / "one"
     for words in (("add", tmp_path / "runs"), ("tag", "good", "--where", "b > 0")):
         assert on(monkeypatch, cache, url, *words).returncode == 0
@@ -153,7 +153,7 @@ def test_an_emptied_bucket_is_a_refusal_and_takes_nothing_away_here(
 def test_what_was_altered_where_it_lies_is_named_and_not_believed(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
     for words in (("add", tmp_path / "runs"), ("tag", "good", "--where", "b > 0")):
         assert on(monkeypatch, tmp_path / "one", url, *words).returncode == 0
     for number, path in enumerate(bucket().find("laboratory/friction")):
@@ -171,8 +171,8 @@ def test_two_users_of_one_computer_tell_one_history(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The second has not seen what the first sent while he worked: his facts come after, renumbered."""
-    series = shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
-    other = shutil.copytree(OLDER / "uncalibrated", tmp_path / "more" / "uncalibrated")
+    series = shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
+    other = shutil.copytree(SAMPLES / "uncalibrated", tmp_path / "more" / "uncalibrated")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "two"))
     with opened(url) as folder:
         add_sessions(folder, [series.parent])
@@ -246,7 +246,7 @@ class Lying(http.server.BaseHTTPRequestHandler):
 def test_an_endpoint_that_lies_is_not_believed(
     url: str, lie: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
     true = os.environ["AWS_ENDPOINT_URL"]
     assert on(monkeypatch, tmp_path / "one", url, "add", tmp_path / "runs").returncode == 0
     user = tmp_path / ("two" if lie == "gives half" else "one")
@@ -288,8 +288,8 @@ def lying(lie: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_a_server_that_writes_over_what_is_there_is_said_and_loses_nothing_sent_before(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    series = shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
-    other = shutil.copytree(OLDER / "uncalibrated", tmp_path / "more" / "uncalibrated")
+    series = shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
+    other = shutil.copytree(SAMPLES / "uncalibrated", tmp_path / "more" / "uncalibrated")
     with lying("writes over", monkeypatch):
         assert on(monkeypatch, tmp_path / "three", url, "add", series.parent).returncode == 0
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "two"))
@@ -314,7 +314,7 @@ def fsspec_forgets() -> None:
 def test_refused_credentials_are_said_and_nothing_is_lost(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
     assert on(monkeypatch, tmp_path / "one", url, "add", tmp_path / "runs").returncode == 0
     kept = {path: path.read_bytes() for path in (tmp_path / "one").rglob("*") if path.is_file()}
     # the server's own: from the first call on it wants a key that it knows
@@ -342,7 +342,7 @@ def test_refused_credentials_are_said_and_nothing_is_lost(
 
 
 def test_an_upload_that_was_cut_is_no_file(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
     assert on(monkeypatch, tmp_path / "one", url, "add", tmp_path / "runs").returncode == 0
     (fact, *_) = bucket().find("laboratory/friction/sessions")
     data = bucket().cat_file(fact)
@@ -389,7 +389,7 @@ def test_two_histories_of_one_computer_are_a_refusal(
 ) -> None:
     """The bucket is put back from a backup, and a computer that has lost its copy goes on there."""
     for name in ("series", "uncalibrated"):
-        shutil.copytree(OLDER / name, tmp_path / "runs" / name)
+        shutil.copytree(SAMPLES / name, tmp_path / "runs" / name)
     one, two = tmp_path / "one", tmp_path / "two"
     assert on(monkeypatch, one, url, "add", tmp_path / "runs").returncode == 0
     backup = {path: bucket().cat_file(path) for path in bucket().find("laboratory/friction")}
@@ -431,7 +431,7 @@ def test_the_desk_lists_an_archive_on_a_server_and_sends_nothing(
 
     archived = Archived(url)
     assert archived.is_there
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
     assert on(monkeypatch, tmp_path / "one", url, "add", tmp_path / "runs").returncode == 0
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "two"))
     found = archived.find("series", 0, 15)

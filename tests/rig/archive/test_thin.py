@@ -19,16 +19,16 @@ from rig.archive import add_sessions, remark, thin_runs
 from rig.archive.store import Archive
 from tests.rig.command_line import rig
 
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 LATER = datetime.date(2027, 11, 22)
-"""Eleven months, and some days, after the records of `OLDER`."""
+"""Eleven months, and some days, after the records of `SAMPLES`."""
 
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Path:
     """An archive of a whole run with results, one that was cut short, and one in px without a fit."""
-    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
-    shutil.copytree(OLDER / "uncalibrated", tmp_path / "runs" / "uncalibrated")
+    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
+    shutil.copytree(SAMPLES / "uncalibrated", tmp_path / "runs" / "uncalibrated")
     add_sessions(tmp_path / "archive", [tmp_path / "runs"])
     return tmp_path / "archive"
 
@@ -157,6 +157,6 @@ def test_nothing_is_thinned_without_results_consent_or_proof(
     monkeypatch.setattr(os, "replace", full)
     assert thinned(archive, 0) == 1
     assert record.read_bytes() == before
-    assert sorted(path.name for path in record.parent.iterdir()) == sorted(os.listdir(OLDER / "series"))
+    assert sorted(path.name for path in record.parent.iterdir()) == sorted(os.listdir(SAMPLES / "series"))
     with pytest.raises(ConfigurationError, match="--drop-after MONTHS"):
         thinned(archive, None)

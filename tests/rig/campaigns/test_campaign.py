@@ -26,7 +26,7 @@ from tests.rig.campaigns.made_sessions import (
 )
 from tests.rig.command_line import CONFIGS, rig
 
-OLDER = Path(__file__).parents[1] / "data" / "older"
+SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 STATED = """
 parameters = ["b", "p", "c"]
 change_points = ["b"]
@@ -117,9 +117,9 @@ def test_a_likelihood_is_that_of_its_results() -> None:
     assert likelihood.covariates["humidity_percent"].value == 45.0
 
 
-def test_results_of_older_versions_can_enter() -> None:
+def test_short_sessions_can_enter() -> None:
     found = answer_of(
-        runs_of_folders([OLDER / "series", OLDER / "last_of_schema_2"]), StatedCampaign(parameters=("p",))
+        runs_of_folders([SAMPLES / "series", SAMPLES / "first"]), StatedCampaign(parameters=("p",))
     )
     assert len(found.results.runs) + len(found.results.left_out) >= 2
     assert 0.9 < found.results.contacts["series"]["p"].value < 1.0
@@ -250,9 +250,9 @@ def test_the_stated_file_is_read(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_runs_of_an_archive(tmp_path: Path) -> None:
-    for name in ("first", "last_of_schema_2"):
-        shutil.copytree(OLDER / name, tmp_path / name)
-    added = rig("archive", "add", "first", "last_of_schema_2", "--archive", "catalogue", cwd=tmp_path)
+    for name in ("first", "series"):
+        shutil.copytree(SAMPLES / name, tmp_path / name)
+    added = rig("archive", "add", "first", "series", "--archive", "catalogue", cwd=tmp_path)
     assert added.returncode == 0, added.stderr
     (tmp_path / "campaign.toml").write_text('parameters = ["p"]')
     words = ("campaign", "--archive", "catalogue", "--config", "campaign.toml")

@@ -14,7 +14,7 @@ from tests.rig.command_line import rig
 
 ROOT = Path(__file__).resolve().parents[3]
 TEXT = (ROOT / "docs" / "campaign.md").read_text(encoding="utf-8")
-OLDER = Path(__file__).parents[1] / "data" / "older"
+SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
 
 @pytest.mark.slow
@@ -31,7 +31,7 @@ def test_the_commands_and_the_file_of_the_page(tmp_path: Path) -> None:
     assert tree["effects"][0]["margin"] == 0.3
     assert tree["changes"][0]["parameter"] == "c"
     # records with humidities and samples take minutes to measure: the words alone are checked here
-    shutil.copytree(OLDER / "first", tmp_path / "runs" / "first")
+    shutil.copytree(SAMPLES / "first", tmp_path / "runs" / "first")
     assert rig("archive", "add", "runs/first", "--archive", "archive", cwd=tmp_path).returncode == 0
     none = rig(*of_archive, cwd=tmp_path)
     assert none.returncode == 2

@@ -15,7 +15,7 @@ from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 PACKAGE = "axe-core@4.10.3"
 PANELS = {"1": "Align", "2": "Balance", "3": "Preflight", "4": "Measure", "5": "Calibrate", "6": "Sessions"}
 Shown = tuple[DeskProcess, Page]
@@ -190,11 +190,11 @@ def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
 def finished(output: Path, name: str) -> Path:
     """A session that has ended, with results and a report, in the archive of the desk, too."""
     folder = output / f"over-{name}"
-    shutil.copytree(OLDER / "series", folder)
+    shutil.copytree(SAMPLES / "series", folder)
     (folder / "report.html").write_text("<html lang='en'><head><title>r</title></head></html>", "utf-8")
     archive = output.parent / "archive"
     if not archive.exists():
-        add_sessions(archive, [OLDER / "series", OLDER / "uncalibrated"])
+        add_sessions(archive, [SAMPLES / "series", SAMPLES / "uncalibrated"])
     return folder
 
 

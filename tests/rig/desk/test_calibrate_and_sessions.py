@@ -19,7 +19,7 @@ from tests.rig.desk.desk_page import Page, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older" / "series"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples" / "series"
 RIG = """
 [session]
 output = "runs"
@@ -44,10 +44,10 @@ amplitude_arcsec = 0.0
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a rig at rest, a session of an older version, and one that was interrupted."""
+    """A folder with a rig at rest, a session that was made, and one that was interrupted."""
     place = tmp_path_factory.mktemp("desk")
     (place / "rig.toml").write_text(RIG, encoding="utf-8")
-    shutil.copytree(OLDER, place / "runs" / "older")
+    shutil.copytree(SAMPLES, place / "runs" / "older")
     config = load_configuration(place / "rig.toml").model_dump(mode="json")
     broken = place / "runs" / "broken"
     broken.mkdir()

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from acquisition.frame import Frame
 from rig.devices.frame_clock import FrameClock
-from rig.devices.recorded_times import mended_times
 
 IMAGE = np.zeros((2, 2), np.uint8)
 RATE_HZ = 25.0
@@ -355,6 +354,3 @@ def test_a_step_belongs_to_the_frame_after_it_however_many_waited_before(gap: in
         if seen.step is not None:
             places.append(seen.frames[seen.after_step].sequence)
     assert places == [135]
-    found = mended_times(np.arange(300), np.array(shown), np.array(hanging(true, 110, 160)))
-    assert found is not None
-    assert [time_ns for time_ns, _ in found.steps] == [shown[135]]

@@ -8,17 +8,17 @@ from processing.errors import ConfigurationError
 from rig.measure import RunState, hand_over
 from rig.measure.session_file import SessionFile
 
-OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 
 def test_a_result_with_what_limits_it_and_what_to_do() -> None:
-    found = hand_over(OLDER / "last_of_schema_2")
+    found = hand_over(SAMPLES / "first")
     assert found.ended is RunState.COMPLETE
-    assert found.headline.startswith("b = 0.02996 ± 0.00073")
+    assert found.headline.startswith("b = 0.0300 ± 0.0042")
     assert found.of == "the whole budget, swings and apparatus"
-    assert [one.name for one in found.limits] == ["swings (fit)", "motion of the ground"]
+    assert [one.name for one in found.limits] == ["ageing of the contact", "swings (fit)"]
     assert sum(one.share for one in found.limits) == pytest.approx(1.0, abs=0.05)
-    assert found.next_steps == ["measure longer, or make more runs"]
+    assert found.next_steps == ["wait until the contact has settled, or state its history"]
     assert any("dropped frames" in one for one in found.remarks)
     assert found.decay is not None
     left = [abs(a - b) for a, b in zip(found.decay.amplitude, found.decay.fitted, strict=True)]

@@ -49,7 +49,7 @@ def results_of(folder: Path) -> dict[str, Any]:
 @pytest.mark.slow
 def test_a_session_leaves_records_a_view_and_results(short_session: Path) -> None:
     tree = results_of(short_session)
-    assert tree["schema"] == 2
+    assert tree["schema"] == 1
     assert [run["record"] for run in tree["runs"]] == ["run-1.mcap", "run-2.mcap"]
     for run in tree["runs"]:
         assert run["dropped_frames"] == 0

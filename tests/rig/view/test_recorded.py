@@ -1,17 +1,17 @@
 """Display of records: content, alignment, overlay, and bad input."""
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from acquisition.frame import Frame
 from acquisition.record.events import ERROR_KINDS, WARNING_KINDS
-from acquisition.record.schemas import message_type_of
 from acquisition.record.writer import RecordWriter
 from processing.angle import ARCSEC_RAD
+from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
@@ -23,17 +23,6 @@ from tests.rig.view.rrd_contents import column, entities, measured, scalars
 
 EPOCH_NS = 1_700_000_000_000_000_000
 LOST_ROW = 500
-
-
-@dataclass(frozen=True)
-class LineBalance:
-    """Two numbers of a balance, as an older record may hold them."""
-
-    time_ns: int
-    transverse_ratio: float
-    u_transverse_ratio: float
-    line_angle_rad: float
-    u_line_angle_rad: float
 
 
 def make_record(path: Path, *, start_s: float = 7.0, rows: int = 1000, unit: str = "rad") -> Path:
@@ -62,10 +51,11 @@ def make_record(path: Path, *, start_s: float = 7.0, rows: int = 1000, unit: str
                 index, time_ns, 1e-4, 120 * factor, 0.005 * factor, 2.035, 1e-4, 0.0, 1 - 2 * (index % 2), 0
             )
             writer.write_swing(swing)
-            line = LineBalance(time_ns, 0.02, 0.0005, math.radians(1.5), math.radians(0.01))
-            writer.write(
-                message_type_of(LineBalance, "optical_pendulum.LineBalance", "/balance"), line, time_ns
-            )
+            unknown: dict[str, Any] = dict.fromkeys(Balance.__dataclass_fields__, math.nan)
+            line = {"line_angle_rad": math.radians(1.5), "u_line_angle_rad": math.radians(0.01)}
+            line |= {"transverse_ratio": 0.02, "u_transverse_ratio": 0.0005}
+            at = {"time_ns": time_ns, "unit": DeflectionUnit(unit)}
+            writer.write_balance(Balance(**{**unknown, **line, **at}))
         writer.write_event(int(times_ns[200]), "gap", "1 frame is missing")
         image = view_scene.spot_image((420.0, 160.0), np.random.default_rng(0))
         writer.write_image(Frame(image, int(sequence[100]), int(times_ns[100]), int(times_ns[100])))

@@ -20,7 +20,6 @@ from tests.acquisition.record.samples import write_sample
 from tests.rig.replay.replay_record import make_record
 from tests.validation.row import Found
 
-OLDER = Path(__file__).resolve().parents[2] / "acquisition" / "record" / "data"
 MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -83,13 +82,13 @@ def _is_chunk(data: bytes, index: Any) -> bool:
 
 @cache
 def conformance() -> dict[str, Found]:
-    """Faults over records of today, 8 and 16 bit, and of older versions of the program."""
+    """Faults over records of 8 and 16 bit."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_sample(folder / "sixteen.mcap", 128, dtype="u2")
         write_sample(folder / "eight.mcap", 128)
         make_record(folder / "run-1.mcap", 30.0)
-        results = {path.name: faults(path) for path in (*folder.glob("*.mcap"), *OLDER.glob("*.mcap"))}
+        results = {path.name: faults(path) for path in folder.glob("*.mcap")}
     named = [f"{name}: {fault}" for name, (found, _) in results.items() for fault in found]
     messages = sum(count for _, count in results.values())
     detail = "; ".join(named) or f"{len(results)} records, {messages:,} messages"
