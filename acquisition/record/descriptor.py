@@ -87,7 +87,7 @@ def descriptor_of(
             label=_FIELD.LABEL_OPTIONAL,
             json_name=field,
         )
-        _comment(file, _comment_of(field), _FIELD_PATH, place)
+        _comment(file, comment_of(field), _FIELD_PATH, place)
     for place, meaning in enumerate(meanings):
         enum = message.enum_type.add(name=meaning.__name__.removeprefix("Spot").removeprefix("Swing"))
         prefix = enum.name.upper()
@@ -107,7 +107,7 @@ def _comment(file: descriptor_pb2.FileDescriptorProto, text: str, *inside: int) 
         )
 
 
-def _comment_of(name: str) -> str:
+def comment_of(name: str) -> str:
     """What a field means; empty where its name says nothing."""
     if name in _MEANINGS:
         return _MEANINGS[name]

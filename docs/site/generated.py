@@ -11,7 +11,7 @@ import typer.main
 
 import rig
 from acquisition.record import topics
-from acquisition.record.field_comments import comment_of
+from acquisition.record.descriptor import comment_of
 from acquisition.record.schemas import MessageType
 from rig.cli import app
 from rig.settings import Configuration
