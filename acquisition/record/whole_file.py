@@ -52,22 +52,12 @@ def being_written(path: Path) -> Iterator[Path]:
     Nothing is left of it where the block raises; what was left by a process that was killed while it wrote
     the same file is taken away before. Raises FileExistsError, and OSError where it cannot be written.
     """
-    if os.path.lexists(path):
-        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-    take_away_leftovers(path.parent, path.name)
-    beside = _name_beside(path)
-    claim = beside.with_name(f"{beside.name}{_CLAIM}")
-    number = _claimed(claim)
-    try:
+    _refuse_existing(path)
+    with _beside(path) as beside:
         yield beside
         _force(beside)
         _take_free_name(beside, path)
         sync_folder(path.parent)
-    finally:
-        # the claim goes last: without it the file would be nobody's
-        beside.unlink(missing_ok=True)
-        os.close(number)
-        claim.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -76,8 +66,7 @@ def folder_being_written(path: Path) -> Iterator[Path]:
 
     Raises FileExistsError, and OSError where it cannot be written.
     """
-    if os.path.lexists(path):
-        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+    _refuse_existing(path)
     with folder_beside(path) as beside:
         yield beside
         for place, _, files in os.walk(beside):
@@ -94,17 +83,37 @@ def folder_beside(path: Path) -> Iterator[Path]:
 
     Raises OSError where it cannot be made.
     """
+    with _beside(path) as beside:
+        beside.mkdir()
+        yield beside
+
+
+@contextlib.contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """A claimed name beside a path; what has it at the end is taken away."""
     take_away_leftovers(path.parent, path.name)
     beside = _name_beside(path)
     claim = beside.with_name(f"{beside.name}{_CLAIM}")
     number = _claimed(claim)
     try:
-        beside.mkdir()
         yield beside
     finally:
-        shutil.rmtree(beside, ignore_errors=True)
+        # the claim goes last: without it the file would be nobody's
+        _take_away(beside)
         os.close(number)
         claim.unlink(missing_ok=True)
+
+
+def _refuse_existing(path: Path) -> None:
+    if os.path.lexists(path):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+
+
+def _take_away(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def take_away_leftovers(folder: Path, name: str = "") -> list[Path]:
@@ -126,10 +135,7 @@ def take_away_leftovers(folder: Path, name: str = "") -> list[Path]:
             continue
         if _is_nobodys(path):
             with contextlib.suppress(OSError):
-                written = path.with_name(entry.removesuffix(_CLAIM))
-                if written.is_dir() and not written.is_symlink():
-                    shutil.rmtree(written)
-                written.unlink(missing_ok=True)
+                _take_away(path.with_name(entry.removesuffix(_CLAIM)))
                 path.unlink(missing_ok=True)
                 gone.append(folder / found[1])
     return gone
@@ -157,8 +163,7 @@ def _take_free_name(beside: Path, path: Path) -> None:
         raise
     except OSError:
         # a file system without hard links (exFAT)
-        if os.path.lexists(path):
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
+        _refuse_existing(path)
         beside.rename(path)
 
 

@@ -17,7 +17,6 @@ from rig.rerun.messages import (
     Message,
     Mode,
     Picture,
-    Properties,
     ReferenceSamples,
     Samples,
     Setup,

@@ -1,6 +1,6 @@
 """Draws messages into one Rerun stream."""
 
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -23,7 +23,6 @@ from rig.rerun.messages import (
     Losses,
     Message,
     Picture,
-    Properties,
     ReferenceSamples,
     Samples,
     Setup,
@@ -158,8 +157,6 @@ class Drawing:
                 self._draw_log_line(message)
             case Fits():
                 draw_fits(self._stream, message, self._setup.unit)
-            case Properties():
-                self._stream.send_property("run", rr.AnyValues(**dict[str, Any](message.values)))
 
     def send(self, *, now: bool = False) -> None:
         """Send what was gathered if a limit of `Gathering` is reached, or in any case if `now`."""

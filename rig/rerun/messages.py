@@ -178,12 +178,6 @@ class Fits(NamedTuple):
     text: str
 
 
-class Properties(NamedTuple):
-    """What is known of the whole recording, by name: columns of the catalogue's table of recordings."""
-
-    values: Mapping[str, float | str]
-
-
 class Finish(NamedTuple):
     """Last message: complete the file and end."""
 
@@ -200,7 +194,6 @@ Message = (
     | State
     | LogLine
     | Fits
-    | Properties
     | Finish
 )
 

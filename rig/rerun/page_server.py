@@ -42,25 +42,6 @@ POLICY = (
     "connect-src 'self' data: blob:"
 )
 FETCH_LIMIT_S = 30.0
-CLOCK = b"""
-<div id="rig-clock" style="position:fixed;left:50%;bottom:6px;transform:translateX(-50%);z-index:9;
-pointer-events:none;padding:2px 10px;border-radius:9px;background:#0009;color:#ddd;font:13px sans-serif">
-</div>
-<script>
-  let drawn = 0;
-  const count = () => { drawn += 1; requestAnimationFrame(count); };
-  requestAnimationFrame(count);
-  setInterval(() => {
-    const now = new Date().toTimeString().slice(0, 8);
-    document.getElementById("rig-clock").textContent =
-      `now ${now}; compare with the time in State; pictures drawn a second: ${drawn}`;
-    drawn = 0;
-  }, 1000);
-</script>
-"""
-"""The time of the day, beside which the time in the State panel shows how far a slow browser is behind."""
-
-
 _KEY_VARIABLE = "RIG_PAGE_KEY"
 _MOST_ASKED_BYTES = 1024 * 1024
 _PIECE_BYTES = 64 * 1024
@@ -203,8 +184,7 @@ def viewer_files() -> dict[str, bytes]:
         deadline_s = time.monotonic() + FETCH_LIMIT_S
         while True:
             try:
-                files = {path: _fetched(port, path) for path in FILES}
-                return files | {"/": with_clock(files["/"])}
+                return {path: _fetched(port, path) for path in FILES}
             except OSError:
                 if time.monotonic() > deadline_s:
                     raise
@@ -212,12 +192,6 @@ def viewer_files() -> dict[str, bytes]:
     finally:
         program.kill()
         program.wait()
-
-
-def with_clock(page: bytes) -> bytes:
-    """The page with the time of the day at its bottom."""
-    head, end, tail = page.rpartition(b"</body>")
-    return head + CLOCK + end + tail if end else page + CLOCK
 
 
 def _fetched(port: int, path: str) -> bytes:

@@ -4,23 +4,19 @@ import logging
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
-from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import REFERENCE
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
-from processing.fit import FitMethod
 from processing.spot import SpotFlag
 from processing.ticks import nanoseconds, seconds
-from rig.analysis import recorded_results, recorded_surroundings
 from rig.devices import ClockRate
 from rig.instrument import CameraClock, advice_for, recorded_configuration
 from rig.presentation import balance_numbers, say
@@ -33,38 +29,6 @@ logger = logging.getLogger(__name__)
 
 BLOCK_ROWS = 1024
 PICTURE_INTERVAL_S = 10.0
-
-_OF_SESSION = ("sample", "operator", "contact_history", "host")
-
-
-def run_properties(reader: RecordReader) -> dict[str, float | str]:
-    """Sample, rig and air of a record, and the exact fit of the results beside it, if any, by name.
-
-    Names end in their units; `u_NAME` is a standard uncertainty. What is not known is left out.
-    """
-    air = recorded_surroundings(reader).known()
-    found: dict[str, float | str] = dict([*_stated(reader), *air.items(), *_fit(reader)])
-    return {name: value for name, value in found.items() if isinstance(value, str) or isfinite(value)}
-
-
-def _stated(reader: RecordReader) -> Iterator[tuple[str, str]]:
-    session, camera = (reader.metadata.get(name, {}) for name in ("session", "camera"))
-    yield from ((name, session[name]) for name in _OF_SESSION if session.get(name))
-    for name, key in (("camera", "model"), ("camera_serial", "serial")):
-        if camera.get(key):
-            yield name, camera[key]
-
-
-def _fit(reader: RecordReader) -> Iterator[tuple[str, float | str]]:
-    if not any(reader.path.parent.glob("results*.json")):
-        return
-    _, results = recorded_results(reader.path, sha256_of(reader.path))
-    fit = None if results is None else results.fits.get(FitMethod.EXACT)
-    if fit is not None:
-        yield "law", fit.law
-        for name, estimate in fit.parameters.items():
-            yield name, estimate.value
-            yield f"u_{name}", estimate.standard_uncertainty
 
 
 def show_records(
@@ -140,8 +104,6 @@ def write_rrd(paths: Sequence[Path], rrd: Path, *, layout: LayoutName = "measuri
             with RecordReader(path) as reader:
                 if reader.truncated:
                     say(reader.cut_notice)
-                if len(paths) == 1:
-                    viewer.properties(run_properties(reader))
                 spots, swings = _draw(viewer, reader, name, each.start_ns)
                 start = datetime.fromtimestamp(seconds(each.start_utc_ns), UTC)
                 end = "truncated" if reader.truncated else "damaged" if reader.damages else "complete"

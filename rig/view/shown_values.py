@@ -26,7 +26,6 @@ from rig.rerun import (
     Losses,
     Message,
     Picture,
-    Properties,
     ReferenceSamples,
     Samples,
     State,
@@ -145,10 +144,6 @@ class ShownValues(ABC):
     def fits(self, curves: Sequence[Curve], text: str = "", *, run: str = "") -> None:
         """Curves of the analysing layout and the report's text (Markdown)."""
         self._put(Fits(run, tuple(curves), text))
-
-    def properties(self, values: Mapping[str, float | str]) -> None:
-        """What is known of the whole run, by name."""
-        self._put(Properties(dict(values)))
 
 
 def _in_panel(key: str) -> Shown:

@@ -54,16 +54,3 @@ def static_values(path: Path, entity: str, component: str) -> list[Any]:
             found: list[Any] = batch.column(component).to_pylist()[0]
             return found
     return []
-
-
-def properties(path: Path) -> dict[str, Any]:
-    """What is stated of the whole run."""
-    for chunk in RrdReader(path).stream():
-        if str(chunk.entity_path) == "/__properties/run":
-            batch = chunk.to_record_batch()
-            return {
-                name: batch.column(name).to_pylist()[0][0]
-                for name in batch.schema.names
-                if pa.types.is_list(batch.schema.field(name).type)
-            }
-    return {}

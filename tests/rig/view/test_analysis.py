@@ -11,7 +11,6 @@ from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
-from rig.analysis import read_results
 from rig.instrument import advice_for, complete
 from rig.instrument.provenance import recorded_configuration
 from rig.replay.replay import Replay
@@ -20,7 +19,7 @@ from rig.view.analysis_curves import analysis_curves, report_text, run_analysis
 from rig.view.configured import start_view
 from rig.view.recorded import write_rrd
 from tests.rig.replay.replay_record import CONFIG, make_record
-from tests.rig.view.rrd_contents import column, entities, measured, properties, scalars, static_values
+from tests.rig.view.rrd_contents import column, entities, measured, scalars, static_values
 
 PANELS = {"decay", "residuals", "period", "period_residuals"}
 
@@ -53,22 +52,6 @@ def test_the_report_says_what_results_json_says(measured_series: Path) -> None:
     # one fit below the other, the exact one first
     assert 0 < text.index("| exact map |") < text.index("| Eqs. 5 and 6 |")
     assert text.count("| γ / MPa |") == 2
-
-
-def test_a_rerun_file_states_what_is_known_of_its_run(measured_series: Path, tmp_path: Path) -> None:
-    """A folder of them is a table in Rerun's catalogue, with a column for each."""
-    write_rrd([measured_series / "run-1.mcap"], tmp_path / "run-1.rrd")
-    stated = properties(tmp_path / "run-1.rrd")
-    fit = read_results(measured_series).runs[0].fits["exact"]
-    for name in ("b", "c", "gamma_pa"):
-        assert stated[name] == fit.parameters[name].value
-        assert stated[f"u_{name}"] == fit.parameters[name].standard_uncertainty
-    assert stated["operator"] == "demonstration"
-    assert stated["camera"]
-    assert "temperature_c" not in stated
-    record = make_record(tmp_path / "alone.mcap", 15.0)
-    write_rrd([record], tmp_path / "alone.rrd")
-    assert "b" not in properties(tmp_path / "alone.rrd")
 
 
 def test_a_record_without_results_is_fitted(tmp_path: Path) -> None:

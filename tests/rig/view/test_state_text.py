@@ -9,7 +9,6 @@ from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from rig.instrument import CameraClock, Phase, Snapshot
 from rig.presentation import Shown
-from rig.rerun.page_server import CLOCK, POLICY, with_clock
 from rig.view.state_text import empty_panels, state_text
 
 PARAMETERS = {"b": Shown("b", "", "exponent"), "gamma": Shown("γ", "MPa", "pressure")}
@@ -44,12 +43,3 @@ def test_a_parameter_that_is_not_drawn_is_named(u: float, vague: bool) -> None:
     found = {"b": Estimate(1.0, 0.01), "gamma": Estimate(1.0, u)}
     text = said(replace(BEGUN, clock=KNOWN, half_cycles=90, estimates=found, estimated_from=80))
     assert text == ("not known to a half of their values yet, hence not drawn: γ" if vague else "")
-
-
-def test_the_page_shows_the_time_of_the_day_as_its_policy_allows() -> None:
-    page = with_clock(b"<html><body>viewer</body></html>")
-    assert page.index(b"viewer") < page.index(b"rig-clock") < page.index(b"</body>")
-    assert with_clock(b"viewer").endswith(CLOCK)
-    assert b"src=" not in CLOCK
-    assert "script-src 'self' 'unsafe-inline'" in POLICY
-    assert "style-src 'self' 'unsafe-inline'" in POLICY
