@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from processing.errors import ConfigurationError, RecordError
-from rig.archive.columns import COLUMNS, SHORT_NAMES, SQL_TYPES
+from rig.archive.columns import COLUMNS, SHORT_NAMES
 
-_TYPES = {name: SQL_TYPES[column.kind] for name, column in COLUMNS.items()}
 _TABLES: Final = f"""
 create table if not exists folders (folder varchar primary key);
 create table if not exists sessions (folder varchar, files varchar);
-create table if not exists every_run ({", ".join(f"{name} {kind}" for name, kind in _TYPES.items())});
+create table if not exists every_run ({", ".join(f"{name} {kind}" for name, kind in COLUMNS.items())});
 create or replace view runs as
   select *, {", ".join(f"{name} as {short}" for short, name in SHORT_NAMES.items())}
   from every_run
@@ -28,7 +27,7 @@ lies in several folders once.
 """
 _INSERT: Final = f"""
 insert into every_run by name
-  select unnest(row) from (select unnest(from_json(?::json, '{json.dumps([_TYPES])}')) as row)
+  select unnest(row) from (select unnest(from_json(?::json, '{json.dumps([COLUMNS])}')) as row)
 """
 _READS_ONLY: Final = {
     "enable_external_access": "false",

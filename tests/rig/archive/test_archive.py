@@ -287,6 +287,5 @@ def test_numbers_are_kept_to_the_last_digit(tmp_path: Path) -> None:
 
 def test_every_column_stands_in_the_reference() -> None:
     text = (ROOT / "docs" / "reference" / "archive.md").read_text(encoding="utf-8")
-    listed = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", text, re.MULTILINE))
-    named = {name for name in COLUMNS if name.removeprefix("u_") not in DERIVED}
-    assert {name: COLUMNS[name].meaning for name in named} == listed
+    listed = set(re.findall(r"^\| `(\w+)` \| .+ \|$", text, re.MULTILINE))
+    assert listed == {name for name in COLUMNS if name.removeprefix("u_") not in DERIVED}
