@@ -115,12 +115,14 @@ def _connected(
             try:
                 connection = duckdb.connect(str(archive), read_only=read_only, config=dict(config or {}))
             except duckdb.IOException as error:
-                if "lock" not in str(error).lower() or time.monotonic() > given_up_s:
+                if "lock" not in str(error).lower():
                     raise
+                if time.monotonic() > given_up_s:
+                    raise ConfigurationError(f"{archive}: another program has it open; close that") from None
                 time.sleep(0.05)
         yield connection
-    except (duckdb.ConversionException, duckdb.OutOfRangeException, duckdb.OutOfMemoryException) as error:
-        # as '45 %' is no number, or a column joined with itself
+    except (duckdb.DataError, duckdb.InvalidInputException, duckdb.OutOfMemoryException) as error:
+        # as '45 %' is no number, or a table joined with itself
         said = str(error).splitlines()[0].partition(": ")[2]
         raise ConfigurationError(
             f"condition or columns: {said}; docs/reference/archive.md lists the columns and their units"

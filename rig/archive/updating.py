@@ -52,9 +52,9 @@ def update_below(archive: Path, folders: Sequence[Path] | None, *, read: bool = 
     with writing(archive) as connection:
         known = dict(connection.execute("select folder, files from sessions").fetchall())
         added = connection.execute("select folder from folders order by folder").fetchall()
-    roots = [Path(folder) for (folder,) in added] if folders is None else folders
-    roots = [root for root in roots if not any(root != one and root.is_relative_to(one) for one in roots)]
-    seen, hidden, unread = set[str](), list[str](), list[Path]()
+    all_roots = {Path(folder) for (folder,) in added} if folders is None else {*folders}
+    roots = sorted(root for root in all_roots if all_roots.isdisjoint(root.parents))
+    seen, hidden, unread = set[str](), list[Path](), list[Path]()
     sessions, rows = dict[str, str](), list[dict[str, Any]]()
     read_sessions = read_runs = 0
     written_s = time.monotonic()
@@ -85,11 +85,10 @@ def update_below(archive: Path, folders: Sequence[Path] | None, *, read: bool = 
             sessions, rows, written_s = {}, [], time.monotonic()
     for name in hidden:
         say(f"{name}: is not here or cannot be read; what the archive has of it stays")
-    lost = [Path(name) for name in known if name not in seen]
     gone = [
-        str(path)
-        for path in lost
-        if any(map(path.is_relative_to, roots)) and not any(map(path.is_relative_to, hidden))
+        name
+        for name in known.keys() - seen
+        if not (above := {Path(name), *Path(name).parents}).isdisjoint(roots) and above.isdisjoint(hidden)
     ]
     if sessions or gone:
         with writing(archive) as connection:
@@ -107,7 +106,7 @@ def update_below(archive: Path, folders: Sequence[Path] | None, *, read: bool = 
     return told
 
 
-def sessions_below(root: Path, hidden: list[str]) -> Iterator[tuple[Path, str]]:
+def sessions_below(root: Path, hidden: list[Path]) -> Iterator[tuple[Path, str]]:
     """Folders with records or results in and below one, with a hash of names, sizes and times of their files.
 
     Folders that cannot be looked into are appended to `hidden`.
@@ -127,7 +126,7 @@ def sessions_below(root: Path, hidden: list[str]) -> Iterator[tuple[Path, str]]:
                         files.append(f"{name}\0{status.st_size}\0{status.st_mtime_ns}")
                         is_session |= name.endswith(".mcap") or name.startswith("results")
         except OSError:
-            hidden.append(folder)
+            hidden.append(Path(folder))
             continue
         waiting += sorted(inner, reverse=True)
         if is_session:

@@ -208,6 +208,8 @@ def test_a_check_finds_what_is_not_as_it_was(
         ("colour = 3", "*", "condition 'colour = 3'"),
         ("", "colour", "columns 'colour'"),
         ("b >", "*", "syntax error"),
+        ("colour(b) > 1", "*", "condition 'colour(b) > 1'"),
+        ("regexp_matches(run, run || '(')", "*", "condition or columns: "),
         ("humidity_percent = '45 %'", "*", "Could not convert"),
         ("true; drop table every_run", "*", "holds a semicolon"),
         ("sample in (select * from read_csv('/etc/hostname'))", "*", "disabled by configuration"),
