@@ -154,7 +154,7 @@ def _on_cluster(work: Work, tasks: Sequence[Task], address: str) -> Iterator[tup
         from distributed import as_completed as as_done
 
         running = {client.submit(work, task, pure=False): task for task in tasks}
-        for future in as_done(running):
+        for future in as_done(running, loop=client.loop):
             yield running[future], _hindered(future)
 
 
