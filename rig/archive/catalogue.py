@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from processing.errors import ConfigurationError, RecordError
-from rig.archive.columns import COLUMNS, SHORT_NAMES, SQL_TYPES
+from rig.archive.columns import COLUMNS, SHORT_NAMES
 
-_TYPES = {name: SQL_TYPES[column.kind] for name, column in COLUMNS.items()}
 _TABLES: Final = f"""
 create table if not exists folders (folder varchar primary key);
 create table if not exists sessions (folder varchar, files varchar);
-create table if not exists every_run ({", ".join(f"{name} {kind}" for name, kind in _TYPES.items())});
+create table if not exists every_run ({", ".join(f"{name} {kind}" for name, kind in COLUMNS.items())});
 create or replace view runs as
   select *, {", ".join(f"{name} as {short}" for short, name in SHORT_NAMES.items())}
   from every_run
@@ -28,7 +27,7 @@ lies in several folders once.
 """
 _INSERT: Final = f"""
 insert into every_run by name
-  select unnest(row) from (select unnest(from_json(?::json, '{json.dumps([_TYPES])}')) as row)
+  select unnest(row) from (select unnest(from_json(?::json, '{json.dumps([COLUMNS])}')) as row)
 """
 _READS_ONLY: Final = {
     "enable_external_access": "false",
@@ -116,12 +115,14 @@ def _connected(
             try:
                 connection = duckdb.connect(str(archive), read_only=read_only, config=dict(config or {}))
             except duckdb.IOException as error:
-                if "lock" not in str(error).lower() or time.monotonic() > given_up_s:
+                if "lock" not in str(error).lower():
                     raise
+                if time.monotonic() > given_up_s:
+                    raise ConfigurationError(f"{archive}: another program has it open; close that") from None
                 time.sleep(0.05)
         yield connection
-    except (duckdb.ConversionException, duckdb.OutOfRangeException, duckdb.OutOfMemoryException) as error:
-        # as '45 %' is no number, or a column joined with itself
+    except (duckdb.DataError, duckdb.InvalidInputException, duckdb.OutOfMemoryException) as error:
+        # as '45 %' is no number, or a table joined with itself
         said = str(error).splitlines()[0].partition(": ")[2]
         raise ConfigurationError(
             f"condition or columns: {said}; docs/reference/archive.md lists the columns and their units"

@@ -111,9 +111,9 @@ def find_runs(archive: Path, words: str, first: int = 0, most: int = 20) -> tupl
 
 
 def selected(
-    archive: Path, wanted: str, condition: str, then: str = "from chosen"
+    archive: Path, wanted: str, condition: str, then: str = ""
 ) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """Names and rows of a query of the runs; `then` is one of its result, `chosen`.
+    """Names and rows of a query of the runs, or of the query `then` of its result, `chosen`.
 
     Raises ConfigurationError for a condition that is no plain one.
     """
@@ -125,7 +125,7 @@ def selected(
             if len(duckdb.extract_statements(query)) != 1:
                 raise ConfigurationError(f"condition {condition!r}: holds a semicolon; leave it out")
             chosen = connection.sql(query)
-        except (duckdb.ParserException, duckdb.BinderException, duckdb.PermissionException) as error:
+        except duckdb.Error as error:
             said = str(error).splitlines()[0].removeprefix("Binder Error: ")
             at_fault = f"condition {condition!r}"
             try:
@@ -135,7 +135,7 @@ def selected(
             raise ConfigurationError(
                 f"{at_fault}: {said}; docs/reference/archive.md lists the columns"
             ) from None
-        found = chosen.query("chosen", then)
+        found = chosen.query("chosen", then) if then else chosen
         return list(found.columns), found.fetchall()
 
 

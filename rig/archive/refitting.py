@@ -134,29 +134,18 @@ def _in_processes(work: Work, tasks: Sequence[Task], processes: int | None) -> I
     """
     # each process is to use one processor: libraries that read this start no threads of their own
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    waiting = list(tasks)
-    with _pool(processes) as pool:
+    # a fork would take the locks of this process's threads with it
+    how, broken = get_context("spawn"), list[Task]()
+    with ProcessPoolExecutor(processes, mp_context=how) as pool:
         running = {pool.submit(work, task): task for task in tasks}
         for done in as_completed(running):
-            if not isinstance(done.exception(), BrokenProcessPool):
-                waiting.remove(running[done])
-                yield running[done], _outcome(done.exception()) or done.result()
-    for task in waiting:
-        with _pool(1) as pool:
-            error = (done := pool.submit(work, task)).exception()
-            yield task, _outcome(error) or done.result()
-
-
-def _pool(processes: int | None) -> ProcessPoolExecutor:
-    # a fork would take the locks of this process's threads with it
-    return ProcessPoolExecutor(processes, mp_context=get_context("spawn"))
-
-
-def _outcome(error: BaseException | None) -> str:
-    if isinstance(error, BrokenProcessPool):
-        return "its process was ended, also when it ran alone"
-    # a fault that one session brings to light must not cost the others
-    return "" if error is None else f"failed: {error!r}"
+            if isinstance(done.exception(), BrokenProcessPool):
+                broken.append(running[done])
+            else:
+                yield running[done], _hindered(done)
+    for task in broken:
+        with ProcessPoolExecutor(1, mp_context=how) as pool:
+            yield task, _hindered(pool.submit(work, task))
 
 
 def _on_cluster(work: Work, tasks: Sequence[Task], address: str) -> Iterator[tuple[Task, str]]:
@@ -165,9 +154,16 @@ def _on_cluster(work: Work, tasks: Sequence[Task], address: str) -> Iterator[tup
         from distributed import as_completed as as_done
 
         running = {client.submit(work, task, pure=False): task for task in tasks}
-        for future in as_done(running):
-            failed = future.status != "finished"
-            yield running[future], f"failed: {future.exception()!r}" if failed else future.result()
+        for future in as_done(running, loop=client.loop):
+            yield running[future], _hindered(future)
+
+
+def _hindered(done: Any) -> str:
+    error = done.exception()
+    if isinstance(error, BrokenProcessPool):
+        return "its process was ended, also when it ran alone"
+    # a fault that one session brings to light must not cost the others
+    return str(done.result()) if error is None else f"failed: {error!r}"
 
 
 @contextlib.contextmanager

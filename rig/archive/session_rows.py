@@ -1,6 +1,5 @@
 """A session's folder as rows of the archive: its records, and what its newest results say of each."""
 
-import datetime
 import hashlib
 from collections.abc import Iterator
 from math import isfinite
@@ -186,8 +185,3 @@ def _estimate(name: str, item: Estimate) -> Iterator[tuple[str, float | None]]:
 
 def _number(value: float) -> float | None:
     return float(value) if isfinite(value) else None
-
-
-def now_utc() -> datetime.datetime:
-    """The time as the archive keeps it: UTC, without a zone."""
-    return datetime.datetime.now(datetime.UTC).replace(tzinfo=None)

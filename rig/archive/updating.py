@@ -1,5 +1,6 @@
 """`rig archive add`, `update` and `check`: what folders hold now, and whether it is what the archive says."""
 
+import datetime
 import hashlib
 import os
 import time
@@ -10,7 +11,6 @@ from typing import Any
 
 from processing.errors import ConfigurationError, RecordError
 from rig.archive.catalogue import check_is_there, forget_sessions, reading, write_sessions, writing
-from rig.archive.session_rows import now_utc, session_rows
 from rig.presentation import say
 
 _WRITTEN_EVERY_S = 5.0
@@ -44,59 +44,56 @@ def update_archive(archive: Path, *, read: bool = False) -> str:
     Raises RecordError, when all others are written, where a session's files cannot be read.
     """
     check_is_there(archive)
-    with writing(archive) as connection:
-        found = connection.execute("select folder from folders order by folder").fetchall()
-    return update_below(archive, [Path(folder) for (folder,) in found], read=read)
+    return update_below(archive, None, read=read)
 
 
-def update_below(archive: Path, roots: Sequence[Path], *, read: bool = False) -> str:
-    """The same for what lies in and below some folders."""
+def update_below(archive: Path, folders: Sequence[Path] | None, *, read: bool = False) -> str:
+    """The same for what lies in and below some folders; None: those that were added."""
     with writing(archive) as connection:
         known = dict(connection.execute("select folder, files from sessions").fetchall())
-    seen, hidden, unread = dict[str, str](), list[str](), list[Path]()
+        added = connection.execute("select folder from folders order by folder").fetchall()
+    all_roots = {Path(folder) for (folder,) in added} if folders is None else {*folders}
+    roots = sorted(root for root in all_roots if all_roots.isdisjoint(root.parents))
+    seen, hidden, unread = set[str](), list[Path](), list[Path]()
     sessions, rows = dict[str, str](), list[dict[str, Any]]()
     read_sessions = read_runs = 0
     written_s = time.monotonic()
-    roots = [root for root in roots if not any(root != one and root.is_relative_to(one) for one in roots)]
-    try:
-        for folder, files in (session for root in roots for session in sessions_below(root, hidden)):
-            seen[str(folder)] = files
-            if not read and known.get(str(folder)) == files:
-                continue
-            try:
-                found = session_rows(folder)
-            except RecordError as error:
-                say(f"{error}; {folder} stays as it was in the archive")
-                unread.append(folder)
-                continue
-            for flaw in found.flaws:
-                say(flaw)
-            if not found.rows:
-                continue
-            rows += [row | {"folder": str(folder), "added_utc": now_utc()} for row in found.rows]
-            # a record that lies elsewhere changes unseen: such a folder is read each time
-            inside = not any(Path(row["record"]).is_absolute() for row in found.rows)
-            sessions[str(folder)] = files if inside else ""
-            read_sessions, read_runs = read_sessions + 1, read_runs + len(found.rows)
-            if time.monotonic() - written_s > _WRITTEN_EVERY_S:
-                with writing(archive) as connection:
-                    write_sessions(connection, sessions, rows)
-                sessions, rows, written_s = {}, [], time.monotonic()
-    finally:
-        if sessions:
+    for folder, files in (session for root in roots for session in sessions_below(root, hidden)):
+        seen.add(str(folder))
+        if not read and known.get(str(folder)) == files:
+            continue
+        # takes a second to import, for which an update that finds nothing must not wait
+        from rig.archive.session_rows import session_rows
+
+        try:
+            found = session_rows(folder)
+        except RecordError as error:
+            say(f"{error}; {folder} stays as it was in the archive")
+            unread.append(folder)
+            continue
+        for flaw in found.flaws:
+            say(flaw)
+        now = datetime.datetime.now(datetime.UTC).replace(tzinfo=None)
+        rows += [row | {"folder": str(folder), "added_utc": now} for row in found.rows]
+        # a record that lies elsewhere changes unseen: such a folder is read each time
+        inside = not any(Path(row["record"]).is_absolute() for row in found.rows)
+        sessions[str(folder)] = files if inside else ""
+        read_sessions, read_runs = read_sessions + 1, read_runs + len(found.rows)
+        if time.monotonic() - written_s > _WRITTEN_EVERY_S:
             with writing(archive) as connection:
                 write_sessions(connection, sessions, rows)
+            sessions, rows, written_s = {}, [], time.monotonic()
     for name in hidden:
         say(f"{name}: is not here or cannot be read; what the archive has of it stays")
-    lost = [Path(name) for name in known if name not in seen]
     gone = [
-        str(path)
-        for path in lost
-        if any(map(path.is_relative_to, roots)) and not any(map(path.is_relative_to, hidden))
+        name
+        for name in known.keys() - seen
+        if not (above := {Path(name), *Path(name).parents}).isdisjoint(roots) and above.isdisjoint(hidden)
     ]
-    if gone:
+    if sessions or gone:
         with writing(archive) as connection:
             forget_sessions(connection, gone)
+            write_sessions(connection, sessions, rows)
     told = (
         f"{read_sessions} session{'' if read_sessions == 1 else 's'} read "
         f"({read_runs} run{'' if read_runs == 1 else 's'}), "
@@ -109,7 +106,7 @@ def update_below(archive: Path, roots: Sequence[Path], *, read: bool = False) ->
     return told
 
 
-def sessions_below(root: Path, hidden: list[str]) -> Iterator[tuple[Path, str]]:
+def sessions_below(root: Path, hidden: list[Path]) -> Iterator[tuple[Path, str]]:
     """Folders with records or results in and below one, with a hash of names, sizes and times of their files.
 
     Folders that cannot be looked into are appended to `hidden`.
@@ -129,7 +126,7 @@ def sessions_below(root: Path, hidden: list[str]) -> Iterator[tuple[Path, str]]:
                         files.append(f"{name}\0{status.st_size}\0{status.st_mtime_ns}")
                         is_session |= name.endswith(".mcap") or name.startswith("results")
         except OSError:
-            hidden.append(folder)
+            hidden.append(Path(folder))
             continue
         waiting += sorted(inner, reverse=True)
         if is_session:
@@ -153,6 +150,8 @@ def check_archive(archive: Path) -> int:
 
 
 def _differences(folder: Path, rows: Sequence[tuple[Any, ...]]) -> Iterator[str]:
+    from rig.archive.session_rows import session_rows
+
     try:
         now = {(row["record"], row["run"]): row for row in session_rows(folder).rows}
     except RecordError as error:

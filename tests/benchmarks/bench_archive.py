@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.archive.catalogue import write_sessions, writing
-from rig.archive.session_rows import now_utc, session_rows
+from rig.archive.session_rows import session_rows
 from rig.archive.updating import sessions_below
 
 _SERIES = Path(__file__).resolve().parents[1] / "rig" / "data" / "older" / "series"
@@ -49,7 +49,7 @@ def _measured(folder: Path, count: int) -> dict[str, float]:
     ]
     with writing(archive) as connection:
         connection.execute("insert into folders values (?)", [str(runs)])
-        write_sessions(connection, sessions, [row | {"added_utc": now_utc()} for row in rows])
+        write_sessions(connection, sessions, rows)
     found = {"sessions": float(len(sessions)), "file, MB": archive.stat().st_size / 1e6}
     condition = "b > 0.03 and sample like '%K8%' order by began_utc limit 20"
     for what, words in (("list", ("list", condition)), ("update of nothing", ("update",))):

@@ -93,7 +93,7 @@ def test_every_path_that_a_command_reads_is_looked_for_first() -> None:
         for item in command.params
         if item.type_descriptor.annotation in (Path, Path | None, list[Path]) and item.callback is None
     }
-    # one that is not there is made, or said by the archive itself
+    # of an archive every command says itself how one is made
     archives = {name for name in unchecked if name[-1] == "archive"}
     assert unchecked - archives == {*written, ("export", "output")}
 
