@@ -28,12 +28,12 @@ _LEFTOVER = re.compile(r"\.(.+)\.[0-9a-f]{8}(\.claim)?", re.DOTALL)
 _CLAIM = ".claim"
 
 
-def write_new(path: Path, data: bytes, *, mode: int = 0o666) -> None:
-    """Write a file that must not exist yet, with these rights as far as the umask lets.
+def write_new(path: Path, data: bytes) -> None:
+    """Write a file that must not exist yet.
 
     Raises FileExistsError, or OSError where it cannot be written.
     """
-    with _written_beside(path, data, mode) as beside:
+    with _written_beside(path, data, 0o666) as beside:
         _take_free_name(beside, path)
     sync_folder(path.parent)
 
@@ -67,7 +67,8 @@ def folder_being_written(path: Path) -> Iterator[Path]:
     Raises FileExistsError, and OSError where it cannot be written.
     """
     _refuse_existing(path)
-    with folder_beside(path) as beside:
+    with _beside(path) as beside:
+        beside.mkdir()
         yield beside
         for place, _, files in os.walk(beside):
             for file in files:
@@ -75,17 +76,6 @@ def folder_being_written(path: Path) -> Iterator[Path]:
             sync_folder(Path(place))
         beside.rename(path)
         sync_folder(path.parent)
-
-
-@contextlib.contextmanager
-def folder_beside(path: Path) -> Iterator[Path]:
-    """A folder beside a file that is made of what lies in it; it goes when the block ends.
-
-    Raises OSError where it cannot be made.
-    """
-    with _beside(path) as beside:
-        beside.mkdir()
-        yield beside
 
 
 @contextlib.contextmanager

@@ -22,9 +22,10 @@ This page is written by
 
 from what it measured last, which `docs/validation.json` keeps; a run that is ended goes on where it was. The
 name of a row is its word for `ARGS`; rows are declared in `tests/validation/catalogue.py`. Other programs
-come with `pip install ".[bench]"`, public data from the folder that `RIG_SHARED_DATA` names. **Bold** falls short of its limit, and stays here until it no longer does. Where a
-row states a share of cases, its limit is three binomial standard deviations of so many cases about 68 %, if
-nothing else is said; the benchmarks take more seeds.
+come with `pip install ".[bench]"`, public data from the folder that `RIG_SHARED_DATA` names. **Bold** falls
+short of its limit, and stays here until it no longer does. Where a row states a share of cases, its limit is
+three binomial standard deviations of so many cases about 68 %, if nothing else is said; the benchmarks take
+more seeds.
 """
 _FIGURE = (
     "![Shares of cases that intervals hold, for each fit](pictures/validation-coverage.svg)",
