@@ -269,25 +269,6 @@ def test_a_changed_fact_a_swapped_one_and_a_newer_one_are_refused(series: Path, 
         listed(archive)
 
 
-def test_an_archive_of_an_earlier_version_is_read_and_taken_over(tmp_path: Path) -> None:
-    """Written by the version before facts: `data/samples-archive` says how."""
-    archive = shutil.copytree(Path(__file__).parent / "data" / "older-archive", tmp_path / "archive")
-    before = listed(archive, "run, folder, c, results, tags, year(added_utc)")
-    assert [row[0] for row in before] == ["run-1", "run-1", "run-2"]
-    assert {row[3] for row in before if row[2]} == {"results-2.json"}
-    assert before[0][4] == ["good"] or before[1][4] == ["good"]
-    assert not (archive / "facts").exists()
-    shutil.copytree(SAMPLES / "uncalibrated", tmp_path / "runs" / "new")
-    add_sessions(archive, [tmp_path / "runs"])
-    after = listed(archive, "run, folder, c, results, tags, year(added_utc)")
-    assert [row for row in after if "new" not in row[1]] == [
-        row for row in before if row[0] != "run-1" or row[2]
-    ]
-    Archive(archive).merge(at_once=1)
-    assert listed(archive, "run, folder, c, results, tags, year(added_utc)") == after
-    assert not list((archive / "merged").glob("runs-*"))
-
-
 def test_of_a_record_and_its_repaired_copies_the_fullest_is_taken(series: Path, archive: Path) -> None:
     """Half a copy, as a version of before left it where it was killed, is not; a whole one is."""
     cut, half = series / "run-2.mcap", series / "run-2-recovered.mcap"
