@@ -11,7 +11,6 @@ from rig.control.lasers import LASERS, LaserSettings, LaserState, laser_unit, ma
 from rig.control.light_permit import TO_BE_ASKED, Interlock, LightPermit, LightRefused, Stage
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
 from rig.control.safety_state import (
-    Holder,
     LatchedTrip,
     SafetyState,
     TripCause,

@@ -3,11 +3,15 @@
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.comparison import compare
 from rig.report.drawing import INK, ReportFigure, canvas, png, styled, svg
-from rig.report.figures_witness import witness_figure
 from rig.report.html import check_report
-from rig.report.latex_files import latex_tables
-from rig.report.run_data import RunData, ShownTrajectory, ShownUnit
-from rig.report.session_report import draw_run, make_report, save_figures, save_tables
-from rig.report.table_report import make_table_report
+from rig.report.run_data import ShownTrajectory, ShownUnit
+from rig.report.session_report import (
+    draw_run,
+    latex_tables,
+    make_report,
+    make_table_report,
+    save_figures,
+    save_tables,
+)
 from rig.report.tables_instruments import instrument_table
 from rig.report.tables_uncertainty import series_table

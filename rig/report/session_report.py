@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,18 +12,19 @@ from acquisition.record import whole_file
 from processing.errors import RecordError
 from processing.fit import FitMethod
 from rig.analysis import (
+    AnalysedTable,
     Curves,
     Series,
     curves_of,
     results_path,
+    write_positions,
 )
-from rig.presentation import Table, quantity
+from rig.presentation import Table, latex_table, quantity
 from rig.report import figures_contact, figures_ground, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure, png, styled, svg
-from rig.report.figures_damping import damped_figure
+from rig.report.figures_ground import witness_figure
 from rig.report.figures_instruments import instrument_figures
-from rig.report.figures_motion import place_figure
-from rig.report.figures_witness import witness_figure
+from rig.report.figures_motion import damped_figure, place_figure
 from rig.report.run_data import ReportSource, RunData
 from rig.report.source import read_source
 from rig.report.summary import notes_of, sentence, summary_of, title_of
@@ -253,3 +254,25 @@ def _provenance(source: ReportSource) -> list[str]:
         columns = f'<div class="columns">{html.facts(list(configuration.items()))}</div>'
         body.append(html.folded("Configuration and calibration", [columns]))
     return body
+
+
+def make_table_report(table: AnalysedTable, folder: Path) -> Sequence[tuple[str, Path]]:
+    """Write positions.csv and the report of the results that are in a folder; what was made, by names.
+
+    Raises RecordError where a file cannot be written.
+    """
+    return [("positions", write_positions(table.trajectory, folder)), ("report", make_report(folder))]
+
+
+def latex_tables(folder: Path) -> Mapping[str, str]:
+    """Every table that the report shows, as `run-1-parameters.tex`, and those of a series.
+
+    Raises RecordError for a folder without results, or whose record is missing.
+    """
+    source = read_source(folder)
+    found = dict[str, Table]()
+    for number, run in enumerate(source.runs, start=1):
+        found |= {f"run-{number}-{each.name}.tex": each for each in run_tables(run, None)}
+    if source.series is not None:
+        found |= {f"{each.name}.tex": each for each in series_tables(source.series)}
+    return {name: latex_table(each, Path(name).stem) for name, each in found.items() if each.shown}

@@ -24,11 +24,10 @@ from rig.settings.configuration_file import (
 from rig.settings.deciding_plan import DecidingPlan, decides, load_deciding_plan
 from rig.settings.effect import Watched
 from rig.settings.instrument import InstrumentSettings
-from rig.settings.night_plan import PlannedSeries, load_plan
+from rig.settings.night_plan import PlannedSeries, RunConditions, load_plan
 from rig.settings.phases import PreflightSettings
-from rig.settings.run_conditions import RunConditions
 from rig.settings.shipped_configurations import shipped, shipped_names
 from rig.settings.stop_conditions import StopCondition, stop_condition
 from rig.settings.toml_file import read_toml
-from rig.settings.typed import number, optional, quantity, word
+from rig.settings.typed import number, optional, quantity
 from rig.settings.wording import in_words, validated, wanted

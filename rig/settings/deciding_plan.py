@@ -8,7 +8,7 @@ from typing import Annotated, Self
 from pydantic import AwareDatetime, BaseModel, Field, model_validator
 
 from processing.errors import ConfigurationError
-from rig.settings.run_conditions import RunConditions
+from rig.settings.night_plan import RunConditions
 from rig.settings.toml_file import read_toml
 from rig.settings.wording import validated
 
