@@ -5,16 +5,16 @@ scipy.stats would slow down the start of every command.
 """
 
 from calibration.axes import Axes, deflections, displacements
-from calibration.axes_fit import AxesFit, Sign, fit_axes
-from calibration.known_angle import ScaleCheck, check_scale, moved_between
+from calibration.axes_fit import Sign, fit_axes
+from calibration.known_angle import check_scale, moved_between
 from calibration.ladder import LadderSteps
 from calibration.lever_fit import LadderFit, fit_ladder, lever_from_shifts, lever_from_tilts
-from calibration.lever_geometry import GeometryLever, LeverGeometry, lever_from_geometry
+from calibration.lever_geometry import LeverGeometry, lever_from_geometry
 from calibration.light_lever import Lever, deflection_unit
 from calibration.oscillation import require_rest
 from calibration.pointing import Stability, stability
 from calibration.pulsed_shutter import PulsedShutterFit, fit_row_time_of_pulses
-from calibration.sensor import SensorCalibration, photon_transfer
+from calibration.sensor import photon_transfer
 from calibration.shutter import GLOBAL, Shutter, ShutterFit, fit_row_time
 from calibration.store import (
     CalibrationFile,

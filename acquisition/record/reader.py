@@ -19,7 +19,6 @@ from acquisition.record.schemas import MessageType, parse_message_type
 from acquisition.record.spots_and_swings import balances_of, deflections_of, swings_of
 from acquisition.record.topics import (
     BALANCE,
-    DEFLECTION_FIELDS,
     EVENT,
     IMAGE_TOPIC,
     LOG_TOPIC,
@@ -148,11 +147,6 @@ class RecordReader(ProvedFile):
                 table = table[table["time_ns"] >= start_ns]
             if len(table):
                 yield table
-
-    def deflection_blocks(self) -> Iterator[Deflections]:
-        """The deflections of the whole record, some thousand at a time."""
-        for table in self.spot_blocks(fields=DEFLECTION_FIELDS[self.deflection_unit]):
-            yield self.deflections(table)
 
     def swings(self) -> list[Swing]:
         """All half-cycles, with amplitudes in `deflection_unit`."""

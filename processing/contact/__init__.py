@@ -1,7 +1,7 @@
 """Contact of ball and flat: Hertz theory, laws of friction and elasticity, decay, period, half-swing map."""
 
 from processing.contact.adhesion import AdhesiveContact, adhesive_contacts
-from processing.contact.air_drag import Bar, ExpectedDrag, bar_of, expected_drag_s, vane_drag_s_per_m2
+from processing.contact.air_drag import ExpectedDrag, bar_of, expected_drag_s, vane_drag_s_per_m2
 from processing.contact.decay import decay_path, path_nodes
 from processing.contact.energy_loss import measured_losses, model_losses
 from processing.contact.free_swing import STEEPER_DRAG, law_harmonics
@@ -20,19 +20,9 @@ from processing.contact.hertz import (
     material,
     pendulum_on_ball,
 )
-from processing.contact.law import (
-    AMPLITUDE,
-    DRAG,
-    TIME,
-    BranchMoments,
-    Columns,
-    HalfSwings,
-    HeldColumn,
-    Law,
-    Parameter,
-)
+from processing.contact.law import AMPLITUDE, DRAG, TIME, Columns, HalfSwings, HeldColumn, Law, Parameter
 from processing.contact.law_of_splines import MomentSplines, spline_law
-from processing.contact.laws import DEFAULT_LAW, LAWS, PAPER
+from processing.contact.laws import DEFAULT_LAW, LAWS
 from processing.contact.moments import SurfaceEnergy, cycle_work, surface_energy, weight_moment
 from processing.contact.one_half_swing import OneHalfSwing, tabulated_half_swing
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall

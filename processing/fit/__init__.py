@@ -16,15 +16,15 @@ from processing.fit.errors_of_place import (
     place_errors,
     with_place_errors,
 )
-from processing.fit.evidence import NO_EVIDENCE, WAVEFORM, Evidence, Waveform, sine_covariance, waveform_of
+from processing.fit.evidence import NO_EVIDENCE, WAVEFORM, Evidence, sine_covariance, waveform_of
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
 from processing.fit.known_drive import Signals
 from processing.fit.law_comparison import LawComparison, compare_laws
 from processing.fit.law_errors import Change, ChangeKind, Misfit
-from processing.fit.misfit import misfit_of, with_misfit, with_misfit_of
+from processing.fit.misfit import with_misfit, with_misfit_of
 from processing.fit.planning import Conditions, PlannedRun, planned_run
-from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
+from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of
 from processing.fit.reported import (
     FittedContact,
     Work,
@@ -47,18 +47,13 @@ from processing.fit.series import (
 )
 from processing.fit.settling import FitOfSwings, fitted_twice, points_in_true_time, settlement
 from processing.fit.smoothing import super_smooth
-from processing.fit.uncertainty import Budget, BudgetSource, Propagated, budgets, monte_carlo
+from processing.fit.uncertainty import Budget, Propagated, budgets, monte_carlo
 from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes
 from processing.fit.waveform import CONTRADICTED, predicted_harmonics, waveform_chances
-from processing.fit.without_law import FreeMoments, fit_without_law
-from processing.fit.witness import (
-    Response,
-    Witness,
-    WitnessSpectra,
-    WitnessUse,
-    WitnessVerdict,
-    fit_with_witness,
-    plain_signals,
-)
+from processing.fit.without_law import fit_without_law
+from processing.fit.witness.fitting import fit_with_witness
+from processing.fit.witness.signals import Witness, plain_signals
+from processing.fit.witness.spectra import WitnessSpectra
+from processing.fit.witness.use import Response, WitnessUse
 from processing.fit.witnessed_columns import LEAST_LEFT
 from processing.fit_method import FitMethod

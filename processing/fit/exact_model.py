@@ -7,9 +7,10 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from processing.arrays import Floats
-from processing.contact import PendulumOnBall
+from processing.contact import HalfSwings, OneHalfSwing, PendulumOnBall, tabulated_half_swing
 from processing.contact.laws import DEFAULT_LAW, Law
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
@@ -17,7 +18,6 @@ from processing.fit.ground import AT_REST, Noise
 from processing.fit.ground_filter import GAINS, drive_filter
 from processing.fit.known_drive import KnownDrive
 from processing.fit.result import FitResult
-from processing.fit.swings_of_law import SwingsOfLaw
 from processing.fit.witnessed_columns import NOT_WITNESSED, WitnessedColumns
 from processing.periods import mean_period
 from processing.swing import TurningPoints
@@ -341,3 +341,42 @@ class ExactModel:
             return AT_REST
         noise = result.ground.noise.in_stated_uncertainties
         return replace(noise, step=noise.step / self.reference)
+
+
+class SwingsOfLaw:
+    """The map of a law for the half-cycles `index`, of measured amplitudes `x` in units of the reference.
+
+    Searches begin and end where others have been: copies of a model share what is kept here.
+    """
+
+    def __init__(self, law: Law, index: NDArray[np.int64], x: Floats) -> None:
+        self._law, self._index, self._x = law, index, x
+        self._tabulated: dict[bytes, OneHalfSwing] = {}
+        self._swung: dict[bytes, HalfSwings] = {}
+
+    def at_the_points(self, parameters: Floats) -> HalfSwings:
+        """The law's map at the indices of the points."""
+        key = parameters.tobytes()
+        if key not in self._swung:
+            self._swung.clear()
+            self._swung[key] = self._law.half_swing_map(parameters, self._index)
+        return self._swung[key]
+
+    def through_the_decay(self, parameters: Floats) -> OneHalfSwing | None:
+        """One half-swing at all amplitudes of the data; None if it cannot be had for these parameters."""
+        if not np.all(np.isfinite(parameters)):
+            return None
+        key = parameters[:-3].tobytes()
+        if key not in self._tabulated:
+            highest, lowest = 1.05 * float(self._x.max()), 0.9 * float(self._x.min())
+            count = int(1.1 * self._index[-1]) + 20
+            while True:
+                table = tabulated_half_swing(self._law.half_swing_map, parameters[:-2], highest, count)
+                reached = len(table.amplitude)
+                if reached < count or count > 4 * self._index[-1] or table.amplitude[-1] < lowest:
+                    break
+                count *= 2
+            self._tabulated.clear()
+            self._tabulated[key] = table
+        table = self._tabulated[key]
+        return table if len(table.amplitude) > 1 else None

@@ -47,21 +47,6 @@ class ResidualSpectrum:
     relative_u: float
     pendulum_hz: float
 
-    def base_acceleration(self, rad_per_acceleration: float) -> Floats:
-        """Amplitude density of the base acceleration that alone would leave this, in m/s^2/sqrt(Hz).
-
-        Far above its own frequency f0 the pendulum answers an acceleration a of its base with the angle
-        ``(d/(g R)) a f0^2/(f^2 - f0^2)``. Air and sensor are in it as well: the ground is no stronger.
-
-        Parameters
-        ----------
-        rad_per_acceleration
-            d/(g R) in rad s^2/m, with the height d of the mass centre over the contact; the deflections
-            must be in rad.
-        """
-        answer = self.pendulum_hz**2 / (self.frequency_hz**2 - self.pendulum_hz**2)
-        return np.asarray(np.sqrt(self.density) / (abs(rad_per_acceleration) * answer))
-
 
 def residual_spectrum(times_ns: Ints, deflection: Floats, swings: Sequence[Swing]) -> ResidualSpectrum:
     """Spectrum of the samples between the first and the last good turning point.

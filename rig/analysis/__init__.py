@@ -4,7 +4,7 @@ from rig.analysis.analysed_run import AnalysedRun, refuse_unread, session_result
 from rig.analysis.base_acceleration import base_motion
 from rig.analysis.compared_laws import chosen_laws, law_table, laws_of, moments_table
 from rig.analysis.contact_laws import surface_energies
-from rig.analysis.contact_results import Correlation, Fit, MonteCarlo, SurfaceEnergies
+from rig.analysis.contact_results import Correlation, Fit, MonteCarlo
 from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, evaluate, fit_results
 from rig.analysis.curves import Curves, curves_of
@@ -14,14 +14,13 @@ from rig.analysis.encoding import JsonObject, units_of
 from rig.analysis.film_positions import FilmAsked, film_needs_rate, film_trajectory, films_in
 from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
-from rig.analysis.fitted_drag import FittedDrag, evidence_of, known_drag
+from rig.analysis.fitted_drag import evidence_of, known_drag
 from rig.analysis.headline import budget_of, dominant_text
 from rig.analysis.instrument_results import (
     DampingResults,
     DecrementTable,
     InstrumentResults,
     InstrumentSeries,
-    OverPlaces,
     PeriodTable,
     SwingPlane,
 )
@@ -31,7 +30,7 @@ from rig.analysis.less_reference import less_beam_motion
 from rig.analysis.limits import Limit, whole_result
 from rig.analysis.motion_direction import along_and_across
 from rig.analysis.position_table import TableColumns
-from rig.analysis.positions_file import POSITIONS_NAME, read_positions, write_positions
+from rig.analysis.positions_file import read_positions, write_positions
 from rig.analysis.record_fit import analyse_record, analyse_run, with_dropped_frames
 from rig.analysis.recorded_witness import taken
 from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults, TableDecay, TableResults
@@ -53,14 +52,7 @@ from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import expected_drag, recorded_surroundings, stated_surroundings
 from rig.analysis.swings_fit import clock_rate_of
-from rig.analysis.table_fit import (
-    AnalysedTable,
-    FoundDecay,
-    analyse_table,
-    analyse_trajectory,
-)
+from rig.analysis.table_fit import AnalysedTable, analyse_table, analyse_trajectory
 from rig.analysis.table_screen import fit_envelope_table, fit_read, fit_several, fit_trajectory
-from rig.analysis.trajectory import Trajectory
 from rig.analysis.waveform_results import waveform_table
-from rig.analysis.witness_file import StatedWitness, WitnessRecord
-from rig.analysis.witnessed_fits import witness_sentences
+from rig.analysis.witness_file import StatedWitness

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,10 @@ from acquisition.cameras.files.settings import FilesSettings
 from acquisition.cameras.files.sources import IMAGES, is_film, natural_key, open_source
 from acquisition.cameras.files.timestamps import timestamps_beside
 from acquisition.frame import Image
+from processing.arrays import Floats
 from processing.errors import ConfigurationError, DataError
 from processing.spot import SensorModel, SpotFlag, SpotTracker
 from processing.ticks import seconds
-from processing.torn_positions import torn_positions
 from processing.units import conversion
 from rig.analysis.tables import known_unit
 from rig.analysis.trajectory import ANGLES, Trajectory
@@ -40,6 +41,16 @@ _WHITE = "GROUND_SATURATED"
 """The ground of a dark object is at full scale, which takes its edges' shape."""
 _FEWEST_FOUND = 0.5
 """Share of the frames below which what was followed is hardly what swings."""
+_BESIDE: Final = 3
+"""Neighbours on each side that foretell a position."""
+_AROUND: Final = 100
+"""Neighbours on each side that say how well they foretell it."""
+_USUAL: Final = 0.95
+"""Part of them that is taken for usual: compression, which stores nothing where little moves, has tails."""
+_TORN: Final = 4.0
+"""Times the usual: of noise alone nearly eight standard deviations."""
+_LEAST_PX: Final = 0.1
+"""A tear that matters nowhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,3 +234,35 @@ def _inside(since_s: NDArray[np.float64], asked: FilmAsked) -> NDArray[np.bool_]
             f"--from {begin_s:g} --to {end_s:g} leaves no frames of 0 to {since_s[-1]:.6g} s"
         )
     return np.asarray(inside)
+
+
+def torn_positions(time_s: Floats, positions: Floats) -> list[int]:
+    """First indices of stretches at which one of the coordinates (n, m), in px, tears off.
+
+    Each position is foretold by a cubic through three neighbours on each side. How far off that usually is
+    (noise, and what a cubic lacks of a swing) is told by a hundred on each side. Where a neighbour
+    is lost nothing is said.
+    """
+    count = len(time_s)
+    if count < 4 * _BESIDE:
+        return []
+    middle = np.arange(_BESIDE, count - _BESIDE)
+    beside = middle[:, None] + np.array([k for k in range(-_BESIDE, _BESIDE + 1) if k])
+    since = time_s[beside] - time_s[middle][:, None]
+    since /= np.abs(since).max(axis=1, keepdims=True)
+    weights = np.linalg.pinv(since[:, :, None] ** np.arange(4))[:, 0, :]
+    torn = np.zeros(count, dtype=bool)
+    for column in positions.T:
+        off = np.abs(column[middle] - np.sum(weights * column[beside], axis=1))
+        padded = np.pad(off, _AROUND, constant_values=np.nan)
+        around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1)
+        known = np.isfinite(off)
+        if not known.any():
+            continue
+        usual = np.full(len(off), np.nan)
+        usual[known] = np.nanquantile(around[known], _USUAL, axis=1)
+        with np.errstate(invalid="ignore"):
+            torn[middle] |= off > np.maximum(_TORN * usual, _LEAST_PX)
+    places = np.flatnonzero(torn)
+    # one tear is felt by its neighbours' forecasts
+    return [int(one) for k, one in enumerate(places) if k == 0 or one > places[k - 1] + 2 * _BESIDE]

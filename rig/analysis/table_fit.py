@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
+from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,7 @@ from processing.envelope import EnvelopeDecay, fit_envelope
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Witness
-from processing.separate_decays import separate_decays
-from processing.swing import Swing, estimate_noise, swings_of, turning_points
+from processing.swing import Swing, SwingFlag, estimate_noise, swings_of, turning_points
 from processing.ticks import seconds
 from rig.analysis.amplitude_damping import amplitude_damping
 from rig.analysis.compared_laws import laws_of
@@ -42,6 +42,12 @@ from rig.settings import Configuration
 _USABLE = 4  # what the summary of a decay needs (processing/decay_summary.py)
 _EDGE = 0.75
 """Samples of a decay: from so many half periods before its first turning point to as many after its last."""
+_GROWN = 1.2
+"""Ratio of neighbouring amplitudes from which on the pendulum was pushed again, and did not merely swing a
+little further: 20 % of its amplitude are nearly half of its energy."""
+_CLEARLY = 6.0
+"""Standard uncertainties: by chance once in 10^9 half-cycles, where amplitudes are so faint that noise makes
+them grow."""
 
 
 @dataclass(frozen=True)
@@ -281,3 +287,32 @@ def _why_no_laws(trajectory: Trajectory, config: Configuration | None) -> str:
     if config is None:
         return "the pendulum is not described; --config FILE with [pendulum] gives mass and ball"
     return ""
+
+
+def separate_decays(swings: Sequence[Swing]) -> list[list[Swing]]:
+    """The half-cycles of every decay, in order.
+
+    A decay begins with the first half-cycle, with one in which the detector saw a release or a kick, and
+    where an amplitude is clearly larger than the one before.
+    """
+    decays: list[list[Swing]] = []
+    before: Swing | None = None
+    for swing in swings:
+        released = bool(swing.flags & SwingFlag.START) and before is not None
+        if not decays or released or (before is not None and _pushed(before, swing)):
+            decays.append([])
+            before = None
+        decays[-1].append(swing)
+        if not swing.flags:
+            before = swing
+    return decays
+
+
+def _pushed(before: Swing, swing: Swing) -> bool:
+    """Whether an unflagged half-cycle is clearly larger than the unflagged one before it."""
+    grown = swing.amplitude - before.amplitude
+    return (
+        not swing.flags
+        and swing.amplitude > _GROWN * before.amplitude
+        and grown > _CLEARLY * hypot(swing.u_amplitude, before.u_amplitude)
+    )

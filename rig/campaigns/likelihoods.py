@@ -21,7 +21,6 @@ from rig.analysis import Fit, RunResults
 from rig.campaigns.stated import SURROUNDING_COVARIATES
 
 _AIR, _MISFIT, _AGEING, _PERIOD_DRIFT = "air", "misfit", "ageing", "period_drift"
-_NORMAL_95 = 1.959964
 _MOST_SHARED = 0.9999
 """Of a variance: what is left is the run's own."""
 _WELL = 0.5

@@ -37,14 +37,6 @@ class TripCause(StrEnum):
     """Somebody has pressed LIGHT OFF; no board has this cause."""
 
 
-class Holder(StrEnum):
-    """Who remembers a trip."""
-
-    BOARD = "board"
-    RIG = "rig"
-    """The rig's file; the host has seen what no board could."""
-
-
 @dataclass(frozen=True, slots=True)
 class LatchedTrip:
     """A trip that waits for its acknowledgement; `lit`: the laser was, or should have been, lit."""
@@ -53,7 +45,6 @@ class LatchedTrip:
     cause: TripCause
     why: str
     lit: bool
-    holder: Holder = Holder.RIG
 
     @property
     def text(self) -> str:

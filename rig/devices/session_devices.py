@@ -1,6 +1,5 @@
 """Opens the devices of a session in a safe order, and closes them in reverse order."""
 
-import logging
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -40,8 +39,6 @@ from rig.instrument import (
 )
 from rig.presentation import say
 from rig.settings import Configuration
-
-_log = logging.getLogger(__name__)
 
 
 class OpenCamera(NamedTuple):

@@ -1,32 +1,41 @@
-"""Reads the data of a run to be exported: spots, half-cycles, results and provenance, with units."""
+"""Reads what is exported of a record, a table or a series: spots, half-cycles, results, with units."""
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.digest import known_sha256_of
+from acquisition.record.digest import known_sha256_of, sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SPOT, SWING
 from acquisition.record.utc import utc
+from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
-from processing.units import unit_of_name
+from processing.ticks import NS_PER_S
+from processing.units import conversion, unit_of_name
 from rig.analysis import (
     RESULTS_NAME,
     JsonObject,
     RunResults,
     Series,
+    SessionResults,
+    StoredTurningPoints,
     TableDecay,
     encoded,
+    read_positions,
     read_results,
+    results_path,
     units_of,
 )
 from rig.instrument import CONFIGURATION_NAME
+
+SERIES_NAME = "series"
 
 
 @dataclass(frozen=True)
@@ -158,3 +167,69 @@ def flat_results(tree: JsonObject, above: str = "") -> list[tuple[str, float | s
 def columns_of(table: NDArray[Any]) -> dict[str, NDArray[Any]]:
     """The fields of a structured array as contiguous arrays, in order."""
     return {name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()}
+
+
+def exported_series(
+    source: Path, series: Series, runs: Sequence[tuple[ExportedRun, RunResults]]
+) -> ExportedResults:
+    """The series of a results file, with the hashes of that file and of the records that are combined in it,
+    in the order of its lists of runs.
+    """
+    runs = series.combined(runs)
+    path = results_path(source)
+    about = {"results": path.name, "sha256": sha256_of(path)}
+    samples = {run.provenance.get("session.sample", "") for run, _ in runs}
+    if len(samples) == 1 and (sample := samples.pop()):
+        about["session.sample"] = sample
+    about |= {f"runs.{place}": f"{one.record}, SHA-256 {one.sha256}" for place, (_, one) in enumerate(runs)}
+    simulated = sum(bool(one.simulated) for _, one in runs)
+    if simulated:
+        about["simulated"] = f"SIMULATED: {simulated} of {len(runs)} runs"
+    alone = SessionResults(runs=(), series=series)
+    tree = encoded(alone)
+    units = {name.removeprefix("series."): unit for name, unit in units_of(alone, tree).items()}
+    notes = tuple(f"{run.name}: {note}" for run, _ in runs for note in run.notes)
+    return ExportedResults(SERIES_NAME, cast(JsonObject, tree["series"]), units, about, notes)
+
+
+def read_table_decay(folder: Path, decay: TableDecay, name: str) -> ExportedRun:
+    """A decay of which a folder holds the results; angles in rad, other positions in the table's own unit.
+
+    Raises RecordError where the positions beside the results cannot be read.
+    """
+    stored = decay.turning_points or StoredTurningPoints()
+    own = decay.amplitude_unit or "unit"
+    of_angle = stored.unit is DeflectionUnit.RAD
+    unit, size = ("rad", conversion(own, "rad")) if of_angle else (own, 1.0)
+    time_s, positions = read_positions(folder)
+    inside = (time_s >= decay.began_s) & (time_s <= decay.ended_s)
+    suffix = re.sub(r"\W", "_", unit)
+    columns = {"time_s": time_s[inside]}
+    columns |= {f"position_{k}_{suffix}": each[inside] * size for k, each in enumerate(positions, start=1)}
+    found = encoded(decay)
+    provenance = {"table": decay.record, "sha256": decay.sha256, "unit of the table": own}
+    swings = {
+        "index": stored.index,
+        "time_s": stored.first_ns / NS_PER_S + stored.time_s,
+        "u_time_s": stored.u_time_s,
+        f"amplitude_{suffix}": stored.amplitude,
+        f"u_amplitude_{suffix}": stored.u_amplitude,
+    }
+    return ExportedRun(
+        name,
+        found,
+        units_of(decay, found),
+        provenance,
+        spots=_table(columns),
+        swings=_table(swings),
+        column_units={key: unit for key in (*columns, *swings) if key.endswith(f"_{suffix}")},
+    )
+
+
+def _table(columns: dict[str, NDArray[Any]]) -> NDArray[Any]:
+    table = np.empty(
+        len(columns[next(iter(columns))]), [(name, each.dtype) for name, each in columns.items()]
+    )
+    for name, each in columns.items():
+        table[name] = each
+    return table

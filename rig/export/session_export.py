@@ -7,9 +7,7 @@ from acquisition.record.whole_file import write_new
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import TableDecay
 from rig.export.nexus import item_name, write_nexus
-from rig.export.run import read_run, runs_in, series_in
-from rig.export.series import SERIES_NAME, exported_series
-from rig.export.table_run import read_table_decay
+from rig.export.run import SERIES_NAME, exported_series, read_run, read_table_decay, runs_in, series_in
 from rig.export.tables import TABLES, table_path, write_csv, write_parquet
 from rig.presentation import say
 from rig.report import latex_tables

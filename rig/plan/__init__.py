@@ -7,4 +7,4 @@ from rig.plan.expected import (
     expected_of_table,
     planned_expectation,
 )
-from rig.plan.plan import Plan, plan_expected, plan_runs, plan_table, print_plan, save_plan
+from rig.plan.plan import plan_expected, plan_runs, plan_table, print_plan, save_plan

@@ -21,5 +21,4 @@ from rig.presentation.printing import columns_of, plain_values, print_json_line,
 from rig.presentation.quantities import SOURCES, Shown, law_parameters, quantity, unit_of
 from rig.presentation.table import Cell, Table, harmless_line, harmless_text
 from rig.presentation.terminal import print_tables, screen_width
-from rig.presentation.verdict import Verdict, failures, table_tree
-from rig.presentation.verdict_table import print_verdicts
+from rig.presentation.verdict import Verdict, failures, print_verdicts, table_tree

@@ -8,7 +8,6 @@ from typing import Final
 
 from processing.fit_method import FitMethod
 
-BLACK: Final = "#000000"
 ORANGE: Final = "#E69F00"
 SKY_BLUE: Final = "#56B4E9"
 BLUISH_GREEN: Final = "#009E73"

@@ -1,7 +1,12 @@
-"""Result of one check of preflight or doctor: what was checked, what was found, and the remedy."""
+"""Result of one check of preflight or doctor, and their table: what was found, and the remedy."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+
+from rich.console import Console
+from rich.table import Table
+
+from rig.presentation.printing import folded
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,3 +59,36 @@ def failures(verdicts: Sequence[Verdict]) -> str:
 def table_tree(verdicts: Sequence[Verdict]) -> list[dict[str, object]]:
     """The results as plain values, for JSON."""
     return [asdict(verdict) for verdict in verdicts]
+
+
+def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
+    """Print the go / no-go table, and below it reason and remedy of each warning and each no-go."""
+    table = Table(box=None, pad_edge=False, header_style="bold", expand=False)
+    names = ["", "check", "found"]
+    limited = any(verdict.limit for verdict in verdicts)
+    for name in [*names, "limit"] if limited else names:
+        table.add_column(name, overflow="fold")
+    for verdict in verdicts:
+        cells = [verdict.name, verdict.measured or verdict.reason]
+        table.add_row(_mark(verdict), *cells, *([verdict.limit] if limited else []))
+    console.print(table, highlight=False)
+    for verdict in verdicts:
+        if verdict.remedy:
+            kind = "warning" if verdict.ok else "NO-GO"
+            why = "; ".join(text for text in (verdict.reason, verdict.remedy) if text)
+            _print(console, f"{kind} {verdict.name}: {why}")
+    for reason in dict.fromkeys(v.reason for v in verdicts if not v.made and v.reason):
+        found = ", ".join(v.name for v in verdicts if v.reason == reason)
+        _print(console, f"not checked: {found}: {reason}")
+
+
+def _print(console: Console, text: str) -> None:
+    console.print(folded(text, console.width), highlight=False, markup=False)
+
+
+def _mark(verdict: Verdict) -> str:
+    if not verdict.made:
+        return "[dim]-[/]"
+    if not verdict.ok:
+        return "[bold red]NO[/]"
+    return "[yellow]warn[/]" if verdict.remedy else "[green]go[/]"

@@ -3,7 +3,6 @@
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.comparison import compare
 from rig.report.drawing import INK, ReportFigure, canvas, png, styled, svg
-from rig.report.figures_witness import witness_figure
 from rig.report.html import check_report
 from rig.report.run_data import ShownTrajectory, ShownUnit
 from rig.report.session_report import (

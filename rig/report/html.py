@@ -31,17 +31,6 @@ def variables(theme: Mapping[str, str]) -> str:
     return " ".join(f"--{name}: {colour};" for name, colour in theme.items())
 
 
-def following(figure: bytes) -> bytes:
-    """An SVG of lines whose inks are those of the page's theme, wherever it is shown as an image."""
-    rules = [f"svg {{ fill: {DARK['ink']}; }}"]
-    for light, dark in _IN_THE_DARK.items():
-        for part in ("fill", "stroke"):
-            rules.append(f'[style*="{part}: {light.lower()}"] {{ {part}: {dark} !important; }}')
-    style = f"<style>@media (prefers-color-scheme: dark) {{ {' '.join(rules)} }}</style>"
-    head, tag, rest = figure.partition(b"<defs>")
-    return head + style.encode() + tag + rest
-
-
 STYLE = (
     f"""
 :root {{ color-scheme: light; {variables(LIGHT)} }}
@@ -267,3 +256,14 @@ def check_report(results: Path) -> list[Finding]:
             Finding("error", f"{report.name} was made from other results than {results.name}; run rig report")
         ]
     return [Finding("note", f"{report.name} was made from {results.name}")]
+
+
+def following(figure: bytes) -> bytes:
+    """An SVG of lines whose inks are those of the page's theme, wherever it is shown as an image."""
+    rules = [f"svg {{ fill: {DARK['ink']}; }}"]
+    for light, dark in _IN_THE_DARK.items():
+        for part in ("fill", "stroke"):
+            rules.append(f'[style*="{part}: {light.lower()}"] {{ {part}: {dark} !important; }}')
+    style = f"<style>@media (prefers-color-scheme: dark) {{ {' '.join(rules)} }}</style>"
+    head, tag, rest = figure.partition(b"<defs>")
+    return head + style.encode() + tag + rest

@@ -22,10 +22,9 @@ from rig.analysis import (
 from rig.presentation import Table, latex_table, quantity
 from rig.report import figures_contact, figures_ground, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure, png, styled, svg
-from rig.report.figures_damping import damped_figure
+from rig.report.figures_ground import witness_figure
 from rig.report.figures_instruments import instrument_figures
-from rig.report.figures_motion import place_figure
-from rig.report.figures_witness import witness_figure
+from rig.report.figures_motion import damped_figure, place_figure
 from rig.report.run_data import ReportSource, RunData
 from rig.report.source import read_source
 from rig.report.summary import notes_of, sentence, summary_of, title_of

@@ -35,6 +35,8 @@ from rig.instrument import CONFIGURATION_NAME, recorded_configuration
 from rig.report.run_data import RecordedPicture, ReportSource, RunData, ShownTrajectory, ShownUnit
 
 _LONG_LIST = 20
+_EDGE = 0.05
+"""Part of a decay's length that is drawn before and after it."""
 
 
 def read_source(source: Path) -> ReportSource:
@@ -156,10 +158,6 @@ def _flat(tree: JsonObject, above: str = "") -> dict[str, str]:
         elif value is not None and value != "":
             found[name] = f"{value:.10g}" if isinstance(value, float) else str(value)
     return found
-
-
-_EDGE = 0.05
-"""Part of a decay's length that is drawn before and after it."""
 
 
 def decay_of_table(folder: Path, table: TableResults, number: int) -> RunData:

@@ -1,8 +1,6 @@
 """Functions and classes of `import rig` for scripts and notebooks: records, fits, campaigns, figures."""
 
 from rig.campaigns import Campaign
-from rig.scripting.fits import curves, fit, fit_film, fit_table
-from rig.scripting.joint import campaign
+from rig.scripting.fits import campaign, curves, fit, fit_film, fit_table
 from rig.scripting.record import Record, open_record
-from rig.scripting.session import Session, figures, open_session
-from rig.scripting.stored import read_results, write_results
+from rig.scripting.session import Session, figures, open_session, read_results, write_results

@@ -1,19 +1,16 @@
-"""The folder of a session, and the figures of its report."""
+"""The folder of a session, results files, and the figures of a report."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.analysis import SessionResults, read_results
+from processing.errors import ConfigurationError
+from rig import analysis
+from rig.analysis import SessionResults, TableResults
+from rig.report import draw_run, styled
 from rig.scripting.given import path_of
 from rig.scripting.record import Record, open_record
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-from typing import TYPE_CHECKING
-
-from rig.report import draw_run, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,5 +62,32 @@ def open_session(folder: str | Path) -> Session:
         There are no results (`rig.fit` makes them), or a record is missing.
     """
     folder = path_of(folder, "folder")
-    results = read_results(folder)
+    results = analysis.read_results(folder)
     return Session(folder, results, tuple(open_record(folder / run.record) for run in results.runs))
+
+
+def read_results(source: str | Path) -> SessionResults:
+    """results.json of a session's folder, or a results file: of records, or of the decays of a table.
+
+    Raises
+    ------
+    RigError
+        No such file, or a key that cannot be understood.
+    """
+    return analysis.read_results(path_of(source, "source"))
+
+
+def write_results(path: str | Path, results: SessionResults | TableResults) -> None:
+    """Write results.json; never over an existing file.
+
+    Raises
+    ------
+    RigError
+        There is a file of that name, it cannot be written, or these are no results of `rig.fit`,
+        `rig.fit_table` or `rig.fit_film`.
+    """
+    if not isinstance(results, SessionResults | TableResults):
+        raise ConfigurationError(
+            f"results: what rig.fit or rig.fit_table returned is needed, not a {type(results).__name__}"
+        )
+    analysis.write_results(path_of(path, "path"), results)

@@ -28,5 +28,5 @@ from rig.settings.phases import PreflightSettings
 from rig.settings.shipped_configurations import shipped, shipped_names
 from rig.settings.stop_conditions import StopCondition
 from rig.settings.toml_file import read_toml
-from rig.settings.typed import number, optional, quantity, word
+from rig.settings.typed import number, optional, quantity
 from rig.settings.wording import in_words, validated, wanted

@@ -1,4 +1,4 @@
-"""Reads what a person types: a number with its unit and its standard uncertainty, a word, a file."""
+"""Reads what a person types: a number with its unit and its standard uncertainty."""
 
 import re
 from collections.abc import Callable
@@ -77,8 +77,3 @@ def number(unit: str = "", *, least: float | None = None) -> Callable[[str], flo
 def optional(read: Callable[[str], float]) -> Callable[[str], float | None]:
     """Reads the same; nothing for an empty answer."""
     return lambda text: read(text) if text else None
-
-
-def word(text: str) -> str:
-    """Any text."""
-    return text

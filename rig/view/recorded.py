@@ -1,6 +1,5 @@
 """Shows one or several recorded runs in the live layout; several runs are overlaid."""
 
-import logging
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
@@ -24,8 +23,6 @@ from rig.rerun import LayoutName, ShowMode
 from rig.view.analysis_curves import analysis_curves, report_text, run_analysis
 from rig.view.viewer import Viewer
 from rig.view.viewer_program import show_rrd
-
-logger = logging.getLogger(__name__)
 
 BLOCK_ROWS = 1024
 PICTURE_INTERVAL_S = 10.0

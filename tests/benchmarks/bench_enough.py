@@ -33,7 +33,8 @@ from rig.analysis import settled_swings
 from rig.instrument import complete
 from rig.measure.end_of_run import EndLimits, EndOfRun
 from rig.plan import expected_of, plan_expected
-from rig.posterior import FIRST_HALF_CYCLES, following
+from rig.posterior import FIRST_HALF_CYCLES
+from rig.posterior.posterior import following
 from rig.settings import load_configuration
 from rig.settings.stop_conditions import stop_conditions
 from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise

@@ -14,7 +14,8 @@ from processing.fit import WitnessSpectra
 from rig.instrument import complete
 from rig.plan import expected_of, plan_expected
 from rig.plan.figure import plan_figure
-from rig.report import draw_run, styled, witness_figure
+from rig.report import draw_run, styled
+from rig.report.figures_ground import witness_figure
 from rig.rerun import LayoutName
 from rig.settings import load_configuration
 

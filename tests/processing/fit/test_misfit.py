@@ -9,7 +9,6 @@ from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED, Estimate
 from processing.fit import (
-    ChangeKind,
     Evidence,
     FitResult,
     changes_of,
@@ -19,11 +18,12 @@ from processing.fit import (
     fit_asymptotic,
     fit_exact,
     fitted_contact,
-    misfit_of,
     with_drifts,
     with_misfit,
     with_misfit_of,
 )
+from processing.fit.law_errors import ChangeKind
+from processing.fit.misfit import misfit_of
 from processing.swing import TurningPoints
 from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise

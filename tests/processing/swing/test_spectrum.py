@@ -1,8 +1,5 @@
 """The spectrum outside the modes: sensor, air and ground come out at their levels."""
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.signal import welch
@@ -10,8 +7,7 @@ from scipy.signal import welch
 from processing.errors import DataError
 from processing.swing import residual_spectrum
 from processing.swing.spectrum import segment_powers
-from tests.processing.swing.test_driven import PER_ACCELERATION, driven
-from tests.processing.swing.truth import ARCSEC_RAD, damped_sinusoid, detect
+from tests.processing.swing.truth import damped_sinusoid, detect
 
 
 def test_white_noise_has_its_level_with_gaps_too() -> None:
@@ -32,20 +28,6 @@ def test_powers_of_segments_are_those_of_welch(length: int) -> None:
     samples = 3.0 + np.random.default_rng(9).normal(size=500).cumsum()
     expected = welch(samples, 1.0, nperseg=length)[1]
     assert segment_powers(samples, length).mean(axis=0) == pytest.approx(expected, rel=1e-9)
-
-
-def test_base_acceleration_is_that_of_the_ground() -> None:
-    """Between 0.55 and 1.2 Hz the drive stands out of the sensor's noise."""
-    q = 1e-6
-    record = driven("steel", q, 2, 25.0, 0.001)
-    in_rad = replace(
-        record, deflection=record.deflection * ARCSEC_RAD, u_deflection=record.u_deflection * ARCSEC_RAD
-    )
-    found = residual_spectrum(in_rad.times_ns, in_rad.deflection, detect(in_rad))
-    wanted = q / (2 * math.pi / 4.049) ** 2 / PER_ACCELERATION
-    band = found.frequency_hz < 1.2
-    level = math.sqrt(float(np.mean(found.base_acceleration(PER_ACCELERATION)[band] ** 2)))
-    assert level == pytest.approx(wanted, rel=0.15)
 
 
 def test_what_has_no_spectrum_says_so() -> None:

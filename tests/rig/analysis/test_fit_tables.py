@@ -10,18 +10,19 @@ import pytest
 
 from processing.contact import SurfaceEnergy
 from processing.estimate import Determinacy, Estimate
-from processing.fit import Budget, BudgetSource, Determination, Drag
+from processing.fit import Budget, Determination, Drag
+from processing.fit.uncertainty import BudgetSource
 from rig.analysis import (
     Fit,
     RunResults,
     SessionResults,
-    SurfaceEnergies,
     parameter_table,
     print_results,
     quality_table,
     read_results,
     remarks,
 )
+from rig.analysis.contact_results import SurfaceEnergies
 
 _RUN = RunResults(
     record="run-1.mcap",

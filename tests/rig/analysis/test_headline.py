@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from processing.estimate import Determinacy
-from processing.fit import Budget, BudgetSource, Determination
+from processing.fit import Budget, Determination
+from processing.fit.uncertainty import BudgetSource
 from rig.analysis.headline import SURFACE_ENERGY, headline
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from processing.angle import ARCSEC_RAD
 from processing.contact import PendulumOnBall
 from processing.estimate import Estimate
-from processing.fit import Budget, BudgetSource, FitMethod
+from processing.fit import Budget, FitMethod
+from processing.fit.uncertainty import BudgetSource
 from processing.surroundings import Surroundings
 from rig.analysis import Correlation, Fit, RunResults, SessionResults, StoredTurningPoints, write_results
 

@@ -17,8 +17,7 @@ from processing.spot import Spot, SpotFlag
 from rig.control import ControlState, DevicesNow, LaserNow, Light
 from rig.measure.preflight import TrialFrames, device_checks, frame_checks, rest_checks
 from rig.presentation import failures
-from rig.presentation.verdict import Verdict
-from rig.presentation.verdict_table import print_verdicts
+from rig.presentation.verdict import Verdict, print_verdicts
 from rig.settings import PendulumSettings
 from rig.settings.phases import PreflightSettings
 from tests.rig.control.test_states import opened

@@ -91,7 +91,7 @@ def test_half_cycles_are_nearer_to_the_truth_without_the_beams_motion(recorded: 
         assert less is not None
         assert less.used
         before = scatter(reader.swings())
-        after = scatter(swings_of_blocks(less(one) for one in reader.deflection_blocks()))
+        after = scatter(swings_of_blocks(less(reader.deflections(one)) for one in reader.spot_blocks()))
     assert before[0] > 0.02
     assert after[0] < 0.3 * before[0]
     assert after[1] < 2.0
@@ -175,7 +175,7 @@ def test_a_session_says_that_live_numbers_are_less_and_records_what_was_seen(rec
         config = recorded_configuration(reader)
         said = [event.text for event in reader.events()]
         spots = reader.table(SPOT.topic)
-        (first, *_) = reader.deflection_blocks()
+        first = reader.deflections(next(reader.spot_blocks()))
     assert said.count(LESS_BEAM) == 1
     deflector = optics_of(config, full_scale_dn=255.0).deflector((720, 160))
     count = len(first.times_ns)
@@ -197,7 +197,7 @@ def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None
             assert one.gain.standard_uncertainty < 0.1
         assert " y used with a gain of 1." in less.text
         assert less.text.endswith("from the run itself")
-        after = scatter(swings_of_blocks(less(one) for one in reader.deflection_blocks()))
+        after = scatter(swings_of_blocks(less(reader.deflections(one)) for one in reader.spot_blocks()))
         before = scatter(reader.swings())
     assert after[0] < 0.3 * before[0]
 
@@ -266,7 +266,7 @@ def test_it_takes_off_the_creep_of_the_camera_which_an_analysis_without_it_shows
     with RecordReader(folder / "run-1.mcap") as reader:
         less = less_beam_motion(reader, recorded_configuration(reader))
         assert less is not None
-        blocks = list(reader.deflection_blocks())
+        blocks = [reader.deflections(one) for one in reader.spot_blocks()]
     off = []
     for read in (blocks, [less(one) for one in blocks]):
         time_s = np.concatenate([one.times_ns for one in read]) * 1e-9 - 1.0

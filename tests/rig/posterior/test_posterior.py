@@ -13,7 +13,8 @@ import pytest
 from processing.deflections import slow_deflections
 from processing.fit import NO_EVIDENCE, Evidence, fit_exact
 from processing.swing import Swing, SwingHarmonics, TurningPoints, turning_points
-from rig.posterior import FIRST_HALF_CYCLES, FittedModel, LivePosterior, Posterior, following
+from rig.posterior import FIRST_HALF_CYCLES, FittedModel, LivePosterior, Posterior
+from rig.posterior.posterior import following
 from tests.processing.fit.decays import decay, paper_pair
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8")
