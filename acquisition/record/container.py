@@ -177,7 +177,9 @@ class McapFile:
             self._summary.add_metadata(self.size, len(data), name)
             self._append(data)
         copy = json.dumps({name: dict(texts) for name, texts in sections.items()}, ensure_ascii=False)
-        self.add_attachment(METADATA_COPY, "application/json", copy.encode(), log_time_ns)
+        for _ in range(2):
+            # two of them before the chunks, for a file that is cut
+            self.add_attachment(METADATA_COPY, "application/json", copy.encode(), log_time_ns)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, log_time_ns: int) -> None:
         """A file within the file. The end of a finished file holds it once more."""

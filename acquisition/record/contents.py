@@ -14,7 +14,7 @@ from functools import cache, cached_property
 from typing import IO
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
+from mcap.records import Channel, Footer, Header, Schema, Statistics
 
 from acquisition.record.chunk_reader import ChunkPlace, ChunkPlaces
 from acquisition.record.records import (
@@ -39,8 +39,10 @@ _DATA_END = struct.Struct("<BQI")
 _CHUNK_OPCODE, _MESSAGE_INDEX_OPCODE, _DATA_END_OPCODE = map(
     int, (Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.DATA_END)
 )
-_SMALL_RECORDS = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA}
-_BLOCK_BYTES = 1024 * 1024
+_SMALL_RECORDS = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT}
+_PROVED = {Opcode.ATTACHMENT, Opcode.SCHEMA, Opcode.CHANNEL}
+"""Those of which every copy is proved by a sum of its own."""
+_BLOCK_BYTES = 256 * 1024
 _END_OF_CHUNK_HEAD = struct.pack("<I", len(ZSTD)) + ZSTD
 _BEFORE_END = CHUNK_HEAD.size - 8 - len(_END_OF_CHUNK_HEAD)
 
@@ -130,7 +132,7 @@ def read_contents(file: IO[bytes]) -> Contents:
 def _walk(file: IO[bytes], contents: Contents) -> None:
     """List the data section record by record, without decompression, up to its last complete record.
 
-    Behind bytes that are no record it goes on at the next chunk, or description of a topic.
+    Behind bytes that are no record it goes on at the next chunk, or what stands before the first.
     """
     chunk: tuple[int, int, int, int] | None = None
     channels: tuple[int, ...] = ()
@@ -156,6 +158,9 @@ def _walk(file: IO[bytes], contents: Contents) -> None:
                     contents.walked_chunks.append(ChunkPlace(*chunk, of_chunk(channels)))
                 channels = ()
                 chunk = (place, head_size + length, start_ns, end_ns)
+            elif opcode == Opcode.METADATA:
+                # nothing proves them: they are read from an attachment
+                pass
             elif opcode in _SMALL_RECORDS:
                 _list_or_note(file, contents, place)
             elif opcode == _DATA_END_OPCODE and head_size + length == _DATA_END.size:
@@ -167,7 +172,7 @@ def _walk(file: IO[bytes], contents: Contents) -> None:
             # the length of the record before may be what has changed
             found = _next_chunk(file, before + 1, size)
             if chunk is None:
-                found = _next_description(file, before + 1, found or size) or found
+                found = _next_proved(file, before + 1, found or size) or found
             if found is None:
                 break
             contents.damage.append(f"between bytes {before} and {found}: {error}")
@@ -199,13 +204,15 @@ def _next_chunk(file: IO[bytes], place: int, size: int) -> int | None:
         place += 1
 
 
-def _next_description(file: IO[bytes], place: int, end: int) -> int | None:
-    """Position of the next schema that a channel follows, before the first chunk."""
+def _next_proved(file: IO[bytes], place: int, end: int) -> int | None:
+    """Position of the next attachment or description of a topic before the first chunk, which the next of
+    these follow.
+    """
     data = read_at(file, place, min(end - place, _BLOCK_BYTES))
     for at in range(len(data) - HEAD.size):
         opcode, length = HEAD.unpack_from(data, at)
         following = at + HEAD.size + length
-        if opcode == Opcode.SCHEMA and following < len(data) and data[following] == Opcode.CHANNEL:
+        if opcode in _PROVED and following < len(data) and data[following] in _PROVED:
             return place + at
     return None
 
@@ -232,8 +239,6 @@ def _list_small(contents: Contents, place: int, opcode: int, data: bytes) -> Non
             contents.damage.append(f"a description of {record.topic} has changed")
             # without an intact copy its messages cannot be read
             contents.channels.setdefault(record.id, replace(record, schema_id=0))
-    elif isinstance(record, Metadata):
-        contents.metadata[record.name] = record.metadata
     elif isinstance(record, Statistics):
         contents.statistics = record
         contents.counts.update(record.channel_message_counts)

@@ -10,7 +10,7 @@ from typing import IO, Any
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, AttachmentIndex, Channel, Header, Metadata, Schema, Statistics
+from mcap.records import Attachment, AttachmentIndex, Channel, Header, Schema, Statistics
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
@@ -31,7 +31,6 @@ _CLASSES: dict[int, Any] = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
-    Opcode.METADATA: Metadata,
     Opcode.STATISTICS: Statistics,
     Opcode.ATTACHMENT: Attachment,
     Opcode.ATTACHMENT_INDEX: AttachmentIndex,

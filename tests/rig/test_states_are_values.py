@@ -24,7 +24,6 @@ _READING: Final = frozenset(
     }
 )  # fmt: skip
 _ALLOWED: Final = {
-    "acquisition/record/events.py": "records from before a rejected start had a kind of its own",
     "rig/desk/calibrating.py": "the last line of a command that has failed is shown without its name",
     "rig/archive/session_rows.py": "the path stands in another column, and is not repeated in the flaw",
     "acquisition/cameras/pylon/camera.py": "lines of the maker's message are joined",
