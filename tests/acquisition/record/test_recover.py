@@ -135,7 +135,7 @@ def test_the_longest_chain_is_that_of_all_chains() -> None:
 
 
 def stump(path: Path) -> Path:
-    """What an earlier version left where it was killed while it repaired."""
+    """Half a copy, as a killed repair leaves it."""
     head, parts = blocks(path)
     copy = path.with_name(f"{path.stem}-recovered.mcap")
     copy.write_bytes(head + b"".join(parts[:2]))

@@ -141,7 +141,7 @@ def test_the_schema_names_every_key_of_a_file(measured_series: Path) -> None:
 def test_columns_of_different_lengths_are_one_line(tmp_path: Path) -> None:
     path = tmp_path / "results.json"
     points = {"index": [0, 1], "time_s": [0.0], "u_time_s": [], "amplitude": [], "u_amplitude": []}
-    path.write_text(json.dumps({"schema": 2, "runs": [{"record": "run-1.mcap", "turning_points": points}]}))
+    path.write_text(json.dumps({"schema": 1, "runs": [{"record": "run-1.mcap", "turning_points": points}]}))
     with pytest.raises(RecordError, match="columns of equal length"):
         read_results(path)
     path.write_text("[" * 100_000)
