@@ -26,7 +26,7 @@ class Stream:
         (EventKind.START, {"run", "spot", "frames"}),
         (EventKind.LASER_DARK, {"laser"}),
         ("", set()),
-        ("of a later version", set()),
+        ("unknown", set()),
     ],
 )
 def test_a_lane_changes_with_the_kind_of_an_event(kind: str, lanes: set[str]) -> None:
