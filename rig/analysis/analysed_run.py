@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from processing.balance import Balance, PlaneOfSwing
 from processing.fit import (
     FitResult,
     RigQuantities,
@@ -25,6 +26,7 @@ class AnalysedRun:
     `points` are the turning points that were fitted. `reduction` is there for a pendulum that is not
     described by the contact's laws, `rig` where the contact radius is calculated after Hertz,
     `earlier_schema` what `earlier_schema` of `rig.instrument` says of its configuration.
+    `balances` are those of its deflections, `plane` how the plane of swing turned, None where unknown.
     `watched` is the configuration of which keys were changed.
     """
 
@@ -35,6 +37,8 @@ class AnalysedRun:
     rig: RigQuantities | None = None
     reduction: Reduction | None = None
     harmonics: SwingHarmonics | None = None
+    balances: Sequence[Balance] = ()
+    plane: PlaneOfSwing | None = None
     lost_spots: int = 0
     earlier_schema: str = ""
     watched: Watched | None = None
