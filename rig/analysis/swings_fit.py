@@ -34,7 +34,7 @@ from rig.analysis.settled import settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.swing_direction import why_no_half_cycles
-from rig.analysis.turning_plane import follow_plane
+from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.analysis.witnessed_fits import WitnessAt, WitnessedWith
 from rig.instrument import (
     pendulum_on_ball,
@@ -52,19 +52,19 @@ def analyse_swings(
     witness: WitnessAt | None = None,
     *,
     u_common_rad: float = 0.0,
-    along_line: bool = False,
+    followed: FollowedPlane | None = None,
 ) -> AnalysedRun:
     """Reduce the half-cycles of one run, or of one decay of a table, as its kind of pendulum asks.
 
     `path` is the file that they come from, `deflections` and `air` what it holds beside them, `u_clock` what
     the second of its times is uncertain by, relative; `witness` tells of the ground. `u_common_rad` is the
     standard uncertainty of an error that all amplitudes share. Where the plane of swing turns, half-cycles
-    are those in it; `along_line` as in `follow_plane`.
+    are those in it; `followed` is that plane where it is known.
     """
     unit = deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
         return _reduced(path, swings, config, joined(deflections, unit), air)
-    followed = follow_plane(swings, deflections, config.axes, along_line=along_line)
+    followed = followed or follow_plane(swings, deflections, config.axes)
     swings, deflections = followed.swings, followed.deflections
     pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
     drag, of_air = OPEN_DRAG, None
