@@ -6,4 +6,5 @@ from processing.balance.estimate import BalanceEstimator
 from processing.balance.faults import BalanceLimits, Fault, find_faults, implausible, mass_centre_height_m
 from processing.balance.plane_of_swing import PlaneOfSwing, plane_of_swing, square, turned
 from processing.balance.room import Room
+from processing.balance.run_balance import balance_of_run
 from processing.balance.turn import Doubt, Turn, Unreachable

@@ -26,7 +26,7 @@ class AnalysedRun:
     `points` are the turning points that were fitted. `reduction` is there for a pendulum that is not
     described by the contact's laws, `rig` where the contact radius is calculated after Hertz,
     `earlier_schema` what `earlier_schema` of `rig.instrument` says of its configuration.
-    `balances` are those of its deflections, `plane` how the plane of swing turned, None where unknown.
+    `decay_balances` are those of its decay, `plane` how the plane of swing turned, None where unknown.
     `watched` is the configuration of which keys were changed.
     """
 
@@ -37,7 +37,7 @@ class AnalysedRun:
     rig: RigQuantities | None = None
     reduction: Reduction | None = None
     harmonics: SwingHarmonics | None = None
-    balances: Sequence[Balance] = ()
+    decay_balances: Sequence[Balance] = ()
     plane: PlaneOfSwing | None = None
     lost_spots: int = 0
     earlier_schema: str = ""

@@ -1,4 +1,4 @@
-"""The conditions of a run as its record shows them: end, light, losses, beam, air, steps, ground."""
+"""The conditions of a run as its record shows them: end, light, losses, beam, balance, air, steps, ground."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -38,6 +38,7 @@ def run_conditions(
     half_cycles: int = 0,
     beam: Beam | None = None,
     clock: RunClock | None = None,
+    balance: Sequence[Verdict] = (),
 ) -> tuple[Verdict, ...]:
     """One verdict for each condition; a record of a version that knew less has fewer events to go by.
 
@@ -55,6 +56,7 @@ def run_conditions(
         ),
         *([] if beam is None else [beam.verdict(limits.max_poor_fit_fraction)]),
         *([] if beam is None else [_saturation(beam, frames, limits.max_saturated_fraction)]),
+        *balance,
         *_steps(reader.events()),
         *([] if clock is None else [clock_verdict(clock)]),
         *_watching(reader.events()),

@@ -140,7 +140,7 @@ def analyse_swings(
         decay.fits,
         rig,
         harmonics=settled.harmonics,
-        balances=followed.balances,
+        decay_balances=followed.balances,
         plane=followed.plane,
     )
 

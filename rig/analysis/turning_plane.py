@@ -31,8 +31,8 @@ class FollowedPlane:
 
     `plane` is None where the decay shows none: too short, or along one axis alone. `is_turned` says whether
     half-cycles and deflections were turned, along the line itself if `along_line`, else by what the plane has
-    turned since the start. `balances` are those of the deflections as they came, `axes` the pendulum's.
-    `problem` says why nothing can be fitted, empty if it can.
+    turned since the start. `balances` are those of the decay in the deflections as they came, `axes` the
+    pendulum's. `problem` says why nothing can be fitted, empty if it can.
     """
 
     swings: Sequence[Swing]
@@ -74,10 +74,15 @@ class FollowedPlane:
         rate = with_uncertainty(
             self.plane.mean_rate() * _PER_MIN, self.plane.u_mean_rate() * _PER_MIN, signed=True
         )
+        if self.along_line:
+            first, last = self.plane.direction_rad(ends) / DEGREE_RAD
+            return (
+                f"the swing lies {first:+.2f} degrees from the direction of all positions at first, and "
+                f"{last:+.2f} at last ({rate} deg/min in the mean): amplitudes are those along the swing"
+            ).replace("-", "−")
         return (
             f"the plane of swing turned by {by_rad / DEGREE_RAD:+.2f} degrees during the run "
-            f"({rate} deg/min in the mean): the deflections were turned back before the half-cycles were "
-            "fitted"
+            f"({rate} deg/min in the mean): the deflections were turned back before the fit"
         ).replace("-", "−")
 
 
@@ -106,10 +111,11 @@ def follow_plane(
     oblique_rad = -axes.non_orthogonality_rad if axes.mirrored else axes.non_orthogonality_rad
     estimator = BalanceEstimator()
     balances = [one for block in deflections for one in estimator.update(square(block, oblique_rad))]
-    found = FollowedPlane(swings, deflections, balances, along_line=along_line, axes=axes)
     good = [swing for swing in swings if not swing.flags]
     if len(good) < 2:
-        return found
+        return FollowedPlane(swings, deflections, along_line=along_line, axes=axes)
+    balances = [one for one in balances if good[0].turn_time_ns <= one.time_ns <= good[-1].turn_time_ns]
+    found = FollowedPlane(swings, deflections, balances, along_line=along_line, axes=axes)
     plane = plane_of_swing(balances, good[0].turn_time_ns, good[-1].turn_time_ns)
     if plane is None or not _matters(plane, good, balances, axes, along_line=along_line):
         return replace(found, plane=plane)
