@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from processing.balance.balance import Balance
-from processing.balance.plane_of_swing import PlaneOfSwing
+from processing.balance.plane import PlaneOfSwing
 
 _FIRST = 5
 """Balances at the beginning, where the start has left its transverse motion."""
