@@ -1,4 +1,4 @@
-"""The conditions of a run as its record shows them: end, light, losses, beam, balance, air, steps, ground."""
+"""The conditions of a run as its record shows them: end, light, losses, beam, air, steps, ground, balance."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -56,12 +56,12 @@ def run_conditions(
         ),
         *([] if beam is None else [beam.verdict(limits.max_poor_fit_fraction)]),
         *([] if beam is None else [_saturation(beam, frames, limits.max_saturated_fraction)]),
-        *balance,
         *_steps(reader.events()),
         *([] if clock is None else [clock_verdict(clock)]),
         *_watching(reader.events()),
         *_temperature(reader),
         *_ground(ground, half_cycles),
+        *balance,
     )
 
 
