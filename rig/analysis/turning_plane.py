@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from calibration import Axes
 from processing.balance import Balance, BalanceEstimator, PlaneOfSwing, plane_of_swing, square, turned
 from processing.deflections import Deflections
-from processing.swing import Swing, TurningPoints, swings_of_blocks
+from processing.periods import mean_period
+from processing.swing import Swing, TurningPoints, swings_of_blocks, turning_points
+from processing.ticks import seconds
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.presentation import with_uncertainty
 
@@ -22,6 +24,8 @@ MATTERS: Final = 0.05
 """Standard uncertainties by which no parameter of a fit can change where a rotation is left as it is."""
 _FIRST: Final = 10
 """Balances at the beginning, where the fast mode is largest."""
+_A_PERIOD: Final = 100
+"""Samples of a slow period by which its direction is found, at least where there are as many."""
 _PER_MIN: Final = 60.0 / DEGREE_RAD
 
 
@@ -109,11 +113,15 @@ def follow_plane(
     """
     axes = axes or _SQUARE
     oblique_rad = -axes.non_orthogonality_rad if axes.mirrored else axes.non_orthogonality_rad
-    estimator = BalanceEstimator()
-    balances = [one for block in deflections for one in estimator.update(square(block, oblique_rad))]
     good = [swing for swing in swings if not swing.flags]
     if len(good) < 2:
         return FollowedPlane(swings, deflections, along_line=along_line, axes=axes)
+    estimator = BalanceEstimator()
+    balances = [
+        one
+        for block in _thinned(deflections, mean_period(turning_points(good)))
+        for one in estimator.update(square(block, oblique_rad))
+    ]
     balances = [one for one in balances if good[0].turn_time_ns <= one.time_ns <= good[-1].turn_time_ns]
     found = FollowedPlane(swings, deflections, balances, along_line=along_line, axes=axes)
     plane = plane_of_swing(balances, good[0].turn_time_ns, good[-1].turn_time_ns)
@@ -130,6 +138,17 @@ def follow_plane(
         _TurnedBack(deflections, plane, oblique_rad, along_line=along_line), deflections.unit
     )
     return replace(found, swings=swings_of_blocks(back), deflections=back, plane=plane, is_turned=True)
+
+
+def _thinned(blocks: Iterable[Deflections], period_s: float) -> Iterator[Deflections]:
+    """Some samples of each period, evenly: all would say no more than a fraction of their noise."""
+    stride, passed = 0, 0
+    for block in blocks:
+        if not stride and len(block) > 1:
+            step_s = float(seconds(block.times_ns[-1] - block.times_ns[0])) / (len(block) - 1)
+            stride = max(1, int(period_s / step_s / _A_PERIOD))
+        yield block[-passed % max(stride, 1) :: max(stride, 1)]
+        passed += len(block)
 
 
 class _TurnedBack(Iterable[Deflections]):

@@ -1,8 +1,10 @@
 """A pendulum that turns about the vertical: the fit follows its plane of swing, or withholds."""
 
+import json
 from dataclasses import replace
 from math import inf
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +15,14 @@ from rig.analysis.results import RunResults
 from rig.instrument import balance_failures, balance_verdicts
 from tests.rig.analysis.spinning import (
     DEG_PER_MIN,
+    DEMONSTRATION,
     Spin,
     analysed,
     analysed_table,
     configuration,
     positions,
 )
+from tests.rig.command_line import rig, set_words
 
 FAST = 5e-4  # rad/s, 1.72 deg/min
 DISTURBED = {"leakage": 0.03, "fast_arcsec": 6.0, "rest_arcsec": (-30.0, 15.0)}
@@ -159,3 +163,36 @@ def test_the_balance_is_a_condition(spin: Spin, fails: set[str], tmp_path: Path)
 def test_a_run_without_a_decay_has_no_balance() -> None:
     assert balance_of_run([], None) is None
     assert balance_verdicts(None, configuration().balance) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate_rad_per_s", [FAST, -FAST])
+def test_a_session_whose_pendulum_turns_is_fitted_and_does_not_meet_its_conditions(
+    rate_rad_per_s: float, tmp_path: Path
+) -> None:
+    """From frames on; `rig fit` of the record says the same."""
+    words = {
+        "session.max_duration_s": "600",
+        "simulation.clock.frame_rate_hz": "25",
+        "simulation.axes.spin_rad_per_s": str(rate_rad_per_s),
+    }
+    done = rig("run", DEMONSTRATION, "-o", tmp_path / "out", *set_words(words))
+    assert done.returncode == 1
+    assert "PLANE OF SWING: " in done.stdout
+    run = first_run(tmp_path / "out")
+    failed = [one for one in run["conditions"] if not one["ok"]]
+    assert [one["name"] for one in failed] == ["plane of swing"]
+    assert failed[0]["limit"] == "0.2 deg/min"
+    for name, true in {"b": 37.33e-4, "c": 10.51e-9, "surface_energy_table2_j_per_m2": 28.896e-3}.items():
+        item = run["budget"][name]
+        assert abs(item["value"] - true) < 3 * item["standard_uncertainty"]
+        assert item["standard_uncertainty"] < 0.01 * true
+    assert any("turned back" in note for note in run["notes"])
+    rig("fit", tmp_path / "out" / "run-1.mcap", "-o", tmp_path / "again")
+    again = first_run(tmp_path / "again")
+    assert again["budget"]["c"]["value"] == run["budget"]["c"]["value"]
+
+
+def first_run(folder: Path) -> dict[str, Any]:
+    runs: list[dict[str, Any]] = json.loads((folder / "results.json").read_text())["runs"]
+    return runs[0]
