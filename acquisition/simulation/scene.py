@@ -274,7 +274,9 @@ class Scene:
             drag_s = release.brake_drag_s if state.brake else 0.0
             push_rad = release.starter_arcsec * ARCSEC_RAD if state.starter else 0.0
             self._slow.load(time_s, push_rad, self._settings.contact.whole_drag_s + drag_s)
-            self._fast.load(time_s, 0.0, self._settings.fast.drag_s + drag_s)
+            # a push of any length gives the fast mode at most twice this shift
+            aside_rad = 0.5 * self._settings.fast.amplitude_arcsec * ARCSEC_RAD if state.starter else 0.0
+            self._fast.load(time_s, aside_rad, self._settings.fast.drag_s + drag_s)
         if (state.magnet, state.clamp) != (before.magnet, before.clamp):
             for motion, amplitude_arcsec in (
                 (self._slow, release.amplitude_arcsec),

@@ -57,7 +57,7 @@ class FastModeTruth(SimulationSection, frozen=True):
     """The mode about the other axis, X(t). It follows the same laws with its own moment of inertia."""
 
     period_ratio: float = Field(default=5.0, gt=1, description="slow period0 over fast period0")
-    amplitude_arcsec: float = Field(default=0.3, ge=0, description="at release")
+    amplitude_arcsec: float = Field(default=0.3, ge=0, description="at release; by the starter, at most")
     phase_rad: float = Field(default=0.0, description="at release; 0: at a turning point")
     friction_factor: float = Field(default=1.0, ge=0, description="times b and c of the slow mode")
     drag_s: float = Field(default=0.0, ge=0, description="linear drag of this mode")

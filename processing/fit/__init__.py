@@ -11,6 +11,7 @@ from processing.fit.domain import domain_warnings
 from processing.fit.drag import Drag, DragFinding, drag_verdict
 from processing.fit.errors_of_place import (
     PlaceErrors,
+    by_amplitude_errors,
     by_common_amplitude,
     by_row_time,
     place_errors,

@@ -56,7 +56,8 @@ class RigQuantities:
     carry the weight, 1 or 2. `row_time_s` is that of a rolling shutter, 0 if it is not one.
     `ageing` is the relative growth of the contact's friction over a run, `period_drift` that of the period,
     both nought as the fit has it. `common_amplitude_rad` is what all amplitudes are too small by, nought as
-    well: the compression of a film takes as much from each.
+    well: the compression of a film takes as much from each. `plane_of_swing_rad` is the error of the angle by
+    which a decay was turned back whose plane of swing turned, nought as well.
     `contact_radius_m` is a stated radius of the contact in the place of Hertz's:
     the materials are then not used, and the load does not change it.
     """
@@ -80,6 +81,7 @@ class RigQuantities:
     ageing: InputQuantity = InputQuantity(0.0)
     period_drift: InputQuantity = InputQuantity(0.0)
     common_amplitude_rad: InputQuantity = InputQuantity(0.0)
+    plane_of_swing_rad: InputQuantity = InputQuantity(0.0)
 
     def __post_init__(self) -> None:
         for name in ("mass_kg", "ball_radius_m", "arm_m", "pitch_m", "gravity_m_per_s2", "clock"):
@@ -113,6 +115,7 @@ class RigQuantities:
         found["ageing"] = self.ageing
         found["period_drift"] = self.period_drift
         found["common_amplitude_rad"] = self.common_amplitude_rad
+        found["plane_of_swing_rad"] = self.plane_of_swing_rad
         return found
 
     def skewed_scale(self, skew: Floats) -> Floats:

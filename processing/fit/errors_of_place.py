@@ -131,6 +131,37 @@ def by_common_amplitude(
     return _slopes(moved, u_rad, pendulum, exact)
 
 
+def by_amplitude_errors(
+    points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult, errors: Floats
+) -> Floats:
+    """Changes (parameters,) of the contact parameters by errors that amplitudes share, one standard
+    uncertainty of all of them together.
+
+    Parameters
+    ----------
+    points
+        The turning points of the fit.
+    errors : (points, m)
+        Errors of the amplitudes for each of m independent coordinates of variance 1.
+
+    Returns
+    -------
+    By their sizes, the standard uncertainties of the parameters; signs are those of the coordinate that
+    changes them most.
+    """
+    model, columns = ExactModel.of(points, pendulum, exact)
+    jacobian = model(columns)[1]
+    by_errors = by_amplitudes(model, columns, errors[: exact.half_cycles])
+    good = np.isfinite(jacobian).all(axis=1) & np.isfinite(by_errors).all(axis=1)
+    size = np.sqrt(np.sum(jacobian[good] ** 2, axis=0))
+    of_columns = -np.linalg.lstsq(jacobian[good] / size, by_errors[good], rcond=1e-12)[0] / size[:, None]
+    at = [exact.names.index(name) for name in exact.contact_names]
+    moved = (model.columns.physical(columns)[1] @ of_columns)[at]
+    u = np.linalg.norm(moved, axis=1)
+    main = np.linalg.svd(moved / np.where(u > 0, u, 1.0)[:, None], full_matrices=False)[0][:, 0]
+    return np.asarray(np.copysign(u, main))
+
+
 def _slopes(moved: Sequence[TurningPoints], by: float, pendulum: PendulumOnBall, exact: FitResult) -> Floats:
     """Derivatives of the contact parameters, from points that were moved by `-by` and by `by`."""
     fits = [fit_exact_with(points, pendulum, exact, drag=exact.has_drag) for points in moved]

@@ -48,6 +48,7 @@ class AlarmKey(StrEnum):
     REST_STEP = "rest step"
     LIGHT_STEP = "light step"
     PUSH = "push"
+    BALANCE = "balance"
     REJECTED = "start rejected"
     FORECAST = "forecast"
     LIVE_FIT = "live fit"
@@ -253,9 +254,15 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
         "close doors, keep away; the fit leaves this half-cycle out",
         latched=True,
     ),
+    AlarmKey.BALANCE: Alarm(
+        "out of balance",
+        "the pendulum turns, was pushed sideways at the start, or its weights are not set",
+        "the run is recorded; before the next one balance the pendulum and let it settle (rig balance)",
+        after_s=5.0,
+    ),
     AlarmKey.REJECTED: Alarm(
         "start not accepted",
-        "amplitude or transverse motion was out of range",
+        "amplitude, transverse motion or rotation was out of range",
         "the start is repeated; if the next one is rejected too, correct the release",
         latched=True,
     ),

@@ -142,6 +142,9 @@ def _of_session(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
         yield from _of_frames(seen)
     if seen.sensor_wanted and state.get("phase") == Phase.MEASURING and state.get("temperature_c") is None:
         yield AlarmKey.ENVIRONMENT, ""
+    against = (news.get("balance") or {}).get("against") or ()
+    if against and state.get("phase") == Phase.MEASURING:
+        yield AlarmKey.BALANCE, "; ".join(map(str, against))
     failed = [str(row["name"]) for row in news.get("preflight") or () if not row.get("ok", True)]
     if failed and state.get("phase") == Phase.PREFLIGHT:
         yield AlarmKey.PREFLIGHT, ", ".join(failed)

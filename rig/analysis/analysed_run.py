@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from processing.balance import Balance, PlaneOfSwing
 from processing.fit import (
     FitResult,
     RigQuantities,
@@ -22,7 +23,8 @@ class AnalysedRun:
     """The results of one run, and what a series of runs needs beyond them.
 
     `points` are the turning points that were fitted. `reduction` is there for a pendulum that is not
-    described by the contact's laws, `rig` where the contact radius is calculated after Hertz.
+    described by the contact's laws, `rig` where the contact radius is calculated after Hertz,
+    `decay_balances` are those of its decay, `plane` how the plane of swing turned, None where unknown.
     `watched` is the configuration of which keys were changed.
     """
 
@@ -33,6 +35,8 @@ class AnalysedRun:
     rig: RigQuantities | None = None
     reduction: Reduction | None = None
     harmonics: SwingHarmonics | None = None
+    decay_balances: Sequence[Balance] = ()
+    plane: PlaneOfSwing | None = None
     lost_spots: int = 0
     watched: Watched | None = None
 

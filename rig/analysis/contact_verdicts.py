@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration import Axes, Lever
 from processing.angle import ARCSEC_RAD
+from processing.arrays import Floats
 from processing.contact import (
     AdhesiveContact,
     HertzContact,
@@ -30,6 +31,7 @@ from processing.fit import (
     RigQuantities,
     Work,
     budgets,
+    by_amplitude_errors,
     by_common_amplitude,
     by_row_time,
     drag_verdict,
@@ -136,6 +138,7 @@ def evaluate(
     exact: FitResult,
     rig: RigQuantities | None,
     seed: int,
+    plane_errors: Floats | None = None,
 ) -> RunResults:
     """The run with everything that is said about its exact fit beyond the fit's own numbers.
 
@@ -145,6 +148,8 @@ def evaluate(
         None without [pendulum]: there is no budget and no Monte Carlo then.
     seed
         Of the Monte Carlo draws, so that the same record gives the same intervals.
+    plane_errors : (points, terms)
+        Independent errors of the amplitudes by what is not known of the plane of swing; None: there are none.
 
     Notes
     -----
@@ -179,6 +184,9 @@ def evaluate(
             notes.append(f"the budget has no line for an error of all amplitudes: {error}")
         drifts = drifts_of(points, pendulum, exact)
         by_drifts = {"ageing": drifts.by_ageing, "period_drift": drifts.by_period}
+        if plane_errors is not None and rig.plane_of_swing_rad.u > 0:
+            by_plane = by_amplitude_errors(points, pendulum, exact, plane_errors)
+            by_drifts["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u
         contact = replace(
             fitted_contact(exact), by_row_time=by_row, by_common_amplitude=by_common, by_drifts=by_drifts
         )

@@ -18,6 +18,7 @@ _DO: Final[Mapping[str, str]] = {
     "misfit": "see in the report where the law misses the decay, and compare laws (rig fit --law all)",
     "position_errors": "correct the sensor's errors of position",
     "ageing": "wait until the contact has settled, or state its history",
+    "plane_of_swing_rad": "let the pendulum settle before the release, and calibrate the axes",
     "period_drift": "let the temperature settle before the next run",
 }
 

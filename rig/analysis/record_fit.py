@@ -10,6 +10,7 @@ from acquisition.record.events import end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import DEFLECTION_FIELDS
+from processing.balance import balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
 from processing.fit import (
     FitMethod,
@@ -29,6 +30,7 @@ from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.witness_file import Begin, WitnessRecord
 from rig.analysis.witnessed_fits import of_source
 from rig.instrument import (
+    balance_verdicts,
     inputs_sha256,
     judge_calibration,
     optics_of,
@@ -161,5 +163,8 @@ def with_dropped_frames(
         results.half_cycles,
         results.beam,
         results.clock,
+        balance_verdicts(balance_of_run(run.decay_balances, run.plane), config.balance)
+        if config.instrument.description().report == "contact"
+        else (),
     )
     return replace(run, results=replace(results, conditions=conditions))

@@ -1,4 +1,4 @@
-"""The conditions of a run as its record shows them: end, light, losses, beam, air, steps, ground."""
+"""The conditions of a run as its record shows them: end, light, losses, beam, air, steps, ground, balance."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -38,6 +38,7 @@ def run_conditions(
     half_cycles: int = 0,
     beam: Beam | None = None,
     clock: RunClock | None = None,
+    balance: Sequence[Verdict] = (),
 ) -> tuple[Verdict, ...]:
     """One verdict for each condition; a record of a version that knew less has fewer events to go by.
 
@@ -60,6 +61,7 @@ def run_conditions(
         *_watching(reader.events()),
         *_temperature(reader),
         *_ground(ground, half_cycles),
+        *balance,
     )
 
 

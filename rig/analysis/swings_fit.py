@@ -34,6 +34,7 @@ from rig.analysis.results import RunResults
 from rig.analysis.settled import settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
+from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.analysis.witnessed_fits import WitnessAt, WitnessedWith
 from rig.instrument import (
     pendulum_on_ball,
@@ -57,16 +58,20 @@ def analyse_swings(
     witness: WitnessAt | None = None,
     *,
     u_common_rad: float = 0.0,
+    followed: FollowedPlane | None = None,
 ) -> AnalysedRun:
     """Reduce the half-cycles of one run, or of one decay of a table, as its kind of pendulum asks.
 
     `path` is the file that they come from, `deflections` and `air` what it holds beside them, `u_clock` what
     the second of its times is uncertain by, relative; `witness` tells of the ground. `u_common_rad` is the
-    standard uncertainty of an error that all amplitudes share.
+    standard uncertainty of an error that all amplitudes share. Where the plane of swing turns, half-cycles
+    are those in it; `followed` is that plane where it is known.
     """
     unit = deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
         return _reduced(path, swings, config, joined(deflections, unit), air)
+    followed = followed or follow_plane(swings, deflections, config.axes)
+    swings, deflections = followed.swings, followed.deflections
     pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
     drag, of_air = OPEN_DRAG, None
     detected = points_in_true_time(swings, clock_rate)
@@ -74,7 +79,9 @@ def analyse_swings(
         drag, of_air = known_drag(config, air, pendulum, mean_period(detected))
     settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
     points = points_in_true_time(settled.swings, clock_rate)
-    if unit is DeflectionUnit.RAD:
+    if followed.problem:
+        decay = DecayFits({}, None, followed.problem)
+    elif unit is DeflectionUnit.RAD:
         evidence = evidence_of(drag, settled.harmonics)
         believed = believed_drifts(config, air) if config.fit.drifts else None
         decay = fit_decay(
@@ -114,22 +121,34 @@ def analyse_swings(
     believed = believed_drifts(config, air)
     if rig is not None:
         rig = replace(rig, common_amplitude_rad=InputQuantity(0.0, u_common_rad))
+        rig = replace(rig, plane_of_swing_rad=InputQuantity(0.0, followed.u_rad))
     if rig is not None and not config.fit.drifts:
         rig = replace(rig, ageing=believed.ageing, period_drift=believed.period)
     if decay.fits and pendulum is not None:
         seed = int(results.sha256[:12], 16)
         exact = decay.fits[FitMethod.EXACT]
-        results = evaluate(results, points, pendulum, exact, rig, seed)
+        results = evaluate(
+            results, points, pendulum, exact, rig, seed, plane_errors=followed.amplitude_errors(points)
+        )
         if results.drag is not None:
             results = replace(results, drag=replace(results.drag, of_air=of_air))
-    if errors is not None:
-        results = replace(results, notes=(*results.notes, errors.text))
+    said = [followed.text, "" if errors is None else errors.text]
+    results = replace(results, notes=(*results.notes, *filter(None, said)))
     if settled.harmonics is not None and config.lever is not None and len(points) > 1:
         of_rows = delay_of_rows(settled.harmonics, mean_period(points))
         if of_rows.seen:
             rad_per_px = config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)
             results = replace(results, warnings=(*results.warnings, of_rows.text(rad_per_px)))
-    return AnalysedRun(path, results, points, decay.fits, rig, harmonics=settled.harmonics)
+    return AnalysedRun(
+        path,
+        results,
+        points,
+        decay.fits,
+        rig,
+        harmonics=settled.harmonics,
+        decay_balances=followed.balances,
+        plane=followed.plane,
+    )
 
 
 def _witness_beside(swings: Sequence[Swing], witness: WitnessAt | None) -> WitnessedWith | None:

@@ -15,7 +15,7 @@ from acquisition.record.digest import known_sha256_of_any
 from processing.contact import StatedLaw
 from processing.contact.laws import Law
 from processing.decay_summary import DecaySummary, summarise_decay
-from processing.deflections import DeflectionUnit, slow_deflections
+from processing.deflections import Deflections, DeflectionUnit, slow_deflections
 from processing.envelope import EnvelopeDecay, fit_envelope
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
@@ -35,6 +35,7 @@ from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
 from rig.analysis.surroundings import stated_surroundings
 from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.trajectory import ANGLES, NOT_STATED, Trajectory
+from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
 from rig.analysis.witnessed_fits import of_source
 from rig.settings import Configuration
@@ -97,7 +98,7 @@ def analyse_trajectory(
     fitted.
     """
     scale = trajectory.scale_rad or 1.0
-    deflection = along_and_across(trajectory.positions)[0] * scale
+    deflection, across = (one * scale for one in along_and_across(trajectory.positions))
     noise = estimate_noise(trajectory.times_ns, deflection)
     swings = swings_of(trajectory.times_ns, deflection, np.full(len(deflection), noise))
     parts = separate_decays(swings)
@@ -113,7 +114,8 @@ def analyse_trajectory(
             f"{path}: {most} usable half-cycle{'' if most == 1 else 's'} ({len(swings) - most} more are "
             f"flagged or of other decays), at least {_USABLE} are needed: {reason}"
         )
-    decays = [_analyse(path, part, trajectory, deflection, noise, config, laws, witness) for part in usable]
+    both = _in_both(trajectory.times_ns, across, deflection, noise)
+    decays = [_analyse(path, part, trajectory, both, noise, config, laws, witness) for part in usable]
     longest = max(decays, key=lambda decay: decay.summary.half_cycles)
     results = TableResults(
         **_values(longest.results),
@@ -170,26 +172,28 @@ def _analyse(
     path: Path,
     swings: Sequence[Swing],
     trajectory: Trajectory,
-    deflection: NDArray[np.float64],
+    deflections: Deflections,
     noise: float,
     config: Configuration | None,
     laws: Sequence[Law | StatedLaw],
     witness: WitnessRecord | None,
 ) -> FoundDecay:
     """One decay, by the same path as a record's."""
-    points = turning_points(swings)
-    summary = summarise_decay(points)
-    edge_ns = _EDGE * 0.5e9 * summary.period_s.value
+    edge_ns = _EDGE * 0.5e9 * summarise_decay(turning_points(swings)).period_s.value
     inside = (trajectory.times_ns > swings[0].turn_time_ns - edge_ns) & (
         trajectory.times_ns < swings[-1].turn_time_ns + edge_ns
     )
+    passing = PassingDeflections([deflections[inside]], DeflectionUnit.RAD)
+    followed = follow_plane(swings, passing, None, along_line=True)
+    as_detected, swings = swings, followed.swings
+    deflection = np.concatenate([block.y for block in followed.deflections])
+    points = turning_points(swings)
+    summary = summarise_decay(points)
     problem = _why_no_laws(trajectory, config)
     run = RunResults(
         record=relative_record(path, Path.cwd()), sha256=known_sha256_of_any(path), problem=problem
     )
     if config is not None and not problem:
-        samples = slow_deflections(trajectory.times_ns[inside], deflection[inside], noise)
-        passing = PassingDeflections([samples], DeflectionUnit.RAD)
 
         def beside(turn_time_ns: int) -> tuple[Witness, bool]:
             assert witness is not None
@@ -200,14 +204,23 @@ def _analyse(
         at = None if witness is None else beside
         u_common = trajectory.u_common_in_noises * noise
         air = stated_surroundings(config)
-        fitted = analyse_swings(path, swings, config, passing, air, witness=at, u_common_rad=u_common)
+        fitted = analyse_swings(
+            path,
+            as_detected,
+            config,
+            passing,
+            air,
+            witness=at,
+            u_common_rad=u_common,
+            followed=followed,
+        )
         run = replace(fitted.results, laws=laws_of(fitted, laws)) if laws else fitted.results
         run = replace(run, witness=of_source(run.witness, witness))
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
     oscillation = fast_oscillation(
         trajectory.times_ns[inside],
-        deflection[inside],
+        deflection,
         [position[inside] for position in trajectory.positions],
         trajectory.names,
         summary.period_s.value,
@@ -223,18 +236,20 @@ def _analyse(
             "final_amplitude": summary.final_amplitude / scale,
             "warnings": (
                 *run.warnings,
-                *filter(None, [direction_warning(trajectory.positions, inside)]),
+                *filter(None, [_direction_warning(trajectory, inside, run, followed)]),
                 *filter(None, [oscillation]),
                 *_changes(summary, scale),
             ),
         }
     )
+    if followed.text and followed.text not in run.notes:
+        values["notes"] = (*run.notes, followed.text)
     if run.turning_points is None:
         unit = TableUnit.OWN if trajectory.scale_rad is None else DeflectionUnit.RAD
         values["turning_points"] = StoredTurningPoints.of(points, swings, unit, 1.0)
     if config is not None and config.lever is None and run.budget:
         values["notes"] = (
-            *run.notes,
+            *values["notes"],
             "the budget takes the table's angles as exact; [lever] u_arm_m states the u of their scale",
         )
     results = TableDecay(
@@ -244,6 +259,29 @@ def _analyse(
         run=trajectory.run,
     )
     return FoundDecay(swings, summary, results)
+
+
+def _in_both(
+    times_ns: NDArray[np.int64], x: NDArray[np.float64], y: NDArray[np.float64], noise: float
+) -> Deflections:
+    """Deflections along the motion, y, and across it; NaN across where a table has one position alone."""
+    samples = slow_deflections(times_ns, y, noise)
+    if not np.isfinite(x).any():
+        return samples
+    u_x = np.full(len(x), max(noise, estimate_noise(times_ns, x)))
+    return replace(samples, x=x, u_x=u_x)
+
+
+def _direction_warning(
+    trajectory: Trajectory, inside: NDArray[np.bool_], run: RunResults, followed: FollowedPlane
+) -> str:
+    """What is to be said of a direction that no fit has followed, or could not; empty: nothing."""
+    if followed.problem:
+        return "" if run.problem == followed.problem else followed.problem
+    of_instrument = run.instrument is not None and run.instrument.swing_plane is not None
+    if followed.is_turned or of_instrument:
+        return ""
+    return direction_warning(trajectory.positions, inside)
 
 
 def _changes(summary: DecaySummary, scale: float) -> list[str]:

@@ -19,7 +19,7 @@ from processing.spot import Spot, SpotFlag
 from processing.ticks import NS_PER_S, seconds
 from rig.channel.ground_now import GroundNow
 from rig.channel.run_history import RunHistory, spectrum
-from rig.instrument import Block, Snapshot, advice_for
+from rig.instrument import Block, Snapshot, advice_for, balance_failures
 from rig.presentation import Verdict, balance_numbers, table_tree
 from rig.settings import Configuration
 
@@ -238,6 +238,7 @@ class SessionNews:
         return {
             "numbers": balance_numbers(balance),
             "next_step": advice_for(self._config, balance).next_step or None,
+            "against": balance_failures(balance, self._config.balance),
         }
 
     @property

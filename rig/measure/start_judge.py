@@ -11,10 +11,13 @@ from processing.swing import Swing
 from rig.instrument import Optics
 from rig.settings import Configuration
 
+_SURELY = 2.0
+"""Standard uncertainties beyond the limit of the rotation."""
+
 
 @dataclass(frozen=True, slots=True)
 class StartLimits:
-    """Limits of the first amplitude and of the transverse motion.
+    """Limits of the first amplitude, of the transverse motion and of the rotation about the vertical.
 
     Amplitudes are in `unit`; in px they are not limited, because the limits are configured in arcsec.
     After `attempts` rejected starts the run fails.
@@ -23,6 +26,7 @@ class StartLimits:
     lowest_amplitude: float
     highest_amplitude: float
     highest_transverse_ratio: float
+    highest_spin_deg_per_min: float
     patience_s: float
     attempts: int
     unit: DeflectionUnit
@@ -36,6 +40,7 @@ def start_limits(config: Configuration, optics: Optics) -> StartLimits:
         lowest_amplitude=0.0 if in_px else start.lowest_amplitude * wanted_rad,
         highest_amplitude=math.inf if in_px else start.highest_amplitude * wanted_rad,
         highest_transverse_ratio=start.max_transverse_ratio,
+        highest_spin_deg_per_min=config.balance.spin_deg_per_min,
         patience_s=start.patience_s,
         attempts=start.attempts,
         unit=optics.unit,
@@ -45,7 +50,8 @@ def start_limits(config: Configuration, optics: Optics) -> StartLimits:
 class StartJudge:
     """Judges one start by its first two unflagged half-cycles and the balance of its first periods.
 
-    `first_amplitude` is the larger amplitude of these half-cycles, 0 before the first.
+    After that the rotation is judged once, by the first balance that knows it, about five periods after the
+    release. `first_amplitude` is the larger amplitude of these half-cycles, 0 before the first.
     """
 
     def __init__(self, limits: StartLimits) -> None:
@@ -53,10 +59,31 @@ class StartJudge:
         self._accepted = False
         self._good = 0
         self._balance_seen = False
+        self._rotation_judged = False
         self.first_amplitude = 0.0
 
     def rejection(self, swings: Sequence[Swing], balances: Sequence[Balance], elapsed_s: float) -> str:
         """Why the start is rejected; empty while it is being judged and after it was accepted."""
+        return self._of_first_swings(swings, balances, elapsed_s) or self._of_rotation(balances)
+
+    def _of_rotation(self, balances: Sequence[Balance]) -> str:
+        for balance in balances:
+            rate, u = (
+                math.degrees(value) * 60.0
+                for value in (balance.rotation_rad_per_s, balance.u_rotation_rad_per_s)
+            )
+            if self._rotation_judged or not math.isfinite(rate):
+                continue
+            self._rotation_judged = True
+            highest = self._limits.highest_spin_deg_per_min
+            if abs(rate) - _SURELY * u > highest:
+                return (
+                    f"the plane of swing turns by {rate:+.2f} deg/min, at most {highest:g} deg/min is "
+                    "allowed: let the pendulum settle before the release"
+                )
+        return ""
+
+    def _of_first_swings(self, swings: Sequence[Swing], balances: Sequence[Balance], elapsed_s: float) -> str:
         limits = self._limits
         if self._accepted:
             return ""

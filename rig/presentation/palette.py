@@ -18,7 +18,7 @@ REDDISH_PURPLE: Final = "#CC79A7"
 GREY: Final = "#8A8F98"
 
 X_COLOUR: Final = ORANGE
-"""X(t), the fast mode."""
+"""The fast mode, in X(t)."""
 Y_COLOUR: Final = SKY_BLUE
 """Y(t), the slow mode."""
 TRAJECTORY_COLOUR: Final = YELLOW

@@ -124,6 +124,7 @@ SOURCES: Final[Mapping[str, str]] = {
     "period_drift": "drift of the period (temperature)",
     "row_time_s": "row time of the shutter",
     "common_amplitude_rad": "compression of the film, all amplitudes",
+    "plane_of_swing_rad": "plane of swing, as it turned",
     "flat_youngs_modulus_pa": "E of the flat",
     "flat_poisson_ratio": "ν of the flat",
     "ball_youngs_modulus_pa": "E of the ball",

@@ -7,8 +7,10 @@ import numpy as np
 import rerun as rr
 
 from acquisition.record.events import EventKind
+from processing.angle import ARCSEC_RAD
 from rig.presentation import balance_drawn, balance_table, palette, quantity
 from rig.rerun import layout
+from rig.rerun.across import AcrossTheSwing
 from rig.rerun.analysis_panels import draw_fits
 from rig.rerun.gathering import Breaks, Decimator, Gathering
 from rig.rerun.lissajous import Lissajous
@@ -131,6 +133,7 @@ class Drawing:
         self._breaks = Breaks()
         self._decimators: dict[str, Decimator] = {}
         self._named: set[str] = set()
+        self._across: dict[str, AcrossTheSwing] = {}
 
     def draw(self, message: Message) -> None:
         """Draw one message, or gather it for the next block."""
@@ -175,11 +178,24 @@ class Drawing:
             message.x[chosen],
             message.y[chosen],
         )
-        self._gather(message.run, layout.X, time_s, x, f"X / {self._setup.unit}", palette.X_COLOUR)
+        alone = len(self._setup.runs) < 2
+        colour = palette.GREY if alone else palette.X_COLOUR
+        self._gather(message.run, layout.X, time_s, x, f"X / {self._setup.unit}", colour)
+        if alone:
+            self._draw_across(message.run, time_s, x, y)
         self._gather(message.run, layout.Y, time_s, y, f"Y / {self._setup.unit}", palette.Y_COLOUR)
         colour = self._run_colour(message.run, palette.TRAJECTORY_COLOUR)
         self._lissajous.draw(message.run, time_s, x, y, colour)
         self._lissajous.follow(message.time_s, message.x, message.y)
+
+    def _draw_across(self, run: str, time_s: Floats, x: Floats, y: Floats) -> None:
+        """What of X is the fast mode, and what the slow one leaks into it."""
+        parts = self._across.setdefault(run, AcrossTheSwing()).samples(time_s, x, y)
+        if parts is not None:
+            self._gather(
+                run, layout.LEAKAGE, parts.time_s, parts.leakage, "slow mode's leakage", palette.BLUE
+            )
+            self._gather(run, layout.FAST, parts.time_s, parts.fast, "fast mode", palette.X_COLOUR)
 
     def _draw_reference(self, message: ReferenceSamples) -> None:
         name = f"{message.run}/{layout.REFERENCE}"
@@ -216,6 +232,8 @@ class Drawing:
 
     def _draw_balance(self, message: BalanceNumbers) -> None:
         at = np.array([message.time_s])
+        size = ARCSEC_RAD if self._setup.unit == "arcsec" else 1.0
+        self._across.setdefault(message.run, AcrossTheSwing()).balance(message.time_s, message.numbers, size)
         for name, (value, u) in message.numbers.items():
             shown, drawn = quantity(name, self._setup.unit), balance_drawn(name)
             if np.isfinite(value):

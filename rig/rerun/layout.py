@@ -34,6 +34,9 @@ POSITION: Final = "position"
 
 # entities of one run, below its name
 X: Final = "deflection/x"
+FAST: Final = "deflection/x/fast_mode"
+LEAKAGE: Final = "deflection/x/leakage"
+"""The two parts of X, below it."""
 Y: Final = "deflection/y"
 AMPLITUDE: Final = "amplitude"
 PERIOD: Final = "period"
@@ -125,7 +128,7 @@ class _Views:
             ),
             rrb.Vertical(
                 self.deflection(Y, "Y(t), slow mode"),
-                self.deflection(X, "X(t), fast mode"),
+                self.deflection(X, "X(t), across the swing", has_legend=True),
                 rrb.Horizontal(
                     self.history(AMPLITUDE, f"Amplitude / {self._unit}"), self.history(PERIOD, "Period / s")
                 ),
@@ -202,12 +205,12 @@ class _Views:
             overrides=ranges,
         )
 
-    def deflection(self, path: str, title: str) -> rrb.View:
+    def deflection(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:
         return rrb.TimeSeriesView(
             name=f"{title} / {self._unit}",
             contents=self._below(path),
             axis_x=until_now(WINDOW_S),
-            plot_legend=rrb.PlotLegend(visible=len(self._runs) > 1),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=has_legend or len(self._runs) > 1),
         )
 
     def history(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:

@@ -1,5 +1,6 @@
 """Which columns of a table hold time, positions, and the number of the run."""
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ from rig.analysis.tables.cells import Cells
 from rig.analysis.tables.column_units import is_time
 from rig.analysis.tables.header_units import Named, known_unit, named_unit
 from rig.analysis.tables.numbers import is_moment
+from rig.analysis.tables.times import number
 
 _TIME_NAME: Final = re.compile(
     r"(?:t|time|zeit|temps|tiempo|tempo|elapsed|date.*|datum.*|timestamp|clock)(?:[\W_].*)?", re.I
@@ -20,6 +22,10 @@ _RUN_NAME: Final = re.compile(
     re.I,
 )
 _LOOKED_AT: Final = 50
+_OTHER_DIRECTION: Final = re.compile(r"(?<![^\W_])[xyXY](?![^\W_])")
+_DIRECTIONS: Final = {"x": "y", "y": "x", "X": "Y", "Y": "X"}
+_MOST_ROWS: Final = 0.95
+"""Of a second direction, that have to be numbers."""
 
 
 class Columns:
@@ -66,7 +72,25 @@ class Columns:
                 f"{self._path}: has {self.width} columns; name the position with --position"
             )
         behind = [k for k in others if t_column is None or k > t_column]
-        return [*behind, *others, 0][:1]
+        first = [*behind, *others, 0][0]
+        second = self._beside(first, others)
+        return [first] if second is None else [first, second]
+
+    def _beside(self, column: int, others: Sequence[int]) -> int | None:
+        """The column of the other direction, named and measured as this one is: y beside x; None: there is
+        none, or it has few numbers.
+        """
+        if not self._cells.names:
+            return None
+        here = self.named[column]
+        other = _OTHER_DIRECTION.sub(lambda found: _DIRECTIONS[found[0]], here.name)
+        for k in others:
+            if k == column or self.named[k] != here._replace(name=other) or other == here.name:
+                continue
+            cells = [row[k] for row in self._cells.rows]
+            if sum(math.isfinite(number(cell)) for cell in cells) >= _MOST_ROWS * len(cells):
+                return k
+        return None
 
     def run(self) -> int | None:
         """The column that says which run a row is of, where one is named so."""

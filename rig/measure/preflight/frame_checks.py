@@ -14,7 +14,7 @@ from processing.spot import Spot, SpotFlag
 from processing.ticks import seconds
 from rig.devices import MOST_PPM, wrong_rate
 from rig.instrument import beam_quality
-from rig.measure.preflight.rest_checks import ground, rest_position, stillness
+from rig.measure.preflight.rest_checks import ground, plane_of_swing, rest_position, stillness
 from rig.measure.preflight.trial_frames import TrialFrames
 from rig.presentation import Verdict
 from rig.settings import Configuration, PreflightSettings
@@ -201,6 +201,7 @@ def check_look(
         ),
         *stillness(look, limits),
         rest_position(look, limits),
+        *plane_of_swing(look, config.balance),
         ground(look, config.pendulum, limits),
         frame_rate(look.frames, config.camera.frame_rate_hz, limits),
         clock(look.frames, limits, on_demand=config.on_demand),

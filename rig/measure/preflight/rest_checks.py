@@ -7,10 +7,12 @@ import numpy as np
 
 from calibration import Stability, stability
 from processing.arrays import Floats
+from processing.balance import BalanceEstimator, BalanceLimits
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.ground_at_rest import ground_at_rest
 from rig.analysis import base_motion, drive_text
+from rig.instrument import PLANE_OF_SWING, balance_verdicts
 from rig.measure.preflight.trial_frames import TrialFrames
 from rig.presentation import Verdict, decimals
 from rig.settings import PendulumSettings, PreflightSettings
@@ -129,6 +131,18 @@ def rest_position(look: TrialFrames, limits: PreflightSettings) -> Verdict:
         limit=limit,
     )
     return _against_arcsec(verdict, at.unit)
+
+
+def plane_of_swing(look: TrialFrames, limits: BalanceLimits) -> list[Verdict]:
+    """Check the rotation of a pendulum that swings, where the frames show it: after five periods.
+
+    At rest there is none to be seen; the start is judged by it.
+    """
+    if look.resting or not len(look.deflections):
+        return []
+    found = BalanceEstimator().update(look.deflections)
+    verdicts = balance_verdicts(found[-1] if found else None, limits)
+    return [one for one in verdicts if one.name == PLANE_OF_SWING]
 
 
 def stillness(look: TrialFrames, limits: PreflightSettings) -> list[Verdict]:

@@ -34,7 +34,7 @@ COLOURS: dict[str, dict[str, tuple[str, ...]]] = {
     "measuring": {
         EQUAL: (palette.TRAJECTORY_COLOUR,),
         "Y(t), slow mode / arcsec": (palette.Y_COLOUR,),
-        "X(t), fast mode / arcsec": (palette.X_COLOUR,),
+        "X(t), across the swing / arcsec": (palette.X_COLOUR, palette.BLUE),
         "Amplitude / arcsec": (palette.AMPLITUDE_COLOUR,),
         "Period / s": (palette.PERIOD_COLOUR,),
         "Losses": palette.LOSSES[:2],

@@ -1,0 +1,302 @@
+"""How the plane of swing turns during a decay, and the deflections in the plane that turns with it.
+
+A pendulum on one ball can turn about the vertical. The slow mode then has the length A cos(theta) along the
+axis that was Y, and the fast mode and the rest position get a part in Y. Every two slow periods give a
+direction of the line on which the spot moves; a smooth curve through these directions turns the deflections
+back.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from processing.arrays import Floats, Ints
+from processing.balance.balance import Balance
+from processing.deflections import Deflections
+from processing.ticks import seconds
+
+_FEWEST = 6
+"""Directions through which a line is laid: four degrees of freedom show its scatter."""
+_INTERVALS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+"""Numbers of intervals of a cubic spline that are tried, behind a line and a parabola."""
+_PER_TERM = 3
+"""Directions a term of the curve, at least."""
+_OVERLAP = 2.0
+"""Variance of a mean of directions whose windows overlap by half, over that of independent ones."""
+_OUTLYING = 4.0
+"""Standard uncertainties beyond which a direction counts by its sign alone."""
+_ROUNDS = 3
+_HALVINGS = 40
+_MEDIAN = 1.4826
+"""Standard deviation of a normal distribution over the median of its absolute values."""
+_APART = 4.0
+"""Periods without a direction, from which on the plane is unknown there."""
+_UNKNOWN_PART = 0.05
+"""Of the decay, that may be without directions."""
+_FASTEST = 0.1
+"""Largest rotation in a period, in rad: a window of two periods then sees the curvature of the path."""
+_SCATTER = 0.03
+"""Largest scatter about the curve, in rad: amplitudes are then wrong by 5e-4 without a sign."""
+
+
+@dataclass(frozen=True)
+class PlaneOfSwing:
+    """Direction of the slow mode as a function of time: a spline, from Y towards X, in rad.
+
+    `knots`, `degree` and `coefficients` are the spline's, in parts of the time from `first_ns` to `last_ns`;
+    `covariance` is that of the coefficients. `directions` is how many there were, `chi2_per_dof` how they
+    scatter about it in their uncertainties, `scatter_rad` in rad, where the swing is large. `start_ns` is the
+    time from which turning is counted. `doubt` says why the curve does not describe the plane, empty if it
+    does.
+    """
+
+    first_ns: int
+    last_ns: int
+    knots: Floats
+    degree: int
+    coefficients: Floats
+    covariance: Floats
+    directions: int
+    chi2_per_dof: float
+    scatter_rad: float
+    start_ns: int
+    period_s: float
+    doubt: str = ""
+
+    def direction_rad(self, times_ns: Ints) -> Floats:
+        """Direction at these times (n,); before and after the decay, that of its ends."""
+        return np.asarray(self._basis(times_ns) @ self.coefficients)
+
+    def turned_rad(self, times_ns: Ints) -> Floats:
+        """How far the plane has turned since the start."""
+        return np.asarray(self._since_start(times_ns) @ self.coefficients)
+
+    def u_turned(self, times_ns: Ints) -> Floats:
+        """Independent errors (n, terms) of `turned_rad`, each for one standard uncertainty, in rad."""
+        return self._errors(self._since_start(times_ns))
+
+    def u_direction(self, times_ns: Ints) -> Floats:
+        """The same of `direction_rad`."""
+        return self._errors(self._basis(times_ns))
+
+    def rate_rad_per_s(self, times_ns: Ints) -> Floats:
+        """Rate of rotation at these times (n,)."""
+        slope = BSpline(self.knots, self.coefficients, self.degree).derivative()
+        span_s = float(seconds(self.last_ns - self.first_ns))
+        return np.asarray(slope(self._part(times_ns))) / span_s
+
+    def u_mean_rate(self) -> float:
+        """Standard uncertainty of the mean rate of rotation, in rad/s."""
+        ends = np.array([self.first_ns, self.last_ns], dtype=np.int64)
+        first, last = self._errors(self._basis(ends))
+        return float(np.linalg.norm(last - first)) / float(seconds(self.last_ns - self.first_ns))
+
+    def mean_rate(self) -> float:
+        """Mean rate of rotation from the first direction to the last, in rad/s."""
+        first, last = self.direction_rad(np.array([self.first_ns, self.last_ns], dtype=np.int64))
+        return float(last - first) / float(seconds(self.last_ns - self.first_ns))
+
+    def _since_start(self, times_ns: Ints) -> Floats:
+        return np.asarray(self._basis(times_ns) - self._basis(np.array([self.start_ns], dtype=np.int64)))
+
+    def _errors(self, basis: Floats) -> Floats:
+        values, vectors = np.linalg.eigh(self.covariance)
+        return np.asarray(basis @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+
+    def _part(self, times_ns: Ints) -> Floats:
+        """Times as parts of the spline's range; the ends of the decay lie a period outside it."""
+        span_s = float(seconds(self.last_ns - self.first_ns))
+        beyond = 1.5 * self.period_s / span_s
+        return np.clip(seconds(times_ns - self.first_ns) / span_s, -beyond, 1.0 + beyond)
+
+    def _basis(self, times_ns: Ints) -> Floats:
+        return _design(self._part(times_ns), self.knots, self.degree)
+
+
+def plane_of_swing(balances: Sequence[Balance], from_ns: int, to_ns: int) -> PlaneOfSwing | None:
+    """The plane in which a decay swings, from the balances of its periods.
+
+    Parameters
+    ----------
+    balances
+        In order of time. Those outside the decay are left out.
+    from_ns, to_ns
+        Times of the first and of the last turning point of the decay.
+
+    Returns
+    -------
+    PlaneOfSwing or None
+        None if fewer than six balances know a direction.
+    """
+    known = [
+        one
+        for one in balances
+        if from_ns <= one.time_ns <= to_ns
+        and math.isfinite(one.line_angle_rad)
+        and 0.0 < one.u_line_angle_rad < math.inf
+    ]
+    if len(known) < _FEWEST:
+        return None
+    times_ns = np.array([one.time_ns for one in known], dtype=np.int64)
+    # the direction of a line is defined modulo pi
+    angle = np.unwrap(np.array([one.line_angle_rad for one in known]), period=math.pi)
+    u = np.array([one.u_line_angle_rad for one in known])
+    size = np.array(
+        [math.hypot(one.amplitude, one.amplitude * math.tan(one.line_angle_rad)) for one in known]
+    )
+    part = seconds(times_ns - times_ns[0]) / float(seconds(times_ns[-1] - times_ns[0]))
+    period_s = float(np.median([one.period_s for one in known]))
+    u = _with_motion_across(part, angle, u, size)
+    knots, degree = _chosen(part, angle, u)
+    coefficients, covariance, left = _fitted(part, angle, u, knots, degree)
+    dof = len(angle) - len(coefficients)
+    chi2_per_dof = float(left @ left) / dof
+    plane = PlaneOfSwing(
+        first_ns=int(times_ns[0]),
+        last_ns=int(times_ns[-1]),
+        knots=knots,
+        degree=degree,
+        coefficients=coefficients,
+        covariance=_OVERLAP * max(1.0, chi2_per_dof) * covariance,
+        directions=len(angle),
+        chi2_per_dof=chi2_per_dof,
+        scatter_rad=float(np.sqrt(np.average((left * u) ** 2, weights=size**2))),
+        start_ns=from_ns,
+        period_s=period_s,
+    )
+    return replace(plane, doubt=_doubt(plane, times_ns, from_ns, to_ns))
+
+
+def square(deflections: Deflections, oblique_rad: float) -> Deflections:
+    """Deflections along two axes at a right angle, the second of them the slow mode's.
+
+    `oblique_rad` is what the angle from the slow to the fast axis has beyond a right one, with the opposite
+    sign where the fast axis is mirrored.
+    """
+    if oblique_rad == 0.0:
+        return deflections
+    sine, cosine = math.sin(oblique_rad), math.cos(oblique_rad)
+    return replace(
+        deflections,
+        x=cosine * deflections.x,
+        u_x=cosine * deflections.u_x,
+        y=deflections.y - sine * deflections.x,
+        u_y=np.hypot(deflections.u_y, sine * deflections.u_x),
+    )
+
+
+def turned(deflections: Deflections, angle_rad: Floats, oblique_rad: float = 0.0) -> Deflections:
+    """Deflections along the axes that have turned from Y towards X by `angle_rad` (n,).
+
+    `oblique_rad` is that of `square`, which is undone for the axes as they have turned.
+    """
+    at = square(deflections, oblique_rad)
+    sine, cosine = np.sin(angle_rad), np.cos(angle_rad)
+    x, u_x = at.x * cosine - at.y * sine, np.hypot(at.u_x * cosine, at.u_y * sine)
+    y, u_y = at.y * cosine + at.x * sine, np.hypot(at.u_y * cosine, at.u_x * sine)
+    if oblique_rad == 0.0:
+        return replace(at, x=x, y=y, u_x=u_x, u_y=u_y)
+    tangent = math.tan(oblique_rad)
+    return replace(
+        at,
+        x=x / math.cos(oblique_rad),
+        u_x=u_x / math.cos(oblique_rad),
+        y=y + tangent * x,
+        u_y=np.hypot(u_y, tangent * u_x),
+    )
+
+
+def _with_motion_across(part: Floats, angle: Floats, u: Floats, size: Floats) -> Floats:
+    """Uncertainties with a motion across the line that does not fall with the swing, as the ground makes it.
+
+    Its size follows from the scatter about the most flexible curve, and so does which directions are far off.
+    """
+    knots, degree = _candidates(len(angle))[-1]
+    dof = len(angle) - (len(knots) - degree - 1)
+    enlarged = u
+    for _ in range(_ROUNDS):
+        _, _, left = _fitted(part, angle, enlarged, knots, degree)
+        usual = max(1.0, _MEDIAN * float(np.median(np.abs(left))))
+        far = np.maximum(np.abs(left) / (_OUTLYING * usual), 1.0)
+        left2 = (left * enlarged / far) ** 2
+        low, high = 0.0, float(np.sum(left2 * size**2)) / dof
+        if float(np.sum(left2 / u**2)) <= dof:
+            high = 0.0
+        for _ in range(_HALVINGS if high > 0.0 else 0):
+            across2 = 0.5 * (low + high)
+            too_little = float(np.sum(left2 / (u**2 + across2 / size**2))) > dof
+            low, high = (across2, high) if too_little else (low, across2)
+        enlarged = far * np.sqrt(u**2 + high / size**2)
+    return enlarged
+
+
+def _candidates(count: int) -> list[tuple[Floats, int]]:
+    """Knots and degrees of the curves that so many directions allow, from the stiffest to the most flexible.
+
+    A line is the stiffest: what is known of the rate is part of what is known of the plane.
+    """
+    found = [(np.repeat([0.0, 1.0], degree + 1), degree) for degree in (1, 2)]
+    for intervals in _INTERVALS:
+        inner = np.linspace(0.0, 1.0, intervals + 1)[1:-1]
+        found.append((np.concatenate([np.zeros(4), inner, np.ones(4)]), 3))
+    most = max(count // _PER_TERM, 2)
+    return [(knots, degree) for knots, degree in found if len(knots) - degree - 1 <= most]
+
+
+def _chosen(part: Floats, angle: Floats, u: Floats) -> tuple[Floats, int]:
+    """The curve by Bayes' criterion, with the scatter of the most flexible one as noise."""
+    candidates = _candidates(len(angle))
+    chi2, terms = [], []
+    for knots, degree in candidates:
+        _, _, left = _fitted(part, angle, u, knots, degree)
+        chi2.append(float(left @ left))
+        terms.append(len(knots) - degree - 1)
+    noise2 = max(1.0, chi2[-1] / (len(angle) - terms[-1]))
+    independent = len(angle) / _OVERLAP
+    criterion = [
+        value / (_OVERLAP * noise2) + count * math.log(independent)
+        for value, count in zip(chi2, terms, strict=True)
+    ]
+    return candidates[int(np.argmin(criterion))]
+
+
+def _fitted(
+    part: Floats, angle: Floats, u: Floats, knots: Floats, degree: int
+) -> tuple[Floats, Floats, Floats]:
+    """Coefficients, their covariance and the residuals in uncertainties, of a weighted least-squares fit."""
+    design = _design(part, knots, degree) / u[:, None]
+    directions, sizes, turns = np.linalg.svd(design, full_matrices=False)
+    inverse = np.where(sizes > 1e-10 * sizes[0], 1.0 / np.maximum(sizes, 1e-300), 0.0)
+    coefficients = turns.T @ (inverse * (directions.T @ (angle / u)))
+    covariance = (turns.T * inverse**2) @ turns
+    return coefficients, covariance, angle / u - design @ coefficients
+
+
+def _design(part: Floats, knots: Floats, degree: int) -> Floats:
+    """Values (n, terms) of the spline's basis; beyond its ends each continues as a straight line."""
+    inside = np.clip(part, 0.0, 1.0)
+    basis = BSpline(knots, np.eye(len(knots) - degree - 1), degree)
+    values = np.asarray(basis(inside), dtype=np.float64)
+    beyond = part - inside
+    if np.any(beyond != 0.0):
+        outside = np.flatnonzero(beyond)
+        slopes = np.asarray(basis.derivative()(inside[outside]), dtype=np.float64)
+        values[outside] += slopes * beyond[outside, None]
+    return values
+
+
+def _doubt(plane: PlaneOfSwing, times_ns: Ints, from_ns: int, to_ns: int) -> str:
+    period_ns = 1e9 * plane.period_s
+    steps = np.diff(np.concatenate([[from_ns], times_ns, [to_ns]])).astype(np.float64)
+    unknown = float(np.sum(steps[steps > _APART * period_ns])) / (to_ns - from_ns)
+    if unknown > _UNKNOWN_PART:
+        return f"its direction is not known in {100 * unknown:.0f} % of the decay"
+    fastest = float(np.max(np.abs(plane.rate_rad_per_s(times_ns)))) * plane.period_s
+    if fastest > _FASTEST:
+        return f"it turns by {math.degrees(fastest):.0f} degrees in a period, too fast to be followed"
+    if plane.scatter_rad > _SCATTER:
+        return f"its direction scatters by {math.degrees(plane.scatter_rad):.1f} degrees about a smooth curve"
+    return ""

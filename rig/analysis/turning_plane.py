@@ -1,0 +1,211 @@
+"""A decay whose plane of swing turns: its deflections turned back, and what that leaves uncertain."""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration import Axes
+from processing.balance import Balance, BalanceEstimator, PlaneOfSwing, plane_of_swing, square, turned
+from processing.deflections import Deflections
+from processing.periods import mean_period
+from processing.swing import Swing, TurningPoints, swings_of_blocks, turning_points
+from processing.ticks import seconds
+from rig.analysis.passing_deflections import PassingDeflections
+from rig.presentation import with_uncertainty
+
+Array = NDArray[np.float64]
+DEGREE_RAD: Final = math.pi / 180.0
+_SQUARE: Final = Axes()
+MATTERS: Final = 0.05
+"""Standard uncertainties by which no parameter of a fit can change where a rotation is left as it is."""
+_FIRST: Final = 10
+"""Balances at the beginning, where the fast mode is largest."""
+_A_PERIOD: Final = 100
+"""Samples of a slow period by which its direction is found, at least where there are as many."""
+_PER_MIN: Final = 60.0 / DEGREE_RAD
+
+
+@dataclass(frozen=True)
+class FollowedPlane:
+    """Half-cycles and deflections of a decay in its plane of swing.
+
+    `plane` is None where the decay shows none: too short, or along one axis alone. `is_turned` says whether
+    half-cycles and deflections were turned, along the line itself if `along_line`, else by what the plane has
+    turned since the start. `balances` are those of the decay in the deflections as they came, `axes` the
+    pendulum's. `problem` says why nothing can be fitted, empty if it can.
+    """
+
+    swings: Sequence[Swing]
+    deflections: PassingDeflections
+    balances: Sequence[Balance] = ()
+    plane: PlaneOfSwing | None = None
+    is_turned: bool = False
+    along_line: bool = False
+    axes: Axes = _SQUARE
+    problem: str = ""
+
+    def amplitude_errors(self, points: TurningPoints) -> Array | None:
+        """Independent errors of the amplitudes (points, terms) by what is not known of the plane.
+
+        None if they were not turned.
+        """
+        if self.plane is None or not self.is_turned:
+            return None
+        times = {swing.index: swing.turn_time_ns for swing in self.swings}
+        times_ns = np.array([times.get(int(index), 0) for index in points.index], dtype=np.int64)
+        across = _motion_across(self.balances, self.plane, along_line=self.along_line)
+        return _errors(self.plane, times_ns, points.amplitude, across, self.axes, along_line=self.along_line)
+
+    @property
+    def u_rad(self) -> float:
+        """Standard uncertainty of the angle by which the last half-cycles were turned."""
+        if self.plane is None or not self.is_turned:
+            return 0.0
+        last = self.plane.u_turned(np.array([self.plane.last_ns], dtype=np.int64))
+        return math.hypot(float(np.linalg.norm(last)), self.axes.u_non_orthogonality_rad)
+
+    @property
+    def text(self) -> str:
+        """That the decay was turned back; empty if it was not."""
+        if self.plane is None or not self.is_turned:
+            return ""
+        ends = np.array([self.plane.start_ns, self.plane.last_ns], dtype=np.int64)
+        by_rad = float(np.diff(self.plane.direction_rad(ends))[0])
+        rate = with_uncertainty(
+            self.plane.mean_rate() * _PER_MIN, self.plane.u_mean_rate() * _PER_MIN, signed=True
+        )
+        if self.along_line:
+            first, last = self.plane.direction_rad(ends) / DEGREE_RAD
+            return (
+                f"the swing lies {first:+.2f} degrees from the direction of all positions at first, and "
+                f"{last:+.2f} at last ({rate} deg/min in the mean): amplitudes are those along the swing"
+            ).replace("-", "−")
+        return (
+            f"the plane of swing turned by {by_rad / DEGREE_RAD:+.2f} degrees during the run "
+            f"({rate} deg/min in the mean): the deflections were turned back before the fit"
+        ).replace("-", "−")
+
+
+def follow_plane(
+    swings: Sequence[Swing], deflections: PassingDeflections, axes: Axes | None, *, along_line: bool = False
+) -> FollowedPlane:
+    """Turn half-cycles and deflections into the plane of swing, where that changes anything.
+
+    Parameters
+    ----------
+    swings, deflections
+        Half-cycles as detected in the deflections, which pass once, or three times if they are turned.
+    axes
+        The pendulum's, in which the deflections are; None: at a right angle.
+    along_line
+        Turn onto the line of the motion itself. Otherwise the axes count as calibrated where the decay
+        begins.
+
+    Notes
+    -----
+    If amplitudes change by e_i, no parameter of a least-squares fit changes by more than
+    sqrt(sum (e_i/u_i)^2) of its standard uncertainties. A rotation that, with all that is not known of it,
+    stays below `MATTERS` in this sense is left as it is.
+    """
+    axes = axes or _SQUARE
+    oblique_rad = -axes.non_orthogonality_rad if axes.mirrored else axes.non_orthogonality_rad
+    good = [swing for swing in swings if not swing.flags]
+    if len(good) < 2:
+        return FollowedPlane(swings, deflections, along_line=along_line, axes=axes)
+    estimator = BalanceEstimator()
+    balances = [
+        one
+        for block in _thinned(deflections, mean_period(turning_points(good)))
+        for one in estimator.update(square(block, oblique_rad))
+    ]
+    balances = [one for one in balances if good[0].turn_time_ns <= one.time_ns <= good[-1].turn_time_ns]
+    found = FollowedPlane(swings, deflections, balances, along_line=along_line, axes=axes)
+    plane = plane_of_swing(balances, good[0].turn_time_ns, good[-1].turn_time_ns)
+    if plane is None or not _matters(plane, good, balances, axes, along_line=along_line):
+        return replace(found, plane=plane)
+    if plane.doubt:
+        rate = with_uncertainty(plane.mean_rate() * _PER_MIN, plane.u_mean_rate() * _PER_MIN, signed=True)
+        problem = (
+            f"withheld: the plane of swing turns ({rate} deg/min in the mean) and {plane.doubt}, so that "
+            "amplitudes are not known; let the pendulum settle before the release (rig balance)"
+        )
+        return replace(found, plane=plane, problem=problem.replace("-", "−"))
+    back = PassingDeflections(
+        _TurnedBack(deflections, plane, oblique_rad, along_line=along_line), deflections.unit
+    )
+    return replace(found, swings=swings_of_blocks(back), deflections=back, plane=plane, is_turned=True)
+
+
+def _thinned(blocks: Iterable[Deflections], period_s: float) -> Iterator[Deflections]:
+    """Some samples of each period, evenly: all would say no more than a fraction of their noise."""
+    stride, passed = 0, 0
+    for block in blocks:
+        if not stride and len(block) > 1:
+            step_s = float(seconds(block.times_ns[-1] - block.times_ns[0])) / (len(block) - 1)
+            stride = max(1, int(period_s / step_s / _A_PERIOD))
+        yield block[-passed % max(stride, 1) :: max(stride, 1)]
+        passed += len(block)
+
+
+class _TurnedBack(Iterable[Deflections]):
+    """Deflections along the axes that turn with the plane of swing."""
+
+    def __init__(
+        self, blocks: Iterable[Deflections], plane: PlaneOfSwing, oblique_rad: float, *, along_line: bool
+    ) -> None:
+        self._blocks = blocks
+        self._angle_rad = plane.direction_rad if along_line else plane.turned_rad
+        self._oblique_rad = oblique_rad
+
+    def __iter__(self) -> Iterator[Deflections]:
+        for block in self._blocks:
+            yield turned(block, self._angle_rad(block.times_ns), self._oblique_rad)
+
+
+def _matters(
+    plane: PlaneOfSwing, good: Sequence[Swing], balances: Sequence[Balance], axes: Axes, *, along_line: bool
+) -> bool:
+    times_ns = np.array([swing.turn_time_ns for swing in good], dtype=np.int64)
+    amplitude = np.array([swing.amplitude for swing in good])
+    u = np.array([swing.u_amplitude for swing in good])
+    across = _motion_across(balances, plane, along_line=along_line)
+    angle = plane.direction_rad(times_ns) if along_line else plane.turned_rad(times_ns)
+    shifts = amplitude * (1.0 - np.cos(angle) + across * np.abs(np.sin(angle)))
+    errors = _errors(plane, times_ns, amplitude, across, axes, along_line=along_line)
+    moved2 = shifts**2 + np.sum(errors**2, axis=1)
+    return bool(math.sqrt(float(np.sum(moved2 / u**2))) > MATTERS)
+
+
+def _errors(
+    plane: PlaneOfSwing,
+    times_ns: NDArray[np.int64],
+    amplitude: Array,
+    across: float,
+    axes: Axes,
+    *,
+    along_line: bool,
+) -> Array:
+    """Errors of amplitudes (n, terms), each for one standard uncertainty: of the curve, and of the axes.
+
+    An angle that is wrong by d takes d^2/2 off an amplitude, and adds d times the motion across it. Where the
+    angle between the axes is wrong by e, turning by theta adds e sin(theta) cos(theta).
+    """
+    of_curve = plane.u_direction(times_ns) if along_line else plane.u_turned(times_ns)
+    half = 0.5 * np.linalg.norm(of_curve, axis=1)
+    angle = plane.direction_rad(times_ns) if along_line else plane.turned_rad(times_ns)
+    of_axes = axes.u_non_orthogonality_rad * np.sin(angle) * np.cos(angle)
+    columns = [of_curve * np.hypot(across, half)[:, None], of_axes[:, None]]
+    return np.asarray(amplitude[:, None] * np.column_stack(columns))
+
+
+def _motion_across(balances: Sequence[Balance], plane: PlaneOfSwing, *, along_line: bool) -> float:
+    """Motion across the axis to which is turned, over the swing: the tilt of the line, and the fast mode."""
+    start = np.array([plane.start_ns], dtype=np.int64)
+    tilt = 0.0 if along_line else math.remainder(float(plane.direction_rad(start)[0]), math.pi)
+    first = [one.transverse_ratio for one in balances if one.time_ns >= plane.first_ns][:_FIRST]
+    fast = float(np.median(first)) if first else 0.0
+    return math.hypot(min(abs(tilt), 1.0), min(fast, 1.0))

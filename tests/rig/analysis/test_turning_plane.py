@@ -1,0 +1,198 @@
+"""A pendulum that turns about the vertical: the fit follows its plane of swing, or withholds."""
+
+import json
+from dataclasses import replace
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from processing.balance import balance_of_run
+from processing.deflections import DeflectionUnit
+from rig.analysis.results import RunResults
+from rig.instrument import balance_failures, balance_verdicts
+from tests.rig.analysis.spinning import (
+    DEG_PER_MIN,
+    DEMONSTRATION,
+    Spin,
+    analysed,
+    analysed_table,
+    configuration,
+    positions,
+)
+from tests.rig.command_line import rig, set_words
+
+FAST = 5e-4  # rad/s, 1.72 deg/min
+DISTURBED = {"leakage": 0.03, "fast_arcsec": 6.0, "rest_arcsec": (-30.0, 15.0)}
+
+
+def pulls(run: RunResults) -> dict[str, float]:
+    """Errors of b, c and the surface energy in standard uncertainties."""
+    simulation = configuration().simulation
+    assert simulation is not None
+    truth = {
+        "b": simulation.contact.b,
+        "c": simulation.contact.c,
+        "surface_energy_table2_j_per_m2": 28.896e-3,
+    }
+    return {
+        name: abs(run.budget[name].value - true) / run.budget[name].standard_uncertainty
+        for name, true in truth.items()
+    }
+
+
+@pytest.mark.parametrize(
+    "spin",
+    [
+        Spin(FAST),
+        Spin(-FAST),
+        Spin(FAST, **DISTURBED),
+        Spin(-0.003),
+        Spin(0.002, lasts_s=90.0),
+    ],
+    ids=["turning", "turning back", "disturbed", "ten degrees a minute", "coming to rest"],
+)
+def test_a_decay_whose_plane_turns_is_followed(spin: Spin, tmp_path: Path) -> None:
+    run = analysed(positions(spin, seed=3), configuration(), tmp_path / "run-1.mcap")
+    assert max(pulls(run.results).values()) < 3
+    assert run.results.half_cycles > 280
+    (said,) = [note for note in run.results.notes if "plane of swing" in note]
+    assert "turned back" in said
+    sources = {line.source for line in run.results.budget["b"].sources}
+    assert "plane_of_swing_rad" in sources
+
+
+def test_an_angle_between_the_axes_that_is_not_known_is_a_line_of_the_budget(tmp_path: Path) -> None:
+    config = configuration("axes.u_non_orthogonality_rad=2e-3")
+    seen = positions(Spin(FAST), seed=3)
+    run = analysed(seen, config, tmp_path / "run-1.mcap")
+    (line,) = [one for one in run.results.budget["c"].sources if one.source == "plane_of_swing_rad"]
+    assert line.u_source == pytest.approx(2e-3, rel=1e-3)
+    assert line.share > 0.05
+    # the true axes are as much askew as is stated
+    askew = replace(seen, y=seen.y + 2e-3 * seen.x)
+    off = analysed(askew, config, tmp_path / "run-1.mcap").results.budget["c"]
+    moved = abs(off.value - run.results.budget["c"].value)
+    assert moved == pytest.approx(line.contribution, rel=0.2)
+
+
+def test_without_a_rotation_nothing_is_turned(tmp_path: Path) -> None:
+    run = analysed(positions(Spin(), seed=3), configuration(), tmp_path / "run-1.mcap")
+    assert max(pulls(run.results).values()) < 3
+    assert not any("plane" in note for note in run.results.notes)
+    assert "plane_of_swing_rad" not in {line.source for line in run.results.budget["b"].sources}
+
+
+@pytest.mark.parametrize("rate_deg_per_min", [1e-4, 0.003, 0.03, 0.1])
+def test_there_is_no_step_where_a_rotation_begins_to_matter(rate_deg_per_min: float, tmp_path: Path) -> None:
+    file = tmp_path / "run-1.mcap"
+    still = analysed(positions(Spin(), seed=5), configuration(), file).results.budget
+    slow = positions(Spin(rate_deg_per_min * DEG_PER_MIN), seed=5)
+    found = analysed(slow, configuration(), file).results.budget
+    for name in ("b", "p", "c", "n", "period0_s", "gamma_pa"):
+        # noise along one axis becomes noise along another
+        assert abs(found[name].value - still[name].value) < 0.1 * still[name].standard_uncertainty
+        assert found[name].standard_uncertainty == pytest.approx(still[name].standard_uncertainty, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("spoiled", "said"),
+    [("gap", "is not known in"), ("fast", "")],
+)
+def test_what_cannot_be_followed_is_withheld(spoiled: str, said: str, tmp_path: Path) -> None:
+    seen = positions(Spin(0.04 if spoiled == "fast" else FAST), seed=3, duration_s=200.0)
+    if spoiled == "gap":
+        lost = (seen.times_s > 80.0) & (seen.times_s < 120.0)
+        seen = replace(seen, x=np.where(lost, np.nan, seen.x))
+    run = analysed(seen, configuration(), tmp_path / "run-1.mcap").results
+    assert run.problem.startswith("withheld: the plane of swing turns")
+    assert said in run.problem
+    assert not run.fits
+    assert not run.budget
+
+
+@pytest.mark.parametrize("spin", [Spin(FAST), Spin(-FAST, leakage=0.5), Spin()])
+def test_a_table_of_two_positions_is_fitted_in_both(spin: Spin, tmp_path: Path) -> None:
+    """Of `x`, `y` both are taken without being named, and amplitudes are those along the swing."""
+    config = configuration().model_copy(update={"lever": None, "axes": None})
+    run = analysed_table(positions(spin, seed=4), config, tmp_path / "both.csv")
+    scale = np.hypot(1.0, spin.leakage)
+    assert run.initial_amplitude == pytest.approx(123.236 * scale, rel=3e-4)
+    c = run.budget["c"]
+    assert abs(c.value - 10.51e-9 * scale) < 3 * c.standard_uncertainty
+    assert not any("direction" in warning for warning in run.warnings)
+    alone = analysed_table(positions(spin, seed=4), None, tmp_path / "both.csv")
+    assert alone.initial_amplitude == pytest.approx(run.initial_amplitude, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("spin", "fails"),
+    [
+        (Spin(), set()),
+        (Spin(FAST), {"plane of swing"}),
+        (Spin(0.1 * DEG_PER_MIN), set()),
+        (Spin(0.003, lasts_s=60.0), {"plane of swing"}),
+        (Spin(fast_arcsec=6.0), {"transverse motion"}),
+        (Spin(rest_arcsec=(-30.0, 15.0)), {"tilt at rest, X", "tilt at rest, Y"}),
+    ],
+)
+def test_the_balance_is_a_condition(spin: Spin, fails: set[str], tmp_path: Path) -> None:
+    config = configuration()
+    run = analysed(positions(spin, seed=3, duration_s=200.0), config, tmp_path / "run-1.mcap")
+    balance = balance_of_run(run.decay_balances, run.plane)
+    verdicts = balance_verdicts(balance, config.balance)
+    assert {one.name for one in verdicts if not one.ok} == fails
+    assert len(verdicts) == 5
+    for one in verdicts:
+        assert one.measured
+        assert one.limit
+        assert one.ok == (not one.remedy)
+    if "plane of swing" in fails and spin.lasts_s == inf:
+        (turning,) = [one for one in verdicts if one.name == "plane of swing"]
+        assert turning.measured.endswith("deg/min")
+        assert turning.limit == "0.2 deg/min"
+        assert "rig balance" in turning.remedy
+    assert balance is not None
+    assert len(balance_failures(balance, config.balance)) == len(fails)
+    in_px = balance_verdicts(replace(balance, unit=DeflectionUnit.PX), config.balance)
+    assert [one.name for one in in_px] == ["transverse motion", "ellipticity", "plane of swing"]
+
+
+def test_a_run_without_a_decay_has_no_balance() -> None:
+    assert balance_of_run([], None) is None
+    assert balance_verdicts(None, configuration().balance) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate_rad_per_s", [FAST, -FAST])
+def test_a_session_whose_pendulum_turns_is_fitted_and_does_not_meet_its_conditions(
+    rate_rad_per_s: float, tmp_path: Path
+) -> None:
+    """From frames on; `rig fit` of the record says the same."""
+    words = {
+        "session.max_duration_s": "600",
+        "simulation.clock.frame_rate_hz": "25",
+        "simulation.axes.spin_rad_per_s": str(rate_rad_per_s),
+    }
+    done = rig("run", DEMONSTRATION, "-o", tmp_path / "out", *set_words(words))
+    assert done.returncode == 1
+    assert "PLANE OF SWING: " in done.stdout
+    run = first_run(tmp_path / "out")
+    failed = [one for one in run["conditions"] if not one["ok"]]
+    assert [one["name"] for one in failed] == ["plane of swing"]
+    assert failed[0]["limit"] == "0.2 deg/min"
+    for name, true in {"b": 37.33e-4, "c": 10.51e-9, "surface_energy_table2_j_per_m2": 28.896e-3}.items():
+        item = run["budget"][name]
+        assert abs(item["value"] - true) < 3 * item["standard_uncertainty"]
+        assert item["standard_uncertainty"] < 0.01 * true
+    assert any("turned back" in note for note in run["notes"])
+    rig("fit", tmp_path / "out" / "run-1.mcap", "-o", tmp_path / "again")
+    again = first_run(tmp_path / "again")
+    assert again["budget"]["c"]["value"] == run["budget"]["c"]["value"]
+
+
+def first_run(folder: Path) -> dict[str, Any]:
+    runs: list[dict[str, Any]] = json.loads((folder / "results.json").read_text())["runs"]
+    return runs[0]
