@@ -34,6 +34,7 @@ from rig.devices.laser import age_s, goes_dark_by_itself, laser_now, light, wait
 from rig.settings import Configuration
 
 _LOOKS_FOR_S = _HEARD_WITHIN_S = 3.0
+LEFT_LIT = "a program that had lit the laser was killed, or could not say that it is off"
 _STILL_SEEN = "the laser was commanded off, but the camera still sees its spot"
 _SILENT = (Light.SILENT, Light.CONTROLLER_SILENT)
 
@@ -67,6 +68,7 @@ class LitDevices:
         be called when the first frame is due. Raises LightRefused while a trip is not acknowledged. Nothing
         else in this program lights a laser.
         """
+        self.hear_presses()
         if trip := self.permit.latched:
             self.audit(Audited.REFUSED, trip.text)
             raise LightRefused(
@@ -87,8 +89,8 @@ class LitDevices:
             raise LightRefused(TO_BE_ASKED)
         if why := self.darkness():
             self.went_dark(why)
-            if not goes_dark_by_itself(self._config.laser):
-                self.state.lit(True)
+            if self.state.path is not None or not goes_dark_by_itself(self._config.laser):
+                self._note_lit()
             # before it is lit, because a disk may hang
             self.audit(Audited.LIT, f"asked for by {self._task}", laser=kind)
             self._log.wait()
@@ -100,12 +102,17 @@ class LitDevices:
             self.audit(Audited.REFUSED, str(error))
             raise
 
+    def _note_lit(self) -> None:
+        """In the rig's state. Where it cannot be written nothing is lit: a trip would be forgotten."""
+        try:
+            self.state.lit(True)
+        except DeviceError as error:
+            self.audit(Audited.REFUSED, str(error))
+            raise LightRefused(f"the laser stays off: {error}") from None
+
     def darken(self, why: str = "frames are not processed any more") -> None:
         """Switch the laser off before all waiting commands; never blocks."""
-        if self.control is not None and self._config.laser.kind != "none":
-            self.control.laser_off()
-        if self.laser is not None:
-            self.laser.off()
+        self._order_dark()
         self.permit.end()
         self.went_dark(why)
 
@@ -123,13 +130,35 @@ class LitDevices:
 
         Waits for no device. What is latched already stays as it is.
         """
+        self._order_dark()
+        # the same press, where it was left beside the rig's state too
+        self.permit.look_for_presses()
+        if self.permit.latched is None:
+            self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
+        return "the laser is commanded off"
+
+    def _look_at_what_was_left(self) -> None:
+        """Before anything is opened: a press, and a light of which no program has said that it went."""
+        self.permit.look_for_presses()
+        if not self.state.left_lit:
+            return
+        if self.permit.latched is None:
+            self.permit.trip(TripCause.WATCHDOG, LEFT_LIT)
+        with suppress(DeviceError):
+            self.state.lit(False)
+
+    def hear_presses(self) -> None:
+        """Dark, and latched, where somebody has pressed LIGHT OFF whom no order could bring here."""
+        if self.permit.look_for_presses():
+            self._order_dark()
+        self.state.keep()
+
+    def _order_dark(self) -> None:
+        """Command controller and laser off, before all waiting commands; never blocks."""
         if self.control is not None and self._config.laser.kind != "none":
             self.control.laser_off()
         if self.laser is not None:
             self.laser.off()
-        if self.permit.latched is None:
-            self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
-        return "the laser is commanded off"
 
     def wait_until_heard(self) -> None:
         """Until whoever knows of light and interlock has answered, or has had time to."""
@@ -213,11 +242,12 @@ class LitDevices:
         """Note that a laser which should be lit is not, and latch it: no later run lights it by itself.
 
         Whoever switched it off, at its panel or from another program, may be in the beam's way. Of one that
-        does not answer nobody knows: it may still be lit, as it should.
+        does not answer nobody knows: it may still be lit, as it should. What a trip has darkened,
+        acknowledged or not, did not go dark by itself.
         """
         laser = self.laser_now()
         known = laser is not None and laser.light in (Light.OFF, Light.INTERLOCK_OPEN)
-        if known and self.permit.begun and self.permit.latched is None:
+        if known and self.permit.begun and not self.waits_for_asking:
             self.permit.trip(TripCause.WATCHDOG, f"the laser went dark: {why}")
         self.went_dark(why)
 
@@ -307,7 +337,7 @@ class LitDevices:
         loop = Loop.CLOSED if all(closed for closed, _ in loops) else Loop.OPEN
         return SafetyNow(
             trip=self.permit.latched,
-            refusal=self.permit.refusal,
+            refusal=self.permit.refusal or self.state.problem,
             light=Light.DISAGREES if spot.disagrees else laser.light,
             # who is silent was never heard, as far as this state goes
             light_age_s=math.inf if laser.light in _SILENT else laser.age_s,

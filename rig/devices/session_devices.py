@@ -20,7 +20,6 @@ from rig.control import (
     LaserService,
     SafetyState,
     SimulatedOutputs,
-    TripCause,
     make_laser,
     simulated_controller,
 )
@@ -29,6 +28,7 @@ from rig.devices.frame_stream import FrameStream
 from rig.devices.ground_witness import GroundWitness, ground_witness
 from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.lit_devices import LitDevices
+from rig.devices.press_watch import PressWatch
 from rig.instrument import (
     camera_settings,
     check_full_scale,
@@ -112,9 +112,9 @@ class Devices(LitDevices):
         self._closing.enter_context(self.state)
         if self._folder is not None:
             self.state.held_for(self._folder)
-        if self.state.left_lit:
-            self.permit.trip(TripCause.WATCHDOG, "a program was killed that had lit the laser")
-            self.state.lit(False)
+        self._look_at_what_was_left()
+        if self.state.path is not None:
+            self._closing.enter_context(PressWatch(self))
         if config.controller.kind != "none":
             self.control = self._closing.enter_context(
                 ControlService(

@@ -15,7 +15,7 @@ from unittest.mock import patch
 import pytest
 
 from processing.errors import DeviceError
-from rig.control import Controller, ControlService, LaserService, LightPermit, Stage, TripCause, make_laser
+from rig.control import Controller, ControlService, LaserService, LightPermit, Stage, make_laser
 from rig.control.firmware.core import VERSION
 from rig.control.lasers import serial_laser
 from rig.control.serial_port import PortLost
@@ -26,6 +26,7 @@ from rig.settings import Configuration, validate_configuration
 from tests.rig.control.instruments import Instrument
 from tests.rig.control.lasers.pairs import FAMILIES
 from tests.rig.control.stepped import Clock, InstrumentLine, SteppedBoard, stepped_clock, turn
+from tests.rig.known_rig import known
 
 PATHS = ("run", "plan", "balance", "align", "calibration", "preflight", "doctor", "resume")
 WATCHDOG_S, STALL_S = 1.5, 5.0
@@ -179,9 +180,7 @@ class Program(Devices):
     def _open(self) -> None:
         config, board = self._config, self.world.board
         self._closing.enter_context(self.state)
-        if self.state.left_lit:
-            self.permit.trip(TripCause.WATCHDOG, "a program was killed that had lit the laser")
-            self.state.lit(False)
+        self._look_at_what_was_left()
         controller = Controller(config.controller, config.laser.max_power_w, board.open_line)
         self.control = ControlService(controller, config.controller, None, self.permit)
         if turn(self.control) and self.control.snapshot.status is None:
@@ -197,6 +196,7 @@ class Program(Devices):
         if not self.stalled:
             for stage in (Stage.CAMERA, Stage.PROCESSING):
                 self.permit.moved(stage)
+        self.hear_presses()
         now_s = self.world.clock.monotonic()
         for place, service in enumerate((self.control, self.laser)):
             if service is not None and (now or now_s >= self._due_s[place]):
@@ -246,6 +246,8 @@ def stepped_world(seed: int, folder: Path, kind: str = "", wired: bool | None = 
         monkeypatch.setenv("XDG_STATE_HOME", str(folder / str(seed)))
         monkeypatch.setattr("rig.control.safety_state._device_at", lambda _: "")
         world = World(seed, clock, kind, wired)
+        for port in ("stepped", "instrument"):
+            known(port)
         monkeypatch.setattr(serial_laser, "SerialPort", world.open_laser)
         for module in ("laser", "light_watch", "lit_devices"):
             monkeypatch.setattr(f"rig.devices.{module}.time", clock)
