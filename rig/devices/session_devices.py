@@ -98,14 +98,18 @@ class Devices(LitDevices):
         return self
 
     def __exit__(self, *_error: object) -> None:
+        interrupt: KeyboardInterrupt | None = None
         try:
             if self._was_lit:
+                said, interrupt = self._darkened()
                 # a terminal that was closed hears nothing, and holds nothing up
                 with suppress(OSError):
-                    say(self._darkened())
+                    say(said)
         finally:
             self._closing.close()
             self._log.wait()
+        if interrupt is not None:
+            raise interrupt
 
     def _open(self) -> None:
         config = self._config
