@@ -9,13 +9,12 @@ from rig.control.controller import Controller, InterlockOpen, PowerLimit
 from rig.control.controller_answers import AirReading
 from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, LightRefused, Stage
 from rig.control.link import CommandRefused
-from rig.control.protocol import checksum
 from rig.control.safety_state import SafetyState, TripCause
 from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings
 from rig.control.worker import Overdue, Worker
-from tests.rig.control.stepped import Clock, SteppedBoard, stepped_clock, turn
+from tests.rig.control.stepped import Clock, SpoiledLine, SteppedBoard, stepped_clock, turn
 
 HEARTBEAT_S, WATCHDOG_S = 0.5, 2.0
 
@@ -494,74 +493,22 @@ def test_an_error_of_ours_ends_a_worker_with_its_reason() -> None:
     assert finished == [True]
 
 
-class Line:
-    """What the cable does to answers from now on: bytes that are passed on, and answers seen before."""
-
-    def __init__(self, board: SteppedBoard) -> None:
-        self._board, self._seen = board, b""
-        self._due: list[tuple[float, bytes]] = []
-        self._delay_s = 0.0
-        self._usual = board.sent
-        board.to_host = self._record
-
-    def _record(self, data: bytes) -> bytes:
-        self._seen += data
-        return data
-
-    def mute(self) -> None:
-        self._board.to_host = lambda _: b""
-
-    def half_lines(self) -> None:
-        self._board.to_host = lambda data: data[: len(data) // 2]
-
-    def old_replies(self) -> None:
-        old = self._seen[-400:]
-        self._board.to_host = lambda _: old
-
-    def nan(self) -> None:
-        self._change_status(3, "nan")
-
-    def wrong_values(self) -> None:
-        self._change_status(1, "7")
-
-    def _change_status(self, place: int, value: str) -> None:
-        def changed(data: bytes) -> bytes:
-            body, star, _ = data.decode().partition("*")
-            fields = body.split(",")
-            if len(fields) < 14 or not star:
-                return data
-            fields[place] = value
-            text = ",".join(fields).encode()
-            return text + b"*%04X\n" % checksum(text)
-
-        self._board.to_host = changed
-
-    def late(self, delay_s: float) -> None:
-        self._delay_s = delay_s
-        self._board.sent = self._sent_late  # type: ignore[method-assign]
-
-    def very_late(self) -> None:
-        """Later than the last repetition of a command."""
-        self.late(0.7)
-
-    def _sent_late(self) -> bytes:
-        now_s = self._board.clock.monotonic()
-        if data := self._usual():
-            self._due.append((now_s + self._delay_s, data))
-        arrived = [data for at_s, data in self._due if at_s <= now_s]
-        self._due = [one for one in self._due if one[0] > now_s]
-        return b"".join(arrived)
-
-
 @pytest.mark.parametrize("environment_period_s", [None, 1.0])
 @pytest.mark.parametrize(
     "fault",
-    [Line.mute, Line.half_lines, Line.old_replies, Line.nan, Line.wrong_values, Line.very_late],
+    [
+        SpoiledLine.mute,
+        SpoiledLine.half_lines,
+        SpoiledLine.old_replies,
+        SpoiledLine.nan,
+        SpoiledLine.wrong_values,
+        SpoiledLine.very_late,
+    ],
 )
 def test_a_board_that_says_nothing_of_use_is_dark_within_the_watchdogs_time(
     board: SteppedBoard,
     permit: LightPermit,
-    fault: Callable[[Line], None],
+    fault: Callable[[SpoiledLine], None],
     environment_period_s: float | None,
 ) -> None:
     """Its own watchdog hears the heartbeats: the program must give it up, and say so."""
@@ -569,7 +516,7 @@ def test_a_board_that_says_nothing_of_use_is_dark_within_the_watchdogs_time(
     controller = Controller(settings, 0.001, board.open_line)
     service = ControlService(controller, settings, environment_period_s, permit)
     lit(service, board)
-    line = Line(board)
+    line = SpoiledLine(board)
     for moment in range(4):
         live(service, board, 0.3 + 0.07 * moment)
     assert board.outputs()["laser"][0] == 1
@@ -588,7 +535,7 @@ def test_answers_that_come_a_little_late_are_answers(
     settings = ControllerSettings(kind="serial", port="stepped")
     service = ControlService(Controller(settings, 0.001, board.open_line), settings, 1.0, permit)
     lit(service, board)
-    Line(board).late(delay_s)
+    SpoiledLine(board).late(delay_s)
     live(service, board, 20.0)
     assert service.snapshot.state is ControlState.OPEN
     assert board.outputs()["laser"][0] == 1
