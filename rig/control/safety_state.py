@@ -211,12 +211,10 @@ class SafetyState:
             if not why or (stored.latched is not None and stored.press == mark):
                 self._new_press = ""
                 return None
-            changed: dict[str, object] = {"press": mark}
-            if stored.latched is None:
-                latched = _Latched(cause=TripCause.PERSON, why=why, lit=lit)
-                changed |= {"number": stored.number + 1, "latched": latched}
+            latched = stored.latched or _Latched(cause=TripCause.PERSON, why=why, lit=lit)
+            number = stored.number + (stored.latched is None)
             try:
-                self._put(**changed)
+                self._put(press=mark, number=number, latched=latched)
             finally:
                 self._new_press = ""
             return self.trip
