@@ -1,6 +1,7 @@
 """Synchronous driver of the rig controller; `service.ControlService` calls it from a thread."""
 
 import contextlib
+import math
 import secrets
 from collections.abc import Callable
 
@@ -106,12 +107,18 @@ class Controller:
         line, link, self._line, self._link = self._line, self._link, None, None
         if line is None or link is None:
             return
+        link.repeat_until_s = math.inf
         try:
             with contextlib.suppress(DeviceError):
                 link.ask("SYST:SESS:END")
         finally:
             with contextlib.suppress(PortLost):
                 line.close()
+
+    def repeat_until(self, at_s: float) -> None:
+        """Repeat no command later (`time.monotonic`); until the next `open`, or another moment is given."""
+        if self._link is not None:
+            self._link.repeat_until_s = at_s
 
     def heartbeat(self) -> ControllerStatus:
         """Restart the board's watchdog time; returns the board's state."""

@@ -108,7 +108,7 @@ def status_of(values: str) -> ControllerStatus:
             uptime_ms=int(uptime_ms),
             interlock_closed=_is_one(interlock),
             laser_on=_is_one(laser),
-            laser_power_w=float(power_w),
+            laser_power_w=_power(power_w),
             magnet_on=_is_one(magnet),
             starter_on=_is_one(starter),
             clamp_closed=_is_one(clamp),
@@ -117,6 +117,14 @@ def status_of(values: str) -> ControllerStatus:
         )
     except ValueError:
         raise DeviceError(f"the controller answered {values!r}, which is not a status") from None
+
+
+def _power(field: str) -> float:
+    """Raises ValueError for what no power is: NaN would compare with nothing."""
+    power_w = float(field)
+    if not (math.isfinite(power_w) and power_w >= 0.0):
+        raise ValueError(field)
+    return power_w
 
 
 def _is_one(field: str) -> bool:

@@ -47,6 +47,8 @@ class LightRefused(DeviceError):
     """The laser stays dark: a trip is latched, or something else refuses the light."""
 
 
+_UNHEARD_S: Final = 5.0
+"""So long nobody may have looked whether LIGHT OFF was pressed: as for a stage that has stalled."""
 TO_BE_ASKED: Final = "the trip is acknowledged; the laser stays off until a person asks for light"
 
 
@@ -56,8 +58,9 @@ class LightPermit:
     The threads of the devices ask for `refusal` before each heartbeat, and for `refusal_to_light` at the last
     moment before they light. The stages report their progress;
     camera and processing are watched from `begin` on, the recorder from its first report until `ended`.
-    All methods may be called from any thread; all but `trip`, which writes the rig's file, only set plain
-    values. `tripped` is told of each trip, and whether it happened now, in the thread that saw it.
+    All methods may be called from any thread; all but `trip` and `look_for_presses`, which write the rig's
+    file, only set plain values. `tripped` is told of each trip, and whether it happened now, in the thread
+    that saw it.
     """
 
     def __init__(
@@ -73,6 +76,7 @@ class LightPermit:
         self._begun = False
         self._withdrawn = ""
         self._asked_before_trip = False
+        self._looked_s: float | None = None
         self.spot = SpotSeen(clock_s)
 
     def begin(self) -> None:
@@ -126,6 +130,31 @@ class LightPermit:
         if (trip := self.latched) is not None:
             self._tripped(trip, now)
 
+    def look_for_presses(self) -> bool:
+        """Latch a press of LIGHT OFF that somebody has left beside the rig's state; whether there was one.
+
+        Raises nothing. Waits for the disk; from the first call on the light is refused where none follows.
+        """
+        if self._state.presses is None:
+            return False
+        before = self.latched
+        try:
+            trip = self._state.take_press(self._begun)
+        except DeviceError as error:
+            _log.error("%s", error)
+            trip = self.latched
+        self._looked_s = self._clock_s()
+        if trip is None:
+            return False
+        self._asked_before_trip = True
+        if before is None or trip.number != before.number:
+            self._tripped(trip, True)
+        return True
+
+    def stop_looking(self) -> None:
+        """Nobody looks for presses any more: the devices are being closed."""
+        self._looked_s = None
+
     @property
     def latched(self) -> LatchedTrip | None:
         """The trip that waits for its acknowledgement."""
@@ -150,14 +179,22 @@ class LightPermit:
     def refusal(self) -> str:
         """Why no laser may be lit; empty while it may."""
         trip = self.latched
-        return self._withdrawn or ("" if trip is None else trip.text) or self.stalled
+        return self._withdrawn or ("" if trip is None else trip.text) or self.stalled or self._deaf
+
+    @property
+    def _deaf(self) -> str:
+        looked_s = self._looked_s
+        deaf = looked_s is not None and self._clock_s() - looked_s > _UNHEARD_S
+        return "nobody hears of LIGHT OFF: the disk of the rig's state hangs" if deaf else ""
 
     @property
     def refusal_to_light(self) -> str:
-        """Why no laser may be lit now; a trip that came since light was asked for needs more than its
-        acknowledgement.
+        """Why no laser may be lit now, read immediately before: also a press that nobody has taken over yet.
+
+        A trip that came since light was asked for needs more than its acknowledgement.
         """
-        return self.refusal or (TO_BE_ASKED if self._asked_before_trip else "")
+        self.look_for_presses()
+        return self.refusal or self._state.problem or (TO_BE_ASKED if self._asked_before_trip else "")
 
     @property
     def paused_s(self) -> float:

@@ -5,6 +5,7 @@ memory. A board that was reset in between has lost its session and rejects the c
 never given twice.
 """
 
+import math
 import secrets
 import time
 from collections import deque
@@ -43,6 +44,8 @@ class Link:
         self._timeout_s = timeout_s
         self._retries = retries
         self._tag = 0
+        self.repeat_until_s = math.inf
+        """On `time.monotonic`: nothing is repeated later, and no reply is waited for."""
         self._events: deque[BoardEvent] = deque(maxlen=_EVENTS_KEPT)
         self._last_junk = b""
         self.junk_lines = 0
@@ -85,11 +88,18 @@ class Link:
             raise CommandRefused(f"{self._line.name}: {error}", 0) from None
         patience_s = self._timeout_s if timeout_s is None else timeout_s
         self._hear_what_waits()
+        sent = 0
         for attempt in range(self._retries + 1):
+            now_s = time.monotonic()
+            deadline_s = now_s + patience_s
             if attempt:
+                if now_s >= self.repeat_until_s:
+                    break
                 self.retried += 1
+                deadline_s = min(deadline_s, self.repeat_until_s)
             self._line.write(line)
-            reply = self._await(self._tag, time.monotonic() + patience_s)
+            sent += 1
+            reply = self._await(self._tag, deadline_s)
             if reply is None:
                 continue
             if reply.error_code == _SESSION_NEEDED:
@@ -107,7 +117,7 @@ class Link:
         heard = f"; it sent {self._last_junk!r}, which is not a valid line" if self._last_junk else ""
         raise ReplyTimeout(
             f"{self._line.name}: no reply to {command} within {patience_s:g} s,"
-            f" sent {self._retries + 1} times{heard};"
+            f" sent {sent} time{'s' * (sent > 1)}{heard};"
             " check port, cable, baud rate and that the controller runs"
         )
 

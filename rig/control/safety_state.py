@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 from acquisition.record import whole_file
 from processing.errors import DeviceError
 from rig.control.lasers import LaserSettings
+from rig.control.presses import Presses
 from rig.control.settings import ControllerSettings
 
 try:
@@ -66,12 +67,16 @@ class _LogEnd(BaseModel, frozen=True, extra="forbid"):
 
 
 class _Stored(BaseModel, frozen=True, extra="forbid"):
-    """The file: the last number given, what is latched, whether light was on that outlives a program."""
+    """The file: the last number given, what is latched, whether a program had lit and has not confirmed dark.
+
+    `press` is the mark of the last press of LIGHT OFF that was taken over.
+    """
 
     schema_number: int = _SCHEMA
     number: int = 0
     latched: _Latched | None = None
     lit: bool = False
+    press: str = ""
     logs: dict[str, _LogEnd] = {}
 
 
@@ -97,8 +102,10 @@ def state_folder() -> Path:
     return place / "optical-pendulum-rig"
 
 
-def _unknown(what: str) -> _Stored:
-    why = f"{what}, so the latched trip is unknown"
+_UNKNOWN = "so the latched trip is unknown"
+
+
+def _unknown(why: str) -> _Stored:
     return _Stored(number=1, latched=_Latched(cause=TripCause.POWER, why=why, lit=True))
 
 
@@ -115,16 +122,20 @@ def _device_at(port: str) -> str:
 class SafetyState:
     """The latch of a rig, in its file (None: in memory); a context manager that holds it for one program.
 
-    `trip` may be read, and `latch` called, from any thread. A file that cannot be read, or was deleted,
-    counts as latched.
+    `trip` may be read, and `latch` called, from any thread. A file that cannot be read, or is not there,
+    counts as latched: nobody can tell a new rig from one whose state was deleted. `presses` is the file
+    beside it (None without one), `problem` why the state could not be written when it last should have been.
     """
 
     def __init__(self, path: Path | None = None, who: str = "") -> None:
         self.path = path
         self._who = who
         self._stored = _Stored()
-        self._changing = threading.Lock()
+        self._changing, self._taking = threading.Lock(), threading.Lock()
         self._held: IO[bytes] | None = None
+        self.presses = None if path is None else Presses(path.with_suffix(".off"))
+        self._new_press = self._mark = ""
+        self.problem = ""
 
     def __enter__(self) -> Self:
         if self.path is not None:
@@ -154,19 +165,54 @@ class SafetyState:
         return Path(folder) if folder else None
 
     def read(self) -> None:
-        """Read the file; also without holding it, to show it. One that was there, and is gone, is latched."""
+        """Read the file; also without holding it, to show it. One that is not there is latched."""
         if self.path is None:
             return
         try:
             stored = _Stored.model_validate_json(self.path.read_bytes())
         except FileNotFoundError:
             was_there = self._is_noted(self.path.with_suffix(".lock"))
-            self._stored = _unknown(f"{self.path} is gone") if was_there else _Stored()
+            new = f"nothing is known of its light: it is new here, or its state was deleted ({self.path})"
+            self._stored = _unknown(f"{self.path} is gone, {_UNKNOWN}" if was_there else new)
         except (OSError, ValidationError):
-            self._stored = _unknown(f"{self.path} cannot be read")
+            self._stored = _unknown(f"{self.path} cannot be read, {_UNKNOWN}")
         else:
             of_another = f"{self.path} is of schema {stored.schema_number}, and schema {_SCHEMA} is read"
             self._stored = stored if stored.schema_number == _SCHEMA else _unknown(of_another)
+        self._look_for_press()
+
+    def _look_for_press(self) -> None:
+        """Note a press that was not taken over yet; an unreadable file is one that is not known."""
+        if self.presses is None:
+            return
+        try:
+            press = self.presses.newest()
+        except DeviceError as error:
+            # nothing to compare with: it counts as pressed for as long as it is so
+            self._mark, self._new_press = f"unknown: {error}", str(error)
+            return
+        self._mark = press.mark
+        self._new_press = "" if press.mark == self._stored.press else press.why
+
+    def take_press(self, lit: bool) -> LatchedTrip | None:
+        """Latch a press of LIGHT OFF that was not taken over yet; None without one.
+
+        What is latched already stays as it is. Raises DeviceError, as `latch` does, where it holds but cannot
+        be written.
+        """
+        with self._taking:
+            self._look_for_press()
+            why, mark, stored = self._new_press, self._mark, self._stored
+            if not why or (stored.latched is not None and stored.press == mark):
+                self._new_press = ""
+                return None
+            latched = stored.latched or _Latched(cause=TripCause.PERSON, why=why, lit=lit)
+            number = stored.number + (stored.latched is None)
+            try:
+                self._put(press=mark, number=number, latched=latched)
+            finally:
+                self._new_press = ""
+            return self.trip
 
     @staticmethod
     def _is_noted(lock: Path) -> bool:
@@ -181,17 +227,26 @@ class SafetyState:
         """What is latched."""
         stored = self._stored
         if stored.latched is None:
-            return None
+            if not (why := self._new_press):
+                return None
+            return LatchedTrip(stored.number + 1, TripCause.PERSON, why, stored.lit)
         return LatchedTrip(stored.number, stored.latched.cause, stored.latched.why, stored.latched.lit)
 
     def latch(self, cause: TripCause, why: str, lit: bool) -> LatchedTrip:
         """Latch a cause; the number grows, also where another one is latched already.
 
-        It holds from now on even where the file cannot be written, of which DeviceError tells.
+        It holds from now on even where the file cannot be written, of which DeviceError tells. Then it is
+        left as a press for the next program, which needs no room on the disk, and `keep` tries again.
         """
         latched = _Latched(cause=cause, why=why, lit=lit)
         number = self._stored.number + 1
-        self._put(number=number, latched=latched)
+        try:
+            self._put(number=number, latched=latched)
+        except DeviceError:
+            if self.presses is not None:
+                with suppress(OSError):
+                    self.presses.touch()
+            raise
         return LatchedTrip(number, cause, why, lit)
 
     def acknowledge(self, number: int) -> None:
@@ -200,7 +255,8 @@ class SafetyState:
         if trip is None or trip.number != number:
             latched = "nothing is latched" if trip is None else f"latched is {trip.text}"
             raise DeviceError(f"trip {number} cannot be acknowledged: {latched}")
-        self._put(proven=True, latched=None)
+        self._put(proven=True, number=number, latched=None, press=self._mark)
+        self._new_press = ""
 
     @property
     def left_lit(self) -> bool:
@@ -208,9 +264,19 @@ class SafetyState:
         return self._stored.lit
 
     def lit(self, lit: bool) -> None:
-        """Note that light is on which a killed program would leave on; raises DeviceError if it cannot be."""
-        if lit != self._stored.lit:
+        """Note that light is on, or is off again for certain; raises DeviceError if that cannot be noted.
+
+        That it is on is written each time: where nothing can be, a trip would be forgotten. A program that is
+        killed, or whose last trip could not be written, leaves it noted.
+        """
+        if lit or lit != self._stored.lit:
             self._put(proven=True, lit=lit)
+
+    def keep(self) -> None:
+        """Write again what could not be written, or was deleted meanwhile. Raises nothing."""
+        if self.path is not None and (self.problem or not self.path.exists()):
+            with suppress(DeviceError):
+                self._put()
 
     def note_log(self, log: Path, lines: int, digest: str) -> None:
         """Remember the end of an audit log, so that lines missing there are seen."""
@@ -235,10 +301,10 @@ class SafetyState:
                     self.path.parent.mkdir(parents=True, exist_ok=True)
                     whole_file.replace(self.path, stored.model_dump_json(indent=1).encode())
                 except OSError as error:
-                    raise DeviceError(
-                        f"{self.path}: the rig's state cannot be written: {error.strerror or error}"
-                    ) from None
-            self._stored = stored
+                    why = error.strerror or error
+                    self.problem = f"{self.path}: the rig's state cannot be written: {why}"
+                    raise DeviceError(self.problem) from None
+            self._stored, self.problem = stored, ""
 
     def _hold(self, path: Path) -> None:
         if fcntl is None:

@@ -17,12 +17,16 @@ from rig.control.controller import Controller
 from rig.control.controller_answers import AirReading, ControllerIdentity, ControllerStatus, Latch, Trip
 from rig.control.device_thread import DeviceThread
 from rig.control.light_permit import Interlock, LightPermit, LightRefused
-from rig.control.link import ControllerReset, ReplyTimeout
+from rig.control.link import CommandRefused, ControllerReset
 from rig.control.safety_state import TripCause
 from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings
 
 _REOPEN_S = 0.5
+_ASK_AGAIN_S = 0.02
+_BEFORE_WATCHDOG = 0.1
+"""Of the watchdog's time: so much earlier a board that says nothing of use is given up, and told to be dark.
+Its own watchdog hears the heartbeats whose answers are lost, and would not."""
 _NO_READING = AirReading()
 _NO_SENSOR = -240
 """Error of the board's own sensor of the air."""
@@ -192,14 +196,15 @@ class ControlService(DeviceThread):
             self._keep_dark()
         except DeviceError as error:
             self._note_failure(error)
-            return self._settings.heartbeat_s if self._is_open else _REOPEN_S
+            # at once: there may be time for one more before it is given up
+            return min(self._settings.heartbeat_s, _ASK_AGAIN_S) if self._is_open else _REOPEN_S
         return self._settings.heartbeat_s
 
     def _open(self) -> None:
         identity = self._controller.open()
         self._is_open = True
         self._lit_after_offs = -1
-        self._heard_s = time.monotonic()
+        self._hear(time.monotonic())
         self._counts_before = (
             self._snapshot.junk_lines,
             self._snapshot.late_replies,
@@ -258,7 +263,7 @@ class ControlService(DeviceThread):
         controller = self._controller
         status = controller.status() if self._permit.stalled else controller.heartbeat()
         now_s, now_ns = time.monotonic(), time.monotonic_ns()
-        self._heard_s = now_s
+        self._hear(now_s)
         junk, late, retried = (
             before + count
             for before, count in zip(self._counts_before, controller.line_counts(), strict=True)
@@ -289,6 +294,16 @@ class ControlService(DeviceThread):
                 self._snapshot, environment=environment, environment_time_ns=time.monotonic_ns()
             )
 
+    def _hear(self, now_s: float) -> None:
+        """The board has said how it stands."""
+        self._heard_s = now_s
+        self._controller.repeat_until(now_s + self._silent_for_s)
+
+    @property
+    def _silent_for_s(self) -> float:
+        """So long nobody may know how the board stands."""
+        return (1.0 - _BEFORE_WATCHDOG) * self._settings.watchdog_s
+
     def _latch_trips(self, status: ControllerStatus, told: set[str]) -> None:
         """Each trip once, whether the board's line about it came or only its state tells."""
         causes, latch = set(told), status.latch
@@ -314,13 +329,13 @@ class ControlService(DeviceThread):
 
     def _note_failure(self, error: DeviceError) -> None:
         """Decide whether the connection is lost; a rejected command or one missing reply does not mean
-        that.
+        that. What answers, but does not say how it stands, is as silent as what does not.
         """
         silent_s = time.monotonic() - self._heard_s
         lost = (
             not self._is_open
             or isinstance(error, PortLost | ControllerReset)
-            or (isinstance(error, ReplyTimeout) and silent_s > self._settings.watchdog_s)
+            or (silent_s >= self._silent_for_s and not isinstance(error, CommandRefused | LightRefused))
         )
         if not lost:
             self._say(str(error))

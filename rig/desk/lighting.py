@@ -1,21 +1,37 @@
 """Light at the desk: everything dark at once, a trip that is acknowledged, and light again by a person."""
 
 import threading
-from collections import deque
-from collections.abc import Collection
+import time
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from processing.errors import ConfigurationError, RigError
+from processing.errors import ConfigurationError, DeviceError, RigError
 from rig.channel import CHANNEL_NAME, Line
-from rig.control import darken_beside
+from rig.control import TripCause, darken_beside
 from rig.devices import Devices
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk
 
+T = TypeVar("T")
+
 _PRESSES_KEPT = 64
+_KEPT_WITHIN_S = 0.5
+"""So long everything else waits for the press to be kept; a disk that hangs holds nothing up for longer."""
+_HEARD_WITHIN_S = 1.5
+"""So long the answer waits for who was ordered; what lights is commanded off before."""
+AT = "the desk"
+"""Where it was pressed, in the words of a trip."""
+
+
+class _Pressing:
+    """One press: what failed, once everything was done."""
+
+    def __init__(self) -> None:
+        self.done = threading.Event()
+        self.problems: list[str] = []
 
 
 class Lighting:
@@ -24,22 +40,41 @@ class Lighting:
     def __init__(self, desk: "Desk") -> None:
         self._desk = desk
         self._pressing = threading.Lock()
-        self._pressed: deque[str] = deque(maxlen=_PRESSES_KEPT)
+        self._pressed: dict[str, _Pressing] = {}
 
     def off(self, press: str = "") -> list[str]:
-        """Everything dark, whoever has lit it; returns what failed. Waits for no device, session or command.
+        """Everything dark, whoever has lit it; returns what failed. Waits for no device, session or command
+        before all of them are told.
 
-        Ports are told off directly, too: a frozen session hears its order only when it goes on, and then
-        stays dark. The same `press` comes by two ways: the later one must not darken what a person has
-        acknowledged and lit again meanwhile.
+        First of all the press is left beside the rig's state, where whoever lights reads it: a program that
+        only starts hears no order. Ports are told off directly, too: a frozen session hears its order only
+        when it goes on, and then stays dark. The same `press` comes by two ways: the later one must not
+        darken what a person has acknowledged and lit again meanwhile, and says what the first one says.
         """
         with self._pressing:
-            if press and press in self._pressed:
-                return []
-            self._pressed.append(press)
+            pressing = self._pressed.get(press) if press else None
+            is_first = pressing is None
+            if pressing is None:
+                pressing = _Pressing()
+                self._pressed[press] = pressing
+                while len(self._pressed) > _PRESSES_KEPT:
+                    self._pressed.pop(next(iter(self._pressed)))
+        if not is_first:
+            pressing.done.wait(2.0 * _HEARD_WITHIN_S)
+            return pressing.problems
+        try:
+            pressing.problems = self._off()
+        finally:
+            pressing.done.set()
+        return pressing.problems
+
+    def _off(self) -> list[str]:
         desk = self._desk
+        unkept = self._kept()
+        heard = False
         if (aligner := desk.aligner) is not None:
             aligner.light_off()
+            heard = aligner.running
         problems = darken_beside(desk.config.laser, desk.config.controller)
         folders = {folder.absolute() for folder in (desk.following.folder,) if folder is not None}
         if (begun := desk.started) is not None and begun[0].poll() is None:
@@ -47,20 +82,53 @@ class Lighting:
             if desk.following.last_folder != begun[1] and not (begun[1] / CHANNEL_NAME).exists():
                 # it hears no order yet; one that was seen before, and is gone, is being fitted
                 begun[0].terminate()
-        for folder in folders:
-            threading.Thread(target=_order_dark, args=(folder,), name="light off", daemon=True).start()
+                heard = True
+        orders = [_Order(_order_dark, folder) for folder in folders]
         # in a thread of its own: a disk that hangs holds nothing else up
-        threading.Thread(target=self._holder_dark, args=(folders,), name="light off", daemon=True).start()
+        orders.append(_Order(self._holder_dark, folders))
         for job in tuple(desk.jobs.values()):
             if job.running:
                 job.end()
+                heard = True
+        end_s = time.monotonic() + _HEARD_WITHIN_S
+        heard = any(order.heard(end_s) for order in orders) or heard
+        unfiled = desk.safety.unfiled if desk.config.laser.kind != "none" else None
+        if not heard and unfiled is not None and unfiled.trip is None:
+            # a rig without a file is remembered as long as the desk lives
+            unfiled.latch(TripCause.PERSON, f"LIGHT OFF was pressed at {AT}", lit=False)
+        if unkept:
+            problems.append(
+                f"it is not kept ({unkept}): a program that starts may light; turn the key switch"
+            )
+        if not heard:
+            kept = "" if unkept else ": it is kept, and nothing is lit until it is acknowledged"
+            problems.append(f"no program that could light has answered{kept}")
         return problems
 
-    def _holder_dark(self, told: Collection[Path]) -> None:
-        """Also the program that has the rig and works in another folder."""
+    def _kept(self) -> str:
+        """Leave the press beside the rig's state; why that could not be done in time, empty if it was."""
+        presses = self._desk.rig.presses
+        if presses is None:
+            return ""
+        problems: list[str] = []
+
+        def keep() -> None:
+            try:
+                presses.press(AT)
+            except DeviceError as error:
+                problems.append(str(error))
+
+        keeping = threading.Thread(target=keep, name="press", daemon=True)
+        keeping.start()
+        keeping.join(_KEPT_WITHIN_S)
+        if keeping.is_alive():
+            return f"{presses.path}: the disk hangs"
+        return "".join(problems)
+
+    def _holder_dark(self, told: Collection[Path]) -> bool:
+        """Also the program that has the rig and works in another folder; whether it has heard."""
         folder = self._desk.rig.folder_of_holder
-        if folder is not None and folder not in told:
-            _order_dark(folder)
+        return folder is not None and folder not in told and _order_dark(folder)
 
     def acknowledge(self, number: int) -> str:
         """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be. May wait.
@@ -110,6 +178,22 @@ class Lighting:
         return bool(news.get("darkness") and (news.get("state") or {}).get("alarm"))
 
 
-def _order_dark(folder: Path) -> None:
+class _Order:
+    """An order in a thread of its own; whoever gets it may be frozen."""
+
+    def __init__(self, give: Callable[[T], bool], to: T) -> None:
+        self._done: list[bool] = []
+        self._thread = threading.Thread(target=lambda: self._done.append(give(to)), daemon=True)
+        self._thread.start()
+
+    def heard(self, end_s: float) -> bool:
+        """Whether somebody has answered until then (`time.monotonic`)."""
+        self._thread.join(max(end_s - time.monotonic(), 0.0))
+        return bool(self._done) and self._done[0]
+
+
+def _order_dark(folder: Path) -> bool:
     with suppress(RigError), Line(folder) as line:
         line.order("dark")
+        return True
+    return False

@@ -1,7 +1,7 @@
 """Serves the desk on the loopback interface until Ctrl-C, to a browser that has its key."""
 
+import asyncio
 import contextlib
-import http
 import socket
 import threading
 import urllib.parse
@@ -13,7 +13,7 @@ from fastapi import FastAPI, Request
 from fastapi.responses import FileResponse
 from nicegui import ui
 from starlette.concurrency import run_in_threadpool
-from starlette.responses import Response
+from starlette.responses import PlainTextResponse, Response
 
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
@@ -101,10 +101,20 @@ def _application(desk: Desk, off_port: int) -> FastAPI:
 
     @app.post(DARK)
     async def dark(request: Request) -> Response:
-        # a thread of its own: those of a pool may all be waiting
         press = urllib.parse.unquote(request.url.query)
-        threading.Thread(target=desk.lighting.off, args=(press,), name="light off", daemon=True).start()
-        return Response(status_code=http.HTTPStatus.OK)
+        loop = asyncio.get_running_loop()
+        said: asyncio.Future[str] = loop.create_future()
+
+        def off() -> None:
+            problems = ["the desk has failed: turn the key switch"]
+            try:
+                problems = desk.lighting.off(press)
+            finally:
+                loop.call_soon_threadsafe(said.set_result, "; ".join(problems))
+
+        # a thread of its own: those of a pool may all be waiting
+        threading.Thread(target=off, name="light off", daemon=True).start()
+        return PlainTextResponse(await said)
 
     @app.get("/picture")
     async def picture(width: int = 900, height: int = 600, zoom: float = 1.0) -> Response:

@@ -18,6 +18,7 @@ from processing.errors import DeviceError, RigError
 from processing.ticks import seconds
 from rig.control import SafetyState, check_controller, check_environment, check_laser
 from rig.devices.ground_witness import check_witness
+from rig.devices.lit_devices import LEFT_LIT
 from rig.devices.session_devices import Devices
 from rig.devices.udev import as_root
 from rig.instrument import check_materials, complete
@@ -70,7 +71,7 @@ def check_trip(state: SafetyState) -> Verdict:
     trip = state.trip
     if trip is None and state.left_lit:
         remedy = "look at the laser, then rig light show CONFIG: it latches the trip, and names it"
-        return Verdict("permit of light", False, "a program was killed that had lit the laser", remedy)
+        return Verdict("permit of light", False, LEFT_LIT, remedy)
     if trip is None:
         return Verdict("permit of light", True, "no trip is latched")
     remedy = f"check that nobody is in the beam path, then rig light acknowledge CONFIG {trip.number}"

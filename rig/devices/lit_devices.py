@@ -3,7 +3,8 @@
 import math
 import threading
 import time
-from concurrent.futures import CancelledError
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from processing.errors import DeviceError, RigError
 from rig.control import (
     STALE_S,
     TO_BE_ASKED,
+    ControllerReset,
     ControlService,
     ControlState,
     DevicesNow,
@@ -33,7 +35,14 @@ from rig.devices.audit import Audited, AuditLog
 from rig.devices.laser import age_s, goes_dark_by_itself, laser_now, light, wait_for_command
 from rig.settings import Configuration
 
+_LOOK_S = 0.02
+_BOARD_CONFIRMS_WITHIN_S = 2.0
+_LASER_CONFIRMS_WITHIN_S = 5.0
+"""So long it is asked whether the laser is off, which it is told at once; an instrument is slower."""
+_ASK_AGAIN_S = 0.1
+_LAST_WAIT_S = 0.2
 _LOOKS_FOR_S = _HEARD_WITHIN_S = 3.0
+LEFT_LIT = "a program that had lit the laser was killed, or could not say that it is off"
 _STILL_SEEN = "the laser was commanded off, but the camera still sees its spot"
 _SILENT = (Light.SILENT, Light.CONTROLLER_SILENT)
 
@@ -42,7 +51,8 @@ class LitDevices:
     """What lights, once it is open (`Devices`); `task` says in the audit log of `folder` what it is for.
 
     After a trip nothing is lit until a person has acknowledged it by its number and somebody asks for light
-    again. The trip is the rig's, not a session's: `SafetyState`.
+    again. The trip is the rig's, not a session's: `SafetyState`. `lights_again` is False once nothing follows
+    that would light.
     """
 
     def __init__(
@@ -56,6 +66,7 @@ class LitDevices:
         self._task = task
         self._lighting = threading.Lock()
         self._was_lit = self._is_lit = self._disagreed = False
+        self.lights_again = True
         self.permit = LightPermit(state=self.state, tripped=self._tripped)
 
     def light(self, *, asked: bool = False) -> str:
@@ -67,6 +78,7 @@ class LitDevices:
         be called when the first frame is due. Raises LightRefused while a trip is not acknowledged. Nothing
         else in this program lights a laser.
         """
+        self.hear_presses()
         if trip := self.permit.latched:
             self.audit(Audited.REFUSED, trip.text)
             raise LightRefused(
@@ -87,8 +99,8 @@ class LitDevices:
             raise LightRefused(TO_BE_ASKED)
         if why := self.darkness():
             self.went_dark(why)
-            if not goes_dark_by_itself(self._config.laser):
-                self.state.lit(True)
+            if self.state.path is not None or not goes_dark_by_itself(self._config.laser):
+                self._note_lit()
             # before it is lit, because a disk may hang
             self.audit(Audited.LIT, f"asked for by {self._task}", laser=kind)
             self._log.wait()
@@ -100,12 +112,17 @@ class LitDevices:
             self.audit(Audited.REFUSED, str(error))
             raise
 
+    def _note_lit(self) -> None:
+        """In the rig's state. Where it cannot be written nothing is lit: a trip would be forgotten."""
+        try:
+            self.state.lit(True)
+        except DeviceError as error:
+            self.audit(Audited.REFUSED, str(error))
+            raise LightRefused(f"the laser stays off: {error}") from None
+
     def darken(self, why: str = "frames are not processed any more") -> None:
         """Switch the laser off before all waiting commands; never blocks."""
-        if self.control is not None and self._config.laser.kind != "none":
-            self.control.laser_off()
-        if self.laser is not None:
-            self.laser.off()
+        self._order_dark()
         self.permit.end()
         self.went_dark(why)
 
@@ -123,19 +140,41 @@ class LitDevices:
 
         Waits for no device. What is latched already stays as it is.
         """
+        self._order_dark()
+        # the same press, where it was left beside the rig's state too
+        self.permit.look_for_presses()
+        if self.permit.latched is None:
+            self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
+        return "the laser is commanded off"
+
+    def _look_at_what_was_left(self) -> None:
+        """Before anything is opened: a press, and a light of which no program has said that it went."""
+        self.permit.look_for_presses()
+        if not self.state.left_lit:
+            return
+        if self.permit.latched is None:
+            self.permit.trip(TripCause.WATCHDOG, LEFT_LIT)
+        with suppress(DeviceError):
+            self.state.lit(False)
+
+    def hear_presses(self) -> None:
+        """Dark, and latched, where somebody has pressed LIGHT OFF whom no order could bring here."""
+        if self.permit.look_for_presses():
+            self._order_dark()
+        self.state.keep()
+
+    def _order_dark(self) -> None:
+        """Command controller and laser off, before all waiting commands; never blocks."""
         if self.control is not None and self._config.laser.kind != "none":
             self.control.laser_off()
         if self.laser is not None:
             self.laser.off()
-        if self.permit.latched is None:
-            self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
-        return "the laser is commanded off"
 
     def wait_until_heard(self) -> None:
         """Until whoever knows of light and interlock has answered, or has had time to."""
         end_s = time.monotonic() + _HEARD_WITHIN_S
         while time.monotonic() < end_s and self._silent():
-            time.sleep(0.02)
+            time.sleep(_LOOK_S)
 
     def acknowledge(self, number: int, who: str) -> str:
         """Clear the trip of this number, because a person (`who`, where) has looked and says so.
@@ -213,11 +252,12 @@ class LitDevices:
         """Note that a laser which should be lit is not, and latch it: no later run lights it by itself.
 
         Whoever switched it off, at its panel or from another program, may be in the beam's way. Of one that
-        does not answer nobody knows: it may still be lit, as it should.
+        does not answer nobody knows: it may still be lit, as it should. What a trip has darkened,
+        acknowledged or not, did not go dark by itself.
         """
         laser = self.laser_now()
         known = laser is not None and laser.light in (Light.OFF, Light.INTERLOCK_OPEN)
-        if known and self.permit.begun and self.permit.latched is None:
+        if known and self.permit.begun and not self.waits_for_asking:
             self.permit.trip(TripCause.WATCHDOG, f"the laser went dark: {why}")
         self.went_dark(why)
 
@@ -242,30 +282,30 @@ class LitDevices:
         """Add what happened to the light, or what a person did, to the audit log; never blocks."""
         self._log.append(what, why, **details)
 
-    def _darkened(self) -> str:
-        """Switch the laser off; says who confirms it, or that nobody does."""
-        commands = []
+    def _darkened(self) -> tuple[str, KeyboardInterrupt | None]:
+        """Switch the laser off; says who confirms it, or that nobody does, and what interrupted the wait."""
+        asked: list[tuple[str, Callable[[], Future[None]], float]] = []
         if self.control is not None:
-            commands.append(("controller", self.control.laser_off()))
+            asked.append(("controller", self.control.laser_off, _BOARD_CONFIRMS_WITHIN_S))
         if self.laser is not None:
-            commands.append(("laser", self.laser.off()))
+            asked.append(("laser", self.laser.off, _LASER_CONFIRMS_WITHIN_S))
+        commands = [(who, off, off(), within_s) for who, off, within_s in asked]
         self.darken("the devices are closed")
-        for who, command in commands:
-            try:
-                wait_for_command(command)
-            except (DeviceError, CancelledError) as error:
-                why = str(error) or "its thread has ended"
-                return (
-                    f"THE LASER MAY BE LIT: the {who} does not confirm that it is off ({why}); go and check"
-                )
+        begun_s, interrupt = time.monotonic(), None
+        for who, off, command, within_s in commands:
+            why, interrupted = _confirmed(off, command, begun_s + within_s)
+            interrupt = interrupt or interrupted
+            if why:
+                said = f"the {who} does not confirm that it is off ({why})"
+                return f"THE LASER MAY BE LIT: {said}; go and check", interrupt
         self.compare()
         if (trip := self.permit.latched) is not None and trip.cause is TripCause.OUTPUT:
-            return f"THE LASER MAY BE LIT: {trip.text}; go and look"
+            return f"THE LASER MAY BE LIT: {trip.text}; go and look", interrupt
         with suppress(DeviceError):
             # else the next program finds it noted as lit, and asks
             self.state.lit(False)
-        witnesses = [who for who, _ in commands] + ["camera"] * self.permit.spot.agrees
-        return f"laser off, confirmed by the {' and the '.join(witnesses)}"
+        witnesses = [who for who, _, _ in asked] + ["camera"] * self.permit.spot.agrees
+        return f"laser off, confirmed by the {' and the '.join(witnesses)}", interrupt
 
     def darkness(self) -> str:
         """Why the laser does not emit although it should; empty if it emits, or if none is controlled."""
@@ -287,6 +327,25 @@ class LitDevices:
                 return f"the controller has tripped: {snapshot.status.trip}"
         return laser.text
 
+    def darkness_heard(self) -> str:
+        """`darkness` by what is heard from now on, for which it waits a little; a trip if there was one.
+
+        After a computer stood still the frames are dark before any device has said so.
+        """
+        since_ns, end_s = time.monotonic_ns(), time.monotonic() + _HEARD_WITHIN_S
+        while self._config.laser.kind != "none" and time.monotonic() < end_s:
+            if (trip := self.permit.latched) is not None:
+                return trip.text
+            control = None if self.control is None else self.control.snapshot
+            laser = None if self.laser is None else self.laser.snapshot
+            heard = [control.status_time_ns] if control is not None and control.status is not None else []
+            heard += [laser.state_time_ns] if laser is not None and laser.state is not None else []
+            wanted = (control is not None) + (laser is not None)
+            if len(heard) == wanted and all(at_ns > since_ns for at_ns in heard):
+                break
+            time.sleep(_LOOK_S)
+        return self.darkness()
+
     def laser_now(self) -> LaserNow | None:
         """State of the laser; None if this program controls none. Never blocks."""
         if self._config.laser.kind == "none":
@@ -307,7 +366,7 @@ class LitDevices:
         loop = Loop.CLOSED if all(closed for closed, _ in loops) else Loop.OPEN
         return SafetyNow(
             trip=self.permit.latched,
-            refusal=self.permit.refusal,
+            refusal=self.permit.refusal or self.state.problem,
             light=Light.DISAGREES if spot.disagrees else laser.light,
             # who is silent was never heard, as far as this state goes
             light_age_s=math.inf if laser.light in _SILENT else laser.age_s,
@@ -325,3 +384,35 @@ class LitDevices:
         snapshot = self.control.snapshot
         known = snapshot.state is ControlState.OPEN and age_s(snapshot.status_time_ns) <= STALE_S
         return DevicesNow(self.laser_now(), snapshot.state, snapshot.status if known else None)
+
+
+def _confirmed(
+    off: Callable[[], "Future[None]"], command: "Future[None]", end_s: float
+) -> tuple[str, KeyboardInterrupt | None]:
+    """Ask until it is confirmed that the laser is off, or the time is over; why it is not, empty if it is.
+
+    A late answer is waited for, and a port that is being opened again. A controller that has no session is
+    dark by definition. Ctrl-C ends no wait that ends soon by itself: it is returned.
+    """
+    interrupt: KeyboardInterrupt | None = None
+    no_session = False
+    while True:
+        try:
+            wait_for_command(command, max(end_s - time.monotonic(), _LAST_WAIT_S))
+            return "", interrupt
+        except KeyboardInterrupt as error:
+            interrupt = interrupt or error
+            if time.monotonic() < end_s:
+                continue
+            why = "interrupted"
+        except (DeviceError, CancelledError) as error:
+            why = str(error) or "its thread has ended"
+            no_session = no_session or isinstance(error, ControllerReset)
+        if time.monotonic() > end_s - _ASK_AGAIN_S:
+            return "" if no_session else why, interrupt
+        try:
+            time.sleep(_ASK_AGAIN_S)
+        except KeyboardInterrupt as error:
+            interrupt = interrupt or error
+        if command.done():
+            command = off()

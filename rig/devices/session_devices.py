@@ -19,7 +19,6 @@ from rig.control import (
     LaserService,
     SafetyState,
     SimulatedOutputs,
-    TripCause,
     make_laser,
     simulated_controller,
 )
@@ -28,6 +27,7 @@ from rig.devices.frame_stream import FrameStream
 from rig.devices.ground_witness import GroundWitness, ground_witness
 from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.lit_devices import LitDevices
+from rig.devices.press_watch import PressWatch
 from rig.instrument import (
     camera_settings,
     check_full_scale,
@@ -95,23 +95,27 @@ class Devices(LitDevices):
         return self
 
     def __exit__(self, *_error: object) -> None:
+        interrupt: KeyboardInterrupt | None = None
         try:
             if self._was_lit:
+                said, interrupt = self._darkened()
                 # a terminal that was closed hears nothing, and holds nothing up
                 with suppress(OSError):
-                    say(self._darkened())
+                    say(said)
         finally:
             self._closing.close()
             self._log.wait()
+        if interrupt is not None:
+            raise interrupt
 
     def _open(self) -> None:
         config = self._config
         self._closing.enter_context(self.state)
         if self._folder is not None:
             self.state.held_for(self._folder)
-        if self.state.left_lit:
-            self.permit.trip(TripCause.WATCHDOG, "a program was killed that had lit the laser")
-            self.state.lit(False)
+        self._look_at_what_was_left()
+        if self.state.path is not None:
+            self._closing.enter_context(PressWatch(self))
         if config.controller.kind != "none":
             self.control = self._closing.enter_context(
                 ControlService(

@@ -208,7 +208,10 @@ class PhasesBeforeRecord:
         self._check(resting=True)
 
     def _check(self, resting: bool) -> None:
-        """Make the preflight table; raises DataError if a check fails, unless forced."""
+        """Make the preflight table; raises DataError if a check fails, unless forced.
+
+        Frames of a laser that has gone dark say nothing about exposure and beam: then DeviceError says so.
+        """
         if not preflight_wanted(self._config):
             return
         config, frames = self._config, self._wait.frames
@@ -237,13 +240,20 @@ class PhasesBeforeRecord:
                 optional=config.environment_sensor.kind == "controller",
             ),
         ]
-        self._show_table(self.verdicts)
         against = failures(self.verdicts)
+        if against:
+            self._unless_dark()
+        self._show_table(self.verdicts)
         self._wait.note(EventKind.PREFLIGHT, f"no-go: {against}" if against else "go")
         if against and not self._force:
             raise NoGo(against)
         if against:
             self._devices.audit(Audited.FORCE, f"preflight said no-go: {against}")
+
+    def _unless_dark(self) -> None:
+        """Raises DeviceError if the laser that this program has lit is dark: that is the cause."""
+        if self._devices.permit.begun and (why := self._devices.darkness_heard()):
+            raise DeviceError(f"the laser is dark: {why}; nothing was recorded")
 
     def _witness(self, look: TrialFrames) -> Verdict:
         """The witness beside these frames."""
@@ -296,6 +306,7 @@ class PhasesBeforeRecord:
         recent = self._wait.frames.since(self._wait.frames.now_ns - 1_000_000_000)
         recent = recent[recent.found]
         if not len(recent):
+            self._unless_dark()
             raise DataError("release: no spot was found for a second; check the laser and the beam path")
         threshold = 8.0 * max(
             robust_scatter(recent.x), robust_scatter(recent.y), float(np.median(recent.u_y))

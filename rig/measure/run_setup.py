@@ -80,6 +80,7 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
             outcome = _execute(plan, devices, camera, [] if view is None else [view], posterior)
             ends = plan.is_last or outcome.failure is not None or outcome.stopped
             # what hangs is not asked for frames once more
+            devices.lights_again = not ends
             if ends and not outcome.hangs:
                 devices.darken(outcome.snapshot.reason or "the run has ended")
             return outcome

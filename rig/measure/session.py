@@ -3,7 +3,7 @@
 import datetime
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -149,7 +149,8 @@ def _make_runs(
             planned=manner.planned(),
         )
         try:
-            await_leave(devices, session_news)
+            devices.lights_again = True
+            await_leave(devices, session_news, resumable=_has_record(file))
             outcome = measure_run(plan, devices)
         except (RigError, OSError) as error:
             file.note(number, record.name, RunState.FAILED, str(error))
@@ -163,6 +164,8 @@ def _make_runs(
             # before it was recorded; what has a record says by itself how it ended
             if not record.exists():
                 file.note(number, record.name, RunState.STOPPED, reason_of(interrupted))
+            if isinstance(interrupted, Terminated):
+                _say_how_to_go_on(reason_of(interrupted), file)
             raise
         if outcome.hangs:
             # the entry stays as it is: only when nothing writes any more can the record be repaired
@@ -174,8 +177,11 @@ def _make_runs(
             devices.darken("preflight said no-go")
             file.forget(record.name)
             session_news.note("preflight", f"no-go: {outcome.failure.against}", "warning")
+            # who asks for light while it waits gets it with the next try
+            devices.lights_again = True
             if manner.patience(outcome.failure.against):
                 continue
+            devices.lights_again = False
         reason = outcome.snapshot.reason
         interrupt = outcome.interrupt
         stopped = outcome.stopped
@@ -193,9 +199,22 @@ def _make_runs(
         else:
             failed = True
         if isinstance(interrupt, Terminated):
-            say(f"{reason}; rig run --resume {folder} continues, rig fit fits the runs so far")
+            _say_how_to_go_on(reason, file)
             raise interrupt
     return Made(records, failed, stopped)
+
+
+def _say_how_to_go_on(reason: str, file: SessionFile) -> None:
+    """After the program was told to end; without a record nothing is left of the session to go on with."""
+    remedy = f"rig run --resume {file.folder} continues, rig fit fits the runs so far"
+    # a terminal that was closed hears nothing
+    with suppress(OSError):
+        say(f"{reason}; {remedy if _has_record(file) else 'nothing was recorded'}")
+
+
+def _has_record(file: SessionFile) -> bool:
+    """Whether the session has a record, without which it is withdrawn when it ends."""
+    return any((file.folder / entry.record).exists() for entry in file.state.entries)
 
 
 def report(config: Configuration, folder: Path, made: Made, manner: Manner) -> int:

@@ -51,13 +51,16 @@ def relight(devices: Devices) -> str:
         raise LightRefused(f"{trip.text}: acknowledge it first")
     if devices.permit.begun:
         return devices.light(asked=True) or "the laser is lit already"
+    if not devices.lights_again:
+        raise LightRefused("no run follows that would light the laser; start one")
     devices.ask_for_light()
     return "the next run lights the laser"
 
 
-def await_leave(devices: Devices, session_news: SessionNews) -> None:
+def await_leave(devices: Devices, session_news: SessionNews, *, resumable: bool = True) -> None:
     """After a trip wait until a person has acknowledged it and asked for light: at the terminal, else who
-    watches. Raises LightRefused if nobody does.
+    watches. Raises LightRefused if nobody does, with the remedy: a session that is not `resumable` has no
+    record yet.
     """
     ask_leave(devices)
     trip = devices.permit.latched
@@ -69,4 +72,5 @@ def await_leave(devices: Devices, session_news: SessionNews) -> None:
     if devices.permit.latched or devices.waits_for_asking:
         what = "nobody has asked for light since the trip" if trip is None else f"{trip.text}, and nobody has"
         what += "" if trip is None else " acknowledged it"
-        raise LightRefused(f"{what}; rig run --resume makes the missing runs")
+        remedy = "rig run --resume makes the missing runs" if resumable else "then start the session again"
+        raise LightRefused(f"{what}; {remedy}")

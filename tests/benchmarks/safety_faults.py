@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from processing.errors import RigError
 from rig.channel import Line, NoSession
@@ -85,7 +86,8 @@ class Trial:
 
     def __init__(self, package: Path, folder: Path, path: str, fault: str, when_dark: str) -> None:
         self.path, self.fault, self.folder = path, fault, folder
-        self.board = FirmwareBoard(package, folder, through_wire=True)
+        with patch.dict(os.environ, XDG_STATE_HOME=str(folder / "state")):
+            self.board = FirmwareBoard(package, folder, through_wire=True)
         self.config = folder / "rig.toml"
         text = CONFIG.format(
             demo=(CONFIGS / "demo.toml").as_posix(), folder=folder, port=self.board.port, when_dark=when_dark

@@ -2,6 +2,7 @@
 
 import io
 import os
+import shutil
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -11,6 +12,8 @@ from typing import Any
 from unittest.mock import patch
 
 from processing.errors import RigError
+from rig.control import rig_state_path, state_folder
+from rig.control.presses import Presses
 from rig.devices import leave
 from rig.measure import session_orders
 from rig.measure.notes import Notes
@@ -24,6 +27,7 @@ from tests.benchmarks.safety_world import (
     stepped_world,
 )
 from tests.rig.control.lasers.pairs import STRAYED
+from tests.rig.control.stepped import SpoiledLine
 
 TYPED = ("", "a", "y", "s", "glass ball", "light", "acknowledge", "0", "999")
 
@@ -43,6 +47,8 @@ def start(world: World) -> None:
     world.program = program
     if path == "doctor":
         return
+    if world.random.random() < 0.15:
+        pressed(world)
     type_at_terminal(world)
     ask(world, program.light)
     if path == "preflight":
@@ -124,7 +130,60 @@ def dark(world: World) -> None:
         world.program.darken("a person")
         # a command wakes the threads
         world.program.turn(now=True)
-        world.oracle.take("off" if world.board.connected and not world.program.stalled else "cut", trip=False)
+        world.oracle.take("off" if world.quick and not world.program.stalled else "cut", trip=False)
+
+
+def pressed(world: World) -> None:
+    """LIGHT OFF at a desk whose order reaches nobody: it is left beside the rig's state."""
+    path = rig_state_path(world.config.laser, world.config.controller)
+    assert path is not None
+    Presses(path.with_suffix(".off")).press("the desk")
+    world.counts["pressed"] += 1
+    world.oracle.take("off" if world.quick else "cut", trip=True)
+
+
+def full(world: World) -> None:
+    """The disk of the rig's state has no room left for a while, in which things go on."""
+    world.full = True
+    world.counts["full"] += 1
+    for _ in range(3):
+        world.random.choice([start, order_light, acknowledge, pressed, opened, killed, ended])(world)
+        world.look()
+        world.live(0.5)
+    world.full = False
+
+
+def gone(world: World) -> None:
+    """The rig's state is deleted as a whole; a program that has it remembers it."""
+    shutil.rmtree(state_folder(), ignore_errors=True)
+    world.counts["gone"] += 1
+    if world.program is None:
+        world.oracle.take("off", trip=True)
+
+
+def late(world: World) -> None:
+    """Answers come late, by less than a command's repetitions; somebody acts meanwhile."""
+    world.slow = True
+    world.line.late(world.random.choice([0.05, 0.15, 0.25]))
+    world.random.choice([dark, pressed, order_light, acknowledge, World.look])(world)
+    world.live(2.5)
+    world.line.mend()
+    world.live(0.5)
+    world.slow = False
+
+
+def old(world: World) -> None:
+    """Answers of before are heard for all that is asked, or none, or what is no state."""
+    spoiled = (SpoiledLine.old_replies, SpoiledLine.mute, SpoiledLine.nan, SpoiledLine.very_late)
+    world.random.choice(spoiled)(world.line)
+    world.slow = True
+    if world.wired:
+        world.oracle.take("cut", trip=False)
+    world.random.choice([pressed, acknowledge, World.look, World.look])(world)
+    world.live(3.0)
+    world.line.mend()
+    world.live(1.0)
+    world.slow = False
 
 
 def opened(world: World) -> None:
@@ -240,7 +299,7 @@ def strayed(world: World) -> None:
 ACTIONS: tuple[tuple[Callable[[World], None], int], ...] = (
     (start, 6), (order_light, 4), (acknowledge, 6), (dark, 2), (ended, 2), (killed, 1), (frozen, 1),
     (stalled, 1), (opened, 2), (blinked, 2), (trips_lost, 1), (cable, 2), (reset, 1), (strayed, 1),
-    (closed, 6),
+    (closed, 6), (pressed, 2), (full, 1), (gone, 1), (late, 1), (old, 1),
 )  # fmt: skip
 
 

@@ -4,6 +4,8 @@ Firmware's core, drivers, services, permit and latch are what runs in a session;
 The oracle is told what happens in the world, never what the program knows.
 """
 
+import errno
+import os
 import random
 from collections import Counter
 from collections.abc import Iterator
@@ -14,8 +16,9 @@ from unittest.mock import patch
 
 import pytest
 
+from acquisition.record import whole_file
 from processing.errors import DeviceError
-from rig.control import Controller, ControlService, LaserService, LightPermit, Stage, TripCause, make_laser
+from rig.control import Controller, ControlService, LaserService, LightPermit, Stage, light_permit, make_laser
 from rig.control.firmware.core import VERSION
 from rig.control.lasers import serial_laser
 from rig.control.serial_port import PortLost
@@ -25,7 +28,8 @@ from rig.devices.light_watch import LightWatch
 from rig.settings import Configuration, validate_configuration
 from tests.rig.control.instruments import Instrument
 from tests.rig.control.lasers.pairs import FAMILIES
-from tests.rig.control.stepped import Clock, InstrumentLine, SteppedBoard, stepped_clock, turn
+from tests.rig.control.stepped import Clock, InstrumentLine, SpoiledLine, SteppedBoard, stepped_clock, turn
+from tests.rig.known_rig import known
 
 PATHS = ("run", "plan", "balance", "align", "calibration", "preflight", "doctor", "resume")
 WATCHDOG_S, STALL_S = 1.5, 5.0
@@ -80,6 +84,9 @@ class World:
         self.program: Program | None = None
         self.was_lit = False
         self.opened_s = 0.0
+        self.line = SpoiledLine(self.board)
+        self.slow = self.full = False
+        self._write = whole_file.replace
         self.story: list[str] = []
         self.found: list[str] = []
         self.counts: Counter[str] = Counter()
@@ -96,6 +103,19 @@ class World:
         return validate_configuration(
             {"camera": {"driver": "simulated"}, "laser": laser, "controller": controller}, "sequence"
         )
+
+    def replace(self, path: Path, data: bytes, **named: int) -> None:
+        """The disk of the rig's state, which may have no room left."""
+        if self.full:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self._write(path, data, **named)
+
+    @property
+    def quick(self) -> bool:
+        """Whether an order to be dark takes no longer than usual."""
+        program = self.program
+        frozen = program is not None and program.frozen_to_s > self.clock.monotonic()
+        return self.board.connected and not (self.slow or frozen)
 
     def open_laser(self, *_: object, **__: object) -> InstrumentLine:
         if self.instrument is None:
@@ -179,9 +199,7 @@ class Program(Devices):
     def _open(self) -> None:
         config, board = self._config, self.world.board
         self._closing.enter_context(self.state)
-        if self.state.left_lit:
-            self.permit.trip(TripCause.WATCHDOG, "a program was killed that had lit the laser")
-            self.state.lit(False)
+        self._look_at_what_was_left()
         controller = Controller(config.controller, config.laser.max_power_w, board.open_line)
         self.control = ControlService(controller, config.controller, None, self.permit)
         if turn(self.control) and self.control.snapshot.status is None:
@@ -197,6 +215,7 @@ class Program(Devices):
         if not self.stalled:
             for stage in (Stage.CAMERA, Stage.PROCESSING):
                 self.permit.moved(stage)
+        self.hear_presses()
         now_s = self.world.clock.monotonic()
         for place, service in enumerate((self.control, self.laser)):
             if service is not None and (now or now_s >= self._due_s[place]):
@@ -225,7 +244,8 @@ class Program(Devices):
             for service in (self.laser, self.control):
                 if service is not None:
                     service._finish()
-            self.state.lit(False)
+            with suppress(DeviceError):
+                self.state.lit(False)
         self._closing.close()
 
 
@@ -246,7 +266,12 @@ def stepped_world(seed: int, folder: Path, kind: str = "", wired: bool | None = 
         monkeypatch.setenv("XDG_STATE_HOME", str(folder / str(seed)))
         monkeypatch.setattr("rig.control.safety_state._device_at", lambda _: "")
         world = World(seed, clock, kind, wired)
+        for port in ("stepped", "instrument"):
+            known(port)
         monkeypatch.setattr(serial_laser, "SerialPort", world.open_laser)
+        monkeypatch.setattr(whole_file, "replace", world.replace)
+        # a full disk is no news here
+        monkeypatch.setattr(light_permit._log, "disabled", True)
         for module in ("laser", "light_watch", "lit_devices"):
             monkeypatch.setattr(f"rig.devices.{module}.time", clock)
         yield world

@@ -13,6 +13,8 @@ import time
 import tty
 from functools import cached_property
 
+from tests.rig.known_rig import known
+
 
 class Instrument:
     """Reads commands up to a terminator and answers what `answer` returns, if anything."""
@@ -85,6 +87,7 @@ class _Terminal:
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
+        known(self.port)
         self._wake_out, self._wake_in = os.pipe()
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()

@@ -14,6 +14,7 @@ from rig.control import environment, laser_service, link, serial_port, service, 
 from rig.control.device_thread import DeviceThread
 from rig.control.firmware.core import Firmware
 from rig.control.lasers import ldc500, obis, serial_laser
+from rig.control.protocol import checksum
 from rig.control.serial_port import LineReader, PortLost
 from tests.rig.control import instruments
 from tests.rig.control.instruments import Instrument
@@ -218,6 +219,70 @@ class SteppedBoard:
     def terminal(self) -> Iterator["SteppedTerminal"]:
         """What a person types at."""
         yield SteppedTerminal(self)
+
+
+class SpoiledLine:
+    """What the cable does to answers from now on: bytes that are passed on, and answers seen before."""
+
+    def __init__(self, board: SteppedBoard) -> None:
+        self._board, self._seen = board, b""
+        self._due: list[tuple[float, bytes]] = []
+        self._delay_s = 0.0
+        self._usual = board.sent
+        board.to_host = self._record
+
+    def _record(self, data: bytes) -> bytes:
+        self._seen += data
+        return data
+
+    def mute(self) -> None:
+        self._board.to_host = lambda _: b""
+
+    def half_lines(self) -> None:
+        self._board.to_host = lambda data: data[: len(data) // 2]
+
+    def old_replies(self) -> None:
+        old = self._seen[-400:]
+        self._board.to_host = lambda _: old
+
+    def nan(self) -> None:
+        self._change_status(3, "nan")
+
+    def wrong_values(self) -> None:
+        self._change_status(1, "7")
+
+    def _change_status(self, place: int, value: str) -> None:
+        def changed(data: bytes) -> bytes:
+            body, star, _ = data.decode().partition("*")
+            fields = body.split(",")
+            if len(fields) < 14 or not star:
+                return data
+            fields[place] = value
+            text = ",".join(fields).encode()
+            return text + b"*%04X\n" % checksum(text)
+
+        self._board.to_host = changed
+
+    def late(self, delay_s: float) -> None:
+        self._delay_s = delay_s
+        self._board.sent = self._sent_late  # type: ignore[method-assign]
+
+    def mend(self) -> None:
+        """Answers pass as they do, and what was still to come has come."""
+        self._board.to_host = self._record
+        self._delay_s = 0.0
+
+    def very_late(self) -> None:
+        """Later than the last repetition of a command."""
+        self.late(0.7)
+
+    def _sent_late(self) -> bytes:
+        now_s = self._board.clock.monotonic()
+        if data := self._usual():
+            self._due.append((now_s + self._delay_s, data))
+        arrived = [data for at_s, data in self._due if at_s <= now_s]
+        self._due = [one for one in self._due if one[0] > now_s]
+        return b"".join(arrived)
 
 
 class SteppedLine:

@@ -1,19 +1,28 @@
 """The rig's own state: it outlives programs, is held by one at a time, and in doubt is latched."""
 
 import json
+import os
 import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from processing.errors import DeviceError
 from rig.control import ControllerSettings, LaserSettings, SafetyState, TripCause, rig_state_path
+from rig.control.presses import Presses
 from tests.disk_without_locks import NO_LOCKS, without_locks
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    return tmp_path / "states" / "rig.json"
+    """That of a rig which has been used before."""
+    path = tmp_path / "states" / "rig.json"
+    path.parent.mkdir()
+    path.write_text("{}")
+    return path
 
 
 def test_a_trip_outlives_the_program_and_its_number_grows_over_all_of_them(path: Path) -> None:
@@ -42,7 +51,6 @@ def test_one_program_holds_it(path: Path) -> None:
 
 @pytest.mark.parametrize("torn", ["", "{", '{"number": 3, "latched": null, "unknown": 1}', '{"number": "x"}'])
 def test_a_file_that_cannot_be_read_counts_as_latched(path: Path, torn: str) -> None:
-    path.parent.mkdir()
     path.write_text(torn)
     with SafetyState(path) as state:
         assert state.trip is not None
@@ -67,6 +75,146 @@ def test_a_file_that_was_deleted_counts_as_latched(path: Path) -> None:
         state.acknowledge(1)
     with SafetyState(path) as state:
         assert state.trip is None
+
+
+@pytest.mark.parametrize("gone", ["file", "folder"])
+def test_what_is_not_there_is_unknown_and_acknowledged_once(path: Path, gone: str) -> None:
+    """A new rig, or one whose whole state was deleted: nobody can tell."""
+    if gone == "folder":
+        with SafetyState(path) as state:
+            state.latch(TripCause.INTERLOCK, "it opened", lit=True)
+        shutil.rmtree(path.parent)
+    else:
+        path.unlink()
+    with SafetyState(path) as state:
+        assert state.trip is not None
+        assert (state.trip.number, state.trip.cause, state.trip.lit) == (1, TripCause.POWER, True)
+        assert "new here, or its state was deleted" in state.trip.why
+        state.acknowledge(1)
+    with SafetyState(path) as state:
+        assert state.trip is None
+
+
+def test_a_press_is_seen_by_who_only_reads_and_latched_by_who_holds(path: Path) -> None:
+    presses = Presses(path.with_suffix(".off"))
+    with SafetyState(path) as state:
+        assert state.take_press(lit=False) is None
+        presses.press("the desk")
+        seen = SafetyState(path)
+        seen.read()
+        taken = state.take_press(lit=True)
+        assert seen.trip is not None
+        assert taken is not None
+        for one in (seen.trip, taken):
+            assert (one.number, one.cause) == (1, TripCause.PERSON)
+            assert one.why == "LIGHT OFF was pressed at the desk"
+        assert state.take_press(lit=True) is None
+        state.acknowledge(1)
+        assert state.take_press(lit=True) is None
+        assert state.trip is None
+        presses.press("the desk")
+        presses.press("the desk")
+    # pressed while nobody has the rig
+    with SafetyState(path) as state:
+        assert state.trip is not None
+        state.acknowledge(2)
+    with SafetyState(path) as state:
+        assert state.trip is None
+
+
+def test_a_press_while_a_trip_waits_needs_no_second_acknowledgement(path: Path) -> None:
+    presses = Presses(path.with_suffix(".off"))
+    with SafetyState(path) as state:
+        state.latch(TripCause.INTERLOCK, "it opened", lit=True)
+        presses.press("the desk")
+        taken = state.take_press(lit=False)
+        assert taken is not None
+        assert taken.why == "it opened"
+        assert state.take_press(lit=False) is None
+        state.acknowledge(1)
+        assert state.take_press(lit=False) is None
+
+
+def test_presses_that_are_gone_or_cannot_be_read_count_as_pressed(path: Path) -> None:
+    presses = Presses(path.with_suffix(".off"))
+    presses.press("the desk")
+    with SafetyState(path) as state:
+        state.acknowledge(1)
+        presses.path.unlink()
+        taken = state.take_press(lit=False)
+        assert taken is not None
+        assert "is gone, so whether LIGHT OFF was pressed is unknown" in taken.why
+        state.acknowledge(2)
+        assert state.take_press(lit=False) is None
+        presses.path.symlink_to(path)
+        for number in (3, 4):
+            # for as long as it is so
+            taken = state.take_press(lit=False)
+            assert taken is not None
+            assert "cannot be read" in taken.why
+            assert state.take_press(lit=False) is None
+            state.acknowledge(number)
+        presses.path.unlink()
+
+
+@pytest.fixture
+def full(path: Path) -> Iterator[Path]:
+    """The same on a disk of its own that has no room left."""
+    command = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(path.parent)]
+    mounted = subprocess.run(command, capture_output=True, check=False)
+    if mounted.returncode:
+        pytest.skip(f"nothing can be mounted here: {mounted.stderr.decode()}")
+    path.write_text("{}")
+    with SafetyState(path):
+        pass
+    with (path.parent / "filling").open("wb", buffering=0) as filling, suppress(OSError):
+        while True:
+            filling.write(bytes(4096))
+    yield path
+    subprocess.run(["umount", str(path.parent)], check=True)
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="mounts a disk")
+@pytest.mark.parametrize("by", ["the program", "LIGHT OFF"])
+def test_on_a_full_disk_nothing_is_lit_and_no_trip_is_forgotten(full: Path, by: str) -> None:
+    with SafetyState(full) as state:
+        with pytest.raises(DeviceError, match="the rig's state cannot be written: No space left"):
+            state.lit(True)
+        if by == "the program":
+            with pytest.raises(DeviceError, match="cannot be written"):
+                state.latch(TripCause.OUTPUT, "it stays lit", lit=True)
+        else:
+            assert state.presses is not None
+            state.presses.press("the desk")
+            with pytest.raises(DeviceError, match="cannot be written"):
+                state.take_press(lit=True)
+        assert state.trip is not None
+        with pytest.raises(DeviceError, match="cannot be written"):
+            state.acknowledge(1)
+    for _ in range(2):
+        with SafetyState(full) as state:
+            assert state.trip is not None
+            assert (state.trip.number, state.trip.cause) == (1, TripCause.PERSON)
+    (full.parent / "filling").unlink()
+    with SafetyState(full) as state:
+        state.acknowledge(1)
+    with SafetyState(full) as state:
+        assert state.trip is None
+
+
+def test_what_could_not_be_written_is_written_later(path: Path) -> None:
+    with SafetyState(path) as state:
+        path.unlink()
+        path.mkdir()
+        with pytest.raises(DeviceError, match="cannot be written"):
+            state.latch(TripCause.OUTPUT, "it stays lit", lit=True)
+        assert "cannot be written" in state.problem
+        path.rmdir()
+        state.keep()
+        assert state.problem == ""
+    with SafetyState(path) as state:
+        assert state.trip is not None
+        assert state.trip.why == "it stays lit"
 
 
 def test_what_is_deleted_under_a_program_is_written_again(path: Path) -> None:
@@ -106,7 +254,6 @@ def test_a_trip_holds_even_where_it_cannot_be_written(path: Path) -> None:
 
 
 def test_a_link_is_not_followed(path: Path, tmp_path: Path) -> None:
-    path.parent.mkdir()
     (tmp_path / "elsewhere").write_text("a file of somebody else")
     path.with_suffix(".lock").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(DeviceError, match="the rig's state cannot be held"):

@@ -14,7 +14,7 @@ from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings
 from rig.control.worker import Overdue, Worker
-from tests.rig.control.stepped import Clock, SteppedBoard, stepped_clock, turn
+from tests.rig.control.stepped import Clock, SpoiledLine, SteppedBoard, stepped_clock, turn
 
 HEARTBEAT_S, WATCHDOG_S = 0.5, 2.0
 
@@ -491,3 +491,51 @@ def test_an_error_of_ours_ends_a_worker_with_its_reason() -> None:
         future.result(0)
     assert isinstance(worker.failure, ZeroDivisionError)
     assert finished == [True]
+
+
+@pytest.mark.parametrize("environment_period_s", [None, 1.0])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        SpoiledLine.mute,
+        SpoiledLine.half_lines,
+        SpoiledLine.old_replies,
+        SpoiledLine.nan,
+        SpoiledLine.wrong_values,
+        SpoiledLine.very_late,
+    ],
+)
+def test_a_board_that_says_nothing_of_use_is_dark_within_the_watchdogs_time(
+    board: SteppedBoard,
+    permit: LightPermit,
+    fault: Callable[[SpoiledLine], None],
+    environment_period_s: float | None,
+) -> None:
+    """Its own watchdog hears the heartbeats: the program must give it up, and say so."""
+    settings = ControllerSettings(kind="serial", port="stepped")
+    controller = Controller(settings, 0.001, board.open_line)
+    service = ControlService(controller, settings, environment_period_s, permit)
+    lit(service, board)
+    line = SpoiledLine(board)
+    for moment in range(4):
+        live(service, board, 0.3 + 0.07 * moment)
+    assert board.outputs()["laser"][0] == 1
+    began_ms = board.ticks_ms()
+    fault(line)
+    live(service, board, 6.0)
+    dark = [ms for ms, name, values in board.said if name == "laser" and ms > began_ms and not values[0]]
+    print(f"dark after {(dark[0] - began_ms) / 1e3:.2f} s")
+    assert dark[0] - began_ms <= 1500 + 5
+
+
+@pytest.mark.parametrize("delay_s", [0.05, 0.15, 0.25])
+def test_answers_that_come_a_little_late_are_answers(
+    board: SteppedBoard, permit: LightPermit, delay_s: float
+) -> None:
+    settings = ControllerSettings(kind="serial", port="stepped")
+    service = ControlService(Controller(settings, 0.001, board.open_line), settings, 1.0, permit)
+    lit(service, board)
+    SpoiledLine(board).late(delay_s)
+    live(service, board, 20.0)
+    assert service.snapshot.state is ControlState.OPEN
+    assert board.outputs()["laser"][0] == 1

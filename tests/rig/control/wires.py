@@ -14,6 +14,8 @@ from pathlib import Path
 
 import serial
 
+from tests.rig.known_rig import known
+
 HERE = Path(__file__).resolve().parent
 FIRMWARE = HERE.parents[2] / "rig" / "control" / "firmware"
 
@@ -30,6 +32,7 @@ class FirmwareBoard:
         master, slave = pty.openpty()
         tty.setraw(slave)
         self.port = os.ttyname(slave)
+        known(self.port)
         # Held open, so that the terminal survives a host that opens and closes it.
         self._slave = slave
         self.wire: Wire | None = None

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from rig.control.settings import SerialFaults
 from rig.control.simulated import SimulatedBoard, SimulatedOutputs
+from tests.rig.known_rig import known
 
 
 class BoardProcess:
@@ -33,6 +34,7 @@ class BoardProcess:
         )
         assert self._process.stdout is not None
         self.port = self._process.stdout.readline().strip()
+        known(self.port)
         self.changes: list[tuple[int, float]] = []
         threading.Thread(target=self._read, daemon=True).start()
 

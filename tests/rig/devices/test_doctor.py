@@ -64,7 +64,7 @@ def test_a_trip_and_a_laser_that_was_left_lit_are_named() -> None:
     state = SafetyState()
     assert check_trip(state).ok
     state.lit(True)
-    assert "was killed that had lit the laser" in check_trip(state).reason
+    assert "that had lit the laser was killed" in check_trip(state).reason
     state.latch(TripCause.INTERLOCK, "the interlock of the laser opened", lit=True)
     found = check_trip(state)
     assert (found.ok, found.reason) == (False, "trip 1 (INTERLOCK): the interlock of the laser opened")

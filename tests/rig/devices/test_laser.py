@@ -20,6 +20,7 @@ from rig.settings import Configuration, validate_configuration
 from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
 from tests.rig.control.test_ending import BEGUN_WITHIN_S, ENDED_WITHIN_S, command
 from tests.rig.control.wires import FirmwareBoard
+from tests.rig.known_rig import known
 
 pytestmark = pytest.mark.realtime
 
@@ -129,6 +130,7 @@ def test_too_much_light_is_acknowledged_only_when_it_is_gone() -> None:
 
 
 def test_a_laser_that_is_not_there_is_named() -> None:
+    known("/dev/ttyNoSuchPort")
     missing = configuration("obis", "/dev/ttyNoSuchPort")
     with Devices(missing) as devices, pytest.raises(DeviceError, match="/dev/ttyNoSuchPort: cannot open"):
         devices.light()

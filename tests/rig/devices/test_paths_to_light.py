@@ -300,6 +300,36 @@ def test_lighting_that_still_waits_for_a_device_is_outdated_by_light_off(
         assert devices.light(asked=True) == "laser on, 0.9 mW"
 
 
+def test_asked_for_after_the_last_run_the_order_promises_no_light(
+    config: Configuration, tmp_path: Path
+) -> None:
+    with Devices(config) as devices:
+        light = orders(devices, Notes(tmp_path, ""))["light"]
+        assert light("") == "the next run lights the laser"
+        devices.lights_again = False
+        with pytest.raises(LightRefused, match="no run follows that would light the laser"):
+            light("")
+
+
+def test_the_last_run_of_a_session_is_followed_by_no_light(
+    config: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """When the laser is told off the camera is still looked at, and the channel still takes orders."""
+    answers: list[str] = []
+    usual = Devices.see_dark
+
+    def see_dark(devices: Devices, camera: Any) -> None:
+        try:
+            answers.append(orders(devices, Notes(tmp_path, ""))["light"](""))
+        except LightRefused as refused:
+            answers.append(str(refused))
+        usual(devices, camera)
+
+    monkeypatch.setattr(Devices, "see_dark", see_dark)
+    run(config.model_copy(update={"session": config.session.model_copy(update={"runs": 2})}), tmp_path)
+    assert answers == ["no run follows that would light the laser; start one"]
+
+
 def test_every_path_is_walked() -> None:
     assert set(WALKS) | {("desk/aligner.py", "_lit")} == ASKS
 

@@ -1,0 +1,89 @@
+"""Presses of LIGHT OFF, in a file beside the rig's state: who presses writes it, who lights reads it."""
+
+import datetime
+import hashlib
+import os
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import BaseModel, ValidationError
+
+from acquisition.record import whole_file
+from processing.errors import DeviceError
+
+_READ_BYTES = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """The newest press; `mark` tells it from every other one, and is empty where nobody has ever pressed."""
+
+    mark: str
+    why: str
+
+
+class _Pressed(BaseModel, frozen=True, extra="forbid"):
+    number: int
+    who: str
+    utc: str
+
+
+class Presses:
+    """The file of one rig. Nobody holds it: a press needs no leave of the program that has the rig."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def press(self, who: str) -> None:
+        """Note that somebody pressed at `who` (where); raises DeviceError where not even its time can be set.
+
+        A full disk takes no new content, but still the time of a file that is there, or an empty one.
+        """
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+            pressed = _Pressed(number=self._number() + 1, who=who, utc=now)
+            whole_file.replace(self.path, pressed.model_dump_json().encode())
+        except OSError as error:
+            try:
+                self.touch()
+            except OSError:
+                raise DeviceError(f"{self.path}: cannot be written: {error.strerror or error}") from None
+
+    def touch(self) -> None:
+        """A press of which nothing but its time is noted; raises OSError where that cannot be."""
+        self.path.touch()
+        with suppress(OSError):
+            whole_file.sync_folder(self.path.parent)
+
+    def newest(self) -> Press:
+        """Raises DeviceError for a file that cannot be read: then nobody knows whether one was pressed."""
+        try:
+            number = os.open(self.path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
+        except FileNotFoundError:
+            return Press("", f"{self.path} is gone, so whether LIGHT OFF was pressed is unknown")
+        except OSError as error:
+            raise self._unreadable(error) from None
+        try:
+            content, stat = os.read(number, _READ_BYTES), os.fstat(number)
+        except OSError as error:
+            raise self._unreadable(error) from None
+        finally:
+            os.close(number)
+        mark = f"{stat.st_mtime_ns} {hashlib.sha256(content).hexdigest()[:16]}"
+        try:
+            return Press(mark, f"LIGHT OFF was pressed at {_Pressed.model_validate_json(content).who}")
+        except ValidationError:
+            return Press(mark, "LIGHT OFF was pressed, or a trip could not be written")
+
+    def _number(self) -> int:
+        with suppress(OSError, ValidationError):
+            return _Pressed.model_validate_json(self.path.read_bytes()).number
+        return 0
+
+    def _unreadable(self, error: OSError) -> DeviceError:
+        return DeviceError(
+            f"{self.path}: cannot be read: {error.strerror or error}; "
+            "whether LIGHT OFF was pressed is unknown"
+        )

@@ -1,0 +1,91 @@
+"""LIGHT OFF at the desk that reaches no program: it is kept, and says what it could not do."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from processing.errors import ConfigurationError
+from rig.control import SafetyState
+from rig.desk.desk import Desk
+from rig.desk.lighting import Lighting
+from tests.rig.known_rig import known
+
+pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+
+REAL = '[controller]\nkind = "serial"\nport = "/dev/ttyNobodyHasIt"\n'
+SIMULATED = '[controller]\nkind = "simulated"\n[simulation]\nreal_time = true\n'
+LASER = '[laser]\nkind = "controller"\nmax_power_w = 0.001\npower_w = 0.0005\n'
+
+
+@pytest.fixture
+def desk_of(tmp_path: Path) -> Iterator[Callable[[str], Desk]]:
+    desks: list[Desk] = []
+
+    def make(more: str) -> Desk:
+        config = tmp_path / "rig.toml"
+        output = (tmp_path / "runs").as_posix()
+        config.write_text(f'[camera]\ndriver = "simulated"\n[session]\noutput = "{output}"\n{more}')
+        desks.append(Desk(config))
+        desks[-1].safety.start()
+        return desks[-1]
+
+    yield make
+    for desk in desks:
+        desk.close()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("controller", [REAL, SIMULATED], ids=["real", "simulated"])
+def test_pressed_while_nothing_runs_nothing_is_started_until_it_is_acknowledged(
+    desk_of: Callable[[str], Desk], controller: str
+) -> None:
+    known("/dev/ttyNobodyHasIt")
+    desk = desk_of(controller + LASER)
+    said = desk.lighting.off("one")
+    assert said[-1] == (
+        "no program that could light has answered: it is kept, and nothing is lit until it is acknowledged"
+    )
+    # by the other way it says the same
+    assert desk.lighting.off("one") == said
+    until(lambda: desk.safety.trip is not None)
+    trip = desk.safety.trip
+    assert trip is not None
+    assert trip.text == "trip 1 (PERSON): LIGHT OFF was pressed at the desk"
+    with pytest.raises(ConfigurationError, match="acknowledge it first"):
+        desk.start("preflight")
+
+
+def test_a_press_that_cannot_be_kept_is_said_and_all_else_is_done(
+    desk_of: Callable[[str], Desk], rig_states: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (rig_states / "optical-pendulum-rig").write_text("a file in its place")
+    ordered: list[object] = []
+    monkeypatch.setattr(Lighting, "_holder_dark", lambda _, told: bool(ordered.append(told)))
+    desk = desk_of(REAL + LASER)
+    off, unkept, nobody = desk.lighting.off("one")
+    assert off.startswith("/dev/ttyNobodyHasIt: cannot be switched off")
+    assert unkept.startswith("it is not kept (")
+    assert unkept.endswith("a program that starts may light; turn the key switch")
+    assert nobody == "no program that could light has answered"
+    assert len(ordered) == 1
+
+
+def test_a_disk_that_hangs_holds_nothing_up(
+    desk_of: Callable[[str], Desk], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = desk_of(REAL + LASER)
+    assert isinstance(desk.rig, SafetyState)
+    assert desk.rig.presses is not None
+    monkeypatch.setattr(type(desk.rig.presses), "press", lambda _presses, _who: time.sleep(5.0))
+    began_s = time.monotonic()
+    said = desk.lighting.off("one")
+    assert any("the disk hangs" in text for text in said)
+    assert time.monotonic() - began_s < 3.0

@@ -1,0 +1,125 @@
+"""The end says in one line whether the laser is off: asked for long enough to hear it, and not cut short."""
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from rig.devices import Devices, lit_devices
+from rig.settings import Configuration, validate_configuration
+from tests.rig.control.wires import FirmwareBoard
+
+pytestmark = pytest.mark.realtime
+
+CONFIRMED = "laser off, confirmed by the controller"
+
+
+def of_board(board: FirmwareBoard) -> Configuration:
+    tree: dict[str, Any] = {
+        "camera": {"driver": "simulated"},
+        "laser": {"kind": "controller", "max_power_w": 0.001, "power_w": 0.0005},
+        "controller": {"kind": "serial", "port": board.port, "watchdog_s": 5.0},
+    }
+    return validate_configuration(tree, "test")
+
+
+def late(board: FirmwareBoard) -> Callable[[], None]:
+    """Answers take 0.9 s, more than all repetitions of a command."""
+    assert board.wire is not None
+    wire = board.wire
+
+    def hold_back(data: bytes) -> bytes:
+        threading.Timer(0.9, wire.inject, [data]).start()
+        return b""
+
+    def begin() -> None:
+        wire.to_host = hold_back
+        threading.Timer(0.7, lambda: setattr(wire, "to_host", bytes)).start()
+
+    return begin
+
+
+def without_session(board: FirmwareBoard) -> Callable[[], None]:
+    """It was reset, and answers that it has no session (error -203)."""
+
+    def begin() -> None:
+        board.press(b"r")
+        time.sleep(0.3)
+
+    return begin
+
+
+def reopened(board: FirmwareBoard) -> Callable[[], None]:
+    """Nothing goes over the cable for a while."""
+    assert board.wire is not None
+    wire = board.wire
+
+    def begin() -> None:
+        wire.connected = False
+        threading.Timer(1.0, lambda: setattr(wire, "connected", True)).start()
+
+    return begin
+
+
+@pytest.mark.parametrize("fault", [late, without_session, reopened])
+def test_what_answers_late_is_waited_for(
+    make_board: Callable[..., FirmwareBoard],
+    fault: Callable[[FirmwareBoard], Callable[[], None]],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    board = make_board(through_wire=True)
+    with Devices(of_board(board)) as devices:
+        devices.light()
+        assert board.outputs()["laser"][0] == 1
+        fault(board)()
+    # until the last late answer has come
+    time.sleep(1.0)
+    assert board.outputs()["laser"][0] == 0
+    said = capsys.readouterr().err
+    assert CONFIRMED in said
+    assert "MAY BE LIT" not in said
+
+
+def test_what_never_answers_is_not_confirmed(
+    make_board: Callable[..., FirmwareBoard], capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = make_board(through_wire=True)
+    with Devices(of_board(board)) as devices:
+        devices.light()
+        assert board.wire is not None
+        board.wire.to_host = lambda _: b""
+        begun_s = time.monotonic()
+    assert "THE LASER MAY BE LIT: the controller does not confirm" in capsys.readouterr().err
+    assert time.monotonic() - begun_s < 6.0
+    # what nobody has confirmed the next program asks about
+    assert devices.state.left_lit
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_ctrl_c_in_the_wait_is_heard_after_one_of_the_two_lines(
+    make_board: Callable[..., FirmwareBoard],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    answers: bool,
+) -> None:
+    board = make_board(through_wire=True)
+    usual, interrupts = lit_devices.wait_for_command, iter(range(2))
+
+    def interrupted(*words: Any) -> None:
+        for _ in interrupts:
+            raise KeyboardInterrupt
+        usual(*words)
+
+    def session() -> None:
+        with Devices(of_board(board)) as devices:
+            devices.light()
+            assert board.wire is not None
+            if not answers:
+                board.wire.to_host = lambda _: b""
+            monkeypatch.setattr(lit_devices, "wait_for_command", interrupted)
+
+    with pytest.raises(KeyboardInterrupt):
+        session()
+    assert (CONFIRMED if answers else "THE LASER MAY BE LIT") in capsys.readouterr().err
