@@ -4,7 +4,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,7 +13,6 @@ from processing.errors import DeviceError, RigError
 from rig.control import (
     STALE_S,
     TO_BE_ASKED,
-    ControllerReset,
     ControlService,
     ControlState,
     DevicesNow,
@@ -32,6 +31,7 @@ from rig.control import (
     rig_state_path,
 )
 from rig.devices.audit import Audited, AuditLog
+from rig.devices.confirmed_dark import confirmed_dark
 from rig.devices.laser import age_s, goes_dark_by_itself, laser_now, light, wait_for_command
 from rig.settings import Configuration
 
@@ -39,8 +39,6 @@ _LOOK_S = 0.02
 _BOARD_CONFIRMS_WITHIN_S = 2.0
 _LASER_CONFIRMS_WITHIN_S = 5.0
 """So long it is asked whether the laser is off, which it is told at once; an instrument is slower."""
-_ASK_AGAIN_S = 0.1
-_LAST_WAIT_S = 0.2
 _LOOKS_FOR_S = _HEARD_WITHIN_S = 3.0
 LEFT_LIT = "a program that had lit the laser was killed, or could not say that it is off"
 _STILL_SEEN = "the laser was commanded off, but the camera still sees its spot"
@@ -293,7 +291,7 @@ class LitDevices:
         self.darken("the devices are closed")
         begun_s, interrupt = time.monotonic(), None
         for who, off, command, within_s in commands:
-            why, interrupted = _confirmed(off, command, begun_s + within_s)
+            why, interrupted = confirmed_dark(off, command, begun_s + within_s)
             interrupt = interrupt or interrupted
             if why:
                 said = f"the {who} does not confirm that it is off ({why})"
@@ -384,35 +382,3 @@ class LitDevices:
         snapshot = self.control.snapshot
         known = snapshot.state is ControlState.OPEN and age_s(snapshot.status_time_ns) <= STALE_S
         return DevicesNow(self.laser_now(), snapshot.state, snapshot.status if known else None)
-
-
-def _confirmed(
-    off: Callable[[], "Future[None]"], command: "Future[None]", end_s: float
-) -> tuple[str, KeyboardInterrupt | None]:
-    """Ask until it is confirmed that the laser is off, or the time is over; why it is not, empty if it is.
-
-    A late answer is waited for, and a port that is being opened again. A controller that has no session is
-    dark by definition. Ctrl-C ends no wait that ends soon by itself: it is returned.
-    """
-    interrupt: KeyboardInterrupt | None = None
-    no_session = False
-    while True:
-        try:
-            wait_for_command(command, max(end_s - time.monotonic(), _LAST_WAIT_S))
-            return "", interrupt
-        except KeyboardInterrupt as error:
-            interrupt = interrupt or error
-            if time.monotonic() < end_s:
-                continue
-            why = "interrupted"
-        except (DeviceError, CancelledError) as error:
-            why = str(error) or "its thread has ended"
-            no_session = no_session or isinstance(error, ControllerReset)
-        if time.monotonic() > end_s - _ASK_AGAIN_S:
-            return "" if no_session else why, interrupt
-        try:
-            time.sleep(_ASK_AGAIN_S)
-        except KeyboardInterrupt as error:
-            interrupt = interrupt or error
-        if command.done():
-            command = off()

@@ -297,7 +297,7 @@ def strayed(world: World) -> None:
 
 
 ACTIONS: tuple[tuple[Callable[[World], None], int], ...] = (
-    (start, 6), (order_light, 4), (acknowledge, 6), (dark, 2), (ended, 2), (killed, 1), (frozen, 1),
+    (start, 6), (order_light, 7), (acknowledge, 12), (dark, 2), (ended, 2), (killed, 1), (frozen, 1),
     (stalled, 1), (opened, 2), (blinked, 2), (trips_lost, 1), (cable, 2), (reset, 1), (strayed, 1),
     (closed, 6), (pressed, 2), (full, 1), (gone, 1), (late, 1), (old, 1),
 )  # fmt: skip
