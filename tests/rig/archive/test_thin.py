@@ -20,8 +20,9 @@ from rig.archive.store import Archive
 from tests.rig.command_line import rig
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
-LATER = datetime.date(2027, 11, 22)
-"""Eleven months, and some days, after the records of `SAMPLES`."""
+BEGUN = json.loads((SAMPLES / "series" / "session.json").read_text())["entries"][0]["begun_utc"]
+LATER = datetime.date(int(BEGUN[:4]) + 1, int(BEGUN[5:7]), int(BEGUN[8:10]))
+"""A year after the records of `SAMPLES`."""
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from acquisition.frame import Frame
+from acquisition.record.events import EventKind
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
@@ -43,6 +44,8 @@ def session_in_pixels(folder: Path, *, lost: bool) -> Path:
         numbers = list(range(len(y)))
         deflections = Deflections(times_ns, x, y, u, u, DeflectionUnit.PX)
         writer.write_spots(numbers, times_ns.tolist(), times_ns.tolist(), spots, deflections)
+        writer.write_event(0, EventKind.START, "first frame")
+        writer.write_event(int(times_ns[-1]), EventKind.STOP, "40 s are over")
         image = np.full((240, 64), 8, dtype=np.uint8)
         image[218:223, 40:45] = 200
         writer.write_image(Frame(image, 0, 0, 0))
