@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from processing.arrays import Floats, Ints
 from processing.balance.balance import Balance
@@ -84,6 +83,9 @@ class PlaneOfSwing:
 
     def rate_rad_per_s(self, times_ns: Ints) -> Floats:
         """Rate of rotation at these times (n,)."""
+        # imported here: it takes a fifth of a second, which a live run does without
+        from scipy.interpolate import BSpline
+
         slope = BSpline(self.knots, self.coefficients, self.degree).derivative()
         span_s = float(seconds(self.last_ns - self.first_ns))
         return np.asarray(slope(self._part(times_ns))) / span_s
@@ -277,6 +279,8 @@ def _fitted(
 
 def _design(part: Floats, knots: Floats, degree: int) -> Floats:
     """Values (n, terms) of the spline's basis; beyond its ends each continues as a straight line."""
+    from scipy.interpolate import BSpline
+
     inside = np.clip(part, 0.0, 1.0)
     basis = BSpline(knots, np.eye(len(knots) - degree - 1), degree)
     values = np.asarray(basis(inside), dtype=np.float64)

@@ -41,7 +41,9 @@ class Guard:
         self._app, self._key = app, key
         self._hosts, self._off_hosts = ({f"{name}:{one}" for name in _NAMES} for one in (port, off_port))
         self._origins = {f"http://{host}" for host in self._hosts}
-        self._policy = _POLICY.replace("OFF_SWITCH", " ".join(f"http://{host}" for host in self._off_hosts))
+        self._policy = _POLICY.replace(
+            "OFF_SWITCH", " ".join(f"http://{host}" for host in sorted(self._off_hosts))
+        )
         # browsers keep one set of cookies for all ports of a host
         self._cookie = f"rig_desk_{port}"
 

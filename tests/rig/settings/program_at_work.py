@@ -44,6 +44,7 @@ from rig.measure.start_judge import start_limits
 from rig.settings import Configuration, load_configuration
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.rig.control.instruments import FakeObis, FakeThorlabs
+from tests.rig.known_rig import known
 
 DEMO = CONFIGS / "demo.toml"
 NOWHERE = "/dev/no-such-port"
@@ -174,6 +175,7 @@ def light_the_lasers() -> None:
     """One that is set in watts, one in amperes, each behind its port."""
     for kind, family, value in (("obis", FakeObis, "power_w"), ("thorlabs4000", FakeThorlabs, "current_a")):
         instrument = family()
+        known(instrument.port)
         laser = {"kind": kind, "port": instrument.port, value: 0.02, f"max_{value}": 0.03, "timeout_s": 2.0}
         try:
             tree = {"camera": {"driver": "simulated"}, "laser": laser}

@@ -196,7 +196,8 @@ def _driver_names(driver: str) -> set[str]:
 def seen(tmp_path_factory: pytest.TempPathFactory) -> set[Key]:
     """The keys that the program reads at work."""
     folder = tmp_path_factory.mktemp("work")
-    with keys_read() as found:
+    with keys_read() as found, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(folder / "state"))
         program.measure_one_session(folder)
         program.go_through_the_phases(folder)
         program.look_at_the_balance()
