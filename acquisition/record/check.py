@@ -10,10 +10,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.chunk_reader import ChunkDamage, message_heads, open_chunk
+from acquisition.record import pixels_beside
 from acquisition.record.digest import sha256_of
+from acquisition.record.read_file import ChunkDamage, ReadFile, message_heads
 from acquisition.record.reader import RecordReader
-from acquisition.record.records import intact_attachment, read_record
 from acquisition.record.recover import RECOVERY
 from acquisition.record.topics import SPOT, WINDOW
 from acquisition.record.utc import utc_text
@@ -83,20 +83,8 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
         The file is not a record of this program, or `results` cannot be read.
     """
     with RecordReader(path) as reader:
-        contents = reader.contents
-        findings = _errors(*(f"index: {text}" for text in contents.damage))
-        if reader.truncated:
-            lost = contents.size - contents.readable_bytes
-            where = f": {lost} bytes after the last complete record at {utc_text(contents.end_ns)}"
-            if not contents.end_ns:
-                where = f" before anything was measured, after {contents.readable_bytes} bytes"
-            findings += _errors(f"the file was cut short{where}; rig recover makes a complete file of it")
         frames = {SPOT.topic: _Frames(), WINDOW.topic: _Frames()}
-        findings += _check_chunks(reader, frames)
-        findings += _check_attachments(reader)
-        bytes_changed = not contents.data_crc_matches(reader.file)
-        if bytes_changed and not any(finding.severity == "error" for finding in findings):
-            findings += _errors("bytes have changed outside chunks: in metadata or a description")
+        findings = [finding for file in reader.files for finding in _check_file(file, frames)]
         findings += [
             _check_recovery(texts) for name, texts in reader.metadata.items() if name.startswith(RECOVERY)
         ]
@@ -106,26 +94,49 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
     return findings
 
 
+def _check_file(file: ReadFile, frames: Mapping[str, _Frames]) -> list[Finding]:
+    """Structure, chunks and attached files of one file; its frames are added to `frames`."""
+    contents, name = file.contents, file.path.name
+    findings = _errors(*(f"{name}: index: {text}" for text in contents.damage))
+    if not contents.whole:
+        lost = contents.size - contents.readable_bytes
+        where = f": {lost} bytes after the last complete record at {utc_text(contents.end_ns)}"
+        if not contents.end_ns:
+            where = f" before anything was measured, after {contents.readable_bytes} bytes"
+        findings += _errors(f"{name} was cut short{where}; rig recover makes a complete file of it")
+    findings += _check_chunks(file, frames)
+    for attached, places in contents.attachment_places.items():
+        for place in places:
+            try:
+                file.attachment_at(place)
+            except ValueError as error:
+                findings += _errors(f"{name}: attachment {attached}: {error}")
+    if not findings and not file.data_crc_matches():
+        findings += _errors(f"{name}: bytes have changed outside chunks: in metadata or an index")
+    return findings
+
+
 def _errors(*texts: str) -> list[Finding]:
     return [Finding("error", text) for text in texts]
 
 
-def _check_chunks(reader: RecordReader, frames: Mapping[str, _Frames]) -> list[Finding]:
-    contents = reader.contents
+def _check_chunks(file: ReadFile, frames: Mapping[str, _Frames]) -> list[Finding]:
+    channels = file.contents.channels
     findings: list[Finding] = []
-    for place in contents.chunks:
+    for place in file.contents.chunks:
         try:
-            heads = message_heads(open_chunk(reader.file, place))
+            heads = message_heads(file.open_chunk(place))
         except ChunkDamage as damage:
             span = f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)}"
-            topics = sorted(contents.channels[n].topic for n in place.channels if n in contents.channels)
-            where = f"chunk at byte {place.offset} ({' '.join(topics) or 'topics unknown'}, {span})"
-            findings += _errors(f"{where}: {damage}")
+            topics = " ".join(sorted(channels[n] for n in place.channels)) or "topics unknown"
+            findings += _errors(
+                f"{file.path.name}: chunk at byte {place.offset} ({topics}, {span}): {damage}"
+            )
             continue
-        for number, channel in contents.channels.items():
+        for number, topic in channels.items():
             of_channel = heads[heads["channel"] == number]
-            if channel.topic in frames and len(of_channel):
-                frames[channel.topic].add(of_channel)
+            if topic in frames and len(of_channel):
+                frames[topic].add(of_channel)
     return findings
 
 
@@ -141,17 +152,6 @@ def _check_recovery(recovery: Mapping[str, str]) -> Finding:
     ]
     text = f"recovered from {recovery.get('source', '?')}; {'; '.join(missing) or 'nothing was lost'}"
     return Finding("warning" if missing else "note", text)
-
-
-def _check_attachments(reader: RecordReader) -> list[Finding]:
-    findings: list[Finding] = []
-    for name, places in reader.contents.attachment_places.items():
-        for place in places:
-            try:
-                intact_attachment(read_record(reader.file, place)[1])
-            except ValueError as error:
-                findings += _errors(f"attachment {name}: {error}")
-    return findings
 
 
 def _check_frames(frames: Mapping[str, _Frames]) -> list[Finding]:
@@ -192,6 +192,9 @@ def _check_hashes(reader: RecordReader, results: Path) -> list[Finding]:
         return [Finding("warning", f"{results.name} does not contain {reader.path.name}")]
     if sha256 != sha256_of(reader.path):
         return _errors(f"SHA-256 is not the one in {results.name}: the record is not the one that was fitted")
+    of_pixels, pixels = run.get("pixels_sha256", ""), pixels_beside(reader.path)
+    if of_pixels and pixels.is_file() and of_pixels != sha256_of(pixels):
+        return _errors(f"{pixels.name}: its SHA-256 is not the one in {results.name}")
     held = {name: hashlib.sha256(data).hexdigest() for name, data in reader.attachments.items()}
     others = sorted(name for name, value in inputs.items() if held.get(name) != value)
     if others:

@@ -1,21 +1,45 @@
-"""Messages of the types defined by Foxglove, which viewers can display: log lines and the sensor's
-geometry.
+"""Messages of the types defined by Foxglove, which viewers can display: log lines, the sensor's geometry,
+small pictures.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
+import cv2
+import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from acquisition.record.topics import CAMERA_TOPIC, IMAGE_TOPIC, LOG_TOPIC, SENSOR_FRAME, RecordedLog
+from acquisition.frame import Image
+from acquisition.record.topics import CAMERA_TOPIC, LOG_TOPIC, PREVIEW_TOPIC, SENSOR_FRAME, RecordedLog
+
+_PREVIEW_PX = 480
+"""Longest side of a preview; larger images are reduced by a whole number."""
+_MESSAGES: Mapping[str, Any] = {
+    LOG_TOPIC: Log,
+    CAMERA_TOPIC: CameraCalibration,
+    PREVIEW_TOPIC: CompressedImage,
+}
 
 
-def foxglove_topics() -> list[tuple[str, str, bytes]]:
-    """Topic, name of the schema and its descriptor, of each topic with a Foxglove type."""
-    return [
-        (topic, message.DESCRIPTOR.full_name, build_file_descriptor_set(message).SerializeToString())
-        for topic, message in ((IMAGE_TOPIC, RawImage), (LOG_TOPIC, Log), (CAMERA_TOPIC, CameraCalibration))
-    ]
+def foxglove_schema(topic: str) -> tuple[str, bytes]:
+    """Name of the schema of a topic with a Foxglove type, and its descriptor."""
+    message = _MESSAGES[topic]
+    return message.DESCRIPTOR.full_name, build_file_descriptor_set(message).SerializeToString()
+
+
+def encode_preview(utc_ns: int, image: Image, full_scale_dn: int) -> bytes:
+    """Encoded foxglove.CompressedImage of an image (ny, nx), for the eye: 8 bits, small, JPEG."""
+    step = -(-max(image.shape) // _PREVIEW_PX)
+    small = image[::step, ::step]
+    if image.itemsize > 1:
+        small = np.minimum(small * (255.0 / full_scale_dn), 255.0).astype(np.uint8)
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(small))
+    message = CompressedImage(format="jpeg", data=data.tobytes(), frame_id=SENSOR_FRAME)
+    message.timestamp.FromNanoseconds(utc_ns)
+    return message.SerializeToString()
 
 
 def encode_log(utc_ns: int, level: int, source: str, text: str) -> bytes:

@@ -1,55 +1,210 @@
-"""Reads a record, complete or truncated, chunk by chunk; memory does not grow with the file."""
+"""Reads a record, complete, truncated or still being written, chunk by chunk.
+
+Memory does not grow with the file.
+"""
 
 import datetime
-from collections.abc import Collection, Iterator
+import json
+import time
+from collections.abc import Callable, Collection, Iterator, Sized
 from pathlib import Path
-from typing import Any, TypeVar
+from types import TracebackType
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
 from acquisition.frame_losses import FrameLosses
-from acquisition.record.chunk_reader import Message, messages_in, packed_messages
+from acquisition.record import is_pixels, pixels_beside
 from acquisition.record.events import Event
+from acquisition.record.file_lock import is_being_written
 from acquisition.record.foxglove import decode_log
-from acquisition.record.pixels import decode_image, decode_window
-from acquisition.record.proved_file import ProvedFile
-from acquisition.record.schemas import MessageType, parse_message_type
+from acquisition.record.pixels import decode_window
+from acquisition.record.read_file import (
+    Contents,
+    Damage,
+    Message,
+    ReadFile,
+    messages_in,
+    packed_messages,
+)
+from acquisition.record.schemas import MessageType
 from acquisition.record.spots_and_swings import balances_of, deflections_of, swings_of
 from acquisition.record.topics import (
     BALANCE,
     EVENT,
-    IMAGE_TOPIC,
+    IMAGE,
+    LIBRARY,
     LOG_TOPIC,
     LOSSES,
+    METADATA_COPY,
     NOTE,
+    PIXEL_KINDS,
+    PIXEL_TOPICS,
+    SCHEMA_VERSION,
     SPOT,
-    SPOT_UNCALIBRATED,
     SWING,
-    SWING_UNCALIBRATED,
     WINDOW,
     RecordedLog,
     RecordedLosses,
     RecordedNote,
     RecordedWindow,
+    number_kinds,
+    number_topics,
 )
 from acquisition.record.utc import utc
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
-from processing.errors import RecordError
+from processing.errors import RecordError, require_schema
 from processing.swing import Swing
 
 _Value = TypeVar("_Value")
+_Taken = TypeVar("_Taken", bound=Sized)
 _ROWS_AT_ONCE = 4096
+_LOOK_S = 0.1
 
 
-class RecordReader(ProvedFile):
-    """Reads the messages of one record as values; a context manager (see `ProvedFile`)."""
+class RecordReader:
+    """Reads the messages of one record as values; a context manager.
+
+    `path` is the file of numbers; that of pixels beside it is opened, too, where it is there. A chunk whose
+    checksum is wrong is left out, listed in `damages` and logged; everything else is read. A file without an
+    ending, as after a crash or a power failure, is `truncated`; its complete chunks are read. Of a record
+    that is still being written, `update` or `follow` read what has been flushed since.
+
+    Raises
+    ------
+    RecordError
+        No such file, not an MCAP file, not a record of this program, or a record of a newer version.
+    """
 
     def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._types: dict[str, MessageType] = {}
+        if is_pixels(path):
+            raise RecordError(f"{path}: has the pixels of a record; name the record beside it")
+        self.path = path
+        self._numbers = ReadFile(path)
+        self._pixels: ReadFile | None = None
+        try:
+            self.metadata = _metadata_of(self._numbers)
+            self._own = self.metadata["record"]
+            self.deflection_unit = DeflectionUnit(self._own["deflection_unit"])
+            self.epoch_offset_ns = int(self._own["epoch_offset_ns"])
+            self._kinds = {kind.topic: kind for kind in (*number_kinds(self.deflection_unit), *PIXEL_KINDS)}
+            self._numbers.contents.channels = dict(enumerate(number_topics(self.deflection_unit), start=1))
+            self._open_pixels()
+        except OSError as error:
+            self.close()
+            raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
+        except BaseException:
+            self.close()
+            raise
+
+    def _open_pixels(self) -> None:
+        """Open the file of pixels, if it is there and belongs to this record."""
+        path = pixels_beside(self.path)
+        if self._pixels is not None or not path.is_file():
+            return
+        pixels = ReadFile(path)
+        try:
+            same = _metadata_of(pixels)["record"].get("record_id") == self._own.get("record_id")
+        except RecordError:
+            same = False
+        if not same:
+            pixels.close()
+            self._numbers.contents.damage.append(f"{path.name} has not the pixels of this record")
+            return
+        pixels.contents.channels = dict(enumerate(PIXEL_TOPICS, start=1))
+        self._pixels = pixels
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the files."""
+        for file in self.files:
+            file.close()
+
+    @property
+    def files(self) -> tuple[ReadFile, ...]:
+        """The file of numbers, and that of pixels where there is one."""
+        return (self._numbers,) if self._pixels is None else (self._numbers, self._pixels)
+
+    @property
+    def contents(self) -> Contents:
+        """Table of contents of the file of numbers."""
+        return self._numbers.contents
+
+    @property
+    def damages(self) -> list[Damage]:
+        """What was found damaged so far."""
+        return [damage for file in self.files for damage in file.damages]
+
+    @property
+    def truncated(self) -> bool:
+        """Whether a file was cut short, so that it has no ending."""
+        return not all(file.contents.whole for file in self.files)
+
+    @property
+    def sound(self) -> bool:
+        """Whether every byte is as it was written, by the checksums of summaries and data sections."""
+        return all(file.is_sound() for file in self.files)
+
+    @property
+    def cut_notice(self) -> str:
+        """One line for the user about a truncated record, with the remedy; empty if it is complete."""
+        cut = [file.path for file in self.files if not file.contents.whole]
+        if not cut:
+            return ""
+        return (
+            f"{cut[0]}: was cut short (it has no ending); its complete part is used, "
+            f"rig recover {self.path} makes a complete file of it"
+        )
+
+    def doubts(self) -> list[str]:
+        """What has to be said with everything that was read so far: cut short, damaged, changed; one line
+        each.
+        """
+        lines = [self.cut_notice] if self.truncated else []
+        lines += [f"damaged, not used: {damage.what}" for damage in self.damages]
+        damage = [text for file in self.files for text in file.contents.damage]
+        return lines + [f"the record's structure: {text}" for text in damage]
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        """Attached files by name; one of which no copy is intact is left out, every damaged copy listed in
+        `damages`.
+        """
+        file = self._numbers
+        found = {name: file.attached(name) for name in file.contents.attachment_places}
+        return {name: data for name, data in found.items() if name != METADATA_COPY and data is not None}
+
+    def update(self) -> bool:
+        """Note what has been flushed since; whether anything has."""
+        self._open_pixels()
+        new = [file.update() for file in self.files]
+        return any(new)
+
+    def follow(self, every_s: float = _LOOK_S) -> Iterator[None]:
+        """Of a record that is being written: one item for each time that something was flushed to it.
+
+        It ends when the record is closed, or when its writer is gone; between looks it sleeps.
+        """
+        yield None
+        while not self._numbers.contents.whole:
+            # asked before, so that the last words of a writer that ends meanwhile are read
+            alone = not is_being_written(self.path)
+            if self.update():
+                yield None
+            elif alone:
+                return
+            else:
+                time.sleep(every_s)
 
     @property
     def full_scale_dn(self) -> int:
@@ -61,15 +216,13 @@ class RecordReader(ProvedFile):
         return utc(time_ns + self.epoch_offset_ns)
 
     @property
-    def deflection_unit(self) -> DeflectionUnit:
-        """Unit of deflections and amplitudes: rad, or px without a calibrated lever."""
-        return DeflectionUnit(self.metadata["record"]["deflection_unit"])
-
-    @property
     def counts(self) -> dict[str, int]:
-        """Numbers of messages by topic as stated in the file, including damaged ones."""
+        """Numbers of messages by topic as stated in the files, including damaged ones; none of 0."""
         return {
-            channel.topic: self.contents.counts[number] for number, channel in self.contents.channels.items()
+            topic: count
+            for file in self.files
+            for number, topic in file.contents.channels.items()
+            if (count := file.contents.counts[number])
         }
 
     def messages(self, topic: str, start_ns: int | None = None) -> Iterator[Message]:
@@ -77,36 +230,39 @@ class RecordReader(ProvedFile):
 
         Those before `start_ns` (on the frames' clock) are left out, and chunks before it are not read.
         """
-        from_ns = 0 if start_ns is None else start_ns + self.epoch_offset_ns
-        for messages in self.by_chunk(messages_in, topic, start_ns):
+        from_ns = self._from_ns(start_ns)
+        for messages in self._by_chunk(messages_in, topic, from_ns):
             for message in messages:
                 if message.log_time_ns >= from_ns:
                     yield message
 
+    def _from_ns(self, start_ns: int | None) -> int:
+        return 0 if start_ns is None else start_ns + self.epoch_offset_ns
+
+    def _by_chunk(
+        self, take: Callable[[bytes, frozenset[int]], _Taken], topic: str, from_ns: int = 0
+    ) -> Iterator[_Taken]:
+        for file in self.files:
+            for number, known in file.contents.channels.items():
+                if known == topic:
+                    yield from file.by_chunk(take, number, from_ns)
+
+    def has(self, topic: str) -> bool:
+        """Whether the record has any message of a topic."""
+        return topic in self.counts
+
     def table(self, topic: str) -> NDArray[Any]:
         """All messages of a topic of numbers as a structured array (n,).
 
-        The names of the fields are those in the file, with units. Empty if the record has no such topic.
+        The names of the fields are those in the file, with units.
         """
-        kind = self.message_type(topic)
-        if kind is None:
-            return np.empty(0, dtype=np.dtype([]))
-        table = np.empty(self.counts[topic], dtype=kind.table_dtype)
-        filled = 0
-        for part in self._tables(kind):
-            if filled + len(part) > len(table):
-                # the last chunk of a truncated file may lack the index from which messages are counted
-                table = np.concatenate([table[:filled], part])
-            else:
-                table[filled : filled + len(part)] = part
-            filled += len(part)
-        return table[:filled]
+        kind = self._kinds[topic]
+        parts = list(self._tables(kind))
+        return np.concatenate(parts) if parts else np.empty(0, dtype=kind.table_dtype)
 
     def values(self, topic: str, value_class: type[_Value]) -> list[_Value]:
         """All messages of a topic as values of the dataclass or NamedTuple with which they were written."""
-        kind = self.message_type(topic)
-        if kind is None:
-            return []
+        kind = self._kinds[topic]
         return [
             value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
             for message in self.messages(topic)
@@ -118,10 +274,6 @@ class RecordReader(ProvedFile):
         Without a lever (`deflection_unit` is px) the fields are those of `topics.SPOT_UNCALIBRATED`. NaN
         where the spot was lost.
         """
-        if self.message_type(SPOT.topic) is None:
-            # cut before anything was measured
-            calibrated = self.deflection_unit is DeflectionUnit.RAD
-            return np.empty(0, (SPOT if calibrated else SPOT_UNCALIBRATED).table_dtype)
         return self.table(SPOT.topic)
 
     def deflections(self, spots: NDArray[Any] | None = None) -> Deflections:
@@ -138,11 +290,8 @@ class RecordReader(ProvedFile):
         With `start_ns` (on the frames' clock), spots before that time are left out, and chunks before it are
         not read. With `fields`, only these fields (and `time_ns`) are decoded, which is faster.
         """
-        kind = self._type_of(SPOT if self.deflection_unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED)
-        if kind is None:
-            return
         wanted = None if fields is None else {"time_ns", *fields}
-        for table in self._tables(kind, start_ns, wanted):
+        for table in self._tables(self._kinds[SPOT.topic], start_ns, wanted):
             if start_ns is not None:
                 table = table[table["time_ns"] >= start_ns]
             if len(table):
@@ -150,7 +299,6 @@ class RecordReader(ProvedFile):
 
     def swings(self) -> list[Swing]:
         """All half-cycles, with amplitudes in `deflection_unit`."""
-        self._type_of(SWING if self.deflection_unit is DeflectionUnit.RAD else SWING_UNCALIBRATED)
         return swings_of(self.table(SWING.topic))
 
     def balances(self) -> list[Balance]:
@@ -172,20 +320,17 @@ class RecordReader(ProvedFile):
 
     def windows(self, start_ns: int | None = None) -> Iterator[RecordedWindow]:
         """Windows around the spot, in order of time, one at a time; `start_ns` as in `spot_blocks`."""
-        kind = self.message_type(WINDOW.topic)
-        if kind is None:
-            return
         for message in self.messages(WINDOW.topic, start_ns):
-            yield decode_window(kind, message.data)
+            yield decode_window(WINDOW, message.data)
 
     def images(self, start_ns: int | None = None) -> Iterator[Frame]:
         """Whole frames, in order of time, one at a time; `start_ns` as in `spot_blocks`.
 
         Their device time and host time are both the time of the frame: a record has no other time for them.
         """
-        for message in self.messages(IMAGE_TOPIC, start_ns):
-            time_ns = message.log_time_ns - self.epoch_offset_ns
-            yield Frame(decode_image(message.data), message.sequence, time_ns, time_ns)
+        for message in self.messages(IMAGE.topic, start_ns):
+            sequence, time_ns, image, _ = decode_window(IMAGE, message.data)
+            yield Frame(image, sequence, time_ns, time_ns)
 
     def log(self) -> list[RecordedLog]:
         """Lines of the log."""
@@ -200,7 +345,7 @@ class RecordReader(ProvedFile):
         """The numbers of a topic, some thousand rows at a time: a chunk may hold only a few dozen."""
         held: list[NDArray[np.void]] = []
         count = 0
-        for part in self.by_chunk(packed_messages, kind.topic, start_ns):
+        for part in self._by_chunk(packed_messages, kind.topic, self._from_ns(start_ns)):
             held.append(part)
             count += len(part)
             if count >= _ROWS_AT_ONCE:
@@ -209,20 +354,26 @@ class RecordReader(ProvedFile):
         if held:
             yield kind.decode_table(np.concatenate(held), fields)
 
-    def _type_of(self, own: MessageType) -> MessageType | None:
-        """Type of a topic's messages, which must have the fields of `own`; None without the topic."""
-        found = self.message_type(own.topic)
-        if found is not None and (found.numbers, found.tail) != (own.numbers, own.tail):
-            raise RecordError(f"{self.path}: topic {own.topic} has other fields than this version writes")
-        return found
 
-    def message_type(self, topic: str) -> MessageType | None:
-        """Message type of a topic as described in the file; None if the record has no such topic."""
-        if topic not in self._types:
-            for channel in self.contents.channels.values():
-                if channel.topic == topic:
-                    schema = self.contents.schemas.get(channel.schema_id)
-                    if schema is None:
-                        raise RecordError(f"{self.path}: the description of {topic} is damaged")
-                    self._types[topic] = parse_message_type(schema.name, topic, schema.data)
-        return self._types.get(topic)
+def _metadata_of(file: ReadFile) -> dict[str, dict[str, str]]:
+    """The metadata from their copy, which has a checksum. Raises RecordError where the file is not ours."""
+    path, contents = file.path, file.contents
+    copy = file.attached(METADATA_COPY)
+    if copy is None:
+        if METADATA_COPY in contents.attachment_places or (contents.damage and contents.library == LIBRARY):
+            raise RecordError(f"{path}: its own description is damaged")
+        if not contents.whole and not len(contents.chunks):
+            raise RecordError(f"{path}: was cut short before anything was recorded")
+        topics = ", ".join(sorted(contents.channels.values()))
+        raise RecordError(
+            f"{path}: is an MCAP file of another program (topics: {topics or 'none'}); "
+            "only records of rig run can be read"
+        )
+    metadata: dict[str, dict[str, str]] = json.loads(copy)
+    own = metadata.get("record", {})
+    try:
+        version = int(own["schema_version"])
+    except (KeyError, ValueError):
+        raise RecordError(f"{path}: its own description is damaged: {own}") from None
+    require_schema(str(path), version, SCHEMA_VERSION, RecordError)
+    return metadata

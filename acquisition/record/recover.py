@@ -1,17 +1,18 @@
 """Recovery of a truncated or damaged record into a new, complete file."""
 
+import contextlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from acquisition.record.chunk_builder import ChunkBuilder
-from acquisition.record.chunk_reader import ChunkDamage, messages_in, open_chunk
-from acquisition.record.container import McapFile
+from acquisition.record import is_pixels, pixels_beside
 from acquisition.record.digest import sha256_of
-from acquisition.record.proved_file import Damage
+from acquisition.record.mcap_file import McapFile
+from acquisition.record.read_file import ChunkDamage, Damage, ReadFile, messages_in
 from acquisition.record.reader import RecordReader
 from acquisition.record.whole_file import being_written
+from acquisition.record.writer import number_schemas, pixel_schemas, write_metadata
 from processing.errors import RecordError
 
 RECOVERY = "recovery"
@@ -39,88 +40,116 @@ class Recovery:
 
 
 def recover(source: Path, path: Path) -> Recovery:
-    """Copy every intact message of a record, its metadata and attachments into a new file.
+    """Copy every intact message of a record, its metadata and attachments into new files.
 
-    The source is not changed. The metadata `RECOVERY` of the new file state its source and what is missing;
-    those of an earlier recovery stay. The new file appears when it has been read again and proved.
+    The source is not changed. The metadata `RECOVERY` of the new record state its source and what is missing;
+    those of an earlier recovery stay. The new files appear when they have been read again and proved.
 
     Raises
     ------
     RecordError
         The source is not a record of this program; the new file exists already or cannot be written.
     """
+    pixels = pixels_beside(path)
     try:
-        with RecordReader(source) as reader, being_written(path) as beside:
-            file = McapFile(beside, _RESERVE_BYTES)
-            try:
-                found = _copy(reader, file, path)
-                file.finish()
-                if file.full is not None:
-                    raise file.full
-            finally:
+        with contextlib.ExitStack() as stack:
+            reader = stack.enter_context(RecordReader(source))
+            names = [stack.enter_context(being_written(name)) for name in (path, pixels)[: len(reader.files)]]
+            schemas = (number_schemas(reader.deflection_unit), pixel_schemas())
+            counts: Counter[str] = Counter()
+            copies: list[McapFile] = []
+            for file, name, described in zip(reader.files, names, schemas, strict=False):
+                copy = McapFile(name, described, _RESERVE_BYTES, compressed=not is_pixels(file.path))
                 # before it is removed, for which it must be closed on Windows
-                file.abandon()
-            with RecordReader(beside) as copy:
-                same = {topic: count for topic, count in copy.counts.items() if count} == found.messages
-                if not same or not copy.contents.is_sound(copy.file):
-                    raise RecordError(f"{path}: does not hold what was written; {source} is unchanged")
-    except FileExistsError:
-        raise RecordError(f"{path}: exists already and is never overwritten; choose another name") from None
+                stack.callback(copy.abandon)
+                counts += _copied(file, copy)
+                copies.append(copy)
+            found = _described(reader, copies, path, counts)
+            for copy in copies:
+                copy.finish()
+                if copy.full is not None:
+                    raise copy.full
+            _prove(names, counts, path, source)
+    except FileExistsError as error:
+        raise RecordError(
+            f"{error.filename}: exists already and is never overwritten; choose another name"
+        ) from None
     except OSError as error:
         why = f"{path}: cannot be written: {error.strerror or error}; {source} is unchanged"
         raise RecordError(why) from error
     return found
 
 
-def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
+def _copied(file: ReadFile, copy: McapFile) -> Counter[str]:
+    """Copy every intact message of a file; how many, by topic."""
+    counts: Counter[str] = Counter()
+    topics = file.contents.channels
+    for place in file.contents.chunks:
+        try:
+            messages = messages_in(file.open_chunk(place))
+        except ChunkDamage as damage:
+            file.note_damage(place, str(damage))
+            continue
+        for message in messages:
+            copy.add(topics[message.channel], message.sequence, message.log_time_ns, message.data)
+            counts[topics[message.channel]] += 1
+        if copy.full is not None:
+            raise copy.full
+    return counts
+
+
+def _described(
+    reader: RecordReader, copies: Sequence[McapFile], path: Path, counts: Mapping[str, int]
+) -> Recovery:
+    """Attach to the copies what the files had, and what was lost."""
     contents = reader.contents
     for name, data in reader.attachments.items():
-        file.add_attachment(name, "application/octet-stream", data, contents.start_ns)
-    numbers: dict[int, int] = {}
-    for number, channel in sorted(contents.channels.items()):
-        schema = contents.schemas.get(channel.schema_id)
-        if schema is not None:
-            numbers[number] = file.add_channel(channel.topic, schema.name, schema.data)
-    counts: Counter[str] = Counter()
-    for place in contents.chunks:
-        builder = ChunkBuilder()
-        try:
-            for message in messages_in(open_chunk(reader.file, place)):
-                copied = numbers.get(message.channel)
-                if copied is None:
-                    reader.note_damage(place, "messages of a topic without a description")
-                    continue
-                builder.add(copied, message.sequence, message.log_time_ns, message.data)
-                counts[contents.channels[message.channel].topic] += 1
-        except ChunkDamage as damage:
-            reader.note_damage(place, str(damage))
-            continue
-        file.add_chunk(builder)
-        if file.full is not None:
-            raise file.full
-    lost_bytes = 0 if contents.whole else contents.size - contents.readable_bytes
-    lost_parts = [damage.what for damage in reader.damages if not damage.start_ns]
+        copies[0].add_attachment(name, "application/octet-stream", data, contents.start_ns)
+    lost_bytes = sum(
+        file.contents.size - file.contents.readable_bytes for file in reader.files if not file.contents.whole
+    )
+    damage = tuple(text for file in reader.files for text in file.contents.damage)
+    lost_parts = [lost.what for lost in reader.damages if not lost.start_ns]
     recovery = {
         "source": reader.path.name,
         "source_sha256": _sha256_if_readable(reader.path),
         "source_was_cut": str(reader.truncated).lower(),
         "lost_chunks": str(len(reader.damages) - len(lost_parts)),
-        "lost_parts": "; ".join([*lost_parts, *contents.damage]),
+        "lost_parts": "; ".join([*lost_parts, *damage]),
         "lost_bytes_at_the_end": str(lost_bytes),
     }
-    earlier = sum(name.startswith(RECOVERY) for name in contents.metadata)
+    earlier = sum(name.startswith(RECOVERY) for name in reader.metadata)
     name = f"{RECOVERY} {earlier + 1}" if earlier else RECOVERY
-    file.add_metadata({**contents.metadata, name: recovery}, contents.start_ns)
+    for copy, metadata in zip(
+        copies, ({**reader.metadata, name: recovery}, {"record": reader.metadata["record"]}), strict=False
+    ):
+        write_metadata(copy, metadata, contents.start_ns)
     return Recovery(
         source=reader.path,
         path=path,
         messages=dict(counts),
         start_ns=contents.start_ns,
-        end_ns=file.end_ns,
+        end_ns=max(file.contents.end_ns for file in reader.files),
         lost=tuple(reader.damages),
-        damage=tuple(contents.damage),
+        damage=damage,
         lost_bytes=lost_bytes,
     )
+
+
+def _prove(names: Sequence[Path], counts: Mapping[str, int], path: Path, source: Path) -> None:
+    """Read the copies again. Raises RecordError where they do not hold what was written."""
+    found: Counter[str] = Counter()
+    for name in names:
+        copy = ReadFile(name)
+        try:
+            sound = copy.is_sound()
+            found.update({topic: copy.contents.counts[n] for n, topic in copy.contents.channels.items()})
+        finally:
+            copy.close()
+        if not sound:
+            break
+    if not sound or +found != Counter(counts):
+        raise RecordError(f"{path}: does not hold what was written; {source} is unchanged")
 
 
 def _sha256_if_readable(path: Path) -> str:

@@ -13,12 +13,10 @@ from functools import cached_property
 from typing import Any, get_type_hints
 
 import numpy as np
-from google.protobuf import descriptor_pb2
 from numpy.typing import NDArray
 
-from acquisition.record.descriptor import PROTO_TYPE, Kind, Meanings, descriptor_of
+from acquisition.record.descriptor import Kind, Meanings, descriptor_of
 
-_KIND: dict[int, Kind] = {number: kind for kind, number in PROTO_TYPE.items()}
 _NUMPY: dict[Kind, str] = {"double": "<f8", "int": "<i8"}
 _WIRE_FIXED64, _WIRE_LENGTH = 1, 2
 
@@ -132,14 +130,6 @@ class MessageType:
         return table
 
 
-def parse_message_type(full_name: str, topic: str, descriptor: bytes) -> MessageType:
-    """Message type from the descriptor in a file."""
-    (file,) = descriptor_pb2.FileDescriptorSet.FromString(descriptor).file
-    named: list[tuple[str, Kind]] = [(field.name, _KIND[field.type]) for field in file.message_type[0].field]
-    count = sum(kind in _NUMPY for _, kind in named)
-    return MessageType(full_name, topic, tuple(named[:count]), tuple(named[count:]))
-
-
 def message_type_of(value_class: type, full_name: str, topic: str) -> MessageType:
     """Message type of a flat dataclass or NamedTuple whose fields are int, bool, float or str.
 
@@ -170,11 +160,6 @@ def _field_names(value_class: type) -> Iterable[str]:
     if names is None:
         raise TypeError(f"{value_class.__name__}: only a dataclass or a NamedTuple can be recorded")
     return names
-
-
-def length_delimited(number: int, length: int) -> bytes:
-    """Tag and length that precede the bytes of a text, bytes or message field."""
-    return _varint(number << 3 | _WIRE_LENGTH) + _varint(length)
 
 
 def _varint(value: int) -> bytes:

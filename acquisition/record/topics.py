@@ -2,7 +2,7 @@
 
 import math
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from acquisition.frame import Image
 from acquisition.record.descriptor import Kind, Meanings
@@ -18,8 +18,8 @@ SCHEMA_VERSION = 1
 PACKAGE = "optical_pendulum"
 LIBRARY = "optical-pendulum-rig"
 
-IMAGE_TOPIC = "/image"
 LOG_TOPIC = "/log"
+PREVIEW_TOPIC = "/preview"
 CAMERA_TOPIC = "/camera_calibration"
 METADATA_COPY = "metadata.json"
 """Attachment that holds all metadata once more, since MCAP gives them no checksum."""
@@ -243,20 +243,18 @@ BALANCE = _message("Balance", "/balance", *_balance(DeflectionUnit.RAD))
 """One state of the balance."""
 BALANCE_UNCALIBRATED = _message("UncalibratedBalance", "/balance", *_balance(DeflectionUnit.PX))
 """The same in px, except the angle of the line."""
-WINDOW = _message(
-    "Window",
-    "/window",
-    *_ints(
-        "sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "byte_planes"
-    ),
+_PIXELS = (
+    *_ints("sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel"),
     *_ints(*(f"model_{name}" for name in IntegerGaussian._fields), "bit_planes"),
-    tail=(("pixels", "bytes"),),
 )
-"""Pixels row by row; if `byte_planes` is 1, first the low bytes of all pixels, then their high bytes.
+WINDOW = _message("Window", "/window", *_PIXELS, tail=(("pixels", "bytes"),))
+"""Pixels row by row, compressed with zstd: first the low bytes of all pixels, then their high bytes.
 
 If `model_inverse_x` is not 0, `pixels` are the bit planes of the pixels minus a model of the spot; see
 `acquisition.record.window_residual`.
 """
+IMAGE = _message("Image", "/image", *_PIXELS, tail=(("pixels", "bytes"),))
+"""A whole frame, stored as a window is."""
 EVENT = _message("Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), ("text", "text")))
 ENVIRONMENT = message_type_of(Environment, f"{PACKAGE}.Environment", "/environment")
 REFERENCE = message_type_of(RecordedReference, f"{PACKAGE}.RecordedReference", "/reference")
@@ -266,3 +264,25 @@ LOSSES = message_type_of(RecordedLosses, f"{PACKAGE}.RecordedLosses", "/losses")
 CLOCK = message_type_of(ClockAnchor, f"{PACKAGE}.ClockAnchor", "/clock")
 CAMERA_STEP = message_type_of(RecordedClockStep, f"{PACKAGE}.RecordedClockStep", "/camera_clock_step")
 CAMERA_TEMPERATURE = message_type_of(CameraTemperature, f"{PACKAGE}.CameraTemperature", "/camera_temperature")
+
+
+def number_kinds(unit: DeflectionUnit) -> tuple[MessageType, ...]:
+    """Kinds of messages in the file of numbers, in the order of their channels, from 1."""
+    calibrated = unit is DeflectionUnit.RAD
+    return (
+        SPOT if calibrated else SPOT_UNCALIBRATED,
+        SWING if calibrated else SWING_UNCALIBRATED,
+        BALANCE if calibrated else BALANCE_UNCALIBRATED,
+        *(EVENT, ENVIRONMENT, REFERENCE, WITNESS, NOTE, LOSSES, CLOCK, CAMERA_STEP, CAMERA_TEMPERATURE),
+    )
+
+
+def number_topics(unit: DeflectionUnit) -> tuple[str, ...]:
+    """Topics in the file of numbers, in the order of their channels, from 1."""
+    return (*(kind.topic for kind in number_kinds(unit)), LOG_TOPIC, CAMERA_TOPIC)
+
+
+PIXEL_KINDS: Final = (WINDOW, IMAGE)
+"""Kinds of messages in the file of pixels, in the order of their channels, from 1."""
+PIXEL_TOPICS: Final = (WINDOW.topic, IMAGE.topic, PREVIEW_TOPIC)
+"""Topics in the file of pixels, in the order of their channels, from 1."""

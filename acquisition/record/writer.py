@@ -1,34 +1,43 @@
-"""Writes one run into one MCAP file; in a crash or a power failure at most the last second is lost."""
+"""Writes one run: numbers into one MCAP file, pixels into another beside it.
 
+In a crash or a power failure at most the last second is lost.
+"""
+
+import json
+import secrets
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from numpy.typing import NDArray
+
 from acquisition.frame import Frame, Image
-from acquisition.record.chunk_builder import ChunkBuilder
-from acquisition.record.container import create_record
+from acquisition.record import pixels_beside
 from acquisition.record.events import Event, EventKind
-from acquisition.record.foxglove import encode_camera_calibration, encode_log, foxglove_topics
-from acquisition.record.pixels import encode_image, encode_window
+from acquisition.record.foxglove import encode_camera_calibration, encode_log, encode_preview, foxglove_schema
+from acquisition.record.mcap_file import McapFile
+from acquisition.record.pixels import PixelEncoder
 from acquisition.record.schemas import MessageType
 from acquisition.record.spots_and_swings import encode_balance, encode_swing, spot_rows
 from acquisition.record.topics import (
     BALANCE,
-    BALANCE_UNCALIBRATED,
     CAMERA_TOPIC,
     EVENT,
-    IMAGE_TOPIC,
+    IMAGE,
     LOG_TOPIC,
+    METADATA_COPY,
     NOTE,
+    PIXEL_KINDS,
+    PIXEL_TOPICS,
+    PREVIEW_TOPIC,
     SCHEMA_VERSION,
-    SPOT,
-    SPOT_UNCALIBRATED,
     SWING,
-    SWING_UNCALIBRATED,
     WINDOW,
     RecordedNote,
+    number_kinds,
+    number_topics,
 )
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
@@ -36,10 +45,10 @@ from processing.errors import RecordError
 from processing.spot import Spot
 from processing.swing import Swing
 
-_CHUNK_BYTES = 1024 * 1024
 _RESERVE_BYTES = 4 * 1024 * 1024
-_FLUSH_INTERVAL_S = 0.6
-"""What is lost is at most this and what the disk takes to force it down: 0.6 s are left to it of 1.2 s."""
+_FLUSH_INTERVAL_S = 0.5
+"""What is lost is at most this and what the disk takes to force it down."""
+_PREVIEW_INTERVAL_NS = 300_000_000
 _LOG_LEVELS = {"info": 2, "warning": 3, "error": 4}
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".md": "text/markdown"}
 
@@ -47,11 +56,14 @@ _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".md":
 class RecordWriter:
     """Writes a record; only one thread may use it.
 
-    The file is created under its final name and never replaces another one; until it is closed it is a
+    `path` has all numbers. The first pixel makes the file of pixels beside it (`pixels_beside`), which also
+    has a small picture a few times a second; deleting it makes the record smaller, and nothing else.
+
+    The files are created under their final names and never replace others; until it is closed, each is a
     truncated file, which can be read. Data that were flushed survive a crash and a power failure. Every
     method that writes also flushes if `flush_interval_s` has elapsed, without waiting for the disk;
     `flush_if_due` does the same while nothing is written. When the disk is full, the reserved space is
-    released, the data received so far are written, and the file is closed with its ending.
+    released, the data received so far are written, and the files are closed with their endings.
 
     Parameters
     ----------
@@ -61,6 +73,7 @@ class RecordWriter:
         Offset in ns that is added to the frames' clock to obtain UTC, in which log times are stored.
     metadata, attachments
         By name; metadata are texts by key. The name "record" is used by the writer itself.
+        ``metadata["camera"]["full_scale_dn"]`` is the white of the small pictures.
     deflection_unit
         Unit of deflections and amplitudes; in px the names of the fields end in ``_px``.
     reserve_bytes
@@ -91,30 +104,42 @@ class RecordWriter:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.path = path
-        self.hurried = False
-        """Compress pixels less, in less time; for an owner who sees that data come faster than they go."""
         self._offset_ns = epoch_offset_ns
         self._closed = False
         self._sequence = 0
+        self._end_ns = 0
         self._flush_interval_s = flush_interval_s
+        self._reserve_bytes = reserve_bytes
         self._clock = clock
         self._flushed_s = clock()
-        self._numbers = ChunkBuilder()
-        self._pixels = ChunkBuilder()
-        self._channels: dict[str, int] = {}
-        self._types: dict[str, MessageType] = {}
         self._unit = DeflectionUnit(deflection_unit)
-        calibrated = self._unit is DeflectionUnit.RAD
-        self._spot = SPOT if calibrated else SPOT_UNCALIBRATED
-        self._swing = SWING if calibrated else SWING_UNCALIBRATED
-        self._balance = BALANCE if calibrated else BALANCE_UNCALIBRATED
-        self._file = create_record(path, reserve_bytes)
-        own = {
+        kinds = number_kinds(self._unit)
+        self._spot, self._swing, self._balance, *_ = kinds
+        self._encoder = PixelEncoder()
+        self._full_scale_dn = int((metadata or {}).get("camera", {}).get("full_scale_dn", "255"))
+        self._preview_due_ns = 0
+        self._own = {
             "schema_version": str(SCHEMA_VERSION),
             "epoch_offset_ns": str(epoch_offset_ns),
             "deflection_unit": str(self._unit),
+            "record_id": secrets.token_hex(8),
         }
-        self._guarded(lambda: self._write_head({**(metadata or {}), "record": own}, attachments or {}))
+        if pixels_beside(path).exists():
+            raise RecordError(
+                f"{pixels_beside(path)}: exists already and is never overwritten; choose another name"
+            )
+        self._numbers = McapFile(path, number_schemas(self._unit), reserve_bytes, compressed=True)
+        self._pixels: McapFile | None = None
+        self._guarded(lambda: self._write_head({**(metadata or {}), "record": self._own}, attachments or {}))
+
+    @property
+    def hurried(self) -> bool:
+        """Compress pixels less, in less time; for an owner who sees that data come faster than they go."""
+        return self._encoder.hurried
+
+    @hurried.setter
+    def hurried(self, hurried: bool) -> None:
+        self._encoder.hurried = hurried
 
     def __enter__(self) -> Self:
         return self
@@ -126,8 +151,8 @@ class RecordWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Present size of the file."""
-        return self._file.size
+        """Present size of both files."""
+        return sum(file.size for file in self._files)
 
     def write_spots(
         self,
@@ -144,9 +169,14 @@ class RecordWriter:
         self._check_unit(deflections.unit)
         rows = spot_rows(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
         self._ready()
-        log_times_ns = deflections.times_ns + self._offset_ns
-        self._numbers.add_rows(self._channels[SPOT.topic], sequences, log_times_ns, rows)
-        self._added(self._numbers)
+        self._guarded(lambda: self._add_rows(sequences, deflections.times_ns.tolist(), rows))
+        self.flush_if_due()
+
+    def _add_rows(self, sequences: Sequence[int], times_ns: Sequence[int], rows: NDArray[Any]) -> None:
+        data, size = rows.tobytes(), rows.dtype.itemsize
+        for place, (sequence, time_ns) in enumerate(zip(sequences, times_ns, strict=True)):
+            message = data[place * size : (place + 1) * size]
+            self._numbers.add(self._spot.topic, sequence, self._logged(time_ns), message)
 
     def write_window(
         self, sequence: int, time_ns: int, image: Image, x0_px: int, y0_px: int, spot: Spot | None = None
@@ -156,29 +186,42 @@ class RecordWriter:
 
         With the fitted `spot` about half the bytes are written. It need not be correct.
         """
-        data = encode_window(sequence, time_ns, image, x0_px, y0_px, spot)
-        self._add(self._pixels, WINDOW.topic, time_ns, data, sequence=sequence)
+        data = self._encoder.encode(sequence, time_ns, image, x0_px, y0_px, spot)
+        self._add_pixels(WINDOW.topic, sequence, time_ns, data, image)
 
     def write_image(self, frame: Frame) -> None:
-        """Write a whole frame, as a foxglove.RawImage (mono8, mono16)."""
-        parts = encode_image(frame, self._offset_ns + frame.time_ns)
-        self._add(self._pixels, IMAGE_TOPIC, frame.time_ns, *parts, sequence=frame.sequence)
+        """Write a whole frame."""
+        data = self._encoder.encode(frame.sequence, frame.time_ns, frame.image, 0, 0)
+        self._add_pixels(IMAGE.topic, frame.sequence, frame.time_ns, data, frame.image)
+
+    def _add_pixels(self, topic: str, sequence: int, time_ns: int, data: bytes, image: Image) -> None:
+        self._ready()
+        if self._pixels is None:
+            path = pixels_beside(self.path)
+            try:
+                self._pixels = pixels = McapFile(path, pixel_schemas(), self._reserve_bytes, compressed=False)
+            except RecordError as error:
+                raise self._end_after(str(error)) from error
+            self._guarded(lambda: write_metadata(pixels, {"record": self._own}, time.time_ns()))
+        self._add(topic, time_ns, data, sequence)
+        if time_ns >= self._preview_due_ns:
+            self._preview_due_ns = time_ns + _PREVIEW_INTERVAL_NS
+            preview = encode_preview(self._offset_ns + time_ns, image, self._full_scale_dn)
+            self._add(PREVIEW_TOPIC, time_ns, preview, sequence)
 
     def write_swing(self, swing: Swing) -> None:
         """Write one half-cycle; amplitude and centre in `deflection_unit`."""
-        self._add(self._numbers, SWING.topic, swing.turn_time_ns, encode_swing(self._swing, swing))
+        self._add(SWING.topic, swing.turn_time_ns, encode_swing(self._swing, swing))
 
     def write_balance(self, balance: Balance) -> None:
         """Write one balance. Raises ValueError if its unit is not the record's `deflection_unit`."""
         self._check_unit(balance.unit)
-        self._ready()
-        self._declare(self._balance)
-        self._add(self._numbers, BALANCE.topic, balance.time_ns, encode_balance(self._balance, balance))
+        self._add(BALANCE.topic, balance.time_ns, encode_balance(self._balance, balance))
 
     def write_event(self, time_ns: int, kind: str, text: str) -> None:
         """Write an event, also as a line of the log, which viewers display."""
         event = Event(time_ns, kind, text)
-        self._add(self._numbers, EVENT.topic, time_ns, EVENT.encode(*event))
+        self._add(EVENT.topic, time_ns, EVENT.encode(*event))
         self.write_log(time_ns, _LOG_LEVELS[event.level], "event", event.line)
 
     def write_note(self, note: RecordedNote) -> None:
@@ -189,7 +232,7 @@ class RecordWriter:
     def write_log(self, time_ns: int, level: int, source: str, text: str) -> None:
         """Write a line of the log; `level` as in foxglove.Log (1 debug ... 5 fatal)."""
         data = encode_log(self._offset_ns + time_ns, level, source, text)
-        self._add(self._numbers, LOG_TOPIC, time_ns, data)
+        self._add(LOG_TOPIC, time_ns, data)
 
     def write_camera_calibration(
         self,
@@ -205,14 +248,12 @@ class RecordWriter:
         `sensor_shape` (ny, nx).
         """
         data = encode_camera_calibration(self._offset_ns + time_ns, sensor_shape, distance_px, reference_px)
-        self._add(self._numbers, CAMERA_TOPIC, time_ns, data)
+        self._add(CAMERA_TOPIC, time_ns, data)
 
     def write(self, kind: MessageType, value: Any, time_ns: int) -> None:
-        """Write a value with the fields of its kind; each topic has one kind."""
-        self._ready()
-        self._declare(kind)
+        """Write a value with the fields of its kind, one of `number_kinds`."""
         data = kind.encode(*[getattr(value, name) for name in kind.names])
-        self._add(self._numbers, kind.topic, time_ns, data)
+        self._add(kind.topic, time_ns, data)
 
     def attach(self, name: str, data: bytes) -> None:
         """Add a file to the record, beside those that it began with."""
@@ -230,41 +271,31 @@ class RecordWriter:
             self._guarded(lambda: self._flush(wait=False))
 
     def close(self) -> None:
-        """Write the summary and close the file; a second call does nothing."""
+        """Write the summaries and close the files; a second call does nothing."""
         if self._closed:
             return
         self._guarded(self._flush)
         self._closed = True
-        try:
-            self._file.finish()
-        except OSError as error:
-            raise self._not_closed(error) from error
+        # the pixels first: a closed file of numbers means that the whole record is
+        failures = [failure for file in reversed(self._files) if (failure := _finished(file))]
+        if failures:
+            raise self._not_closed(failures[0]) from failures[0]
+
+    @property
+    def _files(self) -> list[McapFile]:
+        return [self._numbers] if self._pixels is None else [self._numbers, self._pixels]
 
     def _write_head(
         self, metadata: Mapping[str, Mapping[str, str]], attachments: Mapping[str, bytes]
     ) -> None:
-        opened_ns = time.time_ns()
-        self._file.add_metadata({"record": metadata["record"], **metadata}, opened_ns)
+        write_metadata(self._numbers, metadata, time.time_ns())
         for name, data in attachments.items():
-            self._attach(name, data, opened_ns)
-        for kind in (self._spot, self._swing, EVENT, WINDOW):
-            self._channel(kind.topic, kind.full_name, kind.descriptor)
-        for topic, schema, descriptor in foxglove_topics():
-            self._channel(topic, schema, descriptor)
+            self._attach(name, data, time.time_ns())
         self._flush()
 
     def _attach(self, name: str, data: bytes, time_ns: int) -> None:
         media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-        self._file.add_attachment(name, media_type, data, time_ns)
-
-    def _channel(self, topic: str, schema: str, descriptor: bytes) -> None:
-        self._channels[topic] = self._file.add_channel(topic, schema, descriptor)
-
-    def _declare(self, kind: MessageType) -> None:
-        """Add the channel of a topic that only some records have, at its first message."""
-        if kind.topic not in self._types:
-            self._types[kind.topic] = kind
-            self._guarded(lambda: self._channel(kind.topic, kind.full_name, kind.descriptor))
+        self._numbers.add_attachment(name, media_type, data, time_ns)
 
     def _check_unit(self, unit: DeflectionUnit) -> None:
         if unit is not self._unit:
@@ -277,31 +308,25 @@ class RecordWriter:
         if self._closed:
             raise RecordError(f"{self.path}: is closed; nothing more can be written")
 
-    def _add(
-        self,
-        builder: ChunkBuilder,
-        topic: str,
-        time_ns: int,
-        *parts: bytes | memoryview,
-        sequence: int | None = None,
-    ) -> None:
+    def _add(self, topic: str, time_ns: int, data: bytes, sequence: int | None = None) -> None:
         self._ready()
         if sequence is None:
             sequence = self._sequence
             self._sequence += 1
-        builder.add(self._channels[topic], sequence, self._offset_ns + time_ns, *parts)
-        self._added(builder)
-
-    def _added(self, builder: ChunkBuilder) -> None:
-        if len(builder.data) >= _CHUNK_BYTES:
-            self._guarded(lambda: self._file.add_chunk(builder, hurried=self.hurried))
+        pixels = self._pixels
+        file = pixels if pixels is not None and topic in pixels.channels else self._numbers
+        self._guarded(lambda: file.add(topic, sequence, self._logged(time_ns), data))
         self.flush_if_due()
 
+    def _logged(self, time_ns: int) -> int:
+        """The time of a message in its file, UTC."""
+        logged_ns = self._offset_ns + time_ns
+        self._end_ns = max(self._end_ns, logged_ns)
+        return logged_ns
+
     def _flush(self, wait: bool = True) -> None:
-        self._file.raise_failure()
-        self._file.add_chunk(self._numbers)
-        self._file.add_chunk(self._pixels, hurried=self.hurried)
-        self._file.sync(wait)
+        for file in self._files:
+            file.flush(wait)
         self._flushed_s = self._clock()
 
     def _guarded(self, action: Callable[[], None]) -> None:
@@ -310,33 +335,29 @@ class RecordWriter:
         """
         try:
             action()
-            failure = self._file.full
+            failure = next((file.full for file in self._files if file.full is not None), None)
         except OSError as error:
             failure = error
         if failure is not None:
-            raise self._end_after(failure) from failure
+            raise self._end_after(failure.strerror or str(failure)) from failure
 
-    def _end_after(self, failure: OSError) -> RecordError:
-        """Close the file with the data that can still be written; return the error to be raised."""
+    def _end_after(self, why: str) -> RecordError:
+        """Close the files with the data that can still be written; return the error to be raised."""
         self._closed = True
-        what = f"{self.path}: cannot be written: {failure.strerror or failure}"
-        reason_ns = max(self._numbers.end_ns, self._pixels.end_ns, self._file.end_ns)
-        if EVENT.topic in self._channels:
+        what = f"{self.path}: cannot be written: {why}"
+        lost = sum(file.waiting for file in self._files if file.broken)
+        failures: list[OSError] = []
+        try:
             # what has no end looks as if nobody knew why
             for kind in (EventKind.RECORD, EventKind.FAILED, EventKind.STOP):
-                reason = EVENT.encode(reason_ns - self._offset_ns, kind, what)
-                self._numbers.add(self._channels[EVENT.topic], self._sequence, reason_ns, reason)
+                reason = EVENT.encode(self._end_ns - self._offset_ns, kind, what)
+                self._numbers.add(EVENT.topic, self._sequence, self._end_ns, reason)
                 self._sequence += 1
-        lost = 0
-        for builder in (self._numbers, self._pixels):
-            try:
-                self._file.add_chunk(builder)
-            except OSError:
-                lost += sum(builder.counts.values())
-        try:
-            self._file.finish()
         except OSError as error:
-            return self._not_closed(error)
+            failures.append(error)
+        failures += [failure for file in reversed(self._files) if (failure := _finished(file))]
+        if failures:
+            return self._not_closed(failures[0])
         rest = f"; the last {lost} messages could not be written" if lost else ""
         return RecordError(f"{what}; the record is closed and readable{rest}")
 
@@ -347,6 +368,40 @@ class RecordWriter:
         )
 
 
+def number_schemas(unit: DeflectionUnit) -> dict[str, tuple[str, bytes]]:
+    """Schema and descriptor of each topic in the file of numbers."""
+    return _schemas(number_topics(unit), number_kinds(unit))
+
+
+def pixel_schemas() -> dict[str, tuple[str, bytes]]:
+    """The same in the file of pixels."""
+    return _schemas(PIXEL_TOPICS, PIXEL_KINDS)
+
+
+def _schemas(topics: Sequence[str], kinds: Sequence[MessageType]) -> dict[str, tuple[str, bytes]]:
+    own = {kind.topic: (kind.full_name, kind.descriptor) for kind in kinds}
+    return {topic: own.get(topic) or foxglove_schema(topic) for topic in topics}
+
+
+def write_metadata(file: McapFile, metadata: Mapping[str, Mapping[str, str]], time_ns: int) -> None:
+    """Metadata, texts by key by section; also as an attachment, twice, because that has a checksum."""
+    for name, texts in metadata.items():
+        file.add_metadata(name, texts)
+    copy = json.dumps({name: dict(texts) for name, texts in metadata.items()}, ensure_ascii=False)
+    for _ in range(2):
+        # one changed bit of a file that was cut must not make it unreadable
+        file.add_attachment(METADATA_COPY, "application/json", copy.encode(), time_ns)
+
+
+def _finished(file: McapFile) -> OSError | None:
+    """Finish a file; the error, if it cannot be."""
+    try:
+        file.finish()
+    except OSError as error:
+        return error
+    return None
+
+
 def compile_window(image: Image, spot: Spot) -> None:
     """Compile what `RecordWriter.write_window` needs for images of this pixel type."""
-    encode_window(0, 0, image, 0, 0, spot)
+    PixelEncoder().encode(0, 0, image, 0, 0, spot)

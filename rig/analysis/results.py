@@ -60,6 +60,7 @@ class RunResults:
     simulated: bool | None = None
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
     record_bytes: Annotated[int | None, Kept] = None
+    pixels_sha256: str = ""
     frames: int = 0
     dropped_frames: int = 0
     losses: Annotated[FrameLosses | None, Kept] = None

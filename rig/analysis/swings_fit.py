@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from acquisition.record import pixels_beside
 from acquisition.record.digest import known_sha256_of_any
 from calibration import Axes
 from processing.deflections import Deflections, DeflectionUnit, joined
@@ -183,6 +184,7 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> RunResults
         record=path.name,
         sha256=_sha256_if_readable(path),
         record_bytes=path.stat().st_size,
+        pixels_sha256=_sha256_if_readable(pixels) if (pixels := pixels_beside(path)).is_file() else "",
         half_cycles=len(points),
         amplitude_unit=unit.shown,
         initial_amplitude=initial,

@@ -6,7 +6,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from acquisition.record import recovered_beside
+from acquisition.record import records_of, recovered_beside
 from acquisition.record.digest import known_sha256_of_any, sha256_of
 from acquisition.record.events import CUT_SHORT, end_of
 from acquisition.record.reader import RecordReader
@@ -43,7 +43,7 @@ def session_rows(folder: Path) -> SessionRows:
         except RecordError as error:
             flaws.append(str(error))
     by_record = {folder / run.record: run for run in results if not isinstance(run, TableDecay)}
-    found = {path for path in folder.glob("*.mcap") if path.is_file()}
+    found = set(records_of(folder))
     # of a record and its recovered copy the copy
     kept = {path for path in found if recovered_beside(path) not in found}
     for path in sorted(kept | (by_record.keys() - found)):
@@ -106,7 +106,7 @@ def _of_record(path: Path, run: RunResults | None) -> Row:
             if reader.truncated:
                 row["state"] = "cut"
                 row["flaw"] = "no footer: it is being measured, or was cut short (rig recover completes it)"
-            elif contents.damage or not contents.data_crc_matches(reader.file):
+            elif not reader.sound:
                 row |= {"state": "damaged", "flaw": "; ".join(contents.damage) or "its bytes have changed"}
             elif (end := end_of(reader.events())) is None or end.kind in CUT_SHORT:
                 flaw = "it has no end" if end is None else f"{end.kind}: {end.text}"

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from acquisition.record import recovered_beside
+from acquisition.record import records_of, recovered_beside
 from processing.errors import ConfigurationError
 
 _Given = TypeVar("_Given", Path, list[Path], Path | None, list[Path] | None)
@@ -75,11 +75,11 @@ def records_in(path: Path) -> list[Path]:
         return [path]
     runs = sorted(
         (int(found[1]), file)
-        for file in path.glob("run-*.mcap")
+        for file in records_of(path, "run-*.mcap")
         if (found := re.fullmatch(r"run-(\d+)", file.stem))
     )
     records = [copy if (copy := recovered_beside(file)).exists() else file for _, file in runs]
-    records = records or sorted(path.glob("*.mcap"))
+    records = records or records_of(path)
     if records:
         return records
     raise ConfigurationError(f"{path}: holds no record (run-1.mcap, ...); name one, or a session's folder")

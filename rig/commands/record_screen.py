@@ -83,7 +83,7 @@ def recover_record(path: Path, output: Path | None) -> None:
     Of a sound record it only says so.
     """
     with RecordReader(path) as reader:
-        if reader.contents.is_sound(reader.file):
+        if reader.sound:
             print_line(f"{path}: is sound, every byte is as written; there is nothing to recover")
             answer(path=path, sound=True)
             return

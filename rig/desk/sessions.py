@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+from acquisition.record import records_of
 from processing.errors import ConfigurationError, RigError
 from rig.desk.jobs import Job
 from rig.measure import STATE_NAME, RunState, read_session, state_of
@@ -229,7 +230,7 @@ class LookingAgain:
 
     def replay(self, folder: Path) -> None:
         """Show the last run of a session in Rerun as it went, ten times as fast."""
-        records = sorted(folder.glob("run-*.mcap"))
+        records = records_of(folder, "run-*.mcap")
         if not records:
             raise ConfigurationError(f"{folder}: holds no record")
         self.start("replay", [str(records[-1]), "--speed", "10", "--view", "web"])

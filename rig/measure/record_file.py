@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from acquisition.frame import Frame
+from acquisition.record import pixels_beside
 from acquisition.record.writer import RecordWriter
 from rig.devices import OpenCamera
 from rig.instrument import Optics, configuration_attachments, session_metadata
@@ -62,4 +63,6 @@ class RecordFile:
         """Rename the record of a rejected start; returns its new path."""
         aside = self.path.with_name(f"{self.path.stem}-start-{attempt}{self.path.suffix}")
         self.path.rename(aside)
+        if pixels_beside(self.path).exists():
+            pixels_beside(self.path).rename(pixels_beside(aside))
         return aside

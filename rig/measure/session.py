@@ -304,7 +304,7 @@ def session_folder(config: Configuration, source: Path, output: Path | None) -> 
         folder = output
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(f"{folder}: is a file; name a folder for the session")
-    if folder.is_dir() and (list(folder.glob("run-*.mcap")) or (folder / "results.json").exists()):
+    if folder.is_dir() and (any(folder.glob("run-*.mcap")) or (folder / "results.json").exists()):
         raise ConfigurationError(f"{folder}: holds a run already, which is never overwritten; name another")
     made = [place for place in (folder, *folder.parents) if not place.exists()]
     try:

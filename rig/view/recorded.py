@@ -150,7 +150,7 @@ def overview(path: Path) -> Overview:
             start_ns,
             start_ns + reader.epoch_offset_ns,
             max(amplitude, 1e-3),
-            reader.message_type(REFERENCE.topic) is not None,
+            reader.has(REFERENCE.topic),
         )
 
 
@@ -218,7 +218,7 @@ def _draw_spots(viewer: Viewer, reader: RecordReader, run: str, start_ns: int) -
 
 def _draw_reference(viewer: Viewer, reader: RecordReader, run: str, start_ns: int) -> None:
     """Draw the spot of a mirror on the base, if the record has one."""
-    if reader.message_type(REFERENCE.topic) is None:
+    if not reader.has(REFERENCE.topic):
         return
     seen = reader.table(REFERENCE.topic)
     for begin in range(0, len(seen), BLOCK_ROWS):

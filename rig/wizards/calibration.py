@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from acquisition.record import whole_file
+from acquisition.record import records_of, whole_file
 from calibration import CalibrationFile, read_calibration, toml_value
 from processing.errors import ConfigurationError, RecordError
 from rig.calibrate import Filing, Residuals, calibration_residuals, calibration_tables
@@ -114,7 +114,7 @@ def a_record(text: str) -> Path:
     """Reads the name of a record that exists; raises ConfigurationError for anything else."""
     path = Path(text).expanduser()
     if path.is_dir():
-        records = sorted(path.glob("*.mcap"))
+        records = records_of(path)
         if len(records) != 1:
             raise ConfigurationError(f"{text}: holds {len(records)} records; name one of them")
         return records[0]

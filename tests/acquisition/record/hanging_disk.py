@@ -44,9 +44,9 @@ class Mounted:
         """It answers again."""
         self.hangs.unlink(missing_ok=True)
 
-    def spoil(self, first: int, last: int) -> None:
-        """From now on these bytes of every file cannot be read."""
-        self.hangs.with_suffix(".spoilt").write_text(f"{first} {last}")
+    def spoil(self, first: int, last: int, name: str) -> None:
+        """From now on these bytes of a file cannot be read."""
+        self.hangs.with_suffix(".spoilt").write_text(f"{first} {last} {name}")
 
     def wait_for_hanging(self) -> None:
         """Return when somebody waits for an answer."""
@@ -128,8 +128,8 @@ class HangingDisk(Operations):
 
     def read(self, path: str, size: int, offset: int, fh: int) -> bytes:
         with contextlib.suppress(FileNotFoundError):
-            first, last = map(int, self._hangs.with_suffix(".spoilt").read_text().split())
-            if offset < last and offset + size > first:
+            first, last, name = self._hangs.with_suffix(".spoilt").read_text().split()
+            if path.endswith(f"/{name}") and offset < int(last) and offset + size > int(first):
                 raise OSError(errno.EIO, "unreadable")
         return os.pread(fh, size, offset)
 

@@ -1,15 +1,14 @@
 """Small records with messages of every kind; the same seed gives the same record."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from acquisition.frame import Frame
-from acquisition.record.schemas import message_type_of
 from acquisition.record.topics import ENVIRONMENT, Environment
 from acquisition.record.writer import RecordWriter
+from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
@@ -19,18 +18,10 @@ FRAME_NS = 10_000_000
 BLOCK = 16
 
 
-@dataclass(frozen=True)
-class SampleBalance:
-    """A value that the record is not told of beforehand."""
-
-    time_ns: int
-    ratio: float
-    settled: bool
-    advice: str
-    turns: int
-
-
-SAMPLE_BALANCE = message_type_of(SampleBalance, "optical_pendulum.SampleBalance", "/balance")
+def sample_balance(rng: np.random.Generator, time_ns: int, unit: DeflectionUnit) -> Balance:
+    """Each number is another one."""
+    numbers = {name: float(rng.normal()) for name in names_with_units(unit)}
+    return Balance(**{**numbers, "time_ns": time_ns, "unit": unit})  # type: ignore[arg-type]
 
 
 class Expected(NamedTuple):
@@ -41,7 +32,7 @@ class Expected(NamedTuple):
     windows: list[tuple[int, np.ndarray, tuple[int, int]]]
     swings: list[Swing]
     images: list[Frame]
-    balances: list[SampleBalance]
+    balances: list[Balance]
 
 
 def write_sample(
@@ -91,9 +82,8 @@ def write_sample(
             swing = Swing(first, time_ns, 1e-6, *rng.normal(size=5).tolist(), (-1) ** first, 0)
             done.swings.append(swing)
             writer.write_swing(swing)
-            balance = SampleBalance(time_ns, float(rng.normal()), bool(first % 3), f"turn {first}", first)
-            done.balances.append(balance)
-            writer.write(SAMPLE_BALANCE, balance, time_ns)
+            done.balances.append(sample_balance(rng, time_ns, unit))
+            writer.write_balance(done.balances[-1])
             if first % (4 * BLOCK) == 0:
                 frame = Frame(rng.poisson(9, (48, 64)).astype(dtype), first, first * FRAME_NS, 0)
                 done.images.append(frame)

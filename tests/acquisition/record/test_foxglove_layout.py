@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from acquisition.record.foxglove import foxglove_topics
-from acquisition.record.topics import ENVIRONMENT, LOSSES, SPOT, SWING
+from acquisition.record.topics import ENVIRONMENT, LOSSES, PIXEL_TOPICS, SPOT, SWING, number_topics
+from processing.deflections import DeflectionUnit
 
 LAYOUT = Path(__file__).resolve().parents[3] / "docs" / "foxglove-layout.json"
 
@@ -22,7 +22,7 @@ def panels(place: Any) -> Iterator[str]:
 def test_everything_it_names_exists() -> None:
     layout = json.loads(LAYOUT.read_text(encoding="utf-8"))
     known = {f"{kind.topic}.{name}" for kind in (SPOT, SWING, ENVIRONMENT) for name in kind.names}
-    topics = {LOSSES.topic, *(topic for topic, _, _ in foxglove_topics())}
+    topics = {*number_topics(DeflectionUnit.RAD), *PIXEL_TOPICS}
     assert LOSSES.topic in topics
     shown = layout["configById"]
     assert set(panels(layout["layout"])) == set(shown)

@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import rerun_cli
@@ -15,8 +16,10 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from rerun.chunk import RrdReader
 
+from acquisition.record import pixels_beside
+from acquisition.record.read_file import messages_in
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import METADATA_COPY, SPOT
+from acquisition.record.topics import METADATA_COPY, PIXEL_TOPICS, PREVIEW_TOPIC, SPOT
 from processing.angle import ARCSEC_RAD
 from processing.swing import SwingFlag
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS, FRAME_NS, write_sample
@@ -68,7 +71,7 @@ def test_foxgloves_reader_sees_the_same(mcap_packages: Path, record: Path, mode:
     found = read_with_node(mcap_packages, record, mode)
     with RecordReader(record) as reader:
         spots, counts = reader.spots(), reader.counts
-        assert found["counts"] == {topic: count for topic, count in counts.items() if count}
+        assert found["counts"] == {topic: n for topic, n in counts.items() if topic not in PIXEL_TOPICS}
         for name in SPOT.names:
             ours = spots[name]
             theirs = [spot[name] for spot in found["spots"]]
@@ -77,18 +80,31 @@ def test_foxgloves_reader_sees_the_same(mcap_packages: Path, record: Path, mode:
             else:
                 assert theirs == [value.tobytes().hex() for value in ours]
         assert found["times"]["/spot"] == [str(EPOCH_OFFSET_NS + i * FRAME_NS) for i in range(FRAMES)]
-        for (width, height, encoding, data), frame in zip(found["images"], reader.images(), strict=True):
-            assert encoding == "mono16"
-            pixels = np.frombuffer(base64.b64decode(data), "<u2").reshape(height, width)
-            np.testing.assert_array_equal(pixels, frame.image)
         assert found["logs"] == [line.text for line in reader.log()]
         assert found["metadata"] == reader.metadata
         assert found["attachments"].pop(METADATA_COPY) > 100
         assert found["attachments"] == {name: len(data) for name, data in reader.attachments.items()}
+    pictures = read_with_node(mcap_packages, pixels_beside(record), mode)
+    assert pictures["counts"] == {topic: counts[topic] for topic in PIXEL_TOPICS}
+    for (form, data), image in zip(pictures["images"], previewed(record), strict=True):
+        assert form == "jpeg"
+        seen = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_UNCHANGED)
+        assert seen.shape == image.shape
+        assert abs(float(seen.mean()) - float(image.mean())) < 1.0
     if mode == "indexed":
         assert found["stated"] == sum(found["counts"].values())
     else:
         assert found["done"] is True
+
+
+def previewed(record: Path) -> list[np.ndarray[Any, Any]]:
+    """The images of which a record has small pictures: one each 0.3 s."""
+    with RecordReader(record) as reader:
+        (number,) = (n for n, topic in enumerate(PIXEL_TOPICS, 1) if topic == PREVIEW_TOPIC)
+        (pixels,) = reader.files[1:]
+        kept = [m.sequence for chunk in pixels.by_chunk(messages_in, number) for m in chunk]
+        shown = {window.sequence: window.image for window in reader.windows()}
+        return [shown[sequence] for sequence in kept]
 
 
 def test_foxgloves_reader_sees_the_whole_chunks_of_a_cut_file(
@@ -145,10 +161,12 @@ def run_rerun(folder: Path, *arguments: str) -> str:
 
 
 def test_rerun_finds_nothing_wrong(record: Path, tmp_path: Path) -> None:
-    report = run_rerun(tmp_path, "mcap", "check", "--full", str(record))
-    rows = [line.split() for line in report.splitlines() if " /" in line and not line.startswith("/")]
+    rows: list[list[str]] = []
+    for path in (record, pixels_beside(record)):
+        report = run_rerun(tmp_path, "mcap", "check", "--full", str(path))
+        rows += [line.split() for line in report.splitlines() if " /" in line and not line.startswith("/")]
     with RecordReader(record) as reader:
-        assert {row[3]: row[0] for row in rows} == {topic: "ok" for topic, n in reader.counts.items() if n}
+        assert {row[3]: row[0] for row in rows} == dict.fromkeys(reader.counts, "ok")
     assert "embedded" in run_rerun(tmp_path, "mcap", "info", str(record))
 
 
@@ -174,14 +192,21 @@ def test_reruns_conversion_has_every_number_as_a_column_that_plots(record: Path,
     for name in ("x_px", "y_rad", "y_arcsec", "u_x_px"):
         assert np.array([rows[i][name] for i in order]).tobytes() == spots[name].tobytes()
     assert [rows[i]["sequence"] for i in order] == spots["sequence"].tolist()
-    assert {"Image:buffer", "Image:format"} <= components["/image"]
     assert "TextLog:text" in components["/log"]
     assert "Pinhole:image_from_camera" in components["/camera_calibration"]
     assert "optical_pendulum.Swing:message" in components["/swing"]
+    run_rerun(tmp_path, "mcap", "convert", str(pixels_beside(record)), "-o", str(converted))
+    shown = {
+        name
+        for chunk in RrdReader(converted).stream()
+        if str(chunk.entity_path) == "/preview"
+        for name in chunk.to_record_batch().schema.names
+    }
+    assert "EncodedImage:blob" in shown
 
 
 def test_the_mcap_package_sees_the_same(record: Path) -> None:
-    with record.open("rb") as file, RecordReader(record) as ours:
+    with record.open("rb") as file, pixels_beside(record).open("rb") as pixels, RecordReader(record) as ours:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         spots = ours.spots()
         decoded = [item.decoded_message for item in reader.iter_decoded_messages(topics=["/spot"])]
@@ -190,5 +215,5 @@ def test_the_mcap_package_sees_the_same(record: Path) -> None:
         times = [message.log_time for _, _, message in reader.iter_messages()]
         assert times == sorted(times)
         middle = EPOCH_OFFSET_NS + FRAMES // 2 * FRAME_NS
-        later = list(reader.iter_messages(topics=["/window"], starting_at=middle))
+        later = list(make_reader(pixels).iter_messages(topics=["/window"], starting_at=middle))
         assert len(later) == FRAMES // 2

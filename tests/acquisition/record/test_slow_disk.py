@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.record import container
+from acquisition.record import mcap_file
 from acquisition.record.check import check_record
-from acquisition.record.container import BackgroundSync, Reserve
+from acquisition.record.mcap_file import BackgroundSync, Reserve
 from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
 from processing.errors import RecordError
@@ -43,7 +43,7 @@ def test_writing_does_not_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest.
     path = tmp_path / "run.mcap"
     clock = Clock()
     writer = RecordWriter(path, 0, clock=clock)
-    real = container._sync_file
+    real = mcap_file._sync_file
     entered, go_on = threading.Event(), threading.Event()
     forced: list[int] = []
 
@@ -53,7 +53,7 @@ def test_writing_does_not_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest.
         real(number)
         forced.append(number)
 
-    monkeypatch.setattr(container, "_sync_file", slow)
+    monkeypatch.setattr(mcap_file, "_sync_file", slow)
     written_after_a_second(writer, clock, "a")
     assert entered.wait(DEADLINE_S)
     for _ in range(20):
@@ -78,9 +78,9 @@ def test_what_fails_behind_ones_back_is_said_by_the_next_flush(
     def gone(number: int) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr(container, "_sync_file", gone)
+    monkeypatch.setattr(mcap_file, "_sync_file", gone)
     written_after_a_second(writer, clock, "a")
-    writer._file._background.wait()
+    writer._numbers._background.wait()
     with pytest.raises(RecordError, match=r"run\.mcap: could not be closed properly: Input/output error"):
         written_after_a_second(writer, clock, "b")
     with pytest.raises(RecordError, match="is closed"):
@@ -94,7 +94,7 @@ def test_a_failure_is_not_lost_when_the_record_is_closed_before_the_next_flush(
     path = tmp_path / "run.mcap"
     clock = Clock()
     writer = RecordWriter(path, 0, clock=clock)
-    real = container._sync_file
+    real = mcap_file._sync_file
     failures = [OSError(errno.EIO, "Input/output error")]
 
     def once(number: int) -> None:
@@ -102,7 +102,7 @@ def test_a_failure_is_not_lost_when_the_record_is_closed_before_the_next_flush(
             raise failures.pop()
         real(number)
 
-    monkeypatch.setattr(container, "_sync_file", once)
+    monkeypatch.setattr(mcap_file, "_sync_file", once)
     written_after_a_second(writer, clock, "a")
     with pytest.raises(RecordError, match="cannot be written: Input/output error; the record is closed"):
         writer.close()
@@ -118,9 +118,9 @@ def test_a_disk_that_is_full_behind_ones_back(tmp_path: Path, monkeypatch: pytes
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Reserve, "hold", full)
-    monkeypatch.setattr(container, "_SPARE_BYTES", 10**6)
+    monkeypatch.setattr(mcap_file, "_SPARE_BYTES", 10**6)
     written_after_a_second(writer, clock, "a")
-    writer._file._background.wait()
+    writer._numbers._background.wait()
     with pytest.raises(RecordError, match=r"No space left on device; the record is closed and readable$"):
         written_after_a_second(writer, clock, "b")
     assert kinds(path) == ["a", "b", "record", "failed", "stop"]

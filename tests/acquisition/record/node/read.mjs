@@ -44,8 +44,8 @@ function take(message) {
       spot[name] = field.type === "double" ? hex(value[field.name]) : value[field.name].toString();
     }
     found.spots.push(spot);
-  } else if (topic === "/image") {
-    found.images.push([value.width, value.height, value.encoding, Buffer.from(value.data).toString("base64")]);
+  } else if (topic === "/preview") {
+    found.images.push([value.format, Buffer.from(value.data).toString("base64")]);
   } else if (topic === "/log") {
     found.logs.push(value.message);
   }

@@ -1,0 +1,381 @@
+"""One MCAP file while it is written: the library's writer above a disk that may be full, slow or gone."""
+
+import contextlib
+import errno
+import os
+import random
+import secrets
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+from mcap.data_stream import RecordBuilder
+from mcap.records import Footer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+
+from acquisition.record.file_lock import lock_for_writing
+from acquisition.record.topics import LIBRARY
+from acquisition.record.whole_file import sync_folder
+from processing.errors import RecordError
+
+_CHUNK_BYTES = 1024 * 1024
+_FULL_DISK = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
+_INDEX_BYTES = 512
+"""At least what a chunk takes in the file's ending: one entry of about 100 bytes and 10 for each topic."""
+_RESERVE_STEP_BYTES = 1024 * 1024
+_SPARE_BYTES = 64 * 1024
+
+
+class BackgroundSync:
+    """Forces a file to the disk in a thread, so that the thread that writes it does not wait.
+
+    It runs `action` on request; all requests during a run are answered by one further run. The thread ends
+    when there is nothing left to do, so that a record that is never closed leaves no thread. An OSError of
+    the action is kept until `take_failure`.
+    """
+
+    def __init__(self, action: Callable[[], None]) -> None:
+        self._action = action
+        self._lock = threading.Lock()
+        self._asked = False
+        self._thread: threading.Thread | None = None
+        self._failure: OSError | None = None
+
+    def request(self) -> None:
+        """Start a run of the action after this call, as soon as possible; does not wait for it."""
+        with self._lock:
+            self._asked = True
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="record sync", daemon=True)
+                self._thread.start()
+
+    def wait(self) -> None:
+        """Wait until all requested runs have ended."""
+        thread = self._thread
+        if thread is not None:
+            thread.join()
+
+    def take_failure(self) -> OSError | None:
+        """First error since the last call, or None."""
+        with self._lock:
+            failure, self._failure = self._failure, None
+        return failure
+
+    def _work(self) -> None:
+        while True:
+            with self._lock:
+                if not self._asked:
+                    self._thread = None
+                    return
+                self._asked = False
+            try:
+                self._action()
+            except OSError as error:
+                with self._lock:
+                    self._failure = self._failure or error
+
+
+class Reserve:
+    """Disk space that is released when the disk is full, so that a record can still be finished.
+
+    It is a nameless temporary file beside the record: a kill frees it, nothing is left behind. It is filled
+    with random bytes, which no file system compresses away. Raises OSError where the room does not exist.
+    """
+
+    def __init__(self, folder: Path, size: int) -> None:
+        self._file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 lives as long as the record
+        self._random = random.Random(0)
+        self.size = 0
+        try:
+            self.hold(size)
+        except OSError:
+            self.release()
+            raise
+
+    def hold(self, size: int) -> None:
+        """Make it at least so large."""
+        while not self._file.closed and self.size < size:
+            written = self._file.write(self._random.randbytes(min(_RESERVE_STEP_BYTES, size - self.size)))
+            self.size += written or 0
+            os.fsync(self._file.fileno())
+
+    def release(self) -> bool:
+        """Give the room back; False where that was done before."""
+        if self._file.closed:
+            return False
+        try:
+            self._file.truncate(0)
+        finally:
+            self._file.close()
+        self.size = 0
+        return True
+
+
+class _Disk:
+    """The stream under the library's writer; what could not be written completely is cut off again.
+
+    If the disk is full, the reserve is released, the bytes are written, and `full` holds the error: the owner
+    must then finish the file. `size` is the length of the file so far.
+    """
+
+    def __init__(self, path: Path, reserve_bytes: int) -> None:
+        self.full: OSError | None = None
+        self.size = 0
+        self.chunks = 0
+        self._path = path
+        self._reserve_bytes = reserve_bytes
+        self._reserve_lock = threading.Lock()
+        # also readable, so that a record whose name was removed can be copied
+        self._file = path.open("x+b", buffering=0)
+        lock_for_writing(self._file.fileno())
+        try:
+            self._reserve = Reserve(path.parent, reserve_bytes)
+        except OSError:
+            self._file.close()
+            path.unlink()
+            raise
+
+    def tell(self) -> int:
+        """Length of the file."""
+        return self.size
+
+    def flush(self) -> None:
+        """Do nothing: every write is a write to the file."""
+
+    def write(self, data: bytes) -> int:
+        """Append all of the data, or nothing. Raises OSError."""
+        try:
+            self._write_whole(data)
+        except OSError as error:
+            self._cut_off()
+            if not self._give_reserve_back(error):
+                raise
+            try:
+                self._write_whole(data)
+            except OSError:
+                self._cut_off()
+                raise
+        self.size += len(data)
+        return len(data)
+
+    def _write_whole(self, data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self._file.write(rest) or 0 :]
+
+    def _cut_off(self) -> None:
+        with contextlib.suppress(OSError):
+            self._file.truncate(self.size)
+            self._file.seek(self.size)
+
+    def force(self) -> None:
+        """Flush the file to the disk, and adapt the reserve to the size of the file's ending."""
+        if not self._has_its_name():
+            raise OSError(errno.ENOENT, "the file was removed or renamed while it was written")
+        try:
+            with self._reserve_lock:
+                needed = self._reserve_bytes + _INDEX_BYTES * self.chunks + _SPARE_BYTES
+                if self.full is None and self._reserve.size < needed:
+                    # in steps, because each increase is a write to the disk
+                    self._reserve.hold(needed + _SPARE_BYTES)
+            _sync_file(self._file.fileno())
+        except OSError as error:
+            if not self._give_reserve_back(error):
+                raise
+            _sync_file(self._file.fileno())
+
+    def last_force(self) -> None:
+        """Flush the finished file, and save what was removed meanwhile under its name."""
+        _sync_file(self._file.fileno())
+        if not self._has_its_name():
+            self._copy_to_its_name()
+
+    def close(self) -> None:
+        """Close file and reserve; never raises."""
+        with contextlib.suppress(OSError):
+            self._reserve.release()
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    def _has_its_name(self) -> bool:
+        """Whether the path still names this file."""
+        try:
+            return os.path.samestat(os.fstat(self._file.fileno()), self._path.stat())
+        except FileNotFoundError:
+            return False
+
+    def _copy_to_its_name(self) -> None:
+        """Save the content of a file that was removed: it lives only as long as it is open."""
+        path = self._path
+        if os.path.lexists(path):
+            path = path.with_name(f"{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file.seek(0)
+        with path.open("xb") as copy:
+            shutil.copyfileobj(self._file, copy)
+            copy.flush()
+            _sync_file(copy.fileno())
+        sync_folder(path.parent)
+
+    def _give_reserve_back(self, error: OSError) -> bool:
+        if error.errno not in _FULL_DISK:
+            return False
+        with self._reserve_lock:
+            self.full = self.full or error
+            return self._reserve.release()
+
+
+class McapFile:
+    """Creates one MCAP file and appends to it; it can be read up to its last whole chunk at any time.
+
+    The `topics` (by name: the schema's name and descriptor) have the channels 1, 2, ... in their order. Every
+    chunk has a checksum, and the data section too. `compressed` chunks are for numbers; pixels come
+    compressed.
+
+    `waiting` is the number of messages in the open chunk, which are lost where the file is `broken`.
+
+    Raises
+    ------
+    RecordError
+        The file exists or cannot be created, or there is no space for the reserve. Later methods raise
+        OSError where it cannot be written (disk full after the release of the reserve, drive removed).
+    """
+
+    def __init__(
+        self, path: Path, topics: Mapping[str, tuple[str, bytes]], reserve_bytes: int, *, compressed: bool
+    ) -> None:
+        try:
+            self._disk = _Disk(path, reserve_bytes)
+        except FileExistsError:
+            raise RecordError(
+                f"{path}: exists already and is never overwritten; choose another name"
+            ) from None
+        except OSError as error:
+            raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
+        self.path = path
+        self._background = BackgroundSync(self._disk.force)
+        self._attachments: list[tuple[int, str, str, bytes]] = []
+        self.waiting = 0
+        self.broken = False
+        self._writer = Writer(
+            self._disk,  # type: ignore[arg-type]
+            chunk_size=_CHUNK_BYTES,
+            compression=CompressionType.ZSTD if compressed else CompressionType.NONE,
+            enable_data_crcs=True,
+        )
+        self.channels: dict[str, int] = {}
+        for topic, (schema, descriptor) in topics.items():
+            number = self._writer.register_schema(schema, "protobuf", descriptor)
+            self.channels[topic] = self._writer.register_channel(topic, "protobuf", number)
+        try:
+            self._writer.start("", LIBRARY)
+            sync_folder(path.parent)
+        except OSError as error:
+            self.abandon()
+            path.unlink()
+            raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
+
+    @property
+    def size(self) -> int:
+        """Present length of the file in bytes."""
+        return self._disk.size
+
+    @property
+    def full(self) -> OSError | None:
+        """The error of a full disk, after which the file must be finished."""
+        return self._disk.full
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[Writer]:
+        """The library's writer, which cannot go on after an error of the disk."""
+        try:
+            yield self._writer
+        except OSError:
+            self.broken = True
+            raise
+
+    def add(self, topic: str, sequence: int, log_time_ns: int, data: bytes) -> None:
+        """Append one encoded message to the open chunk, which is written when it is large enough."""
+        channel, size = self.channels[topic], self._disk.size
+        try:
+            self._writer.add_message(channel, log_time_ns, data, log_time_ns, sequence & 0xFFFFFFFF)
+        except OSError:
+            self.broken = True
+            raise
+        self.waiting = self.waiting + 1 if self._disk.size == size else 0
+
+    def add_metadata(self, name: str, texts: Mapping[str, str]) -> None:
+        """Append texts by key, which have no checksum."""
+        with self._writing() as writer:
+            writer.add_metadata(name, dict(texts))
+
+    def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
+        """Append a file within the file, with a checksum. The end of a finished file holds it once more."""
+        self._attachments.append((time_ns, name, media_type, data))
+        with self._writing() as writer:
+            writer.add_attachment(time_ns, time_ns, name, media_type, data)
+
+    def flush(self, wait: bool = True) -> None:
+        """End the open chunk and force the file to the disk.
+
+        Without `wait` this is done in a background thread, so that a slow disk does not delay what is
+        appended meanwhile. Errors of that thread are raised by the next call.
+        """
+        self._raise_failure()
+        if self.waiting:
+            self._disk.chunks += 1
+        with self._writing() as writer:
+            writer.flush()  # type: ignore[no-untyped-call]
+        self.waiting = 0
+        if not wait:
+            self._background.request()
+            return
+        self._background.wait()
+        self._raise_failure()
+        self._disk.force()
+
+    def finish(self) -> None:
+        """Write summary and ending, or only the shortest ending if there is no space for them, and close."""
+        self._background.wait()
+        try:
+            try:
+                if not self.broken:
+                    with self._writing() as writer:
+                        for time_ns, name, media_type, data in self._attachments:
+                            writer.add_attachment(time_ns, time_ns, name, media_type, data)
+                        writer.finish()  # type: ignore[no-untyped-call]
+            except OSError as error:
+                if error.errno not in _FULL_DISK:
+                    raise
+            if self.broken:
+                builder = RecordBuilder()
+                Footer(0, 0, 0).write(builder)
+                self._disk.write(builder.end() + MCAP0_MAGIC)  # type: ignore[no-untyped-call]
+            self._disk.last_force()
+            self._raise_failure()
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Close the file without an ending; never raises."""
+        self._background.wait()
+        self._disk.close()
+
+    def _raise_failure(self) -> None:
+        """Raise, once, the error of a `flush` in the background."""
+        failure = self._background.take_failure()
+        if failure is not None:
+            raise failure
+
+
+def _sync_file(number: int) -> None:
+    """Flush to the disk; on macOS fsync alone leaves data in the drive's cache."""
+    if sys.platform == "darwin":
+        import fcntl
+
+        fcntl.fcntl(number, fcntl.F_FULLFSYNC)
+    else:
+        os.fsync(number)
