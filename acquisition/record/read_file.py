@@ -200,12 +200,16 @@ class ReadFile:
 
     def update(self) -> bool:
         """Note what has been written since; whether anything has."""
-        contents, before = self.contents, self.contents.size
-        contents.size = self.file.seek(0, os.SEEK_END)
-        if contents.whole or contents.size == before:
+        size = self.file.seek(0, os.SEEK_END)
+        if self.contents.whole or size == self.contents.size:
             return False
-        if not before and _read_summary(self.file, contents):
+        summarised, contents = Contents(size), self.contents
+        if _read_summary(self.file, summarised):
+            summarised.channels = contents.channels or summarised.channels
+            self.contents = summarised
             return True
+        contents.size, contents.whole = size, summarised.whole
+        contents.damage += summarised.damage
         was = contents.readable_bytes
         _walk(self.file, contents)
         return contents.readable_bytes > was

@@ -105,14 +105,18 @@ class RecordReader:
         path = pixels_beside(self.path)
         if self._pixels is not None or not path.is_file():
             return
-        pixels = ReadFile(path)
         try:
-            same = _metadata_of(pixels)["record"].get("record_id") == self._own.get("record_id")
-        except RecordError:
-            same = False
-        if not same:
-            pixels.close()
-            self._numbers.contents.damage.append(f"{path.name} has not the pixels of this record")
+            pixels = ReadFile(path)
+            try:
+                if _metadata_of(pixels)["record"]["record_id"] != self._own["record_id"]:
+                    raise RecordError(f"{path}: has not the pixels of this record")
+            except BaseException:
+                pixels.close()
+                raise
+        except RecordError as error:
+            # of a record that is cut or being written they may have been about to begin
+            if self.contents.whole:
+                self.contents.damage.append(str(error))
             return
         pixels.contents.channels = dict(enumerate(PIXEL_TOPICS, start=1))
         self._pixels = pixels
