@@ -24,7 +24,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, Header, Metadata, Statistics
+from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, Header, Statistics
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
 
@@ -70,7 +70,6 @@ _CLASSES: Mapping[int, Any] = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.ATTACHMENT_INDEX: AttachmentIndex,
     Opcode.CHUNK_INDEX: ChunkIndex,
-    Opcode.METADATA: Metadata,
 }
 _FAULTS = {errno.EIO, getattr(errno, "EUCLEAN", errno.EIO), getattr(errno, "EBADMSG", errno.EIO)}
 
@@ -147,7 +146,6 @@ class Contents:
     indexed: bool = False
     readable_bytes: int = len(MAGIC)
     channels: dict[int, str] = field(default_factory=dict)
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, int] = field(default_factory=dict)
     attachment_places: dict[str, list[int]] = field(default_factory=dict)
     chunks: ChunkPlaces = field(default_factory=ChunkPlaces)

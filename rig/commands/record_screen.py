@@ -17,21 +17,22 @@ _HIDDEN = {"record"}
 def print_info(path: Path) -> None:
     """Print the contents of a record, read from its index alone."""
     with RecordReader(path) as reader:
-        contents, losses, counts = reader.contents, reader.losses(), reader.counts
-    state = (
-        "whole" if contents.whole else f"cut short after {_size(contents.readable_bytes)} (see rig recover)"
-    )
-    print_line(f"{path}: {_size(contents.size)}, {state}")
-    print_line(f"schema {int(contents.metadata['record']['schema_version'])}, written by {contents.library}")
+        contents, metadata = reader.contents, reader.metadata
+        losses, counts, files = reader.losses(), reader.counts, reader.files
+    for file in files:
+        held = file.contents
+        state = "whole" if held.whole else f"cut short after {_size(held.readable_bytes)} (see rig recover)"
+        print_line(f"{file.path}: {_size(held.size)}, {state}")
+    print_line(f"schema {int(metadata['record']['schema_version'])}, written by {contents.library}")
     if contents.start_ns:
-        when = " of simulated time" if RecordedCamera.of(contents.metadata).simulated else ""
+        when = " of simulated time" if RecordedCamera.of(metadata).simulated else ""
         lasted_s = seconds(contents.end_ns - contents.start_ns)
         print_line(f"{utc_text(contents.start_ns)} to {utc_text(contents.end_ns)}, {lasted_s:.1f} s{when}")
     for topic, count in counts.items():
         print_line(f"  {topic:<20} {count}")
     if losses is not None:
         print_line(f"frames lost: {losses}")
-    for section, texts in contents.metadata.items():
+    for section, texts in metadata.items():
         filled = {key: text for key, text in texts.items() if text}
         if section not in _HIDDEN and filled:
             print_line(f"{section}")
@@ -39,21 +40,22 @@ def print_info(path: Path) -> None:
                 print_line(f"  {key:<20} {text}")
     for name, size in contents.attachments.items():
         print_line(f"attachment {name} ({_size(size)})")
-    for problem in contents.damage:
+    damage = [text for file in files for text in file.contents.damage]
+    for problem in damage:
         print_line(f"problem: {problem}")
     answer(
         records=[
             {
                 "path": path,
-                "size_bytes": contents.size,
-                "whole": contents.whole,
+                "size_bytes": sum(file.contents.size for file in files),
+                "whole": all(file.contents.whole for file in files),
                 "start_ns": contents.start_ns,
                 "end_ns": contents.end_ns,
                 "messages": dict(counts),
                 "frames_lost": losses,
-                "metadata": contents.metadata,
+                "metadata": metadata,
                 "attachments": contents.attachments,
-                "damage": list(contents.damage),
+                "damage": damage,
             }
         ]
     )

@@ -11,8 +11,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from acquisition.record import pixels_beside
 from acquisition.record.check import check_record
-from acquisition.record.chunk_reader import messages_in, open_chunk
+from acquisition.record.read_file import messages_in
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
 from tests.acquisition.record.samples import BLOCK, write_sample
@@ -28,17 +29,27 @@ def damages(count: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_sample(folder / "whole.mcap", FRAMES)
-        whole = (folder / "whole.mcap").read_bytes()
-        results["record bytes"] = len(whole)
         rng = np.random.default_rng(7)
-        places, cuts = rng.integers(0, len(whole), count), rng.integers(3000, len(whole), count)
-        for kind, flips, lengths in (
-            ("flipped", places, [len(whole)] * count),
-            ("cut", [-1] * count, cuts),
-            ("flipped and without footer", places % (len(whole) - 40), [len(whole) - 40] * count),
-            ("flipped and cut", places % cuts, cuts),
-        ):
-            results |= _lost(folder / "run.mcap", whole, kind, flips, lengths)
+        for what, file in (("numbers", folder / "whole.mcap"), ("pixels", folder / "whole.pixels.mcap")):
+            results |= _of_file(folder, file.read_bytes(), what, count // 2, rng)
+    return results
+
+
+def _of_file(folder: Path, whole: bytes, what: str, count: int, rng: np.random.Generator) -> dict[str, Any]:
+    """One of the record's files damaged, the other whole."""
+    path = folder / "run.mcap"
+    for name in ("whole.mcap", "whole.pixels.mcap"):
+        (folder / name.replace("whole", "run")).write_bytes((folder / name).read_bytes())
+    damaged = path if what == "numbers" else pixels_beside(path)
+    places, cuts = rng.integers(0, len(whole), count), rng.integers(3000, len(whole), count)
+    results: dict[str, Any] = {f"{what}: bytes": len(whole)}
+    for kind, flips, lengths in (
+        ("flipped", places, [len(whole)] * count),
+        ("cut", [-1] * count, cuts),
+        ("flipped and without footer", places % (len(whole) - 40), [len(whole) - 40] * count),
+        ("flipped and cut", places % cuts, cuts),
+    ):
+        results |= _lost(path, damaged, whole, f"{what}, {kind}", flips, lengths)
     return results
 
 
@@ -52,26 +63,27 @@ def run(quick: bool = False) -> dict[str, Any]:
     return results
 
 
-def _lost(path: Path, whole: bytes, kind: str, flips: Any, lengths: Any) -> dict[str, Any]:
+def _lost(path: Path, damaged: Path, whole: bytes, kind: str, flips: Any, lengths: Any) -> dict[str, Any]:
     """Most frames that one file lost beyond what its cut took, and how many flips `check` did not find."""
     most = missed = wrong = 0
     began_s = time.process_time()
-    path.write_bytes(whole)
-    chunks = _frames_by_chunk(path)
+    damaged.write_bytes(whole)
+    chunks = _frames_by_chunk(path, damaged)
     expected: dict[int, tuple[set[int], set[int]]] = {}
     for place, length in zip(flips, lengths, strict=True):
         length = int(length)
         if length not in expected:
-            path.write_bytes(whole[:length])
+            damaged.write_bytes(whole[:length])
             expected[length] = _frames(path)
         if place < 0:
             # everything in chunks that end before the cut is there
             complete = sum(count for end, count in chunks if end <= length)
-            most = max(most, complete - sum(map(len, expected[length])))
+            place_in = int(damaged != path)
+            most = max(most, complete - len(expected[length][place_in]))
             continue
         changed = bytearray(whole[:length])
         changed[int(place)] ^= 1 << int(place) % 8
-        path.write_bytes(changed)
+        damaged.write_bytes(changed)
         spots, windows = _frames(path)
         before_spots, before_windows = expected[length]
         wrong += not (spots <= before_spots and windows <= before_windows)
@@ -96,12 +108,12 @@ def _frames(path: Path) -> tuple[set[int], set[int]]:
         return set(), set()
 
 
-def _frames_by_chunk(path: Path) -> list[tuple[int, int]]:
-    """Of every chunk its end in the file, and how many spots and windows it holds."""
+def _frames_by_chunk(path: Path, damaged: Path) -> list[tuple[int, int]]:
+    """Of every chunk of one file its end, and how many spots or windows it holds."""
     with RecordReader(path) as reader:
-        topics = ("/spot", "/window")
-        wanted = frozenset(n for n, c in reader.contents.channels.items() if c.topic in topics)
+        file = next(file for file in reader.files if file.path == damaged)
+        wanted = frozenset(n for n, topic in file.contents.channels.items() if topic in ("/spot", "/window"))
         return [
-            (place.offset + place.length, len(messages_in(open_chunk(reader.file, place), wanted)))
-            for place in reader.contents.chunks
+            (place.offset + place.length, len(messages_in(file.open_chunk(place), wanted)))
+            for place in file.contents.chunks
         ]
