@@ -14,7 +14,7 @@ from tests.rig.command_line import rig
 from tests.rig.report.test_uncalibrated import session_in_pixels
 
 SAMPLES = Path(__file__).parent / "data" / "samples"
-_KEPT = ("run-1.mcap", "run-2.mcap", "session.json", "results.json")
+_KEPT = ("run-1.mcap", "run-1.pixels.mcap", "run-2.mcap", "run-2.pixels.mcap", "session.json", "results.json")
 _CUT = 0.8
 """The part that is left of a record whose program was killed."""
 
@@ -24,7 +24,7 @@ def make(folder: Path) -> None:
     short = ("session.runs=1", "record.windows=false", "session.max_duration_s=30")
     _run("first", *short)
     _run("series")
-    for name in ("series/run-2.mcap", "series/session.json"):
+    for name in ("series/run-2.mcap", "series/run-2.pixels.mcap", "series/session.json"):
         path = folder / name
         if path.suffix == ".json":
             state = json.loads(path.read_text())
