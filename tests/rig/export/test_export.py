@@ -111,8 +111,8 @@ def test_what_a_record_lacks_is_said_in_every_file(
     data = bytearray((measured_series / "run-1.mcap").read_bytes()[:-2000])
     with RecordReader(measured_series / "run-1.mcap") as reader:
         contents = reader.contents
-    spot = next(number for number, channel in contents.channels.items() if channel.topic == "/spot")
-    chunk = [chunk for chunk in contents.chunks if spot in chunk.channels][-1]
+    spot = next(number for number, topic in contents.channels.items() if topic == "/spot")
+    *_, chunk = (chunk for chunk in contents.chunks if spot in chunk.channels)
     data[chunk.offset + chunk.length // 2] ^= 1
     path.write_bytes(data)
     spots, *_ = export_session(path, "csv", tmp_path / "csv")
