@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.digest import known_sha256_of_any
+from processing.angle import ARCSEC_RAD
 from processing.contact import StatedLaw
 from processing.contact.laws import Law
 from processing.decay_summary import DecaySummary, summarise_decay
@@ -22,6 +23,7 @@ from processing.estimate import Estimate
 from processing.fit import Witness
 from processing.swing import Swing, SwingFlag, estimate_noise, swings_of, turning_points
 from processing.ticks import seconds
+from processing.unsigned import unsigned_period_s
 from rig.analysis.amplitude_damping import amplitude_damping
 from rig.analysis.compared_laws import laws_of
 from rig.analysis.decay_values import decay_values
@@ -32,7 +34,7 @@ from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableR
 from rig.analysis.results_file import relative_record
 from rig.analysis.second_frequency import fast_oscillation, second_frequency
 from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
-from rig.analysis.surroundings import stated_surroundings
+from rig.analysis.surroundings import doubts_of, stated_surroundings, surroundings_of_table
 from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.trajectory import ANGLES, NOT_STATED, Trajectory
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
@@ -40,12 +42,17 @@ from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
 from rig.analysis.witnessed_fits import of_source
 from rig.settings import Configuration
 
+_STATED = ("sample", "operator", "contact_history", "notes")
 _USABLE = 4  # what the summary of a decay needs (processing/decay_summary.py)
 _EDGE = 0.75
 """Samples of a decay: from so many half periods before its first turning point to as many after its last."""
 _GROWN = 1.2
 """Ratio of neighbouring amplitudes from which on the pendulum was pushed again, and did not merely swing a
 little further: 20 % of its amplitude are nearly half of its energy."""
+_SLOW_STEP_S, _SLOW_PERIOD_S = 1.0, 100.0
+"""From one of them on, times of which nothing states the unit are hardly in s."""
+_TOO_LARGE = 3.0
+"""Times the first amplitude of a session; 1 arcsec is 5 urad."""
 _CLEARLY = 6.0
 """Standard uncertainties: by chance once in 10^9 half-cycles, where amplitudes are so faint that noise makes
 them grow."""
@@ -97,6 +104,7 @@ def analyse_trajectory(
     """The same of positions that were read before, from a table or a film; `laws` are compared where one is
     fitted.
     """
+    _judge_sign(path, trajectory)
     scale = trajectory.scale_rad or 1.0
     deflection, across = (one * scale for one in along_and_across(trajectory.positions))
     noise = estimate_noise(trajectory.times_ns, deflection)
@@ -104,6 +112,7 @@ def analyse_trajectory(
     parts = separate_decays(swings)
     usable = [part for part in parts if len(turning_points(part)) >= _USABLE]
     if not usable:
+        _judge_time_unit(path, trajectory, ())
         most = max((len(turning_points(part)) for part in parts), default=0)
         reason = second_frequency(trajectory.times_ns, deflection) or (
             "the samples hold no free decay, or too little of one. "
@@ -114,6 +123,7 @@ def analyse_trajectory(
             f"{path}: {most} usable half-cycle{'' if most == 1 else 's'} ({len(swings) - most} more are "
             f"flagged or of other decays), at least {_USABLE} are needed: {reason}"
         )
+    _judge_time_unit(path, trajectory, usable)
     both = _in_both(trajectory.times_ns, across, deflection, noise)
     decays = [_analyse(path, part, trajectory, both, noise, config, laws, witness) for part in usable]
     longest = max(decays, key=lambda decay: decay.summary.half_cycles)
@@ -126,6 +136,35 @@ def analyse_trajectory(
     )
     passed_over = [part for part in parts if part not in usable]
     return AnalysedTable(trajectory, noise / scale, decays, passed_over, results)
+
+
+def _judge_sign(path: Path, trajectory: Trajectory) -> None:
+    """Refuse one position without a sign, of which the period is half of the pendulum's."""
+    if len(trajectory.positions) > 1:
+        return
+    period_s = unsigned_period_s(trajectory.times_ns, trajectory.positions[0])
+    if math.isfinite(period_s):
+        raise DataError(
+            f"{path}: {trajectory.names[0]} has no sign, as |x| or x² of a swing: it comes back to one value "
+            f"every {0.5 * period_s:.4g} s, while the pendulum's period is {period_s:.4g} s; give the "
+            "position with its sign, or its largest values as an envelope (--envelope amplitude)"
+        )
+
+
+def _judge_time_unit(path: Path, trajectory: Trajectory, decays: Sequence[Sequence[Swing]]) -> None:
+    """Refuse times that would be slow in s, where nothing states that they are: ms, or numbers of rows."""
+    step_s = float(np.median(np.diff(seconds(trajectory.times_ns))))
+    periods_s = [summarise_decay(turning_points(part)).period_s.value for part in decays]
+    if not trajectory.time_is_assumed or (
+        step_s < _SLOW_STEP_S and max(periods_s, default=0.0) < _SLOW_PERIOD_S
+    ):
+        return
+    lasts = f", a period {max(periods_s):.4g} s" if periods_s else ""
+    raise ConfigurationError(
+        f"{path}: nothing states the unit of {trajectory.time_name!r}, and in s the rows would be "
+        f"{step_s:.4g} s apart{lasts}; state --time-unit ms, us, ns, s or another, or the rows in a second: "
+        "--rate HZ --position COLUMN"
+    )
 
 
 def analyse_envelope(
@@ -247,6 +286,16 @@ def _analyse(
     if run.turning_points is None:
         unit = TableUnit.OWN if trajectory.scale_rad is None else DeflectionUnit.RAD
         values["turning_points"] = StoredTurningPoints.of(points, swings, unit, 1.0)
+    if config is not None:
+        began_s = seconds(trajectory.first_ns)
+        found = surroundings_of_table(config, began_s if began_s > FIRST_UTC_S else None)
+        values["surroundings"] = found
+        values["session"] = {name: text for name in _STATED if (text := getattr(config.session, name))}
+        values["warnings"] = (
+            *values["warnings"],
+            *doubts_of(found),
+            *_strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config),
+        )
     if config is not None and config.lever is None and run.budget:
         values["notes"] = (
             *values["notes"],
@@ -289,9 +338,8 @@ def _changes(summary: DecaySummary, scale: float) -> list[str]:
     said = []
     if summary.grows:
         said.append(
-            f"the amplitude grows, {summary.initial_amplitude / scale:.4g} to "
-            f"{summary.final_amplitude / scale:.4g}: this is no free decay; is time reversed, or does "
-            "something drive the pendulum?"
+            f"the amplitude grows, by {-summary.decrement.value:.3g} of itself a period in the mean: this is "
+            "no free decay; is time reversed, or does something drive the pendulum?"
         )
     for name, mean, unit in (
         ("period", summary.period_s, " s"),
@@ -309,6 +357,23 @@ def _changes(summary: DecaySummary, scale: float) -> list[str]:
                 "uncertainty of its mean allows for it"
             )
     return said
+
+
+def _strange_amplitudes(
+    amplitude_arcsec: NDArray[np.float64], trajectory: Trajectory, config: Configuration
+) -> list[str]:
+    """What is to be said of amplitudes that the rig does not have, as of angles in another unit."""
+    first, last = config.session.initial_amplitude_arcsec, config.session.final_amplitude_arcsec
+    is_rig = trajectory.scale_rad is not None and config.instrument.kind == "single_ball"
+    if not is_rig or (np.median(amplitude_arcsec) >= last and amplitude_arcsec[0] <= _TOO_LARGE * first):
+        return []
+    return [
+        (
+            f"amplitudes of {amplitude_arcsec[0]:.3g} to {amplitude_arcsec[-1]:.3g} arcsec are none of this "
+            f"rig, which swings from {first:g} to {last:g} arcsec (session.initial_amplitude_arcsec, "
+            f"final_amplitude_arcsec): are the positions in {trajectory.unit}?"
+        )
+    ]
 
 
 def _values(results: RunResults) -> dict[str, Any]:

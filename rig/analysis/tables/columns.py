@@ -8,14 +8,10 @@ from typing import Final
 
 from processing.errors import ConfigurationError, DataError
 from rig.analysis.tables.cells import Cells
-from rig.analysis.tables.column_units import is_time
-from rig.analysis.tables.header_units import Named, known_unit, named_unit
-from rig.analysis.tables.numbers import is_moment
+from rig.analysis.tables.header_units import TIME_NAME, Named, is_time, known_unit, named_unit
+from rig.analysis.tables.numbers import counts_rows, is_moment
 from rig.analysis.tables.times import number
 
-_TIME_NAME: Final = re.compile(
-    r"(?:t|time|zeit|temps|tiempo|tempo|elapsed|date.*|datum.*|timestamp|clock)(?:[\W_].*)?", re.I
-)
 _RUN_NAME: Final = re.compile(
     r"(?:run|trial|lauf|versuch|messung|messreihe|serie|series|experiment|essai|repeat|repetition|"
     r"wiederholung|sweep)(?:[\W_]*(?:no|nr|num|number|nummer|id|index))?\W*",
@@ -55,7 +51,7 @@ class Columns:
         like_time = [
             k
             for k, named in enumerate(self.named)
-            if (self._cells.names and (_TIME_NAME.fullmatch(named.name) or is_time(named.unit)))
+            if (self._cells.names and (TIME_NAME.fullmatch(named.name) or is_time(named.unit)))
             or all(is_moment(row[k]) for row in self._cells.rows[:_LOOKED_AT])
         ]
         return like_time[0] if like_time else 1 if self.run() == 0 else 0
@@ -71,6 +67,10 @@ class Columns:
             raise ConfigurationError(
                 f"{self._path}: has {self.width} columns; name the position with --position"
             )
+        if len(others) > 1:
+            # the numbers of the rows are no position
+            counted = [k for k in others if counts_rows([row[k] for row in self._cells.rows])]
+            others = [k for k in others if k not in counted] or others
         behind = [k for k in others if t_column is None or k > t_column]
         first = [*behind, *others, 0][0]
         second = self._beside(first, others)

@@ -7,7 +7,7 @@ import pytest
 
 from processing.errors import ConfigurationError, DataError
 from rig.analysis.position_table import TableColumns
-from tests.rig.analysis.table_cases import judged, table_matrix
+from tests.rig.analysis.table_cases import clocks, judged, loggers, table_matrix
 
 
 def write(path: Path, text: str) -> Path:
@@ -102,7 +102,7 @@ SOME = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SOME)
+@pytest.mark.parametrize("name", [*SOME, *(case.name for case in (*loggers(), *clocks()))])
 def test_a_table_is_understood_right_or_refused_and_lost_rows_are_counted(tmp_path: Path, name: str) -> None:
     """All of them: ``python -m tests.benchmarks tables``."""
     outcome = judged(CASES[name], tmp_path)
