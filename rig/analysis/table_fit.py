@@ -36,6 +36,7 @@ from rig.analysis.second_frequency import fast_oscillation, second_frequency
 from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
 from rig.analysis.surroundings import doubts_of, stated_surroundings, surroundings_of_table
 from rig.analysis.swings_fit import analyse_swings
+from rig.analysis.tables.column_units import TIME_UNITS
 from rig.analysis.trajectory import ANGLES, NOT_STATED, Trajectory
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
@@ -49,8 +50,9 @@ _EDGE = 0.75
 _GROWN = 1.2
 """Ratio of neighbouring amplitudes from which on the pendulum was pushed again, and did not merely swing a
 little further: 20 % of its amplitude are nearly half of its energy."""
-_SLOW_STEP_S, _SLOW_PERIOD_S = 1.0, 100.0
-"""From one of them on, times of which nothing states the unit are hardly in s."""
+_SLOW_STEP_S = 1.0
+_USUAL_PERIOD_S = (1e-3, 100.0)
+"""Of times in s of which nothing states the unit."""
 _TOO_LARGE = 3.0
 """Times the first amplitude of a session; 1 arcsec is 5 urad."""
 _CLEARLY = 6.0
@@ -152,17 +154,17 @@ def _judge_sign(path: Path, trajectory: Trajectory) -> None:
 
 
 def _judge_time_unit(path: Path, trajectory: Trajectory, decays: Sequence[Sequence[Swing]]) -> None:
-    """Refuse times that would be slow in s, where nothing states that they are: ms, or numbers of rows."""
+    """Refuse times that are hardly s where nothing states it: ms, numbers of rows, parts of a day."""
     step_s = float(np.median(np.diff(seconds(trajectory.times_ns))))
     periods_s = [summarise_decay(turning_points(part)).period_s.value for part in decays]
-    if not trajectory.time_is_assumed or (
-        step_s < _SLOW_STEP_S and max(periods_s, default=0.0) < _SLOW_PERIOD_S
-    ):
+    longest_s = max(periods_s, default=_USUAL_PERIOD_S[0])
+    usual = step_s < _SLOW_STEP_S and _USUAL_PERIOD_S[0] <= longest_s < _USUAL_PERIOD_S[1]
+    if usual or not trajectory.time_is_assumed:
         return
-    lasts = f", a period {max(periods_s):.4g} s" if periods_s else ""
+    lasts = f", a period {longest_s:.4g} s" if periods_s else ""
     raise ConfigurationError(
         f"{path}: nothing states the unit of {trajectory.time_name!r}, and in s the rows would be "
-        f"{step_s:.4g} s apart{lasts}; state --time-unit ms, us, ns, s or another, or the rows in a second: "
+        f"{step_s:.4g} s apart{lasts}; state --time-unit {', '.join(TIME_UNITS)}, or the rows in a second: "
         "--rate HZ --position COLUMN"
     )
 

@@ -30,7 +30,8 @@ class Columns:
     def __init__(self, path: Path, cells: Cells) -> None:
         self._path, self._cells = path, cells
         self.width: Final = len(cells.rows[0])
-        self.names: Final = list(cells.names) or [f"column {k + 1}" for k in range(self.width)]
+        names = cells.names or [""] * self.width
+        self.names: Final = [name or f"column {k}" for k, name in enumerate(names, 1)]
         self.named: Final = [self._unit_of(k) for k in range(self.width)]
 
     def time(self, asked: str | None, rate_hz: float | None, time_unit: str = "") -> int | None:
@@ -54,6 +55,9 @@ class Columns:
             if (self._cells.names and (TIME_NAME.fullmatch(named.name) or is_time(named.unit)))
             or all(is_moment(row[k]) for row in self._cells.rows[:_LOOKED_AT])
         ]
+        # a date alone is the same in all rows
+        first = self._cells.rows[:_LOOKED_AT]
+        like_time = [k for k in like_time if len({row[k] for row in first}) > 1] or like_time
         return like_time[0] if like_time else 1 if self.run() == 0 else 0
 
     def positions(self, asked: Sequence[str], t_column: int | None) -> list[int]:
@@ -68,9 +72,9 @@ class Columns:
                 f"{self._path}: has {self.width} columns; name the position with --position"
             )
         if len(others) > 1:
-            # the numbers of the rows are no position
-            counted = [k for k in others if counts_rows([row[k] for row in self._cells.rows])]
-            others = [k for k in others if k not in counted] or others
+            # neither numbers of the rows nor other times are a position
+            left = [k for k in others if not is_time(self.named[k].unit)]
+            others = [k for k in left if not counts_rows([row[k] for row in self._cells.rows])] or others
         behind = [k for k in others if t_column is None or k > t_column]
         first = [*behind, *others, 0][0]
         second = self._beside(first, others)

@@ -93,7 +93,9 @@ def unwrapped(
     jumps = np.flatnonzero(np.abs(steps[1:-1]) > _JUMP * span) + 1
     others = np.delete(steps, jumps)
     against = steps[jumps] * (steps[jumps - 1] + steps[jumps + 1]) < 0.0
-    if len(jumps) >= _FEWEST_JUMPS and np.abs(others).max() < (1.0 - _JUMP) * span and np.mean(against) > 0.8:
+    # there and back, unlike a wheel
+    both_ways = len(jumps) >= _FEWEST_JUMPS and abs(np.sign(steps[jumps]).sum()) <= 1.0
+    if both_ways and np.abs(others).max() < (1.0 - _JUMP) * span and np.mean(against) > 0.8:
         raise ConfigurationError(
             f"{path}: {name} jumps by {np.median(np.abs(steps[jumps])):.4g} {unit} against its motion, "
             f"{len(jumps)} times, first after line {lines[known[jumps[0]]]}, as an angle does that is "
@@ -114,8 +116,8 @@ def judge_begin(
             "seconds? State --time-unit d, or --time-unit s"
         )
     if abs(first_s) > _LAST_S:
-        remedy = {NOT_STATED_TIME: "state", "--time-unit": "state another:"}.get(
-            source, "correct the header, to"
+        remedy = {NOT_STATED_TIME: "state --time-unit", "--time-unit": "state another:"}.get(
+            source, "correct the header:"
         )
         raise ConfigurationError(
             f"{path}: {title!r} begins at {first:.16g} {unit}, in the year {1970 + first_s / _YEAR_S:.0f}: "

@@ -142,6 +142,7 @@ def writing_of(cells: Iterable[str], stated: str, where: str) -> Writing:
 def unit_behind(column: Sequence[str]) -> tuple[str, list[str]]:
     """The unit that stands behind the numbers of a column (``12.5°``), and the numbers without it."""
     found = [None if is_number(cell) or is_moment(cell) else _WITH_UNIT.fullmatch(cell) for cell in column]
+    found = [match if match is not None and is_number(match["number"]) else None for match in found]
     units = Counter(match["unit"].strip() for match in found if match is not None)
     if not units or 2 * units.total() < len(column):
         return "", list(column)

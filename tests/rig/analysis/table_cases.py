@@ -388,13 +388,13 @@ def clocks() -> list[TableCase]:
         _case(
             "Unix ms", unix_ms, refused=asks + " s, in the year 49077: state --time-unit ms, then 2017-02-08"
         ),
-        _case("Unix us", unix_us, refused="--time-unit us, then 2017-02-08"),
+        _case("Unix us", unix_us, refused="state --time-unit us, then 2017-02-08"),
         _case("Unix ms, as s", unix_ms.replace("stamp", "stamp_s"), refused=asks),
         _case(
             "Unix us, stated as s",
             unix_us,
             TableColumns(time_unit="s"),
-            refused="state another: --time-unit us",
+            refused="state another: us, then 2017",
         ),
         _case("Unix us, as ms", unix_us.replace("stamp", "stamp_ms"), refused="correct the header"),
         _case("Unix ms, stated", unix_ms, TableColumns(time_unit="ms")),
