@@ -176,6 +176,7 @@ def analyse_envelope(
     trajectory = columns.read(path)
     if len(trajectory.positions) > 1:
         raise ConfigurationError("--position was given twice; an envelope is one column")
+    _judge_time_unit(path, trajectory, ())
     try:
         times_s = seconds(trajectory.times_ns)
         found = fit_envelope(times_s, trajectory.positions[0], decibel=decibel)

@@ -104,12 +104,19 @@ def named_unit(name: str) -> Named:
     plain = _BRACKETS.sub(" ", text).strip()
     if found := _without_brackets(plain):
         return Named(found[0] if plain == text else text, found[1])
-    strange = [inside for _, inside in bracketed if inside and not inside.isdecimal()]
-    if strange:
-        return Named(_BRACKETS.sub("", text).strip(), "", strange[-1])
-    before, slash, behind = plain.rpartition("/")
-    of_time = TIME_NAME.fullmatch(plain) and _COUNTS.fullmatch(plain)
-    return Named(plain, "", behind.strip() if slash and before else plain.split()[-1] if of_time else "")
+    of_time = TIME_NAME.fullmatch(plain)
+    strange = [
+        inside
+        for (_, end), inside in bracketed
+        # a unit has to be known where it is one: at the end, and of times, of which none is assumed
+        if inside and not inside.isdecimal() and (of_time or end == len(text))
+    ]
+    before, slash, behind = (part.strip() for part in plain.rpartition("/"))
+    if slash and before and (of_time or " " not in behind):
+        strange.append(behind)
+    elif of_time and _COUNTS.fullmatch(plain):
+        strange.append(plain.split()[-1])
+    return Named(plain, "", strange[-1] if strange else "")
 
 
 def _unit(text: str) -> str:
@@ -133,6 +140,9 @@ def _without_brackets(text: str) -> tuple[str, str] | None:
         begin, end = (0, 0) if mark is None else mark.span()
         rest = text[end:]
         sure = mark is not None and _SURE.fullmatch(mark[0])
+        if not sure and text[:begin].endswith(tuple("0123456789")):
+            # every 50 ms
+            continue
         if sure and (unit := _unit(rest)):
             return text[:begin], unit
         for part in (rest.split(" ")[0], _MARKS.split(rest)[0]):

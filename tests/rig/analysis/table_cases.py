@@ -312,7 +312,8 @@ def loggers() -> list[TableCase]:
         ),
         ("us", 1e6): ("t [us] A", "Time (µs) #2", "Time (μs) #2", "Zeit (Mikrosekunden)", "time_usec_raw",
             "micros"),
-        ("s", 1.0): ("Time (s) Run #1", "Zeit (Sekunden)", "Sekunden", "Time (Sec)", "Time (s, relative)"),
+        ("s", 1.0): ("Time (s) Run #1", "Zeit (Sekunden)", "Sekunden", "items", "Time (Sec)",
+            "Time (s, relative)"),
         ("min", 1 / 60.0): ("Time (Minutes) Run #1", "t/min Run 2", "time_min_1"),
     }  # fmt: skip
     found = [
@@ -353,6 +354,11 @@ def loggers() -> list[TableCase]:
     found += [_case(name, head + ms, unit="mm") for name, head in heads.items()]
     commas = ms.replace("\t", ",").splitlines()
     rows = "".join(f'"{k + 1}" {row}\n' for k, row in enumerate(ms.replace("\t", " ").splitlines()))
+    every = enumerate(zip(true_ms(), true_values(), strict=True))
+    both = "".join(f"{k};{t / 1000};{t};{x}\n" for k, (t, x) in every)
+    dated = "".join(f"2024-05-01;{row}\n".replace("\t", ";") for row in ms.splitlines())
+    day = datetime(2024, 5, 1)
+    american = text(",", "Date,n,x", _moments(lambda m: f"{m:%m/%d/%Y %I:%M:%S.%f %p},7", day))
     moments = text(",", (), _moments(lambda m: f'"{m:%Y-%m-%d %H:%M:%S.%f}",7', datetime(2022, 1, 17, 22)))
     return [
         *found,
@@ -360,6 +366,16 @@ def loggers() -> list[TableCase]:
         _case("rows that end in a comma", "Time (ms),x (mm)\n" + ",\n".join([*commas, ""]), unit="mm"),
         _case("names that end in a comma", "Time (ms),x (mm),\n" + "\n".join(commas), unit="mm"),
         _case("a name more than columns", "Time (ms),x (mm),note\n" + "\n".join(commas), unit="mm"),
+        _case(
+            "LabVIEW, a column of comments",
+            "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\t\nChannels\t1\t\nX0\t0,0\t\n"
+            "***End_of_Header***\t\t\nX_Value\tx [mm]\tComment\n"
+            + text("\t", (), comma(3), comma(3)).lstrip(),
+            unit="mm",
+        ),
+        _case("numbers of rows, two times", "n;time_s;t_ms;x\n" + both),
+        _case("a date, and a time", "date;t_ms;x\n" + dated),
+        _case("American dates", american, refused="'05/01/2024 12:00:00.000000 AM' is none; write dates as"),
         _case("R's numbers of rows", '"time_ms" "x_mm"\n' + rows, unit="mm"),
         _case(
             "Campbell, four lines",

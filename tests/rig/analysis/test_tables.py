@@ -77,22 +77,6 @@ def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path
     assert "not constant (χ²/dof 1.5" in printed
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "t;x\n0,00;1,5\n0,02;-2,5\n0,04;3\n",
-        "0,00 1,5\n0,02 -2,5\n0,04 3\n",
-        "0.00,1.5\n0.02,-2.5\n0.04,3\n",
-        "0.00, 1.5\n0.02, -2.5\n0.04, 3\n",
-    ],
-)
-def test_decimal_commas(tmp_path: Path, text: str) -> None:
-    (tmp_path / "t.csv").write_text(text)
-    found = TableColumns(None, (), "mm").read(tmp_path / "t.csv")
-    assert found.times_ns.tolist() == [0, 20_000_000, 40_000_000]
-    assert found.positions[0].tolist() == [1.5, -2.5, 3.0]
-
-
 def test_absolute_times_keep_every_nanosecond(tmp_path: Path) -> None:
     start = 1_763_800_000_123_456_789
     (tmp_path / "t.csv").write_text("".join(f"{start + 1001 * i},{i % 2}\n" for i in range(9)))
