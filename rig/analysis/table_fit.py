@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
 from math import hypot
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,6 @@ from processing.estimate import Estimate
 from processing.fit import Witness
 from processing.swing import Swing, SwingFlag, estimate_noise, swings_of, turning_points
 from processing.ticks import seconds
-from processing.unsigned import unsigned_period_s
 from rig.analysis.amplitude_damping import amplitude_damping
 from rig.analysis.compared_laws import laws_of
 from rig.analysis.decay_values import decay_values
@@ -36,8 +34,14 @@ from rig.analysis.second_frequency import fast_oscillation, second_frequency
 from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
 from rig.analysis.surroundings import doubts_of, stated_surroundings, surroundings_of_table
 from rig.analysis.swings_fit import analyse_swings
-from rig.analysis.tables.column_units import TIME_UNITS
-from rig.analysis.trajectory import ANGLES, NOT_STATED, Trajectory
+from rig.analysis.table_doubts import (
+    changes_in,
+    judge_sign,
+    judge_time_unit,
+    strange_amplitudes,
+    why_no_laws,
+)
+from rig.analysis.trajectory import Trajectory
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
 from rig.analysis.witnessed_fits import of_source
@@ -50,11 +54,6 @@ _EDGE = 0.75
 _GROWN = 1.2
 """Ratio of neighbouring amplitudes from which on the pendulum was pushed again, and did not merely swing a
 little further: 20 % of its amplitude are nearly half of its energy."""
-_SLOW_STEP_S = 1.0
-_USUAL_PERIOD_S = (1e-3, 100.0)
-"""Of times in s of which nothing states the unit."""
-_TOO_LARGE = 3.0
-"""Times the first amplitude of a session; 1 arcsec is 5 urad."""
 _CLEARLY = 6.0
 """Standard uncertainties: by chance once in 10^9 half-cycles, where amplitudes are so faint that noise makes
 them grow."""
@@ -106,7 +105,7 @@ def analyse_trajectory(
     """The same of positions that were read before, from a table or a film; `laws` are compared where one is
     fitted.
     """
-    _judge_sign(path, trajectory)
+    judge_sign(path, trajectory)
     scale = trajectory.scale_rad or 1.0
     deflection, across = (one * scale for one in along_and_across(trajectory.positions))
     noise = estimate_noise(trajectory.times_ns, deflection)
@@ -114,7 +113,7 @@ def analyse_trajectory(
     parts = separate_decays(swings)
     usable = [part for part in parts if len(turning_points(part)) >= _USABLE]
     if not usable:
-        _judge_time_unit(path, trajectory, ())
+        judge_time_unit(path, trajectory, ())
         most = max((len(turning_points(part)) for part in parts), default=0)
         reason = second_frequency(trajectory.times_ns, deflection) or (
             "the samples hold no free decay, or too little of one. "
@@ -125,7 +124,7 @@ def analyse_trajectory(
             f"{path}: {most} usable half-cycle{'' if most == 1 else 's'} ({len(swings) - most} more are "
             f"flagged or of other decays), at least {_USABLE} are needed: {reason}"
         )
-    _judge_time_unit(path, trajectory, usable)
+    judge_time_unit(path, trajectory, usable)
     both = _in_both(trajectory.times_ns, across, deflection, noise)
     decays = [_analyse(path, part, trajectory, both, noise, config, laws, witness) for part in usable]
     longest = max(decays, key=lambda decay: decay.summary.half_cycles)
@@ -140,35 +139,6 @@ def analyse_trajectory(
     return AnalysedTable(trajectory, noise / scale, decays, passed_over, results)
 
 
-def _judge_sign(path: Path, trajectory: Trajectory) -> None:
-    """Refuse one position without a sign, of which the period is half of the pendulum's."""
-    if len(trajectory.positions) > 1:
-        return
-    period_s = unsigned_period_s(trajectory.times_ns, trajectory.positions[0])
-    if math.isfinite(period_s):
-        raise DataError(
-            f"{path}: {trajectory.names[0]} has no sign, as |x| or x² of a swing: it comes back to one value "
-            f"every {0.5 * period_s:.4g} s, while the pendulum's period is {period_s:.4g} s; give the "
-            "position with its sign, or its largest values as an envelope (--envelope amplitude)"
-        )
-
-
-def _judge_time_unit(path: Path, trajectory: Trajectory, decays: Sequence[Sequence[Swing]]) -> None:
-    """Refuse times that are hardly s where nothing states it: ms, numbers of rows, parts of a day."""
-    step_s = float(np.median(np.diff(seconds(trajectory.times_ns))))
-    periods_s = [summarise_decay(turning_points(part)).period_s.value for part in decays]
-    longest_s = max(periods_s, default=_USUAL_PERIOD_S[0])
-    usual = step_s < _SLOW_STEP_S and _USUAL_PERIOD_S[0] <= longest_s < _USUAL_PERIOD_S[1]
-    if usual or not trajectory.time_is_assumed:
-        return
-    lasts = f", a period {longest_s:.4g} s" if periods_s else ""
-    raise ConfigurationError(
-        f"{path}: nothing states the unit of {trajectory.time_name!r}, and in s the rows would be "
-        f"{step_s:.4g} s apart{lasts}; state --time-unit {', '.join(TIME_UNITS)}, or the rows in a second: "
-        "--rate HZ --position COLUMN"
-    )
-
-
 def analyse_envelope(
     path: Path, columns: TableColumns, *, decibel: bool, frequency_hz: float | None
 ) -> tuple[EnvelopeDecay, EnvelopeResults]:
@@ -176,7 +146,7 @@ def analyse_envelope(
     trajectory = columns.read(path)
     if len(trajectory.positions) > 1:
         raise ConfigurationError("--position was given twice; an envelope is one column")
-    _judge_time_unit(path, trajectory, ())
+    judge_time_unit(path, trajectory, ())
     try:
         times_s = seconds(trajectory.times_ns)
         found = fit_envelope(times_s, trajectory.positions[0], decibel=decibel)
@@ -231,7 +201,7 @@ def _analyse(
     deflection = np.concatenate([block.y for block in followed.deflections])
     points = turning_points(swings)
     summary = summarise_decay(points)
-    problem = _why_no_laws(trajectory, config)
+    problem = why_no_laws(trajectory, config)
     run = RunResults(
         record=relative_record(path, Path.cwd()), sha256=known_sha256_of_any(path), problem=problem
     )
@@ -280,7 +250,7 @@ def _analyse(
                 *run.warnings,
                 *filter(None, [_direction_warning(trajectory, inside, run, followed)]),
                 *filter(None, [oscillation]),
-                *_changes(summary, scale),
+                *changes_in(summary),
             ),
         }
     )
@@ -297,7 +267,7 @@ def _analyse(
         values["warnings"] = (
             *values["warnings"],
             *doubts_of(found),
-            *_strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config),
+            *strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config),
         )
     if config is not None and config.lever is None and run.budget:
         values["notes"] = (
@@ -336,63 +306,8 @@ def _direction_warning(
     return direction_warning(trajectory.positions, inside)
 
 
-def _changes(summary: DecaySummary, scale: float) -> list[str]:
-    """What a mean does not describe."""
-    said = []
-    if summary.grows:
-        said.append(
-            f"the amplitude grows, by {-summary.decrement.value:.3g} of itself a period in the mean: this is "
-            "no free decay; is time reversed, or does something drive the pendulum?"
-        )
-    for name, mean, unit in (
-        ("period", summary.period_s, " s"),
-        ("logarithmic decrement", summary.decrement, ""),
-    ):
-        if mean.changes:
-            ends = (
-                f": {mean.first:.5g}{unit} over the first third of the half-cycles, {mean.last:.5g}{unit} "
-                "over the last"
-                if np.isfinite(mean.first)
-                else ""
-            )
-            said.append(
-                f"the {name} is not constant (χ²/dof {mean.chi2_per_dof:.3g} if it were){ends}; the "
-                "uncertainty of its mean allows for it"
-            )
-    return said
-
-
-def _strange_amplitudes(
-    amplitude_arcsec: NDArray[np.float64], trajectory: Trajectory, config: Configuration
-) -> list[str]:
-    """What is to be said of amplitudes that the rig does not have, as of angles in another unit."""
-    first, last = config.session.initial_amplitude_arcsec, config.session.final_amplitude_arcsec
-    is_rig = trajectory.scale_rad is not None and config.instrument.kind == "single_ball"
-    if not is_rig or (np.median(amplitude_arcsec) >= last and amplitude_arcsec[0] <= _TOO_LARGE * first):
-        return []
-    return [
-        (
-            f"amplitudes of {amplitude_arcsec[0]:.3g} to {amplitude_arcsec[-1]:.3g} arcsec are none of this "
-            f"rig, which swings from {first:g} to {last:g} arcsec (session.initial_amplitude_arcsec, "
-            f"final_amplitude_arcsec): are the positions in {trajectory.unit}?"
-        )
-    ]
-
-
 def _values(results: RunResults) -> dict[str, Any]:
     return {field.name: getattr(results, field.name) for field in fields(results)}
-
-
-def _why_no_laws(trajectory: Trajectory, config: Configuration | None) -> str:
-    if trajectory.scale_rad is None:
-        if trajectory.unit == NOT_STATED:
-            return f"the unit of the position is not stated; --unit takes {', '.join(ANGLES)}, or any word"
-        near = get_close_matches(trajectory.unit, ANGLES, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"--unit takes {', '.join(ANGLES)}"
-        return f"the laws need an angle, but the unit is {trajectory.unit!r}; {hint}"
-    if config is None:
-        return "the pendulum is not described; --config FILE with [pendulum] gives mass and ball"
-    return ""
 
 
 def separate_decays(swings: Sequence[Swing]) -> list[list[Swing]]:

@@ -252,7 +252,7 @@ def test_a_note_on_growth_states_it(tmp_path: Path) -> None:
     t, x = _decaying()
     found = analyse_table(write(tmp_path / "t.csv", t, x[::-1]), None, TableColumns(unit="V"))
     (said,) = [line for line in found.results.warnings if "grows" in line]
-    assert said.startswith("the amplitude grows, by 0.04 of itself a period")
+    assert said.startswith("the amplitude grows, its log decrement is −0.0400 in the mean")
 
 
 @pytest.mark.parametrize(("scale", "is_said"), [(1.0, False), (1.0 / 206.265, True), (60.0, True)])
