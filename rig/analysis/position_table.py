@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from processing.errors import ConfigurationError, DataError
 from processing.ticks import seconds
 from processing.units import conversion
+from rig.analysis.table_doubts import judge_time_unit
 from rig.analysis.tables import Cells, Columns, Run, moments_ns, read_cells, runs_of
 from rig.analysis.tables.clock_times import M_SS, clock_form
 from rig.analysis.tables.column_units import NOT_STATED_TIME, unit_of_positions, unit_of_time
@@ -181,6 +182,7 @@ class _Reading:
             scale_rad=None,
             time_unit=time_unit,
             time_name=self._names[t_column],
+            time_is_assumed=self._time_is_assumed,
             understood=(self._how_written(), *self._said),
             first_ns=first_ns,
         )
@@ -295,4 +297,6 @@ class _Reading:
 def read_columns(path: Path, columns: Sequence[str], time_unit: str = "") -> Trajectory:
     """Time and any number of columns of a table, all but the time without names; see `TableColumns`."""
     asked = TableColumns(None, tuple(columns), time_unit=time_unit)
-    return _Reading(path, asked, Run("", read_cells(path))).columns()
+    found = _Reading(path, asked, Run("", read_cells(path))).columns()
+    judge_time_unit(path, found)
+    return found

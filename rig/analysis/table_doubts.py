@@ -38,7 +38,7 @@ def judge_sign(path: Path, trajectory: Trajectory) -> None:
         )
 
 
-def judge_time_unit(path: Path, trajectory: Trajectory, decays: Sequence[Sequence[Swing]]) -> None:
+def judge_time_unit(path: Path, trajectory: Trajectory, decays: Sequence[Sequence[Swing]] = ()) -> None:
     """Refuse times that are hardly s where nothing states it: ms, numbers of rows, parts of a day."""
     step_s = float(np.median(np.diff(seconds(trajectory.times_ns))))
     periods_s = [summarise_decay(turning_points(part)).period_s.value for part in decays]

@@ -113,7 +113,7 @@ def analyse_trajectory(
     parts = separate_decays(swings)
     usable = [part for part in parts if len(turning_points(part)) >= _USABLE]
     if not usable:
-        judge_time_unit(path, trajectory, ())
+        judge_time_unit(path, trajectory)
         most = max((len(turning_points(part)) for part in parts), default=0)
         reason = second_frequency(trajectory.times_ns, deflection) or (
             "the samples hold no free decay, or too little of one. "
@@ -146,7 +146,7 @@ def analyse_envelope(
     trajectory = columns.read(path)
     if len(trajectory.positions) > 1:
         raise ConfigurationError("--position was given twice; an envelope is one column")
-    judge_time_unit(path, trajectory, ())
+    judge_time_unit(path, trajectory)
     try:
         times_s = seconds(trajectory.times_ns)
         found = fit_envelope(times_s, trajectory.positions[0], decibel=decibel)

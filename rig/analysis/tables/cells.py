@@ -116,10 +116,14 @@ def _by_any(line: str) -> list[str]:
 def _cells(
     path: Path, numbered: list[tuple[int, list[str]]], comments: list[list[str]], separator: str, decimal: str
 ) -> Cells:
-    widths = Counter(len(cells) for _, cells in numbered if any(cells) and all(map(is_value, cells)))
+    counts = [
+        (len(cells), len(filled := [cell for cell in cells if cell]), sum(map(is_value, filled)))
+        for _, cells in numbered
+    ]
+    widths = Counter(wide for wide, filled, values in counts if filled == values > 0)
     if not widths:
         # a column of words beside the numbers
-        widths = Counter(len(cells) for _, cells in numbered if sum(map(is_value, filter(None, cells))) > 1)
+        widths = Counter(wide for wide, _, values in counts if values > 1)
     width, count = widths.most_common(1)[0] if widths else (0, 0)
     if count < 2:
         raise DataError(
@@ -127,12 +131,12 @@ def _cells(
             "is expected (separated by tabs, commas, semicolons or spaces)"
         )
     fewest = min(2, width)
-    firsts = (
-        place
-        for place, (_, cells) in enumerate(numbered)
-        if len(cells) == width and sum(map(is_value, filter(None, cells))) >= fewest
+    numbers_in = [values if wide == width else 0 for wide, _, values in counts]
+    # a line above the names may hold numbers, too, but fewer
+    usual = Counter(values for values in numbers_in if values >= fewest).most_common(1)
+    first = next(
+        (k for k, values in enumerate(numbers_in) if usual and values >= max(fewest, usual[0][0] / 2)), None
     )
-    first = next(firsts, None)
     if first is None:
         raise DataError(
             f"{path}: no row has two numbers; a table of time and position is expected, or the rate of its "

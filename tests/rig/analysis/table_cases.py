@@ -373,6 +373,13 @@ def loggers() -> list[TableCase]:
             + text("\t", (), comma(3), comma(3)).lstrip(),
             unit="mm",
         ),
+        _case(
+            "Campbell, as many columns as its first line",
+            '"TOA5","L","CR6","1","S","P","1","D"\n"TIMESTAMP","RECORD","x","a","b","c","d","e"\n'
+            '"TS","RN","mm","V","V","V","V","V"\n"","","Smp","Smp","Smp","Smp","Smp","Smp"\n'
+            + _counted(moments).replace("\n", ",1,2,3,4,5\n"),
+            unit="mm",
+        ),
         _case("numbers of rows, two times", "n;time_s;t_ms;x\n" + both),
         _case("a date, and a time", "date;t_ms;x\n" + dated),
         _case("American dates", american, refused="'05/01/2024 12:00:00.000000 AM' is none; write dates as"),
