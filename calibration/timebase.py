@@ -84,15 +84,17 @@ def unwrap_counter(ticks: NDArray[np.int64], bits: int) -> NDArray[np.int64]:
     """
     if len(ticks) == 0:
         return ticks.astype(np.int64)
-    span = 1 << bits
-    steps = np.mod(np.diff(ticks.astype(np.int64)), np.int64(span))
-    if len(steps) and int(steps.max()) > span // 2:
-        frame = int(np.argmax(steps > span // 2))
+    # unsigned numbers roll over by themselves, at 64 bits
+    unsigned = ticks.astype(np.uint64)
+    steps = (unsigned[1:] - unsigned[:-1]) & np.uint64((1 << bits) - 1)
+    backwards = steps > np.uint64(1 << (bits - 1))
+    if backwards.any():
+        frame = int(np.argmax(backwards))
         raise DataError(
             f"camera clock: runs backwards after frame {frame} ({ticks[frame]} then {ticks[frame + 1]} ticks "
             f"of a {bits}-bit counter); restart the camera"
         )
-    return np.concatenate([ticks[:1].astype(np.int64), ticks[0] + np.cumsum(steps)])
+    return np.concatenate([ticks[:1].astype(np.int64), ticks[0] + np.cumsum(steps.astype(np.int64))])
 
 
 def relate_clocks(

@@ -107,7 +107,8 @@ def interval(low: float, high: float) -> str:
 
 def percent(fraction: float, digits: int = 2) -> str:
     """A fraction in per cent, with so many significant digits: `0.25 %`, `130 %`, `2.0 × 10⁻⁵ %`."""
-    text = f"{100 * fraction:.{digits}g}"
+    # -0.0 + 0.0 is 0.0
+    text = f"{100 * fraction + 0.0:.{digits}g}"
     if "e+" in text:
         return f"{100 * fraction:.0f} %"
     return f"{plain(100 * fraction, digits)} %" if "e-" in text else f"{text} %"

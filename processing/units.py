@@ -82,6 +82,8 @@ _TOKEN: Final = re.compile(
     r"|([^\s/*·^()√⁻⁰¹²³⁴-⁹]+)([⁻⁰¹²³⁴-⁹]*))"  # symbol, its power
 )
 
+_LONGEST: Final = 80
+"""Characters of a unit."""
 _IN_NAMES: Final[Mapping[str, str]] = {
     "m": "m", "m2": "m^2", "m3": "m^3", "kg": "kg", "s": "s", "s2": "s^2", "ms": "ms", "us": "us",
     "ns": "ns", "a": "A", "hz": "Hz", "rthz": "sqrt(Hz)", "n": "N", "pa": "Pa", "j": "J", "w": "W",
@@ -95,11 +97,16 @@ _PRODUCTS_IN_NAMES: Final = (["n", "m"], ["pa", "s"])
 def size(unit: str) -> Size:
     """The unit in SI units. Raises ConfigurationError for a text that is none."""
     factor, powers = 1.0, dict[str, Fraction]()
-    for symbol, power in factors(unit):
-        one = _symbol(symbol, unit)
-        factor *= one.factor ** float(power)
-        for name, own in one.powers.items():
-            powers[name] = powers.get(name, Fraction(0)) + own * power
+    try:
+        for symbol, power in factors(unit):
+            one = _symbol(symbol, unit)
+            factor *= one.factor ** float(power)
+            for name, own in one.powers.items():
+                powers[name] = powers.get(name, Fraction(0)) + own * power
+    except OverflowError:
+        factor = math.inf
+    if not 0 < factor < math.inf:
+        raise ConfigurationError(f"{unit!r} is not a unit: its power is too large")
     return Size(factor, {name: power for name, power in powers.items() if power})
 
 
@@ -109,12 +116,15 @@ def factors(unit: str) -> tuple[tuple[str, Fraction], ...]:
 
     Raises ConfigurationError for a text that is no unit.
     """
+    if len(unit) > _LONGEST:
+        raise ConfigurationError(f"{unit[:_LONGEST]!r} and more is not a known unit")
     tokens = [match for match in _TOKEN.finditer(unit.strip()) if match[0].strip()]
     if not any(match[4] for match in tokens) or "".join(match[0] for match in tokens).split() != unit.split():
         raise ConfigurationError(f"{unit!r} is not a known unit")
-    if unit.count("(") != unit.count(")"):
+    found, rest = _product(unit, [match.groups("") for match in tokens])
+    if rest:
         raise ConfigurationError(f"{unit!r} is not a unit: a bracket is missing")
-    return tuple(_product(unit, [match.groups("") for match in tokens])[0])
+    return tuple(found)
 
 
 def conversion(unit: str, into: str) -> float:
@@ -157,20 +167,20 @@ def in_ascii(unit: str) -> str:
 
 
 def _product(
-    unit: str, tokens: list[tuple[str, ...]]
+    unit: str, tokens: list[tuple[str, ...]], *, bracketed: bool = False
 ) -> tuple[list[tuple[str, Fraction]], list[tuple[str, ...]]]:
-    """The product that the tokens begin with, up to a closing bracket, and what follows it."""
-    found, sign = list[tuple[str, Fraction]](), 1
-    while tokens:
+    """The product that the tokens begin with, up to the closing bracket if `bracketed`, and what follows."""
+    found, sign = list[tuple[str, Fraction]](), 0
+    while tokens and tokens[0][0] != ")":
         (bracket, _, operator, symbol, raised), *tokens = tokens
-        if bracket == ")":
-            break
         if operator:
+            if sign or not found:
+                raise ConfigurationError(f"{unit!r} is not a unit: nothing stands before {operator!r}")
             sign = -1 if operator == "/" else 1
             continue
-        power = Fraction(sign)
+        power = Fraction(sign or 1)
         if bracket:
-            one, tokens = _product(unit, tokens)
+            one, tokens = _product(unit, tokens, bracketed=True)
             power *= Fraction(1, 2) if bracket != "(" else 1
         elif symbol:
             one = [(symbol, Fraction(1))]
@@ -181,8 +191,10 @@ def _product(
         if raised:
             power *= _power(raised.translate(_SUPERSCRIPTS), unit)
         found += [(each, own * power) for each, own in one]
-        sign = 1
-    return found, tokens
+        sign = 0
+    if sign or not found or (bracketed and not tokens):
+        raise ConfigurationError(f"{unit!r} is not a unit: it ends too early, or a bracket is missing")
+    return found, tokens[1:] if bracketed else tokens
 
 
 def _power(text: str, unit: str) -> Fraction:

@@ -11,16 +11,18 @@ from numpy.typing import NDArray
 from processing.errors import ConfigurationError, DataError
 from processing.ticks import seconds
 from processing.units import conversion
+from rig.analysis.table_doubts import judge_time_unit
 from rig.analysis.tables import Cells, Columns, Run, moments_ns, read_cells, runs_of
 from rig.analysis.tables.clock_times import M_SS, clock_form
-from rig.analysis.tables.column_units import unit_of_positions, unit_of_time
+from rig.analysis.tables.column_units import NOT_STATED_TIME, unit_of_positions, unit_of_time
 from rig.analysis.tables.judged import (
     SPREADSHEET_ZERO_NS,
-    judge_days,
+    judge_begin,
     judge_size,
     judge_words,
     judge_zones,
     of_spreadsheet,
+    unwrapped,
 )
 from rig.analysis.tables.numbers import is_moment
 from rig.analysis.tables.times import SORT, number, placed, read_times, rising
@@ -105,6 +107,7 @@ class _Reading:
         self._columns = Columns(path, run.cells)
         self._names = self._columns.names
         self._said: list[str] = [*run.cells.said, *said]
+        self._time_is_assumed = False
 
     def trajectory(self) -> Trajectory:
         rows, asked = self._cells.rows, self._asked
@@ -127,6 +130,12 @@ class _Reading:
             judge_words(self._path, self._names[k], [row[k] for row in rows], self._cells.lines)
         if (empty := np.all(np.isnan(table), axis=0)).any():
             raise self._without_numbers(p_columns[int(np.argmax(empty))])
+        for place, k in enumerate(p_columns):
+            table[:, place], turns = unwrapped(
+                self._path, self._names[k], unit, table[:, place], lines[inside]
+            )
+            if turns:
+                self._said.append(f"position: {self._names[k]} jumps by a turn {turns} times: unwrapped")
         judge_size(self._path, unit, table)
         return Trajectory(
             times_ns=times_ns,
@@ -136,6 +145,7 @@ class _Reading:
             scale_rad=conversion(unit, "rad") if unit in ANGLES else None,
             time_unit=time_unit,
             time_name="the rate" if t_column is None else self._names[t_column],
+            time_is_assumed=self._time_is_assumed,
             understood=(self._how_written(), *self._said),
             first_ns=first_ns,
             run=self._run,
@@ -172,6 +182,7 @@ class _Reading:
             scale_rad=None,
             time_unit=time_unit,
             time_name=self._names[t_column],
+            time_is_assumed=self._time_is_assumed,
             understood=(self._how_written(), *self._said),
             first_ns=first_ns,
         )
@@ -197,8 +208,8 @@ class _Reading:
         unit, source = unit_of_time(self._path, self._names[column], named, self._asked.time_unit)
         remedy = SORT if not self._split_at_decimal_commas() else _NO_COMMAS
         times_ns, good, first_ns = read_times(self._path, cells, unit, remedy)
-        if not self._asked.time_unit:
-            judge_days(self._path, self._names[column], source, first_ns, times_ns)
+        self._time_is_assumed = source == NOT_STATED_TIME
+        judge_begin(self._path, self._names[column], unit, source, first_ns, times_ns)
         self._said.append(f"time: {self._names[column]}, in {unit} ({source})")
         if unit == "d" and of_spreadsheet(first_ns):
             first_ns -= SPREADSHEET_ZERO_NS
@@ -286,4 +297,6 @@ class _Reading:
 def read_columns(path: Path, columns: Sequence[str], time_unit: str = "") -> Trajectory:
     """Time and any number of columns of a table, all but the time without names; see `TableColumns`."""
     asked = TableColumns(None, tuple(columns), time_unit=time_unit)
-    return _Reading(path, asked, Run("", read_cells(path))).columns()
+    found = _Reading(path, asked, Run("", read_cells(path))).columns()
+    judge_time_unit(path, found)
+    return found

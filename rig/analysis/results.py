@@ -168,12 +168,14 @@ class TableDecay(RunResults):
 
     `initial_amplitude` and `final_amplitude` are in the table's own unit, `amplitude_unit`; `began_s` and
     `ended_s` are the times of the first and last turning point, from the table's first row. `run` is the name
-    of its run, if the file contains several.
+    of its run, if the file contains several. `session` is what the configuration states of the sample, its
+    history and the operator.
     """
 
     began_s: float = nan
     ended_s: float = nan
     run: str = ""
+    session: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def source_name(self) -> str:

@@ -1,7 +1,7 @@
 """What surrounded a run: the air, and how long the contact and its surfaces had been as they were."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import datetime
 from math import nan
 
@@ -26,6 +26,13 @@ def stated_surroundings(config: Configuration) -> Surroundings:
     """The air as the user stated it."""
     stated = {name: getattr(config.environment, name) for name in type(config.environment).model_fields}
     return Surroundings(**{name: float(value) for name, value in stated.items() if value is not None})
+
+
+def surroundings_of_table(config: Configuration, began_s: float | None) -> Surroundings:
+    """As stated, with the history of the contact up to the first row, if that is a time since 1970."""
+    since = {name: getattr(config.session, key) for name, key in _SINCE.items()}
+    known = {} if began_s is None else {name: began_s - at.timestamp() for name, at in since.items() if at}
+    return replace(stated_surroundings(config), **known)
 
 
 def recorded_surroundings(reader: RecordReader, config: Configuration | None = None) -> Surroundings:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
 from math import hypot
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.digest import known_sha256_of_any
+from processing.angle import ARCSEC_RAD
 from processing.contact import StatedLaw
 from processing.contact.laws import Law
 from processing.decay_summary import DecaySummary, summarise_decay
@@ -32,14 +32,22 @@ from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableR
 from rig.analysis.results_file import relative_record
 from rig.analysis.second_frequency import fast_oscillation, second_frequency
 from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
-from rig.analysis.surroundings import stated_surroundings
+from rig.analysis.surroundings import doubts_of, stated_surroundings, surroundings_of_table
 from rig.analysis.swings_fit import analyse_swings
-from rig.analysis.trajectory import ANGLES, NOT_STATED, Trajectory
+from rig.analysis.table_doubts import (
+    changes_in,
+    judge_sign,
+    judge_time_unit,
+    strange_amplitudes,
+    why_no_laws,
+)
+from rig.analysis.trajectory import Trajectory
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
 from rig.analysis.witnessed_fits import of_source
 from rig.settings import Configuration
 
+_STATED = ("sample", "operator", "contact_history", "notes")
 _USABLE = 4  # what the summary of a decay needs (processing/decay_summary.py)
 _EDGE = 0.75
 """Samples of a decay: from so many half periods before its first turning point to as many after its last."""
@@ -97,6 +105,7 @@ def analyse_trajectory(
     """The same of positions that were read before, from a table or a film; `laws` are compared where one is
     fitted.
     """
+    judge_sign(path, trajectory)
     scale = trajectory.scale_rad or 1.0
     deflection, across = (one * scale for one in along_and_across(trajectory.positions))
     noise = estimate_noise(trajectory.times_ns, deflection)
@@ -104,6 +113,7 @@ def analyse_trajectory(
     parts = separate_decays(swings)
     usable = [part for part in parts if len(turning_points(part)) >= _USABLE]
     if not usable:
+        judge_time_unit(path, trajectory)
         most = max((len(turning_points(part)) for part in parts), default=0)
         reason = second_frequency(trajectory.times_ns, deflection) or (
             "the samples hold no free decay, or too little of one. "
@@ -114,6 +124,7 @@ def analyse_trajectory(
             f"{path}: {most} usable half-cycle{'' if most == 1 else 's'} ({len(swings) - most} more are "
             f"flagged or of other decays), at least {_USABLE} are needed: {reason}"
         )
+    judge_time_unit(path, trajectory, usable)
     both = _in_both(trajectory.times_ns, across, deflection, noise)
     decays = [_analyse(path, part, trajectory, both, noise, config, laws, witness) for part in usable]
     longest = max(decays, key=lambda decay: decay.summary.half_cycles)
@@ -135,6 +146,7 @@ def analyse_envelope(
     trajectory = columns.read(path)
     if len(trajectory.positions) > 1:
         raise ConfigurationError("--position was given twice; an envelope is one column")
+    judge_time_unit(path, trajectory)
     try:
         times_s = seconds(trajectory.times_ns)
         found = fit_envelope(times_s, trajectory.positions[0], decibel=decibel)
@@ -189,7 +201,7 @@ def _analyse(
     deflection = np.concatenate([block.y for block in followed.deflections])
     points = turning_points(swings)
     summary = summarise_decay(points)
-    problem = _why_no_laws(trajectory, config)
+    problem = why_no_laws(trajectory, config)
     run = RunResults(
         record=relative_record(path, Path.cwd()), sha256=known_sha256_of_any(path), problem=problem
     )
@@ -238,7 +250,7 @@ def _analyse(
                 *run.warnings,
                 *filter(None, [_direction_warning(trajectory, inside, run, followed)]),
                 *filter(None, [oscillation]),
-                *_changes(summary, scale),
+                *changes_in(summary),
             ),
         }
     )
@@ -247,6 +259,16 @@ def _analyse(
     if run.turning_points is None:
         unit = TableUnit.OWN if trajectory.scale_rad is None else DeflectionUnit.RAD
         values["turning_points"] = StoredTurningPoints.of(points, swings, unit, 1.0)
+    if config is not None:
+        began_s = seconds(trajectory.first_ns)
+        found = surroundings_of_table(config, began_s if began_s > FIRST_UTC_S else None)
+        values["surroundings"] = found
+        values["session"] = {name: text for name in _STATED if (text := getattr(config.session, name))}
+        values["warnings"] = (
+            *values["warnings"],
+            *doubts_of(found),
+            *strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config),
+        )
     if config is not None and config.lever is None and run.budget:
         values["notes"] = (
             *values["notes"],
@@ -284,47 +306,8 @@ def _direction_warning(
     return direction_warning(trajectory.positions, inside)
 
 
-def _changes(summary: DecaySummary, scale: float) -> list[str]:
-    """What a mean does not describe."""
-    said = []
-    if summary.grows:
-        said.append(
-            f"the amplitude grows, {summary.initial_amplitude / scale:.4g} to "
-            f"{summary.final_amplitude / scale:.4g}: this is no free decay; is time reversed, or does "
-            "something drive the pendulum?"
-        )
-    for name, mean, unit in (
-        ("period", summary.period_s, " s"),
-        ("logarithmic decrement", summary.decrement, ""),
-    ):
-        if mean.changes:
-            ends = (
-                f": {mean.first:.5g}{unit} over the first third of the half-cycles, {mean.last:.5g}{unit} "
-                "over the last"
-                if np.isfinite(mean.first)
-                else ""
-            )
-            said.append(
-                f"the {name} is not constant (χ²/dof {mean.chi2_per_dof:.3g} if it were){ends}; the "
-                "uncertainty of its mean allows for it"
-            )
-    return said
-
-
 def _values(results: RunResults) -> dict[str, Any]:
     return {field.name: getattr(results, field.name) for field in fields(results)}
-
-
-def _why_no_laws(trajectory: Trajectory, config: Configuration | None) -> str:
-    if trajectory.scale_rad is None:
-        if trajectory.unit == NOT_STATED:
-            return f"the unit of the position is not stated; --unit takes {', '.join(ANGLES)}, or any word"
-        near = get_close_matches(trajectory.unit, ANGLES, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"--unit takes {', '.join(ANGLES)}"
-        return f"the laws need an angle, but the unit is {trajectory.unit!r}; {hint}"
-    if config is None:
-        return "the pendulum is not described; --config FILE with [pendulum] gives mass and ball"
-    return ""
 
 
 def separate_decays(swings: Sequence[Swing]) -> list[list[Swing]]:

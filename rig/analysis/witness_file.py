@@ -18,6 +18,7 @@ FIRST_UTC_S = 1e9
 """Times of a table from which on they count from 1970: this was in 2001, and no run lasts so long."""
 _SAME_TICK = 0.5
 _REMEDIES: Final = {
+    ", or the rows in a second: --rate HZ --position COLUMN": "",
     "name the time column with --time": "call the time column time_s",
     "--time-unit": "--witness-time-unit",
     "--position": "--witness-column",

@@ -87,6 +87,8 @@ def _of_table(folder: Path, decay: TableDecay, number: int) -> Row:
         "state": "whole",
         "flaw": "",
     }
+    row |= {name: text for name, text in decay.session.items() if name != "notes"}
+    row |= decay.surroundings.known() if decay.surroundings is not None else {}
     if not path.exists():
         row |= {"state": "missing", "flaw": "results name a table that is not there"}
     elif known_sha256_of_any(path) != decay.sha256:

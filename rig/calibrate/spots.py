@@ -47,7 +47,7 @@ def binning_of_record(record: Path) -> int:
     with RecordReader(record) as reader:
         stated = reader.metadata.get("camera_settings", {})
     binning = stated.get("binning", "")
-    return (int(binning) if binning.isdigit() else 1) * (2 if "colour_plane" in stated else 1)
+    return (int(binning) if binning.isdecimal() else 1) * (2 if "colour_plane" in stated else 1)
 
 
 def whole_spots(record: Path) -> tuple[NDArray[Any], datetime.datetime]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from acquisition.record.digest import sha256_of
 from processing.errors import ConfigurationError, RecordError
-from rig.analysis import read_results, results_path
+from rig.analysis import TableDecay, read_results, results_path
 from rig.campaigns.likelihoods import FoundRun
 
 _SESSION = "session.json"
@@ -79,11 +79,13 @@ def sessions_in(folder: Path) -> list[Path]:
 
 
 def _sample(folder: Path) -> str:
-    """The sample that a session's configuration states."""
+    """The sample that the configuration of a session, or of a table's fit, states."""
+    of_table = [run.session for run in read_results(results_path(folder)).runs if isinstance(run, TableDecay)]
     place = folder if folder.is_dir() else folder.parent
-    path = place / _SESSION
+    path = results_path(folder) if of_table else place / _SESSION
     try:
-        sample = json.loads(path.read_bytes())["configuration"]["session"].get("sample", "")
+        session = of_table[0] if of_table else json.loads(path.read_bytes())["configuration"]["session"]
+        sample = session.get("sample", "")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigurationError(
             f"{path}: names no sample ({type(error).__name__}); leave out --by-sample, then each folder is a "

@@ -208,6 +208,9 @@ def read_table_decay(folder: Path, decay: TableDecay, name: str) -> ExportedRun:
     columns |= {f"position_{k}_{suffix}": each[inside] * size for k, each in enumerate(positions, start=1)}
     found = encoded(decay)
     provenance = {"table": decay.record, "sha256": decay.sha256, "unit of the table": own}
+    provenance |= {f"session.{name}": text for name, text in decay.session.items()}
+    air = {} if decay.surroundings is None else decay.surroundings.known()
+    provenance |= {f"environment.{name}": f"{value:g}" for name, value in air.items()}
     swings = {
         "index": stored.index,
         "time_s": stored.first_ns / NS_PER_S + stored.time_s,

@@ -181,7 +181,7 @@ def decay_of_table(folder: Path, table: TableResults, number: int) -> RunData:
         **{f"sha256 of {name}": value for name, value in decay.inputs_sha256.items()},
     }
     title = f"Decay {number}" if len(table.decays) > 1 else "Decay"
-    return RunData(title, decay, stored, motion, None, {"file": file}, None, notes)
+    return RunData(title, decay, stored, motion, None, {"file": file, "session": decay.session}, None, notes)
 
 
 def _motion(folder: Path, decay: TableDecay, zero_s: float, unit: ShownUnit) -> ShownTrajectory:

@@ -60,7 +60,7 @@ def answered(wizard: Wizard, draft: Draft, text: str) -> Draft:
         text = question.suggested
     answers = [choice.answer for choice in question.choices]
     if answers and text not in answers:
-        if text.isdigit() and 1 <= int(text) <= len(answers):
+        if text.isdecimal() and 1 <= int(text) <= len(answers):
             text = answers[int(text) - 1]
         elif not question.open_choice:
             raise ConfigurationError(f"{text!r}: choose one of {', '.join(answers)}, or its number")

@@ -76,11 +76,17 @@ def test_what_is_not_the_same_thing_is_refused(unit: str, into: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "furlong", "m^", "m/(s", "m)", "rad^-p", "5", "m,s", "km2", "mm.", "kmin", "/"]
-)
+    "text",
+    [
+        "", "furlong", "m^", "m/(s", "m)", "rad^-p", "5", "m,s", "km2", "mm.", "kmin", "/",
+        "m)/(s", ")m(", "m/", "/s", "m//s", "m*/s", "m()", "sqrt()", "m^2^3", "(^2)m",
+        "km^999", "m/km^999", "Gm^40", "m^1" + "0" * 400, "m^1.2.3", "(" * 5000 + "m" + ")" * 5000,
+    ],
+)  # fmt: skip
 def test_what_is_no_unit_is_refused(text: str) -> None:
-    with pytest.raises(ConfigurationError, match="is not a"):
+    with pytest.raises(ConfigurationError, match="is not a") as refused:
         size(text)
+    assert len(str(refused.value)) < 200
 
 
 def test_spellings_of_one_unit() -> None:

@@ -54,7 +54,7 @@ def is_film(path: Path) -> bool:
 def natural_key(name: str) -> list[tuple[int, int, str]]:
     """Sort key that counts digits as numbers: frame2 before frame10."""
     parts = re.split(r"(\d+)", name)
-    return [(0, int(part), part) if part.isdigit() else (1, 0, part.lower()) for part in parts if part]
+    return [(0, int(part), part) if part.isdecimal() else (1, 0, part.lower()) for part in parts if part]
 
 
 def numbers_in(names: Sequence[str]) -> list[int] | None:

@@ -11,12 +11,16 @@ from typing import Final
 
 from processing.errors import DataError
 from rig.analysis.tables.files import bytes_of, rows_of, text_of
-from rig.analysis.tables.numbers import Writing, is_moment, is_value, unit_behind, writing_of
+from rig.analysis.tables.header_units import TIME_NAME, is_time, known_unit, named_unit
+from rig.analysis.tables.numbers import Writing, counts_rows, is_moment, is_value, unit_behind, writing_of
 
 _COMMENTS: Final = ("#", "%", "//", "!")
 _SEPARATORS: Final = {"tabs": "\t", "semicolons": ";", "bars": "|", "commas": ","}
 # A sentence has commas and blanks, too, and may stand above the rows.
 _IN_NO_SENTENCE: Final = ("tabs", "semicolons")
+_NO_UNIT: Final = ("", "-", "--", "n/a", "none", "ts", "rn")
+"""In a line of units; the last two are those of a time and of a number in Campbell's loggers."""
+_BRACKETED: Final = re.compile(r"\s*[\[({<].*[\])}>]\s*")
 _LOOKED_AT: Final = 2000
 _BLANKS: Final = re.compile(r"[ \t]+")
 _ANY: Final = re.compile(r"\s*[;,|\t ]\s*")
@@ -112,10 +116,14 @@ def _by_any(line: str) -> list[str]:
 def _cells(
     path: Path, numbered: list[tuple[int, list[str]]], comments: list[list[str]], separator: str, decimal: str
 ) -> Cells:
-    widths = Counter(len(cells) for _, cells in numbered if any(cells) and all(map(is_value, cells)))
+    counts = [
+        (len(cells), len(filled := [cell for cell in cells if cell]), sum(map(is_value, filled)))
+        for _, cells in numbered
+    ]
+    widths = Counter(wide for wide, filled, values in counts if filled == values > 0)
     if not widths:
         # a column of words beside the numbers
-        widths = Counter(len(cells) for _, cells in numbered if sum(map(is_value, filter(None, cells))) > 1)
+        widths = Counter(wide for wide, _, values in counts if values > 1)
     width, count = widths.most_common(1)[0] if widths else (0, 0)
     if count < 2:
         raise DataError(
@@ -123,12 +131,12 @@ def _cells(
             "is expected (separated by tabs, commas, semicolons or spaces)"
         )
     fewest = min(2, width)
-    firsts = (
-        place
-        for place, (_, cells) in enumerate(numbered)
-        if len(cells) == width and sum(map(is_value, filter(None, cells))) >= fewest
+    numbers_in = [values if wide == width else 0 for wide, _, values in counts]
+    # a line above the names may hold numbers, too, but fewer
+    usual = Counter(values for values in numbers_in if values >= fewest).most_common(1)
+    first = next(
+        (k for k, values in enumerate(numbers_in) if usual and values >= max(fewest, usual[0][0] / 2)), None
     )
-    first = next(firsts, None)
     if first is None:
         raise DataError(
             f"{path}: no row has two numbers; a table of time and position is expected, or the rate of its "
@@ -139,7 +147,7 @@ def _cells(
     body = [(n, cells) for n, cells in numbered[first:] if len(cells) == width and n not in again]
     left_out = [n for n, cells in numbered[first:] if len(cells) != width and n not in again]
     columns = [list(column) for column in zip(*(cells for _, cells in body), strict=True)]
-    names, units = _header(header or comments, width, separator)
+    names, units = _header(header or comments, columns, separator)
     # of columns that are empty throughout, a separator at the end of every line makes one
     kept = [k for k in range(width) if any(columns[k])]
     columns, names = [columns[k] for k in kept], [names[k] for k in kept] if names else []
@@ -165,39 +173,69 @@ def _blocks(lines: Sequence[int], left_out: Sequence[int]) -> list[int]:
     return found
 
 
-def _header(lines: list[list[str]], width: int, separator: str) -> tuple[list[str], list[str]]:
-    """Names, and units that have a line of their own below them; both empty where there are none."""
-    if lines and len(lines[-1]) > width > 1 and separator in _IN_NO_SENTENCE:
-        # LabVIEW names a column of comments, which the rows do not have
-        *above, last = lines
-        if all(any(map(str.isalpha, cell)) for cell in last[:width]):
-            lines = [*above, last[:width]]
+def _header(lines: list[list[str]], columns: list[list[str]], separator: str) -> tuple[list[str], list[str]]:
+    """Names, and units that have a line of their own; both empty where there are none.
+
+    Lines of comments may stand below them, as Origin and Campbell's loggers write them.
+    """
+    width = len(columns)
     # a line of numbers is no header, nor is one of several words that of a single column
     fitting = [
         cells
-        for cells in lines
-        if len(cells) == width
+        for number, line in enumerate(lines, 1 - len(lines))
+        if (cells := _as_wide(line, columns, separator if not number else ""))
         and any(any(map(str.isalpha, cell)) for cell in cells)
         and (width > 1 or not set(cells[0]) & set(",;\t"))
     ]
-    if not fitting:
-        return [], []
-    *before, last = fitting
-    if before and sum(_is_unit_cell(cell) for cell in last) * 2 > len(last) and any(map(_bracketed, last)):
-        return before[-1], [cell.strip("()[] ") for cell in last]
-    from rig.analysis.tables.header_units import known_unit
-
-    if before and all(not cell or known_unit(cell) for cell in last):
-        return before[-1], [cell.strip() for cell in last]
-    return last, []
+    of_units = [k for k in range(len(fitting)) if len(fitting) > 1 and _is_of_units(fitting, k)]
+    if of_units:
+        above, units = fitting[: of_units[-1]], [cell.strip("()[]{}<> ") for cell in fitting[of_units[-1]]]
+        names = _names(above) if above else fitting[of_units[-1] + 1]
+        return names, ["" if unit.lower() in _NO_UNIT else unit for unit in units]
+    return (_names(fitting) if fitting else []), []
 
 
-def _bracketed(cell: str) -> bool:
-    return bool(re.fullmatch(r"[(\[].*[)\]]", cell.strip()))
+def _as_wide(cells: list[str], columns: list[list[str]], separator: str) -> list[str]:
+    """A line of the header with a cell for each column; empty where it is none. `separator`: of the last."""
+    width = len(columns)
+    if len(cells) > width > 1 and not any(cells[width:]):
+        cells = cells[:width]
+    if len(cells) > width > 1 and separator and all(any(map(str.isalpha, cell)) for cell in cells[:width]):
+        # LabVIEW names a column of comments, which the rows do not have
+        cells = cells[:width] if separator in _IN_NO_SENTENCE or any(map(_tells, cells[:width])) else cells
+    if 1 < len(cells) < width and not any(map(any, columns[len(cells) :])):
+        cells = [*cells, *[""] * (width - len(cells))]
+    if 1 < len(cells) == width - 1 and counts_rows(columns[0]):
+        # R writes the numbers of the rows without a name
+        cells = ["row", *cells]
+    return cells if len(cells) == width else []
 
 
-def _is_unit_cell(cell: str) -> bool:
-    return not cell or _bracketed(cell)
+def _tells(name: str) -> bool:
+    """Whether it is a column's name by what it says: a time, or a unit."""
+    return bool(TIME_NAME.fullmatch(name) or named_unit(name).unit)
+
+
+def _names(lines: list[list[str]]) -> list[str]:
+    """The last line that names a time or a unit, else the last one."""
+    words = [cells for cells in lines if all(any(map(str.isalpha, cell)) for cell in cells if cell)]
+    return next((cells for cells in reversed(words) if any(map(_tells, cells))), lines[-1])
+
+
+def _is_of_units(lines: list[list[str]], k: int) -> bool:
+    """Whether a line holds units: all of its cells are, or the one under a time, or most have brackets."""
+    filled = [cell for cell in lines[k] if cell.lower() not in _NO_UNIT]
+    known = [known_unit(cell.strip("()[]{}<> ")) for cell in lines[k]]
+    if not filled or not any(known):
+        return bool(filled) and k > 0 and all(map(_BRACKETED.fullmatch, filled))
+    under = k > 0 and any(
+        is_time(unit) and TIME_NAME.fullmatch(name) for unit, name in zip(known, lines[k - 1], strict=True)
+    )
+    return (
+        under
+        or 2 * sum(map(bool, map(_BRACKETED.fullmatch, filled))) > len(filled)
+        or (sum(map(bool, known)) >= len(filled))
+    )
 
 
 def _joined_moments(

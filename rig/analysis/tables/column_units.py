@@ -6,17 +6,12 @@ from typing import Final
 
 from processing.errors import ConfigurationError
 from processing.units import size
-from rig.analysis.tables.header_units import Named, known_unit
+from rig.analysis.tables.header_units import Named, is_time, known_unit
 from rig.analysis.trajectory import ANGLES, NOT_STATED
 
 NOT_STATED_TIME: Final = "nothing states another"
 """Who says that a time is in s."""
 TIME_UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
-
-
-def is_time(unit: str) -> bool:
-    """Whether it is a unit of time."""
-    return bool(unit) and dict(size(unit).powers) == dict(size("s").powers)
 
 
 def unit_of_time(path: Path, title: str, named: Named, asked: str) -> tuple[str, str]:

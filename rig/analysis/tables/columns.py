@@ -8,14 +8,10 @@ from typing import Final
 
 from processing.errors import ConfigurationError, DataError
 from rig.analysis.tables.cells import Cells
-from rig.analysis.tables.column_units import is_time
-from rig.analysis.tables.header_units import Named, known_unit, named_unit
-from rig.analysis.tables.numbers import is_moment
+from rig.analysis.tables.header_units import TIME_NAME, Named, is_time, known_unit, named_unit
+from rig.analysis.tables.numbers import counts_rows, is_moment
 from rig.analysis.tables.times import number
 
-_TIME_NAME: Final = re.compile(
-    r"(?:t|time|zeit|temps|tiempo|tempo|elapsed|date.*|datum.*|timestamp|clock)(?:[\W_].*)?", re.I
-)
 _RUN_NAME: Final = re.compile(
     r"(?:run|trial|lauf|versuch|messung|messreihe|serie|series|experiment|essai|repeat|repetition|"
     r"wiederholung|sweep)(?:[\W_]*(?:no|nr|num|number|nummer|id|index))?\W*",
@@ -34,7 +30,8 @@ class Columns:
     def __init__(self, path: Path, cells: Cells) -> None:
         self._path, self._cells = path, cells
         self.width: Final = len(cells.rows[0])
-        self.names: Final = list(cells.names) or [f"column {k + 1}" for k in range(self.width)]
+        names = cells.names or [""] * self.width
+        self.names: Final = [name or f"column {k}" for k, name in enumerate(names, 1)]
         self.named: Final = [self._unit_of(k) for k in range(self.width)]
 
     def time(self, asked: str | None, rate_hz: float | None, time_unit: str = "") -> int | None:
@@ -55,9 +52,12 @@ class Columns:
         like_time = [
             k
             for k, named in enumerate(self.named)
-            if (self._cells.names and (_TIME_NAME.fullmatch(named.name) or is_time(named.unit)))
+            if (self._cells.names and (TIME_NAME.fullmatch(named.name) or is_time(named.unit)))
             or all(is_moment(row[k]) for row in self._cells.rows[:_LOOKED_AT])
         ]
+        # a date alone is the same in all rows
+        first = self._cells.rows[:_LOOKED_AT]
+        like_time = [k for k in like_time if len({row[k] for row in first}) > 1] or like_time
         return like_time[0] if like_time else 1 if self.run() == 0 else 0
 
     def positions(self, asked: Sequence[str], t_column: int | None) -> list[int]:
@@ -71,6 +71,10 @@ class Columns:
             raise ConfigurationError(
                 f"{self._path}: has {self.width} columns; name the position with --position"
             )
+        if len(others) > 1:
+            # neither numbers of the rows nor other times are a position
+            left = [k for k in others if not is_time(self.named[k].unit)]
+            others = [k for k in left if not counts_rows([row[k] for row in self._cells.rows])] or others
         behind = [k for k in others if t_column is None or k > t_column]
         first = [*behind, *others, 0][0]
         second = self._beside(first, others)

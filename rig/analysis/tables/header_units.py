@@ -1,4 +1,4 @@
-"""The unit that a column's name states: ``t [ms]``, ``time_ms``, ``phi / arcsec``, ``Zeit in µs``,
+"""The unit that a column's name states: ``t [ms]``, ``time_ms``, ``phi / arcsec``, ``Time (ms) Run #1``,
 ``milliseconds``.
 """
 
@@ -6,36 +6,53 @@ import re
 from typing import Final, NamedTuple
 
 from processing.errors import ConfigurationError
-from processing.units import size
+from processing.units import size, unit_of_name
 
-_BRACKETS: Final = re.compile(r"^(?P<name>.*?)\s*[\[(]\s*(?P<unit>[^\[\]()]*?)\s*[\])]\s*$")
-_AFTER: Final = re.compile(
-    r"^(?P<name>.*\S)(?:\s*/\s*|\s+in\s+|[,:]\s+|_)(?P<unit>[^\s_,/]+)$", re.IGNORECASE
+TIME_NAME: Final = re.compile(
+    r"(?:t|times?|zeit|uhrzeit|temps|tiempo|tempo|tijd|elapsed|date.*|datum.*|timestamps?|clock|unix|epoch|utc)"
+    r"(?:(?:[\W_]|(?-i:[A-Z])).*)?",
+    re.IGNORECASE,
 )
+_MULTIPLES: Final = {"": "", "milli": "m", "mili": "m", "micro": "u", "mikro": "u", "nano": "n", "centi": "c"}
+_NAMES: Final = {
+    "s": "sec secs second seconds sek sekunde sekunden seconde secondes segundo segundos secondi seconden",
+    "m": "meter metre meters metres",
+    "rad": "radian radians radiant",
+    "V": "volt volts",
+}
+_SHORT: Final = {
+    "s": "s", "ms": "msec msecs msek millis millis()", "us": "usec usecs µsec μsec micros micros()",
+    "ns": "nsec nsecs nanos", "min": "mins minute minutes minuten minutos minuti",
+    "h": "hr hrs hour hours stunde stunden heures horas", "d": "day days tag tage",
+    "deg": "° º degs degree degrees grad grados gradi degrés", "um": "micron microns",
+    "px": "pix pixel pixels",
+    "arcsec": "″ \" asec arcsecs arcsecond arcseconds bogensekunde bogensekunden", "dB": "db", "%": "percent",
+    "arcmin": "′ ' arcmins arcminute arcminutes bogenminute bogenminuten",
+}  # fmt: skip
 _WORDS: Final = {
-    "sekunde": "s", "sekunden": "s", "sek": "s", "secs": "s", "minute": "min", "minuten": "min",
-    "mins": "min", "stunde": "h", "stunden": "h", "hour": "h", "hr": "h", "hrs": "h", "tag": "d",
-    "tage": "d", "day": "d", "millisekunden": "ms", "millisecond": "ms", "millis": "ms", "msecs": "ms",
-    "mikrosekunden": "us", "microsecond": "us", "micros": "us", "usecs": "us", "µsec": "us",
-    "μsec": "us", "nanosekunden": "ns", "nanosecond": "ns", "nanos": "ns", "nsec": "ns", "nsecs": "ns",
-    "grad": "deg", "degs": "deg", "º": "deg", "radian": "rad", "radiant": "rad",
-    "bogensekunden": "arcsec", "arcsecond": "arcsec", "arcseconds": "arcsec", "bogenminuten": "arcmin",
-    "arcminute": "arcmin", "arcminutes": "arcmin", "asec": "arcsec", "volt": "V", "volts": "V",
-    "millivolt": "mV", "millivolts": "mV", "meter": "m", "metre": "m", "meters": "m", "metres": "m",
-    "millimeter": "mm", "millimetre": "mm", "millimeters": "mm", "millimetres": "mm", "micrometer": "um",
-    "micrometre": "um", "micron": "um", "microns": "um", "centimeter": "cm", "pix": "px", "db": "dB",
-    "milliradian": "mrad", "milliradians": "mrad", "microradian": "urad", "microradians": "urad",
-}  # fmt: skip
-_SPELLED: Final = {
-    "sec": "s", "seconds": "s", "second": "s", "msec": "ms", "usec": "us", "milliseconds": "ms",
-    "microseconds": "us", "nanoseconds": "ns", "minutes": "min", "hours": "h", "days": "d", "°": "deg",
-    "degrees": "deg", "degree": "deg", "″": "arcsec", '"': "arcsec", "′": "arcmin", "'": "arcmin",
-    "radians": "rad", "pixel": "px", "pixels": "px", "percent": "%",
-}  # fmt: skip
-"""Units that `processing.units` knows under two names."""
-_CAPITALS: Final = ("s", "sec", "ms", "us", "ns", "deg", "rad", "px", "seconds", "mm", "arcsec")
+    part + word: prefix + unit
+    for unit, words in _NAMES.items()
+    for word in words.split()
+    for part, prefix in _MULTIPLES.items()
+} | {word: unit for unit, words in _SHORT.items() for word in words.split()}
+_CAPITALS: Final = ("s", "ms", "us", "ns", "min", "deg", "rad", "mrad", "px", "mm", "arcsec")
 _ALONE: Final = ("m", "s", "g", "a", "v", "n", "j", "w", "d", "h", "e", "1", "min", "t")
 """Letters that are names of columns as well as units."""
+_CLEAR: Final = {
+    *_WORDS, "ms", "us", "µs", "μs", "ns", "deg", "rad", "mrad", "urad", "nrad", "arcsec", "mm", "cm",
+} - {
+    "s", "second", "minute", "hour", "day", "tag", "tage", "grad", "degree", "db", "meter", "'", '"',
+}  # fmt: skip
+"""What is a unit anywhere in a name, and hardly another word."""
+_OF_TIMES: Final = ("s", "min", "h")
+"""The same in a name of times."""
+_COUNTS: Final = re.compile(
+    r"[^\W_]+[\W_]+(?:ticks?|frames?|samples?|counts?|cycles?|jiffies|steps?|index)\W*|.*\sin\s+\S+",
+    re.IGNORECASE,
+)
+_BRACKETS: Final = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)|\{([^{}]*)\}|<([^<>]*)>")
+_SURE: Final = re.compile(r"\s*[/,:;]\s*|\s+in\s+|_", re.IGNORECASE)
+_MARKS: Final = re.compile(rf"{_SURE.pattern}|[\s.#*–-]+|(?<=[a-zß-ÿ])(?-i:(?=[A-Z]))", re.IGNORECASE)
 
 
 class Named(NamedTuple):
@@ -53,30 +70,86 @@ def known_unit(text: str) -> str:
     """The unit as it is written here (``µsec``: us, ``Grad``: deg); empty for what is none."""
     text = text.strip().strip(".")
     unit = _WORDS.get(text.lower(), text).replace("µ", "u").replace("μ", "u")
+    if unit in ("Ms", "Gs", "Mrad", "Mm"):
+        # ms, or truly 11 days
+        return ""
     try:
         size(unit)
     except ConfigurationError:
         lower = unit.lower()
         # some instruments write everything in capitals; none of these is another unit then
-        if lower != unit and lower in _CAPITALS:
-            return known_unit(lower)
-        return ""
-    return _SPELLED.get(unit, unit)
+        return known_unit(lower) if lower != unit and lower in _CAPITALS else ""
+    return unit
+
+
+def is_time(unit: str) -> bool:
+    """Whether it is a unit of time."""
+    return bool(unit) and dict(size(unit).powers) == dict(size("s").powers)
 
 
 def named_unit(name: str) -> Named:
     """Take a column's name apart."""
     text = name.strip()
-    if found := _BRACKETS.match(text):
-        unit = known_unit(found["unit"])
-        return Named(found["name"], unit, "" if unit or not found["unit"] else found["unit"])
-    if found := _AFTER.match(text):
-        unit = known_unit(found["unit"])
-        # what follows a slash is meant as a unit, what follows an underscore may be anything
-        slash = "/" in text
-        if unit:
-            return Named(found["name"], unit)
-        return Named(text, "", found["unit"] if slash else "")
-    if text.lower() not in _ALONE and (unit := known_unit(text)):
-        return Named(text, unit)
-    return Named(text, "")
+    bracketed = [
+        (each.span(), next(filter(None, each.groups()), "").strip()) for each in _BRACKETS.finditer(text)
+    ]
+    units = [(span, unit) for span, inside in bracketed if (unit := _bracketed_unit(inside))]
+    # behind the unit a letter is the channel or the run
+    units = [item for k, item in enumerate(units) if not k or len(item[1]) > 1]
+    if len({unit for _, unit in units}) > 1:
+        return Named(text, "", " and ".join(text[a:b] for (a, b), _ in units))
+    if units:
+        ((begin, end), unit), *_ = units
+        return Named(" ".join(f"{text[:begin].rstrip()} {text[end:].lstrip()}".split()), unit)
+    plain = _BRACKETS.sub(" ", text).strip()
+    if found := _without_brackets(plain):
+        return Named(found[0] if plain == text else text, found[1])
+    of_time = TIME_NAME.fullmatch(plain)
+    strange = [
+        inside
+        for (_, end), inside in bracketed
+        # a unit has to be known where it is one: at the end, and of times, of which none is assumed
+        if inside and not inside.isdecimal() and (of_time or end == len(text))
+    ]
+    before, slash, behind = (part.strip() for part in plain.rpartition("/"))
+    if slash and before and (of_time or " " not in behind):
+        strange.append(behind)
+    elif of_time and _COUNTS.fullmatch(plain):
+        strange.append(plain.split()[-1])
+    return Named(plain, "", strange[-1] if strange else "")
+
+
+def _unit(text: str) -> str:
+    return "" if text.isdecimal() else known_unit(text)
+
+
+def _bracketed_unit(text: str) -> str:
+    """``ms``, and that of ``ms, relative`` or ``in ms``, but none of ``100 ns``."""
+    words = [] if re.search(r"\d", text) else re.split(r"[\s,;()]+", text)
+    words = [word for k, word in enumerate(words) if len(word) > 1 or not k or word in _ALONE]
+    return _unit(text) or next((unit for word in words if (unit := known_unit(word))), "")
+
+
+def _without_brackets(text: str) -> tuple[str, str] | None:
+    """A name's rest and its unit, where one stands behind a mark, or anywhere if it is clearly one."""
+    if text.lower() not in _ALONE and (unit := _unit(text)):
+        return text, unit
+    if "_per_" in text and (unit := unit_of_name(text.lower())):
+        return text, unit
+    for mark in () if " per " in text else (None, *_MARKS.finditer(text)):
+        begin, end = (0, 0) if mark is None else mark.span()
+        rest = text[end:]
+        sure = mark is not None and _SURE.fullmatch(mark[0])
+        if not sure and text[:begin].endswith(tuple("0123456789")):
+            # every 50 ms
+            continue
+        if sure and (unit := _unit(rest)):
+            return text[:begin], unit
+        for part in (rest.split(" ")[0], _MARKS.split(rest)[0]):
+            word = part.lower()
+            is_clear = word in _CLEAR or ("/" in part and word.split("/")[0] in _CLEAR | {"m"})
+            if (is_clear or (mark and word in _OF_TIMES and TIME_NAME.fullmatch(text))) and (
+                unit := known_unit(word if word in _CLEAR else part)
+            ):
+                return text, unit
+    return None

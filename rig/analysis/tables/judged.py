@@ -13,7 +13,7 @@ from processing.ticks import seconds
 from processing.units import conversion
 from rig.analysis.tables.column_units import NOT_STATED_TIME
 from rig.analysis.tables.numbers import MOMENT, is_missing
-from rig.analysis.tables.times import number
+from rig.analysis.tables.times import likely_units, number
 from rig.analysis.trajectory import ANGLES
 
 _LARGEST_RAD: Final = 1.1 * math.pi
@@ -28,6 +28,14 @@ _DAY_NS: Final = 86_400_000_000_000
 SPREADSHEET_ZERO_NS: Final = 25_569 * _DAY_NS
 """1970 on the clock of a spreadsheet."""
 _HOUR_S: Final = 3600.0
+_JUMP: Final = 0.7
+"""Of the range of a position, that no swing goes from one sample to the next while others are far smaller."""
+_FEWEST_JUMPS: Final = 4
+_COUNTED_DAYS: Final = 1e7
+"""Since any day from which days are counted; a number beyond is one of seconds."""
+_LAST_S: Final = 253_402_300_800.0
+"""The end of the year 9999."""
+_YEAR_S: Final = 31_556_952.0
 
 
 def of_spreadsheet(first_ns: int) -> bool:
@@ -67,13 +75,53 @@ def judge_size(path: Path, unit: str, table: NDArray[np.float64]) -> None:
         )
 
 
-def judge_days(path: Path, title: str, source: str, first_ns: int, times_ns: NDArray[np.int64]) -> None:
-    """Refuse what no header calls seconds, and looks like the days of a spreadsheet."""
-    first, span = seconds(first_ns), float(seconds(times_ns[-1]))
-    if source == NOT_STATED_TIME and _DAYS[0] < first < _DAYS[1] and span < 1.0:
+def unwrapped(
+    path: Path, name: str, unit: str, values: NDArray[np.float64], lines: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], int]:
+    """An angle that was counted round a turn without its jumps, and how many there were.
+
+    Raises ConfigurationError for jumps of another size against the motion, as a turn in another unit has.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    steps = np.diff(values[known])
+    span = float(np.ptp(values[known])) if len(known) else 0.0
+    turn = conversion("rad", unit) * 2.0 * math.pi if unit in ANGLES else math.inf
+    if span <= 1.001 * turn < math.inf and (count := int(np.count_nonzero(np.abs(steps) > 0.5 * turn))):
+        found = values.copy()
+        found[known] = np.unwrap(values[known], period=turn)
+        return found, count
+    jumps = np.flatnonzero(np.abs(steps[1:-1]) > _JUMP * span) + 1
+    others = np.delete(steps, jumps)
+    against = steps[jumps] * (steps[jumps - 1] + steps[jumps + 1]) < 0.0
+    # there and back, unlike a wheel
+    both_ways = len(jumps) >= _FEWEST_JUMPS and abs(np.sign(steps[jumps]).sum()) <= 1.0
+    if both_ways and np.abs(others).max() < (1.0 - _JUMP) * span and np.mean(against) > 0.8:
         raise ConfigurationError(
-            f"{path}: {title!r} begins at {first:.10g} and goes over {span:.3g}: a spreadsheet's days, or "
+            f"{path}: {name} jumps by {np.median(np.abs(steps[jumps])):.4g} {unit} against its motion, "
+            f"{len(jumps)} times, first after line {lines[known[jumps[0]]]}, as an angle does that is "
+            "counted round a turn: state its unit with --unit, or write it without the jumps"
+        )
+    return values, 0
+
+
+def judge_begin(
+    path: Path, title: str, unit: str, source: str, first_ns: int, times_ns: NDArray[np.int64]
+) -> None:
+    """Refuse what no header calls seconds and looks like days of a calendar, and a time in no calendar."""
+    first_s, span_s = seconds(first_ns), float(seconds(times_ns[-1]))
+    first = first_s / conversion(unit, "s")
+    if source == NOT_STATED_TIME and _DAYS[0] < first_s < _COUNTED_DAYS and span_s < 1.0:
+        raise ConfigurationError(
+            f"{path}: {title!r} begins at {first:.10g} and goes over {span_s:.3g}: a calendar's days, or "
             "seconds? State --time-unit d, or --time-unit s"
+        )
+    if abs(first_s) > _LAST_S:
+        remedy = {NOT_STATED_TIME: "state --time-unit", "--time-unit": "state another:"}.get(
+            source, "correct the header:"
+        )
+        raise ConfigurationError(
+            f"{path}: {title!r} begins at {first:.16g} {unit}, in the year {1970 + first_s / _YEAR_S:.0f}: "
+            f"{remedy} {likely_units(first)}"
         )
 
 

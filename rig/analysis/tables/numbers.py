@@ -6,6 +6,7 @@ One way of writing holds for a whole table. Where its numbers leave two ways ope
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 from processing.errors import ConfigurationError
@@ -22,6 +23,8 @@ _MINUS: Final = "\u2212\u2013"
 _NOT: Final = re.compile(r"[+-]?(?:nan|inf(?:inity)?|n/?a|null|none|--?|)", re.IGNORECASE)
 _EASY: Final = re.compile(r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?")
 _WITH_UNIT: Final = re.compile(r"(?P<number>[+\u2212\u2013-]?[\d.,].*?)\s*(?P<unit>[^\d\s.,+-][^\d,.+]*)")
+_COUNT: Final = re.compile(r'"?\d{1,15}"?')
+_FEWEST_COUNTED: Final = 8
 MOMENT: Final = re.compile(
     r"(?P<date>\d{4}-\d\d-\d\d|\d{4}/\d\d/\d\d|\d\d\.\d\d\.\d{4})?(?:(?<=\d)[T ])?"
     r"(?P<clock>(?(date)\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?"
@@ -84,6 +87,13 @@ def is_value(cell: str) -> bool:
     return found is not None and len(found["unit"]) < 8 and is_number(found["number"])
 
 
+def counts_rows(column: Sequence[str]) -> bool:
+    """Whether a column counts the rows: whole numbers, each one more than the one before."""
+    if len(column) < _FEWEST_COUNTED or not all(map(_COUNT.fullmatch, column)):
+        return False
+    return all(int(b.strip('"')) - int(a.strip('"')) == 1 for a, b in pairwise(column))
+
+
 def writing_of(cells: Iterable[str], stated: str, where: str) -> Writing:
     """The one way in which all these numbers can be written; `stated` is the decimal mark, or empty.
 
@@ -132,6 +142,7 @@ def writing_of(cells: Iterable[str], stated: str, where: str) -> Writing:
 def unit_behind(column: Sequence[str]) -> tuple[str, list[str]]:
     """The unit that stands behind the numbers of a column (``12.5°``), and the numbers without it."""
     found = [None if is_number(cell) or is_moment(cell) else _WITH_UNIT.fullmatch(cell) for cell in column]
+    found = [match if match is not None and is_number(match["number"]) else None for match in found]
     units = Counter(match["unit"].strip() for match in found if match is not None)
     if not units or 2 * units.total() < len(column):
         return "", list(column)

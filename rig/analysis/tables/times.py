@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from decimal import Decimal
 from pathlib import Path
 from typing import Final
@@ -19,6 +20,8 @@ SORT: Final = (
 )
 """What to do about times that do not increase, where nothing more is known."""
 _LONGEST_S: Final = 1e9  # thirty years; 64 bits of nanoseconds hold nine times as much
+_OUR_DAYS_S: Final = (7.9e8, 4.1e9)
+"""1995 to 2100, since 1970."""
 _EXACT: Final = 2**53
 """Largest whole number of ns that a floating-point number holds."""
 _HOUR_NS: Final = 3_600_000_000_000
@@ -75,7 +78,10 @@ def read_times(
     good = np.isfinite(times)
     times = times[good]
     if len(times) < 2:
-        raise DataError(f"{path}: {len(times)} rows have a time; name the time column with --time")
+        raise DataError(
+            f"{path}: {len(times)} rows have a time, {cells[0]!r} is none; write dates as 2024-05-01 "
+            "12:00:00, or name another time column with --time"
+        )
     size_ns = round(conversion(unit, "ns"))
     with np.errstate(over="ignore", invalid="ignore"):
         backwards = np.nonzero(~(np.diff(times) >= 0))[0]
@@ -84,7 +90,7 @@ def read_times(
     if not len(backwards) and not span_s <= _LONGEST_S:
         raise DataError(
             f"{path}: the times span {span_s:.3g} s, which no decay lasts; state their unit "
-            "(--time-unit ns), or name the time column with --time"
+            f"(--time-unit {likely_units(times[0])}), or name the time column with --time"
         )
     if not len(backwards):
         if exact:
@@ -102,6 +108,16 @@ def read_times(
         )
     first = next(cell for cell, kept in zip(cells, good, strict=True) if kept)
     return times_ns, good, round(Decimal(first) * size_ns)
+
+
+def likely_units(first: float) -> str:
+    """The unit that makes a number a date of our days, and which; else those that may be meant."""
+    found = [
+        f"{unit}, then {datetime.fromtimestamp(since_s, UTC):%Y-%m-%d}"
+        for unit in ("s", "ms", "us", "ns")
+        if _OUR_DAYS_S[0] < (since_s := first * conversion(unit, "s")) < _OUR_DAYS_S[1]
+    ]
+    return found[0] if found else "ms, us or ns; ticks of another length have to be written in one of them"
 
 
 def number(cell: str) -> float:

@@ -220,8 +220,8 @@ def test_pgm_with_any_largest_value_keeps_its_numbers(tmp_path: Path, kind: str,
 
 
 def test_natural_order() -> None:
-    names = ["b10.png", "b9.png", "a100.png", "a20.png", "b9a.png", "7.png"]
-    wanted = ["7.png", "a20.png", "a100.png", "b9.png", "b9a.png", "b10.png"]
+    names = ["b10.png", "b9.png", "a100.png", "a20.png", "b9a.png", "7.png", "1²2.png", "1²10.png", "③.png"]
+    wanted = ["1²2.png", "1²10.png", "7.png", "a20.png", "a100.png", "b9.png", "b9a.png", "b10.png", "③.png"]
     assert sorted(names, key=natural_key) == wanted
 
 

@@ -133,7 +133,7 @@ def text(
 
 def table_matrix() -> list[TableCase]:
     """Every case."""
-    return [*_separators(), *_writing(), *_units(), *_times(), *_files(), *_losses()]
+    return [*_separators(), *_writing(), *_units(), *loggers(), *clocks(), *_times(), *_files(), *_losses()]
 
 
 def _case(name: str, content: str | bytes, asked: TableColumns | None = None, **more: Any) -> TableCase:
@@ -294,6 +294,140 @@ def _units() -> list[TableCase]:
             text(";", "t;x"),
             TableColumns(time_unit="parsec"),
             refused="is not a unit of time",
+        ),
+    ]
+
+
+def loggers() -> list[TableCase]:
+    """Headers as loggers and programs write them: a unit within a name, in a line of its own, unknown."""
+    times = {
+        ("ms", 1000.0): (
+            "Time (ms) Run #1", "Zeit (ms) Messung 1", "Time(ms)*", "Time (ms) (A)", "time_ms_1", "time_ms.1",
+            "t/ms Run 2", "Zeit in ms Messung 1", "Time, ms, Run 1", "Latest: Time (ms)",
+            "Data Set 1:Time(ms)", "timeMs", "timestamp_ms_utc", "Timestamp (unix ms)", "Zeit [ms, relativ]",
+            "Time ms",
+            "Elapsed (MS)", "Time {ms}", "Time <ms>", "ms since start", "millis", "Time (Milliseconds)",
+            "Time [Msec]",
+            "Tiempo (milisegundos)", "Zeit Millisekunden",
+        ),
+        ("us", 1e6): ("t [us] A", "Time (µs) #2", "Time (μs) #2", "Zeit (Mikrosekunden)", "time_usec_raw",
+            "micros"),
+        ("s", 1.0): ("Time (s) Run #1", "Zeit (Sekunden)", "Sekunden", "items", "Time (Sec)",
+            "Time (s, relative)"),
+        ("min", 1 / 60.0): ("Time (Minutes) Run #1", "t/min Run 2", "time_min_1"),
+    }  # fmt: skip
+    found = [
+        _case(f"{unit}: {name}", text(";", f"{name};x", point(0 if per_s >= 1000 else 9), None, per_s))
+        for (unit, per_s), names in times.items()
+        for name in names
+    ]
+    positions = {
+        "Weg (mm) Messung 1": "mm", "phi (arcsec)*": "arcsec", "x_mm_1": "mm", "omega_rad_per_s": "rad/s",
+        "v in m/s": "m/s", "omega/deg/s": "deg/s", "Position (Millimeter)": "mm", "U (V) Ch A": "V",
+        "Milliradians": "mrad", "Angle (arcsec) Run #1": "arcsec", "x_1": "unit", "x (1)": "unit",
+        "x.1": "unit", "Angle Run 1": "unit", "second derivative": "unit",
+    }  # fmt: skip
+    found += [
+        _case(f"position: {name}", text(";", f"t;{name}"), unit=unit) for name, unit in positions.items()
+    ]
+    strange = {
+        "Time (ticks) Run #1": "'ticks' in 'Time (ticks) Run #1' is not a known unit of time",
+        "time [100 ns]": "'100 ns' in",
+        "t (Ms)": "'Ms' in",
+        "Zeit in Ticks": "'Ticks' in",
+        "time_frames": "is not a known unit of time",
+        "Time (ms) (us)": "'(ms) and (us)' in",
+    }
+    found += [
+        _case(f"strange: {name}", text(";", f"{name};x", point(0), None, 1000.0), refused=said)
+        for name, said in strange.items()
+    ]
+    ms = text("\t", (), point(0), None, 1000.0).lstrip()
+    heads = {
+        "names, units, comments": "Time\tWeg\nms\tmm\nswing 3\tchannel 1\n",
+        "names, comments, units": "Time\tWeg\nswing 3\tchannel 1\nms\tmm\n",
+        "units, names": "ms\tmm\nTime\tWeg\n",
+        "names with units, comments": "Time (ms)\tWeg (mm)\nswing 3\tchannel 1\n",
+        "names, units in brackets, empty line": "Time\tWeg\n(ms)\t(mm)\n\n",
+        "title, names with units": "pendulum\tlaboratory 3\nTime (ms)\tWeg (mm)\n",
+    }
+    found += [_case(name, head + ms, unit="mm") for name, head in heads.items()]
+    commas = ms.replace("\t", ",").splitlines()
+    rows = "".join(f'"{k + 1}" {row}\n' for k, row in enumerate(ms.replace("\t", " ").splitlines()))
+    every = enumerate(zip(true_ms(), true_values(), strict=True))
+    both = "".join(f"{k};{t / 1000};{t};{x}\n" for k, (t, x) in every)
+    dated = "".join(f"2024-05-01;{row}\n".replace("\t", ";") for row in ms.splitlines())
+    day = datetime(2024, 5, 1)
+    american = text(",", "Date,n,x", _moments(lambda m: f"{m:%m/%d/%Y %I:%M:%S.%f %p},7", day))
+    moments = text(",", (), _moments(lambda m: f'"{m:%Y-%m-%d %H:%M:%S.%f}",7', datetime(2022, 1, 17, 22)))
+    return [
+        *found,
+        _case("a unit that is none", "Time\tWeg\nms\tfoo\n" + ms, refused="'foo' in 'Weg' is not"),
+        _case("rows that end in a comma", "Time (ms),x (mm)\n" + ",\n".join([*commas, ""]), unit="mm"),
+        _case("names that end in a comma", "Time (ms),x (mm),\n" + "\n".join(commas), unit="mm"),
+        _case("a name more than columns", "Time (ms),x (mm),note\n" + "\n".join(commas), unit="mm"),
+        _case(
+            "LabVIEW, a column of comments",
+            "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\t\nChannels\t1\t\nX0\t0,0\t\n"
+            "***End_of_Header***\t\t\nX_Value\tx [mm]\tComment\n"
+            + text("\t", (), comma(3), comma(3)).lstrip(),
+            unit="mm",
+        ),
+        _case(
+            "Campbell, as many columns as its first line",
+            '"TOA5","L","CR6","1","S","P","1","D"\n"TIMESTAMP","RECORD","x","a","b","c","d","e"\n'
+            '"TS","RN","mm","V","V","V","V","V"\n"","","Smp","Smp","Smp","Smp","Smp","Smp"\n'
+            + _counted(moments).replace("\n", ",1,2,3,4,5\n"),
+            unit="mm",
+        ),
+        _case("numbers of rows, two times", "n;time_s;t_ms;x\n" + both),
+        _case("a date, and a time", "date;t_ms;x\n" + dated),
+        _case("American dates", american, refused="'05/01/2024 12:00:00.000000 AM' is none; write dates as"),
+        _case("R's numbers of rows", '"time_ms" "x_mm"\n' + rows, unit="mm"),
+        _case(
+            "Campbell, four lines",
+            '"TOA5","L","CR6","1","S","P","1","D"\n"TIMESTAMP","RECORD","x"\n"TS","RN","mm"\n"","","Smp"\n'
+            + _counted(moments),
+            unit="mm",
+        ),
+    ]  # fmt: skip
+
+
+def _counted(rows: str) -> str:
+    return "".join(row.replace(",7,", f",{k},") + "\n" for k, row in enumerate(rows.strip().splitlines()))
+
+
+def clocks() -> list[TableCase]:
+    """Numbers of clocks that begin long ago, without a unit or with one that they cannot have."""
+
+    def since(began: float, per_s: float, name: str = "timestamp,x") -> str:
+        digits = 0 if per_s >= 1000 else 10
+        rows = zip(true_ms(), true_values(), strict=True)
+        return f"{name}\n" + "".join(f"{began + ms / 1000 * per_s:.{digits}f},{x}\n" for ms, x in rows)
+
+    unix_ms, unix_us = since(1_486_566_000_123, 1000.0), since(1_486_566_000_123_000, 1e6)
+    asks = "begins at 1486566000123"
+    return [
+        _case(
+            "Unix ms", unix_ms, refused=asks + " s, in the year 49077: state --time-unit ms, then 2017-02-08"
+        ),
+        _case("Unix us", unix_us, refused="state --time-unit us, then 2017-02-08"),
+        _case("Unix ms, as s", unix_ms.replace("stamp", "stamp_s"), refused=asks),
+        _case(
+            "Unix us, stated as s",
+            unix_us,
+            TableColumns(time_unit="s"),
+            refused="state another: us, then 2017",
+        ),
+        _case("Unix us, as ms", unix_us.replace("stamp", "stamp_ms"), refused="correct the header"),
+        _case("Unix ms, stated", unix_ms, TableColumns(time_unit="ms")),
+        _case("Unix us, stated", unix_us, TableColumns(time_unit="us")),
+        _case("Unix s", since(1_486_566_000, 1.0)),
+        _case("Windows' ticks", since(132_000_000_000_000_000, 1e7), refused="ticks of another length"),
+        _case("ns since a computer's start", since(12_345_678_901_234, 1e9), refused="which no decay lasts"),
+        *(
+            _case(f"days: {day}", since(day, 1 / 86_400), refused="days, or seconds")
+            for day in (738_000.5, 60_700.5, 2_460_000.5)
         ),
     ]
 

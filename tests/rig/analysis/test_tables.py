@@ -2,15 +2,18 @@
 
 import re
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from processing.envelope import fit_envelope
-from processing.errors import DataError
+from processing.errors import ConfigurationError, DataError
+from processing.unsigned import unsigned_period_s
 from rig.analysis.position_table import TableColumns
 from rig.analysis.table_fit import analyse_envelope, analyse_table
+from rig.settings import Configuration
 from tests.rig.command_line import rig
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "tables.md"
@@ -72,22 +75,6 @@ def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path
     printed = rig("fit", path, "--position", "2", "--position", "3", "--unit", "rad").stdout
     assert re.search(r"period 1\.66\d+ ± \S+ s at the start, 1\.63\d+ ± \S+ s at the end", printed)
     assert "not constant (χ²/dof 1.5" in printed
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "t;x\n0,00;1,5\n0,02;-2,5\n0,04;3\n",
-        "0,00 1,5\n0,02 -2,5\n0,04 3\n",
-        "0.00,1.5\n0.02,-2.5\n0.04,3\n",
-        "0.00, 1.5\n0.02, -2.5\n0.04, 3\n",
-    ],
-)
-def test_decimal_commas(tmp_path: Path, text: str) -> None:
-    (tmp_path / "t.csv").write_text(text)
-    found = TableColumns(None, (), "mm").read(tmp_path / "t.csv")
-    assert found.times_ns.tolist() == [0, 20_000_000, 40_000_000]
-    assert found.positions[0].tolist() == [1.5, -2.5, 3.0]
 
 
 def test_absolute_times_keep_every_nanosecond(tmp_path: Path) -> None:
@@ -175,3 +162,109 @@ def test_what_the_laws_lack_is_said(tmp_path: Path, unit: str, problem: str) -> 
     found = analyse_table(path, None, TableColumns(unit=unit) if unit else TableColumns()).results
     assert problem in found.problem
     assert not found.fits
+
+
+def _decaying(period_s: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
+    """A swing of 20, decaying with 50 s, every 50 ms; its noise is 0.01."""
+    t = 0.05 * np.arange(1200)
+    noise = 0.01 * np.random.default_rng(3).standard_normal(len(t))
+    return t, 20.0 * np.exp(-t / 50.0) * np.cos(2.0 * np.pi * t / period_s + 0.3) + noise
+
+
+@pytest.mark.parametrize(
+    "per_s",
+    [
+        pytest.param(1e3, id="ms"),
+        pytest.param(1e6, id="us"),
+        pytest.param(1e9, id="ns"),
+        pytest.param(20.0, id="rows"),
+    ],
+)
+def test_times_of_no_unit_that_would_be_slow_in_seconds_are_asked_for(tmp_path: Path, per_s: float) -> None:
+    t, x = _decaying()
+    path = write(tmp_path / "t.csv", np.round(t * per_s), x)
+    with pytest.raises((ConfigurationError, DataError), match=r"unit.*--time-unit") as refused:
+        analyse_table(path, None, TableColumns(unit="mm"))
+    assert "\n" not in str(refused.value)
+    # a torsion balance, of which it is said
+    found = analyse_table(path, None, TableColumns(unit="mm", time_unit="s" if per_s < 1e9 else "ns"))
+    assert found.results.period_s.value == pytest.approx(
+        2.0 * per_s * (1.0 if per_s < 1e9 else 1e-9), rel=1e-3
+    )
+
+
+@pytest.mark.parametrize(
+    "unsigned",
+    [
+        pytest.param(np.abs, id="|x|"),
+        pytest.param(lambda x: 50.0 - np.abs(x), id="a distance that grows as |x| falls"),
+        pytest.param(np.square, id="x²"),
+    ],
+)
+def test_a_position_without_its_sign_is_refused_with_the_pendulums_period(
+    tmp_path: Path, unsigned: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    t, x = _decaying()
+    with pytest.raises(
+        DataError, match=r"column 2 has no sign.* the pendulum's period is (2|1.99\d) s; give"
+    ):
+        analyse_table(write(tmp_path / "t.csv", t, unsigned(x)), None, TableColumns(unit="cm"))
+
+
+@pytest.mark.parametrize(
+    "signed",
+    [
+        pytest.param(lambda t, x: x, id="about zero"),
+        pytest.param(lambda t, x: x - x.min(), id="from its smallest value"),
+        pytest.param(lambda t, x: x + 0.3 * t, id="with a drift"),
+        pytest.param(lambda t, x: np.clip(x, -15.0, 8.0), id="cut off by its sensor"),
+        pytest.param(lambda t, x: np.maximum(x, 0.0), id="of which a sensor sees one side"),
+    ],
+)
+def test_other_shapes_have_a_sign(signed: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
+    t, x = _decaying()
+    assert np.isnan(unsigned_period_s(np.rint(t * 1e9).astype(np.int64), signed(t, x)))
+
+
+@pytest.mark.parametrize(
+    ("unit", "turn", "low"), [("deg", 360.0, -180.0), ("deg", 360.0, 0.0), ("rad", 2 * np.pi, 0.0)]
+)
+def test_an_angle_that_was_counted_round_a_turn_goes_on(
+    tmp_path: Path, unit: str, turn: float, low: float
+) -> None:
+    t, x = _decaying()
+    # about the angle at which the count jumps, with a value that is missing
+    wrapped = np.mod(x * turn / 360.0, turn) + low
+    wrapped[100] = np.nan
+    path = write(tmp_path / "t.csv", t, wrapped)
+    found = analyse_table(path, None, TableColumns(unit=unit))
+    assert found.results.period_s.value == pytest.approx(2.0, abs=1e-3)
+    assert found.results.initial_amplitude == pytest.approx(19.64 * turn / 360.0, rel=2e-3)
+    assert any(re.search(r"jumps by a turn \d+ times: unwrapped", line) for line in found.results.understood)
+    with pytest.raises(
+        ConfigurationError, match=r"jumps by .* against its motion.*state its unit with --unit"
+    ):
+        analyse_table(path, None, TableColumns())
+
+
+def test_a_note_on_growth_states_it(tmp_path: Path) -> None:
+    """Its first and last amplitude may say the opposite, of a swing that is driven."""
+    t, x = _decaying()
+    found = analyse_table(write(tmp_path / "t.csv", t, x[::-1]), None, TableColumns(unit="V"))
+    (said,) = [line for line in found.results.warnings if "grows" in line]
+    assert said.startswith("the amplitude grows, its log decrement is −0.0400 in the mean")
+
+
+@pytest.mark.parametrize(("scale", "is_said"), [(1.0, False), (1.0 / 206.265, True), (60.0, True)])
+def test_amplitudes_that_the_rig_does_not_have_are_said(tmp_path: Path, scale: float, is_said: bool) -> None:
+    """A table in mrad or in arcmin, whose header says arcsec."""
+    t, x = _decaying(4.0)
+    config = Configuration.model_validate(
+        {"pendulum": {"mass_kg": 0.406, "ball_radius_m": 6.05e-3}, "camera": {"driver": "files"}}
+    )
+    path = write(tmp_path / "t.csv", t, 3.0 * scale * x)
+    found = analyse_table(path, config, TableColumns(unit="arcsec"))
+    assert (
+        any("none of this rig, which swings from 124 to 2 arcsec" in w for w in found.results.warnings)
+        == is_said
+    )

@@ -2,14 +2,17 @@
 
 import json
 import shutil
+from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from processing.surroundings import Surroundings
 from rig.analysis import read_results
 from rig.archive.session_rows import session_rows
+from rig.campaigns.sources import runs_of_folders
 from tests.rig.analysis.test_film_positions import swing
 from tests.rig.analysis.test_table_laws import swings
 from tests.rig.analysis.test_tables import ring_downs, write
@@ -157,3 +160,28 @@ def test_an_envelope_has_no_runs(tmp_path: Path) -> None:
     done = rig("report", tmp_path / "out")
     assert done.returncode != 0
     assert "describes an envelope, which has no half-cycles" in done.stderr
+
+
+def test_what_the_configuration_states_of_air_and_sample_goes_with_the_table(tmp_path: Path) -> None:
+    """It is that of a run: for `compare --against`, a campaign by samples, the archive, the export."""
+    stated = (
+        '[session]\nsample = "A7"\noperator = "O."\ncontact_made = 2024-05-01T10:00:00Z\n[environment]\n'
+        "humidity_percent = 45.0\n"
+        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
+    )
+    (tmp_path / "mine.toml").write_text(stated)
+    table = swings(tmp_path / "t.csv")
+    began_s = datetime(2024, 5, 1, 12, tzinfo=UTC).timestamp()
+    rows = [line.split(",") for line in table.read_text().splitlines()[1:]]
+    table.write_text("t [s],phi [arcsec]\n" + "".join(f"{began_s + float(t):.2f},{x}\n" for t, x in rows))
+    done = rig("fit", table, "--config", tmp_path / "mine.toml", "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    (run,) = read_results(tmp_path / "out").runs
+    assert run.surroundings == Surroundings(humidity_percent=45.0, dwell_s=7200.0)
+    (row,) = session_rows(tmp_path / "out").rows
+    assert (row["sample"], row["operator"], row["humidity_percent"]) == ("A7", "O.", 45.0)
+    (found,) = runs_of_folders([tmp_path / "out"], by_sample=True)
+    assert found.contact == "A7"
+    exported = rig("export", tmp_path / "out", "-o", tmp_path / "csv")
+    assert exported.returncode == 0, exported.stderr
+    assert "# session.sample: A7" in (tmp_path / "csv" / "t-swings.csv").read_text()

@@ -193,6 +193,10 @@ def test_the_unit_of_its_times_can_be_stated_and_is_asked_for_by_its_option(tmp_
         csv(tmp_path / "c.csv", "t,z", np.arange(9.0), np.arange(9.0)), time_unit="ms"
     ).read()
     assert in_ms.times_ns[-1] == 8_000_000
+    with pytest.raises(
+        ConfigurationError, match=r"unit of 't', .* 1 s apart; state --witness-time-unit .* d$"
+    ):
+        StatedWitness(tmp_path / "c.csv").read()
     with pytest.raises(ConfigurationError, match=r"--witness-time-unit s: .* has times of its own"):
         StatedWitness(tmp_path / "w.mseed", time_unit="s").read()
 

@@ -74,6 +74,7 @@ def test_a_sign_where_the_direction_matters() -> None:
         (4.3e-8, "+4.3 × 10⁻⁶ %"),
         (-4.3e-8, "−4.3 × 10⁻⁶ %"),
         (0.0, "+0 %"),
+        (-0.0, "+0 %"),
     ],
 )
 def test_a_difference_has_its_sign_and_no_exponent_of_programs(fraction: float, text: str) -> None:
