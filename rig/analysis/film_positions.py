@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from acquisition.camera import CameraSettings
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.settings import FilesSettings
-from acquisition.cameras.files.sources import IMAGES, is_film, natural_key, open_source
+from acquisition.cameras.files.sources import images_in, is_film, natural_key, open_source
 from acquisition.cameras.files.timestamps import timestamps_beside
 from acquisition.frame import Image
 from processing.arrays import Floats
@@ -161,7 +161,7 @@ def films_in(path: Path) -> list[Path]:
     if not path.is_dir():
         return []
     inside = [each for each in path.iterdir() if each.is_file() and not each.name.startswith(".")]
-    if any(each.suffix.lower() in IMAGES for each in inside):
+    if images_in([each.name for each in inside]):
         return []
     return sorted(filter(is_film, inside), key=lambda each: natural_key(each.name))
 

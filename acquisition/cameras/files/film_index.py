@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from acquisition.cameras.files.ffmpeg import ffmpeg_error, opened_film
+from acquisition.cameras.files.frame_source import ONE_IMAGE
 from acquisition.cameras.files.timestamps import missing_frames, numbers_by_steps
 from processing.errors import DeviceError
 
@@ -56,6 +57,9 @@ def film_index(path: Path, keep_packets: int = 0) -> FilmIndex:
     try:
         if not container.streams.video:
             raise DeviceError(f"{path}: holds no picture; name a film")
+        # FFmpeg gives images times that nobody stated
+        if container.format.name == "image2" or container.format.name.endswith("_pipe"):
+            raise DeviceError(f"{path}: {ONE_IMAGE}")
         stream = container.streams.video[0]
         return _index(path, container, stream, keep_packets)
     finally:

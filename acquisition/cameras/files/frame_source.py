@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from acquisition.cameras.files.timestamps import FrameTimes
 
+ONE_IMAGE = "is one image; name the folder that holds the images, or a film"
+
 
 class Unreadable(Exception):
     """One frame cannot be read; the message gives the reason."""
