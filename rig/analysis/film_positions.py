@@ -121,7 +121,9 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
         *([_LOSSY.format(camera.lossy)] if camera.lossy else []),
         f"frames: {status.delivered} read, {lost}",
         f"followed: {followed}; {flags['LOST']} frames without one" + _flagged(flags, status.delivered),
-        f"position: x and y, in {unit}" + (f", a pixel is {factor:.6g} {unit}" if asked.size else ""),
+        f"position: x and y, in {unit}"
+        + (f", a pixel is {factor:.6g} {unit}" if asked.size else "")
+        + (", x counted in pixels as a viewer shows them" if camera.pixel_aspect != 1.0 else ""),
     ]
     if flags["LOST"] > (1.0 - _FEWEST_FOUND) * status.delivered:
         raise DataError(
@@ -129,6 +131,8 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
             "spot on a dark ground or a dark object on an even one is needed (--dark, --bright)"
         )
     xy = np.array(places)
+    # the middle of the first pixel is at 0, its left edge at -1/2
+    xy[:, 0] = camera.pixel_aspect * (xy[:, 0] + 0.5) - 0.5
     inside = _inside(seconds(since_ns), asked)
     if camera.lossy:
         said += _torn(seconds(since_ns[inside]), xy[inside])

@@ -43,6 +43,7 @@ class FilmIndex:
     codec: str
     pixel_format: str
     first_packets: Sequence[bytes]
+    pixel_aspect: Fraction
 
 
 def film_index(path: Path, keep_packets: int = 0) -> FilmIndex:
@@ -124,7 +125,13 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
         step_ns = time_ns[-1] // numbers[-1] if numbers[-1] else _SECOND_NS
         time_ns += [time_ns[-1] + step_ns * (k + 1) for k in range(cut_off)]
         numbers += [numbers[-1] + k + 1 for k in range(cut_off)]
-    context = stream.codec_context
+    context, aspect = stream.codec_context, stream.sample_aspect_ratio or Fraction(1)
+    shown_nx = round(context.width * aspect)
+    if shown_nx != context.width:
+        said.append(
+            f"pixels are not square, {aspect.numerator}:{aspect.denominator} wide to high: a viewer shows "
+            f"{shown_nx}x{context.height} px instead of {context.width}x{context.height}"
+        )
     return FilmIndex(
         ticks=ticks,
         time_ns=time_ns,
@@ -137,6 +144,7 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
         codec=context.name,
         pixel_format=context.pix_fmt or "",
         first_packets=kept,
+        pixel_aspect=aspect,
     )
 
 

@@ -46,6 +46,8 @@ class FrameSource(ABC):
     """Lines on what is not as it should be: missing, cut off, out of order."""
     summary: str = ""
     """One line on what was found, for a person; may be empty."""
+    pixel_aspect: float = 1.0
+    """Width of a pixel over its height, as the source itself states it."""
     lossy: str = ""
     """Name of the codec if it is lossy, otherwise empty."""
 

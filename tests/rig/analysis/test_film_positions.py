@@ -128,6 +128,29 @@ def test_what_compression_does_to_all_amplitudes_is_in_the_uncertainty(tmp_path:
     assert abs(found.period_s.value - PERIOD_S) < 3 * found.period_s.standard_uncertainty
 
 
+@pytest.mark.parametrize(
+    ("codec", "ending", "pixels"),
+    [("libx264", "mp4", "yuv420p"), ("libx264", "mkv", "yuv420p"), ("mpeg4", "avi", "yuv420p"),
+     ("png", "mov", "gray")],
+)  # fmt: skip
+def test_of_pixels_that_are_not_square_x_is_as_a_viewer_shows_it(
+    tmp_path: Path, codec: str, ending: str, pixels: str
+) -> None:
+    film = Film(codec=codec, ending=ending, pixels=pixels, pixel_aspect=Fraction(4, 3))
+    wide = film_trajectory(
+        write_film(tmp_path / f"wide.{ending}", swing(count=40), film), FilmAsked(size="2 mm")
+    )
+    square = replace(film, pixel_aspect=Fraction(1))
+    plain = film_trajectory(
+        write_film(tmp_path / f"plain.{ending}", swing(count=40), square), FilmAsked(size="2 mm")
+    )
+    assert np.ptp(wide.positions[0]) == pytest.approx(4 / 3 * np.ptp(plain.positions[0]))
+    assert wide.positions[1] == pytest.approx(plain.positions[1])
+    said = "pixels are not square, 4:3 wide to high: a viewer shows 213x96 px instead of 160x96"
+    assert (said in wide.understood, said in plain.understood) == (True, False)
+    assert "a pixel is 2 mm, x counted in pixels as a viewer shows them" in " ".join(wide.understood)
+
+
 def test_a_film_without_anything_to_follow_is_refused(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     pictures = [rng.integers(90, 110, (NY, NX)).astype(np.uint8) for _ in range(12)]
