@@ -1,7 +1,9 @@
 """Positions of the spot, or of a dark object, in a film or a folder of images: a trajectory in px."""
 
 import math
+import warnings
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -49,6 +51,12 @@ _USUAL: Final = 0.95
 """Part of them that is taken for usual: compression, which stores nothing where little moves, has tails."""
 _TORN: Final = 4.0
 """Times the usual: of noise alone nearly eight standard deviations."""
+_LOOKED_AT: Final = 100
+"""First frames without a spot in which a point is looked for."""
+_POINT_REACH: Final = 4
+_CLEAR, _WITHIN, _MAD = 10.0, 0.8, 0.6745
+"""A point's height over the noise, the part of its light that is in nine pixels (of a sigma of 0.9 px 0.82),
+and the median deviation of normal noise over its standard deviation."""
 _LEAST_PX: Final = 0.1
 """A tear that matters nowhere."""
 
@@ -71,8 +79,10 @@ class FilmAsked:
     end_s: float | None = None
 
 
-def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
-    """Follow the spot through a film.
+def film_trajectory(
+    path: Path, asked: FilmAsked, progress: Callable[[int, int], None] | None = None
+) -> Trajectory:
+    """Follow the spot through a film; `progress` is told how many frames of how many are done.
 
     Raises
     ------
@@ -100,32 +110,44 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
         full_dn = info.full_scale_dn
         dark, tracker = asked.dark, None
         times_ns, places, flags = list[int](), list[tuple[float, float]](), Counter[str]()
+        points, count = list[tuple[int, int] | None](), camera.count
         while (frame := camera.read(1.0)) is not None:
             if dark is None:
                 dark = looks_dark(frame.image)
             tracker = tracker or SpotTracker(_sensor(full_dn, dark=dark))
-            spot = tracker.track(inverted(frame.image, full_dn) if dark else frame.image)
+            image = inverted(frame.image, full_dn) if dark else frame.image
+            spot = tracker.track(image)
+            if spot.flags & SpotFlag.LOST and len(points) < _LOOKED_AT:
+                points.append(point_of(image))
             times_ns.append(frame.device_time_ns or 0)
             places.append((spot.x_px, spot.y_px))
             flags.update(flag.name or "" for flag in SpotFlag(spot.flags))
             if dark:
                 flags[_WHITE] += int(2 * np.count_nonzero(frame.image >= full_dn) > frame.image.size)
+            if progress is not None:
+                progress(len(times_ns), count)
         status = camera.status
     finally:
         camera.close()
     since_ns = np.array(times_ns, dtype=np.int64) - times_ns[0]
     lost = f"{status.dropped_by_camera} missing, {status.incomplete} damaged or of another size"
     followed = "a dark object (the picture is inverted)" if dark else "a bright spot"
+    seen = f"followed: {followed}; {flags['LOST']} frames without one" + _flagged(flags, status.delivered)
     said = [
         *camera.found,
         *([_LOSSY.format(camera.lossy)] if camera.lossy else []),
         f"frames: {status.delivered} read, {lost}",
-        f"followed: {followed}; {flags['LOST']} frames without one" + _flagged(flags, status.delivered),
+        seen,
         f"position: x and y, in {unit}"
         + (f", a pixel is {factor:.6g} {unit}" if asked.size else "")
         + (", x counted in pixels as a viewer shows them" if camera.pixel_aspect != 1.0 else ""),
     ]
     if flags["LOST"] > (1.0 - _FEWEST_FOUND) * status.delivered:
+        if _moves(points):
+            raise DataError(
+                f"{path}: what moves is smaller than a pixel, which hides where in the pixel it is; a spot "
+                "needs 2 px across at half its light (sigma 0.8 px): defocus it, or come nearer"
+            )
         raise DataError(
             f"{path}: in {flags['LOST']} of {status.delivered} frames there is nothing to follow; a bright "
             "spot on a dark ground or a dark object on an even one is needed (--dark, --bright)"
@@ -133,7 +155,7 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
     xy = np.array(places)
     # the middle of the first pixel is at 0, its left edge at -1/2
     xy[:, 0] = camera.pixel_aspect * (xy[:, 0] + 0.5) - 0.5
-    inside = _inside(seconds(since_ns), asked)
+    inside = _inside(path, seconds(since_ns), asked)
     if camera.lossy:
         said += _torn(seconds(since_ns[inside]), xy[inside])
     return Trajectory(
@@ -145,6 +167,7 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
         time_name="the film's times" if asked.rate_hz is None else "the stated rate",
         understood=tuple(said),
         u_common_in_noises=_U_LOSSY_IN_NOISES if camera.lossy else 0.0,
+        remedy=f"{seen.capitalize()}, {_extent(xy[inside])}; --dark, --bright, --from and --to choose something else",
     )
 
 
@@ -168,6 +191,35 @@ def films_in(path: Path) -> list[Path]:
     if images_in([each.name for each in inside]):
         return []
     return sorted(filter(is_film, inside), key=lambda each: natural_key(each.name))
+
+
+def point_of(image: Image) -> tuple[int, int] | None:
+    """The brightest pixel, where a spot is that is smaller than a pixel, or about as large."""
+    y, x = np.unravel_index(int(np.argmax(image)), image.shape)
+    around = image[
+        max(y - _POINT_REACH, 0) : y + _POINT_REACH + 1, max(x - _POINT_REACH, 0) : x + _POINT_REACH + 1
+    ]
+    level = float(np.median(around))
+    light = around - level
+    core = image[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2] - level
+    noise = float(np.median(np.abs(light))) / _MAD + 0.5
+    alone = light.max() > _CLEAR * noise and core.sum() > _WITHIN * light[light > _MAD * noise].sum()
+    return (int(x), int(y)) if alone else None
+
+
+def _moves(points: Sequence[tuple[int, int] | None]) -> bool:
+    """Whether most points are there, and are no pixel that is always bright."""
+    found = [point for point in points if point is not None]
+    return 2 * len(found) > len(points) and bool(np.ptp(np.array(found), axis=0).max() > 1)
+
+
+def _extent(xy: NDArray[np.float64]) -> str:
+    """From where to where something was followed."""
+    with warnings.catch_warnings():
+        # of a coordinate that is lost in all frames there is none
+        warnings.simplefilter("ignore")
+        low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)
+    return " and ".join(f"{name} {a:.4g} to {b:.4g} px" for name, a, b in zip("xy", low, high, strict=True))
 
 
 def looks_dark(image: Image) -> bool:
@@ -229,10 +281,12 @@ def _pixel(text: str) -> tuple[float, str]:
     return size, known
 
 
-def _inside(since_s: NDArray[np.float64], asked: FilmAsked) -> NDArray[np.bool_]:
+def _inside(path: Path, since_s: NDArray[np.float64], asked: FilmAsked) -> NDArray[np.bool_]:
     begin_s = 0.0 if asked.begin_s is None else asked.begin_s
     end_s = float(since_s[-1]) if asked.end_s is None else asked.end_s
     inside = (since_s >= begin_s) & (since_s <= end_s)
+    if len(since_s) < 2:
+        raise DataError(f"{path}: one frame of it can be read; a film of ten periods or more is needed")
     if np.count_nonzero(inside) < 2:
         raise ConfigurationError(
             f"--from {begin_s:g} --to {end_s:g} leaves no frames of 0 to {since_s[-1]:.6g} s"

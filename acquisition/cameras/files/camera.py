@@ -93,6 +93,11 @@ class FilesCamera:
         )
         return self._info
 
+    @property
+    def count(self) -> int:
+        """Frames that the source holds."""
+        return 0 if self._source is None else self._source.count
+
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Set the region of interest; return the settings that apply."""
         info = self._must_be_open()

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from processing.errors import ConfigurationError, DataError
 from rig.analysis import FilmAsked, film_trajectory
 from rig.analysis.film_positions import inverted, looks_dark
 from rig.analysis.table_fit import analyse_trajectory
+from rig.presentation import TimeLeft
 from tests.acquisition.cameras.made_films import NX, NY, Film, write_film
 from tests.rig.command_line import rig
 
@@ -157,6 +159,45 @@ def test_a_film_without_anything_to_follow_is_refused(tmp_path: Path) -> None:
     film = write_film(tmp_path / "nothing.mkv", pictures, Film())
     with pytest.raises(DataError, match="there is nothing to follow"):
         film_trajectory(film, FilmAsked())
+
+
+@pytest.mark.parametrize("sigma_px", [0.2, 0.35, 0.6])
+def test_a_spot_smaller_than_a_pixel_is_named(tmp_path: Path, sigma_px: float) -> None:
+    rng = np.random.default_rng(5)
+    pictures = []
+    for k in range(30):
+        edges_x, edges_y = np.arange(NX + 1) - 80.0 - 40.0 * np.sin(0.2 * k), np.arange(NY + 1) - 48.3
+        share = [np.diff(norm.cdf(edges, scale=sigma_px)) for edges in (edges_y, edges_x)]
+        light = 20.0 + 200.0 * np.outer(*share) + 1.5 * rng.standard_normal((NY, NX))
+        pictures.append(np.clip(np.rint(light), 0, 255).astype(np.uint8))
+    film = write_film(tmp_path / "small.mkv", pictures, Film())
+    with pytest.raises(DataError, match="what moves is smaller than a pixel"):
+        film_trajectory(film, FilmAsked())
+    # a pixel that is always bright is no spot
+    with pytest.raises(DataError, match="there is nothing to follow"):
+        film_trajectory(write_film(tmp_path / "hot.mkv", pictures[:1] * 12, Film()), FilmAsked())
+
+
+def test_what_was_followed_is_named_where_there_is_no_decay(tmp_path: Path) -> None:
+    still = write_film(tmp_path / "still.mkv", swing(count=1) * 60, Film())
+    done = rig("video", still)
+    assert done.returncode == 1
+    assert (
+        "Followed: a bright spot; 0 frames without one, x 80.31 to 80.31 px and y 47.79 to 47.79 px"
+        in done.stderr
+    )
+    assert "--position" not in done.stderr
+    with pytest.raises(DataError, match="one frame of it can be read"):
+        film_trajectory(write_film(tmp_path / "one.mkv", swing(count=1), Film()), FilmAsked())
+
+
+def test_the_time_that_is_left_of_a_film_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    film = write_film(tmp_path / "long.mkv", swing(count=40), Film())
+    times_s = iter(np.arange(100.0) ** 2 / 10)
+    film_trajectory(film, FilmAsked(), TimeLeft("film: frames", clock=lambda: float(next(times_s))))
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == "film: frames: 11 of 40, about 0:29 min left"
+    assert 2 < len(said) < 40
 
 
 def test_dark_is_what_is_darker_than_the_middle() -> None:
