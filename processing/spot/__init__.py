@@ -1,6 +1,7 @@
 """Laser spot on a sensor: finder, maximum-likelihood fit, tracker."""
 
 from processing.spot.beam_use import BeamUse
+from processing.spot.fixed_light import FixedLight, fixed_light
 from processing.spot.model_choice import LONGEST_CHOICE_FRAMES, SpotModel
 from processing.spot.profile import compile_kernels
 from processing.spot.sensor_model import SensorModel

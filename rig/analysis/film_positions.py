@@ -4,7 +4,7 @@ import math
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +19,7 @@ from acquisition.cameras.files.timestamps import timestamps_beside
 from acquisition.frame import Image
 from processing.arrays import Floats
 from processing.errors import ConfigurationError, DataError
-from processing.spot import SensorModel, SpotFlag, SpotTracker
+from processing.spot import FixedLight, SensorModel, Spot, SpotFlag, SpotTracker, fixed_light
 from processing.ticks import seconds
 from processing.units import conversion
 from rig.analysis.tables import known_unit
@@ -51,6 +51,10 @@ _USUAL: Final = 0.95
 """Part of them that is taken for usual: compression, which stores nothing where little moves, has tails."""
 _TORN: Final = 4.0
 """Times the usual: of noise alone nearly eight standard deviations."""
+_SAMPLED, _MOST_BYTES = 64, 1 << 28
+"""Most pictures that are kept, evenly spread, to see what stays in them."""
+_FINER, _DEEPEST = 16, 4095
+"""Parts of a grey value where light is taken off, and the full scale up to which there is room for them."""
 _LOOKED_AT: Final = 100
 """First frames without a spot in which a point is looked for."""
 _POINT_REACH: Final = 4
@@ -103,47 +107,35 @@ def film_trajectory(
         }
     )
     camera = FilesCamera(settings)
-    info = camera.open()
+    full_dn = camera.open().full_scale_dn
     try:
         camera.configure(CameraSettings())
-        camera.start()
-        full_dn = info.full_scale_dn
-        dark, tracker = asked.dark, None
-        times_ns, places, flags = list[int](), list[tuple[float, float]](), Counter[str]()
-        points, count = list[tuple[int, int] | None](), camera.count
-        while (frame := camera.read(1.0)) is not None:
-            if dark is None:
-                dark = looks_dark(frame.image)
-            tracker = tracker or SpotTracker(_sensor(full_dn, dark=dark))
-            image = inverted(frame.image, full_dn) if dark else frame.image
-            spot = tracker.track(image)
-            if spot.flags & SpotFlag.LOST and len(points) < _LOOKED_AT:
-                points.append(point_of(image))
-            times_ns.append(frame.device_time_ns or 0)
-            places.append((spot.x_px, spot.y_px))
-            flags.update(flag.name or "" for flag in SpotFlag(spot.flags))
-            if dark:
-                flags[_WHITE] += int(2 * np.count_nonzero(frame.image >= full_dn) > frame.image.size)
-            if progress is not None:
-                progress(len(times_ns), count)
+        seen = _follow(camera, full_dn, asked, progress)
+        light = None if seen.dark else fixed_light(seen.sampled)
+        taken_off = None if light is None else _follow(camera, full_dn, asked, progress, light.light_dn)
         status = camera.status
     finally:
         camera.close()
-    since_ns = np.array(times_ns, dtype=np.int64) - times_ns[0]
+    of_light = [] if light is None else [_of_light(light)]
+    if taken_off is not None and taken_off.flags["LOST"] <= seen.flags["LOST"]:
+        seen, of_light = taken_off, [f"{line}; taken off" for line in of_light]
+    flags = seen.flags
+    since_ns = np.array(seen.times_ns, dtype=np.int64) - seen.times_ns[0]
     lost = f"{status.dropped_by_camera} missing, {status.incomplete} damaged or of another size"
-    followed = "a dark object (the picture is inverted)" if dark else "a bright spot"
-    seen = f"followed: {followed}; {flags['LOST']} frames without one" + _flagged(flags, status.delivered)
+    followed = "a dark object (the picture is inverted)" if seen.dark else "a bright spot"
+    what = f"followed: {followed}; {flags['LOST']} frames without one" + _flagged(flags, status.delivered)
     said = [
         *camera.found,
         *([_LOSSY.format(camera.lossy)] if camera.lossy else []),
         f"frames: {status.delivered} read, {lost}",
-        seen,
+        what,
+        *of_light,
         f"position: x and y, in {unit}"
         + (f", a pixel is {factor:.6g} {unit}" if asked.size else "")
         + (", x counted in pixels as a viewer shows them" if camera.pixel_aspect != 1.0 else ""),
     ]
     if flags["LOST"] > (1.0 - _FEWEST_FOUND) * status.delivered:
-        if _moves(points):
+        if _moves(seen.points):
             raise DataError(
                 f"{path}: what moves is smaller than a pixel, which hides where in the pixel it is; a spot "
                 "needs 2 px across at half its light (sigma 0.8 px): defocus it, or come nearer"
@@ -152,7 +144,7 @@ def film_trajectory(
             f"{path}: in {flags['LOST']} of {status.delivered} frames there is nothing to follow; a bright "
             "spot on a dark ground or a dark object on an even one is needed (--dark, --bright)"
         )
-    xy = np.array(places)
+    xy = np.array(seen.places)
     # the middle of the first pixel is at 0, its left edge at -1/2
     xy[:, 0] = camera.pixel_aspect * (xy[:, 0] + 0.5) - 0.5
     inside = _inside(path, seconds(since_ns), asked)
@@ -167,7 +159,68 @@ def film_trajectory(
         time_name="the film's times" if asked.rate_hz is None else "the stated rate",
         understood=tuple(said),
         u_common_in_noises=_U_LOSSY_IN_NOISES if camera.lossy else 0.0,
-        remedy=f"{seen.capitalize()}, {_extent(xy[inside])}; --dark, --bright, --from and --to choose something else",
+        remedy=f"{what.capitalize()}, {_extent(xy[inside])}; --dark, --bright, --from and --to choose "
+        "something else",
+    )
+
+
+@dataclass
+class _Followed:
+    """What was seen of a film: of every frame its time and place, of some the picture and its spot."""
+
+    dark: bool
+    times_ns: list[int] = field(default_factory=list)
+    places: list[tuple[float, float]] = field(default_factory=list)
+    flags: Counter[str] = field(default_factory=Counter)
+    points: list[tuple[int, int] | None] = field(default_factory=list)
+    sampled: list[tuple[Image, Spot]] = field(default_factory=list)
+
+
+def _follow(
+    camera: FilesCamera,
+    full_dn: int,
+    asked: FilmAsked,
+    progress: Callable[[int, int], None] | None,
+    less: Floats | None = None,
+) -> _Followed:
+    """Follow what swings from the first frame to the last, in pictures less some light that stays."""
+    camera.start()
+    fine = _FINER if less is not None and full_dn <= _DEEPEST else 1
+    found: _Followed | None = None
+    every = 1
+    while (frame := camera.read(1.0)) is not None:
+        if found is None:
+            found = _Followed(looks_dark(frame.image) if asked.dark is None else asked.dark)
+            tracker = SpotTracker(_sensor(full_dn * fine, fine, dark=found.dark))
+        image = inverted(frame.image, full_dn) if found.dark else frame.image
+        if less is not None:
+            rest = np.rint(fine * np.clip(image - less, 0.0, full_dn))
+            image = np.where(image >= full_dn, full_dn * fine, rest).astype(np.uint16)
+        spot = tracker.track(image)
+        if spot.flags & SpotFlag.LOST and len(found.points) < _LOOKED_AT:
+            found.points.append(point_of(image))
+        if len(found.times_ns) % every == 0:
+            found.sampled.append((image, spot))
+            if len(found.sampled) == _SAMPLED or len(found.sampled) * image.nbytes > _MOST_BYTES:
+                every *= 2
+                del found.sampled[1::2]
+        found.times_ns.append(frame.device_time_ns or 0)
+        found.places.append((spot.x_px, spot.y_px))
+        found.flags.update(flag.name or "" for flag in SpotFlag(spot.flags))
+        if found.dark:
+            found.flags[_WHITE] += int(2 * np.count_nonzero(frame.image >= full_dn) > frame.image.size)
+        if progress is not None:
+            progress(len(found.times_ns), camera.count)
+    camera.stop()
+    assert found is not None
+    return found
+
+
+def _of_light(light: FixedLight) -> str:
+    return (
+        f"light that stays where it is, {100 * light.part:.2g} % of the spot at x {light.x_px}, "
+        f"y {light.y_px} px (a reflection, a lamp): shifts the spot by up to {light.shift_px:.2g} px, "
+        f"{light.in_u:.2g} times the uncertainty of a position"
     )
 
 
@@ -228,10 +281,10 @@ def looks_dark(image: Image) -> bool:
     return bool(middle - low > _DARK * (high - middle))
 
 
-def _sensor(full_scale_dn: int, *, dark: bool) -> SensorModel:
+def _sensor(full_scale_dn: int, noise_dn: int = 1, *, dark: bool) -> SensorModel:
     """Black becomes full scale in an inverted picture, but is as good a level as any: nothing is cut off."""
     gain = _WELL_E / full_scale_dn
-    return SensorModel(gain, gain, 2.0 * full_scale_dn if dark else full_scale_dn)
+    return SensorModel(gain, gain * noise_dn, 2.0 * full_scale_dn if dark else full_scale_dn)
 
 
 def inverted(image: Image, full_scale_dn: int) -> Image:

@@ -41,7 +41,7 @@ class TimeLeft:
     def __call__(self, done: int, count: int) -> None:
         """`done` of `count` parts are done; nothing is said of a work that ends soon."""
         now_s, terminal = self._clock(), sys.stderr.isatty()
-        if self._begun is None:
+        if self._begun is None or done < self._begun[1] + 1:
             # the first part takes what is loaded and compiled, and says nothing of the others
             self._begun, self._said_s = (now_s, done), now_s
         begun_s, before = self._begun

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -198,6 +199,36 @@ def test_the_time_that_is_left_of_a_film_is_said(tmp_path: Path, capsys: pytest.
     said = capsys.readouterr().err.splitlines()
     assert said[0] == "film: frames: 11 of 40, about 0:29 min left"
     assert 2 < len(said) < 40
+
+
+@pytest.mark.parametrize(("part", "amplitude_px"), [(0.03, 50.0), (0.01, 50.0), (0.03, 40.0), (0.0, 50.0)])
+def test_light_that_stays_where_it_is_is_said_and_taken_off(
+    tmp_path: Path, part: float, amplitude_px: float
+) -> None:
+    """A reflection of 3 % beside the middle shifts the spot by ten times the noise of its position."""
+    rng = np.random.default_rng(7)
+    y, x = np.mgrid[:NY, :NX]
+    t = np.arange(300) / RATE_HZ
+    true_px = 80.3 + amplitude_px * np.exp(-t / 20) * np.sin(2.0 * np.pi * t / PERIOD_S)
+    pictures = []
+    for at in true_px:
+        light = np.exp(-((x - at) ** 2 + (y - 47.8) ** 2) / 72.0)
+        light += part * np.exp(-((x - 94.3) ** 2 + (y - 47.8) ** 2) / 72.0)
+        noisy = 20.0 + 180.0 * light + 1.5 * rng.standard_normal(light.shape)
+        pictures.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+    np.save(tmp_path / "swing.npy", pictures)
+    found = film_trajectory(tmp_path / "swing.npy", FilmAsked(rate_hz=RATE_HZ))
+    error_px = found.positions[0] - true_px
+    assert np.std(error_px) < 0.01
+    assert np.abs(error_px - error_px.mean()).max() < 0.04
+    said = [line for line in found.understood if "light that stays" in line]
+    assert len(said) == (part > 0)
+    if said:
+        shown = re.search(r"is, ([\d.]+) % of the spot at x (\d+), y (\d+) px .*; taken off", said[0])
+        assert shown is not None
+        found_part, at_x, at_y = map(float, shown.groups())
+        assert found_part == pytest.approx(100 * part, rel=0.15)
+        assert np.hypot(at_x - 94.3, at_y - 47.8) < 3
 
 
 def test_dark_is_what_is_darker_than_the_middle() -> None:
