@@ -19,7 +19,7 @@ from acquisition.cameras.files.timestamps import timestamps_beside
 from acquisition.frame import Image
 from processing.arrays import Floats
 from processing.errors import ConfigurationError, DataError
-from processing.spot import FixedLight, SensorModel, Spot, SpotFlag, SpotTracker, fixed_light
+from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker, fixed_light
 from processing.ticks import seconds
 from processing.units import conversion
 from rig.analysis.tables import known_unit
@@ -116,7 +116,7 @@ def film_trajectory(
         status = camera.status
     finally:
         camera.close()
-    of_light = [] if light is None else [_of_light(light)]
+    of_light = [] if light is None else [light.text]
     if taken_off is not None and taken_off.flags["LOST"] <= seen.flags["LOST"]:
         seen, of_light = taken_off, [f"{line}; taken off" for line in of_light]
     flags = seen.flags
@@ -214,14 +214,6 @@ def _follow(
     camera.stop()
     assert found is not None
     return found
-
-
-def _of_light(light: FixedLight) -> str:
-    return (
-        f"light that stays where it is, {100 * light.part:.2g} % of the spot at x {light.x_px}, "
-        f"y {light.y_px} px (a reflection, a lamp): shifts the spot by up to {light.shift_px:.2g} px, "
-        f"{light.in_u:.2g} times the uncertainty of a position"
-    )
 
 
 def film_needs_rate(path: Path) -> bool:

@@ -39,6 +39,15 @@ class FixedLight:
     shift_px: float
     in_u: float
 
+    @property
+    def text(self) -> str:
+        """What it is, where, and what it does."""
+        return (
+            f"light that stays where it is, {100 * self.part:.2g} % of the spot at x {self.x_px}, "
+            f"y {self.y_px} px (a reflection, a lamp): shifts the spot by up to {self.shift_px:.2g} px, "
+            f"{self.in_u:.2g} times the uncertainty of a position"
+        )
+
 
 def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
     """What stays in pictures of a spot that moves; None where nothing does, or nothing that matters."""
