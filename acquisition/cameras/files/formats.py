@@ -6,6 +6,7 @@ its directories, of which ImageJ writes one.
 
 import re
 import zlib
+from fractions import Fraction
 from mmap import mmap
 from pathlib import Path
 from typing import Any, BinaryIO, Final, Literal, NamedTuple
@@ -182,6 +183,24 @@ def _following(file: BinaryIO, offset: int, size: int, order: _Order, big: bool)
         return None
     file.seek(end)
     return int.from_bytes(file.read(place_bytes), order)
+
+
+def apng_delays_s(path: Path) -> list[Fraction]:
+    """How long each picture of an animated PNG is shown, as it states; FFmpeg rounds a thirtieth by 1e-4."""
+    found = list[Fraction]()
+    with path.open("rb") as file:
+        file.seek(8)
+        while len(head := file.read(8)) == 8:
+            length = int.from_bytes(head[:4], "big")
+            if head[4:] == b"fcTL":
+                body = file.read(length)
+                # a denominator of 0 stands for 100
+                found.append(
+                    Fraction(*(int.from_bytes(body[k : k + 2], "big") or 100 * (k == 22) for k in (20, 22)))
+                )
+                length = 0
+            file.seek(length + 4, 1)
+    return found
 
 
 # Checksums of FFV1 video (RFC 9043): a decoder that finds damage delivers a picture all the same.
