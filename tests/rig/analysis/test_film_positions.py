@@ -116,6 +116,7 @@ def test_what_compression_does_to_all_amplitudes_is_in_the_uncertainty(tmp_path:
     film = Film(codec="libx264", ending="mp4", pixels="yuv420p", options={"crf": "28"})
     trajectory = film_trajectory(write_film(tmp_path / "lossy.mp4", swing(), film), FilmAsked())
     found = analyse_trajectory(tmp_path / "lossy.mp4", trajectory, None).results
+    assert "light that stays" not in " ".join(trajectory.understood)
     blind = replace(trajectory, u_common_in_noises=0.0)
     of_scatter = analyse_trajectory(tmp_path / "lossy.mp4", blind, None).results
     error = found.log_decrement.value - DECREMENT
