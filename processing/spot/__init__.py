@@ -6,4 +6,5 @@ from processing.spot.profile import compile_kernels
 from processing.spot.sensor_model import SensorModel
 from processing.spot.shape import BeamShape, beam_shape
 from processing.spot.spot import SPOT_DTYPE, Spot, SpotFlag
+from processing.spot.stray_light import FixedLight, fixed_light
 from processing.spot.tracker import SpotTracker

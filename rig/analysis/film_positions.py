@@ -1,8 +1,10 @@
 """Positions of the spot, or of a dark object, in a film or a folder of images: a trajectory in px."""
 
 import math
+import warnings
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -12,12 +14,12 @@ from numpy.typing import NDArray
 from acquisition.camera import CameraSettings
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.settings import FilesSettings
-from acquisition.cameras.files.sources import IMAGES, is_film, natural_key, open_source
+from acquisition.cameras.files.sources import images_in, is_film, natural_key, open_source
 from acquisition.cameras.files.timestamps import timestamps_beside
 from acquisition.frame import Image
 from processing.arrays import Floats
 from processing.errors import ConfigurationError, DataError
-from processing.spot import SensorModel, SpotFlag, SpotTracker
+from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker, fixed_light
 from processing.ticks import seconds
 from processing.units import conversion
 from rig.analysis.tables import known_unit
@@ -49,6 +51,18 @@ _USUAL: Final = 0.95
 """Part of them that is taken for usual: compression, which stores nothing where little moves, has tails."""
 _TORN: Final = 4.0
 """Times the usual: of noise alone nearly eight standard deviations."""
+_SAMPLED, _MOST_BYTES = 64, 1 << 28
+"""Most pictures that are kept, evenly spread, to see what stays in them."""
+_FINER, _DEEPEST = 16, 4095
+"""Parts of a grey value where light is taken off, and the full scale up to which there is room for them."""
+_LEFT_BY_COMPRESSION: Final = 0.015
+"""Part of the spot that strong compression leaves where it has passed: at crf 28 0.007."""
+_LOOKED_AT: Final = 100
+"""First frames without a spot in which a point is looked for."""
+_POINT_REACH: Final = 4
+_CLEAR, _WITHIN, _MAD = 10.0, 0.8, 0.6745
+"""A point's height over the noise, the part of its light that is in nine pixels (of a sigma of 0.9 px 0.82),
+and the median deviation of normal noise over its standard deviation."""
 _LEAST_PX: Final = 0.1
 """A tear that matters nowhere."""
 
@@ -71,8 +85,10 @@ class FilmAsked:
     end_s: float | None = None
 
 
-def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
-    """Follow the spot through a film.
+def film_trajectory(
+    path: Path, asked: FilmAsked, progress: Callable[[int, int], None] | None = None
+) -> Trajectory:
+    """Follow the spot through a film; `progress` is told how many frames of how many are done.
 
     Raises
     ------
@@ -93,43 +109,49 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
         }
     )
     camera = FilesCamera(settings)
-    info = camera.open()
+    full_dn = camera.open().full_scale_dn
     try:
         camera.configure(CameraSettings())
-        camera.start()
-        full_dn = info.full_scale_dn
-        dark, tracker = asked.dark, None
-        times_ns, places, flags = list[int](), list[tuple[float, float]](), Counter[str]()
-        while (frame := camera.read(1.0)) is not None:
-            if dark is None:
-                dark = looks_dark(frame.image)
-            tracker = tracker or SpotTracker(_sensor(full_dn, dark=dark))
-            spot = tracker.track(inverted(frame.image, full_dn) if dark else frame.image)
-            times_ns.append(frame.device_time_ns or 0)
-            places.append((spot.x_px, spot.y_px))
-            flags.update(flag.name or "" for flag in SpotFlag(spot.flags))
-            if dark:
-                flags[_WHITE] += int(2 * np.count_nonzero(frame.image >= full_dn) > frame.image.size)
+        seen = _follow(camera, full_dn, asked, progress)
+        light = None if seen.dark else fixed_light(seen.sampled)
+        if light is not None and camera.lossy and light.part < _LEFT_BY_COMPRESSION:
+            light = None
+        taken_off = None if light is None else _follow(camera, full_dn, asked, progress, light.light_dn)
         status = camera.status
     finally:
         camera.close()
-    since_ns = np.array(times_ns, dtype=np.int64) - times_ns[0]
+    of_light = [] if light is None else [light.text]
+    if taken_off is not None and taken_off.flags["LOST"] <= seen.flags["LOST"]:
+        seen, of_light = taken_off, [f"{line}; taken off" for line in of_light]
+    flags = seen.flags
+    since_ns = np.array(seen.times_ns, dtype=np.int64) - seen.times_ns[0]
     lost = f"{status.dropped_by_camera} missing, {status.incomplete} damaged or of another size"
-    followed = "a dark object (the picture is inverted)" if dark else "a bright spot"
+    followed = "a dark object (the picture is inverted)" if seen.dark else "a bright spot"
+    what = f"followed: {followed}; {flags['LOST']} frames without one" + _flagged(flags, status.delivered)
     said = [
         *camera.found,
         *([_LOSSY.format(camera.lossy)] if camera.lossy else []),
         f"frames: {status.delivered} read, {lost}",
-        f"followed: {followed}; {flags['LOST']} frames without one" + _flagged(flags, status.delivered),
-        f"position: x and y, in {unit}" + (f", a pixel is {factor:.6g} {unit}" if asked.size else ""),
+        what,
+        *of_light,
+        f"position: x and y, in {unit}"
+        + (f", a pixel is {factor:.6g} {unit}" if asked.size else "")
+        + (", x counted in pixels as a viewer shows them" if camera.pixel_aspect != 1.0 else ""),
     ]
     if flags["LOST"] > (1.0 - _FEWEST_FOUND) * status.delivered:
+        if _moves(seen.points):
+            raise DataError(
+                f"{path}: what moves is smaller than a pixel, which hides where in the pixel it is; a spot "
+                "needs 2 px across at half its light (sigma 0.8 px): defocus it, or come nearer"
+            )
         raise DataError(
             f"{path}: in {flags['LOST']} of {status.delivered} frames there is nothing to follow; a bright "
             "spot on a dark ground or a dark object on an even one is needed (--dark, --bright)"
         )
-    xy = np.array(places)
-    inside = _inside(seconds(since_ns), asked)
+    xy = np.array(seen.places)
+    # the middle of the first pixel is at 0, its left edge at -1/2
+    xy[:, 0] = camera.pixel_aspect * (xy[:, 0] + 0.5) - 0.5
+    inside = _inside(path, seconds(since_ns), asked)
     if camera.lossy:
         said += _torn(seconds(since_ns[inside]), xy[inside])
     return Trajectory(
@@ -141,7 +163,61 @@ def film_trajectory(path: Path, asked: FilmAsked) -> Trajectory:
         time_name="the film's times" if asked.rate_hz is None else "the stated rate",
         understood=tuple(said),
         u_common_in_noises=_U_LOSSY_IN_NOISES if camera.lossy else 0.0,
+        remedy=f"{what.capitalize()}, {_extent(xy[inside])}; --dark, --bright, --from and --to choose "
+        "something else",
     )
+
+
+@dataclass
+class _Followed:
+    """What was seen of a film: of every frame its time and place, of some the picture and its spot."""
+
+    dark: bool
+    times_ns: list[int] = field(default_factory=list)
+    places: list[tuple[float, float]] = field(default_factory=list)
+    flags: Counter[str] = field(default_factory=Counter)
+    points: list[tuple[int, int] | None] = field(default_factory=list)
+    sampled: list[tuple[Image, Spot]] = field(default_factory=list)
+
+
+def _follow(
+    camera: FilesCamera,
+    full_dn: int,
+    asked: FilmAsked,
+    progress: Callable[[int, int], None] | None,
+    less: Floats | None = None,
+) -> _Followed:
+    """Follow what swings from the first frame to the last, in pictures less some light that stays."""
+    camera.start()
+    fine = _FINER if less is not None and full_dn <= _DEEPEST else 1
+    found: _Followed | None = None
+    every = 1
+    while (frame := camera.read(1.0)) is not None:
+        if found is None:
+            found = _Followed(looks_dark(frame.image) if asked.dark is None else asked.dark)
+            tracker = SpotTracker(_sensor(full_dn * fine, fine, dark=found.dark))
+        image = inverted(frame.image, full_dn) if found.dark else frame.image
+        if less is not None:
+            rest = np.rint(fine * np.clip(image - less, 0.0, full_dn))
+            image = np.where(image >= full_dn, full_dn * fine, rest).astype(np.uint16)
+        spot = tracker.track(image)
+        if spot.flags & SpotFlag.LOST and len(found.points) < _LOOKED_AT:
+            found.points.append(point_of(image))
+        if len(found.times_ns) % every == 0:
+            found.sampled.append((image, spot))
+            if len(found.sampled) == _SAMPLED or len(found.sampled) * image.nbytes > _MOST_BYTES:
+                every *= 2
+                del found.sampled[1::2]
+        found.times_ns.append(frame.device_time_ns or 0)
+        found.places.append((spot.x_px, spot.y_px))
+        found.flags.update(flag.name or "" for flag in SpotFlag(spot.flags))
+        if found.dark:
+            found.flags[_WHITE] += int(2 * np.count_nonzero(frame.image >= full_dn) > frame.image.size)
+        if progress is not None:
+            progress(len(found.times_ns), camera.count)
+    camera.stop()
+    assert found is not None
+    return found
 
 
 def film_needs_rate(path: Path) -> bool:
@@ -161,9 +237,38 @@ def films_in(path: Path) -> list[Path]:
     if not path.is_dir():
         return []
     inside = [each for each in path.iterdir() if each.is_file() and not each.name.startswith(".")]
-    if any(each.suffix.lower() in IMAGES for each in inside):
+    if images_in([each.name for each in inside]):
         return []
     return sorted(filter(is_film, inside), key=lambda each: natural_key(each.name))
+
+
+def point_of(image: Image) -> tuple[int, int] | None:
+    """The brightest pixel, where a spot is that is smaller than a pixel, or about as large."""
+    y, x = np.unravel_index(int(np.argmax(image)), image.shape)
+    around = image[
+        max(y - _POINT_REACH, 0) : y + _POINT_REACH + 1, max(x - _POINT_REACH, 0) : x + _POINT_REACH + 1
+    ]
+    level = float(np.median(around))
+    light = around - level
+    core = image[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2] - level
+    noise = float(np.median(np.abs(light))) / _MAD + 0.5
+    alone = light.max() > _CLEAR * noise and core.sum() > _WITHIN * light[light > _MAD * noise].sum()
+    return (int(x), int(y)) if alone else None
+
+
+def _moves(points: Sequence[tuple[int, int] | None]) -> bool:
+    """Whether most points are there, and are no pixel that is always bright."""
+    found = [point for point in points if point is not None]
+    return 2 * len(found) > len(points) and bool(np.ptp(np.array(found), axis=0).max() > 1)
+
+
+def _extent(xy: NDArray[np.float64]) -> str:
+    """From where to where something was followed."""
+    with warnings.catch_warnings():
+        # of a coordinate that is lost in all frames there is none
+        warnings.simplefilter("ignore")
+        low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)
+    return " and ".join(f"{name} {a:.4g} to {b:.4g} px" for name, a, b in zip("xy", low, high, strict=True))
 
 
 def looks_dark(image: Image) -> bool:
@@ -172,10 +277,10 @@ def looks_dark(image: Image) -> bool:
     return bool(middle - low > _DARK * (high - middle))
 
 
-def _sensor(full_scale_dn: int, *, dark: bool) -> SensorModel:
+def _sensor(full_scale_dn: int, noise_dn: int = 1, *, dark: bool) -> SensorModel:
     """Black becomes full scale in an inverted picture, but is as good a level as any: nothing is cut off."""
     gain = _WELL_E / full_scale_dn
-    return SensorModel(gain, gain, 2.0 * full_scale_dn if dark else full_scale_dn)
+    return SensorModel(gain, gain * noise_dn, 2.0 * full_scale_dn if dark else full_scale_dn)
 
 
 def inverted(image: Image, full_scale_dn: int) -> Image:
@@ -225,10 +330,12 @@ def _pixel(text: str) -> tuple[float, str]:
     return size, known
 
 
-def _inside(since_s: NDArray[np.float64], asked: FilmAsked) -> NDArray[np.bool_]:
+def _inside(path: Path, since_s: NDArray[np.float64], asked: FilmAsked) -> NDArray[np.bool_]:
     begin_s = 0.0 if asked.begin_s is None else asked.begin_s
     end_s = float(since_s[-1]) if asked.end_s is None else asked.end_s
     inside = (since_s >= begin_s) & (since_s <= end_s)
+    if len(since_s) < 2:
+        raise DataError(f"{path}: one frame of it can be read; a film of ten periods or more is needed")
     if np.count_nonzero(inside) < 2:
         raise ConfigurationError(
             f"--from {begin_s:g} --to {end_s:g} leaves no frames of 0 to {since_s[-1]:.6g} s"

@@ -117,8 +117,11 @@ def analyse_trajectory(
         most = max((len(turning_points(part)) for part in parts), default=0)
         reason = second_frequency(trajectory.times_ns, deflection) or (
             "the samples hold no free decay, or too little of one. "
-            f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}; --time and "
-            "--position choose others"
+            + (
+                trajectory.remedy
+                or f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}; --time and "
+                "--position choose others"
+            )
         )
         raise DataError(
             f"{path}: {most} usable half-cycle{'' if most == 1 else 's'} ({len(swings) - most} more are "

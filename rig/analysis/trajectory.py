@@ -20,7 +20,8 @@ class Trajectory:
     stated if `time_is_assumed`, `time_name` their column, `first_ns` the first of them as it stands there.
     `understood` says in lines what the file was taken for, and which rows were left out. `u_common_in_noises`
     is the standard uncertainty of an error that all amplitudes share, as a multiple of the noise of one
-    position. `run` is the name of the run, where the file holds several.
+    position. `run` is the name of the run, where the file holds several. `remedy` is what to say where there
+    is no decay.
     """
 
     times_ns: NDArray[np.int64]
@@ -34,4 +35,5 @@ class Trajectory:
     understood: tuple[str, ...] = ()
     first_ns: int = 0
     u_common_in_noises: float = 0.0
+    remedy: str = ""
     run: str = ""

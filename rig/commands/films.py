@@ -81,6 +81,7 @@ def video(
       rig video swing.mp4 --pixel '0.142 mm'
     """
     from rig.analysis import FilmAsked, film_trajectory, films_in, fit_read, fit_several
+    from rig.presentation import TimeLeft, print_line
 
     if set_ and config is None:
         raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
@@ -92,12 +93,12 @@ def video(
     films = _chosen_films(film, films_in(film), run)
     if len(films) == 1:
         (film,) = films
-        read = film_trajectory(film, asked)
+        read = film_trajectory(film, asked, TimeLeft(f"{film}: frames"))
         raise typer.Exit(fit_read(film, read, output, config, set_ or [], table_report, law or []))
-    from rig.presentation import print_line
-
     print_line(f"{film}: {len(films)} films: {', '.join(each.name for each in films)}")
-    inputs = [(each.stem, each, partial(film_trajectory, each, asked)) for each in films]
+    inputs = [
+        (one.stem, one, partial(film_trajectory, one, asked, TimeLeft(f"{one}: frames"))) for one in films
+    ]
     raise typer.Exit(fit_several(inputs, output, config, set_ or [], table_report, law or []))
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.frame import Image
-from processing.spot import BeamShape, Spot, SpotFlag, SpotModel, beam_shape
+from processing.spot import BeamShape, FixedLight, Spot, SpotFlag, SpotModel, beam_shape
 from rig.presentation import Verdict, percent
 from rig.settings import PreflightSettings
 
@@ -20,6 +20,7 @@ _BAD_CHI2 = 4.0
 """Uncertainties are doubled then, and what no model fits moves with the spot in ways they do not know."""
 _PICTURES = 16
 _CLEAN = "clean laser window, lenses and mirrors; a spatial filter"
+_NO_STRAY_LIGHT = "block it, or tilt what reflects: window, filter, cover glass"
 _MIDDLE_SIGMAS, _FLANK_SIGMAS = 0.5, 1.3
 
 
@@ -37,6 +38,7 @@ def beam_quality(
     limits: PreflightSettings,
     *,
     noise_is_known: bool = True,
+    light: FixedLight | None = None,
 ) -> Verdict:
     """Judge the beam.
 
@@ -50,6 +52,8 @@ def beam_quality(
         What the tracker has chosen; None while it has not.
     noise_is_known
         The sensor's noise is stated, not assumed.
+    light
+        What stays where it is while the spot swings past it.
     """
     found = [spot for spot in spots if not spot.flags & SpotFlag.LOST]
     if not found:
@@ -71,6 +75,7 @@ def beam_quality(
         *_cuts(edge > limits.max_lost_fraction, is_cut, shape),
         *_bad_fit(poor > limits.max_poor_fit_fraction, chi2, model, noise_is_known=noise_is_known),
         *([] if is_cut else _other_shapes(shape)),
+        *([] if light is None else [_Fault(True, light.text, _NO_STRAY_LIGHT)]),
     ]
     # the worst first; what is seen of the shape is the likely cause of a bad fit
     faults.sort(key=lambda fault: fault.ok)

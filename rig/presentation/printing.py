@@ -6,7 +6,8 @@ import os
 import re
 import sys
 import textwrap
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from typing import IO, Any, Final
 
 COLUMNS: Final = 80
@@ -14,6 +15,8 @@ COLUMNS: Final = 80
 _MOST_INDENTED = 0.4
 """Of the width: a name longer than this has its text continued at its left."""
 _WITHIN_NUMBER = re.compile(r"(?<=\d) (?=[%±×°])|(?<=[±×]) (?=[\d(])|(?<=\d\)) (?=[×%])")
+_SOON_S, _NEXT_LINE_S = 1.0, 10.0
+_ERASED = "\r\x1b[K"
 _UNBROKEN = "\u00a0"
 
 
@@ -25,6 +28,31 @@ def print_line(text: str) -> None:
 def say(text: str, *, error: bool = False) -> None:
     """Print one line on stderr, because programs read stdout; at a terminal it is wrapped, too."""
     _print(f"rig: {text}" if error else text, sys.stderr)
+
+
+class TimeLeft:
+    """Says on stderr how far a long work is: at a terminal in one line, else in a line now and then."""
+
+    def __init__(self, what: str, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._what, self._clock = what, clock
+        self._begun: tuple[float, int] | None = None
+        self._said_s = 0.0
+
+    def __call__(self, done: int, count: int) -> None:
+        """`done` of `count` parts are done; nothing is said of a work that ends soon."""
+        now_s, terminal = self._clock(), sys.stderr.isatty()
+        if self._begun is None or done < self._begun[1] + 1:
+            # the first part takes what is loaded and compiled, and says nothing of the others
+            self._begun, self._said_s = (now_s, done), now_s
+        begun_s, before = self._begun
+        if done >= count and terminal and self._said_s > begun_s:
+            print(_ERASED, end="", file=sys.stderr, flush=True)
+        if done >= count or now_s - self._said_s < (_SOON_S if terminal else _NEXT_LINE_S):
+            return
+        self._said_s = now_s
+        left_s = round((now_s - begun_s) * (count - done) / max(done - before, 1))
+        text = f"{self._what}: {done} of {count}, about {left_s // 60}:{left_s % 60:02d} min left"
+        print(f"{_ERASED}{text}" if terminal else f"{text}\n", end="", file=sys.stderr, flush=True)
 
 
 def _print(text: str, stream: IO[str]) -> None:

@@ -57,6 +57,7 @@ class FilesCamera:
         self._first_label = ""
         self.found: Sequence[str] = ()
         self.lossy = ""
+        self.pixel_aspect = 1.0
 
     def open(self) -> CameraInfo:
         """Find the frames and their times; reads the first frame that can be read."""
@@ -73,7 +74,7 @@ class FilesCamera:
             )
         for line in source.said:
             _log.warning("%s: %s", path, line)
-        self.lossy = source.lossy
+        self.lossy, self.pixel_aspect = source.lossy, source.pixel_aspect
         self.found = [*filter(None, [source.summary]), *source.said]
         self._times = frame_times(self._settings, source)
         image, full_scale_dn, self._first_label = self._first_image(source)
@@ -91,6 +92,11 @@ class FilesCamera:
             stamped="middle",
         )
         return self._info
+
+    @property
+    def count(self) -> int:
+        """Frames that the source holds."""
+        return 0 if self._source is None else self._source.count
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Set the region of interest; return the settings that apply."""

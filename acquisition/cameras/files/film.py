@@ -29,7 +29,8 @@ _LOSSLESS: Final = (
     "bmp", "utvideo", "magicyuv", "qtrle", "zlib", "zmbv", "lagarith", "gif", "pgm", "pgmyuv", "ppm", "y41p",
     "yuv4", "targa", "dpx", "apng", "sgi", "pam", "pbm", "exr", "fits",
 )  # fmt: skip
-_STRICT: Final = {"err_detect": "crccheck+bitstream+buffer+explode", "ec": "0"}
+_STRICT: Final = {"err_detect": "crccheck+bitstream+buffer+explode"}
+"""Without concealment, which tells what it conceals, H.264 of several slices is all marked as damaged."""
 _FAR: Final = 1 << 62
 _ORDER_SEEN: Final = 40
 """First frames by which it is seen whether a film keeps the times at which they are shown."""
@@ -47,6 +48,7 @@ class FilmSource(FrameSource):
         self.count = len(index.time_ns)
         self.times = FrameTimes(index.time_ns, index.sequence)
         self.tick_s = float(index.tick_s)
+        self.pixel_aspect = float(index.pixel_aspect)
         self.said = index.said
         self.lossy = "" if index.codec in _LOSSLESS else index.codec
         self._checksums = index.codec == "ffv1" and any(map(slices_of, index.first_packets))

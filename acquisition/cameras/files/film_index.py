@@ -7,11 +7,13 @@ takes the rounding to the container's ticks (whole ms in Matroska) off the times
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from acquisition.cameras.files.ffmpeg import ffmpeg_error, opened_film
+from acquisition.cameras.files.formats import apng_delays_s
+from acquisition.cameras.files.frame_source import ONE_IMAGE
 from acquisition.cameras.files.timestamps import missing_frames, numbers_by_steps
 from processing.errors import DeviceError
 
@@ -42,6 +44,7 @@ class FilmIndex:
     codec: str
     pixel_format: str
     first_packets: Sequence[bytes]
+    pixel_aspect: Fraction
 
 
 def film_index(path: Path, keep_packets: int = 0) -> FilmIndex:
@@ -56,6 +59,9 @@ def film_index(path: Path, keep_packets: int = 0) -> FilmIndex:
     try:
         if not container.streams.video:
             raise DeviceError(f"{path}: holds no picture; name a film")
+        # FFmpeg gives images times that nobody stated
+        if container.format.name == "image2" or container.format.name.endswith("_pipe"):
+            raise DeviceError(f"{path}: {ONE_IMAGE}")
         stream = container.streams.video[0]
         return _index(path, container, stream, keep_packets)
     finally:
@@ -113,6 +119,10 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
     else:
         numbers = numbers_by_steps(ticks)
         time_ns = [round((tick - ticks[0]) * tick_s * _SECOND_NS) for tick in ticks]
+    if container.format.name == "apng" and len(delays_s := apng_delays_s(path)) == len(ticks):
+        begins_s = [*accumulate(delays_s[:-1], initial=Fraction(0))]
+        time_ns = [round(begin_s * _SECOND_NS) for begin_s in begins_s]
+        rate_hz = 1 / delays_s[0] if len(set(delays_s[:-1])) == 1 and delays_s[0] else None
     said += missing_frames(time_ns, numbers, "the container's times")
     cut_off = _cut_off(container, stream, ticks, total, tick_s, last_duration)
     if cut_off:
@@ -120,7 +130,13 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
         step_ns = time_ns[-1] // numbers[-1] if numbers[-1] else _SECOND_NS
         time_ns += [time_ns[-1] + step_ns * (k + 1) for k in range(cut_off)]
         numbers += [numbers[-1] + k + 1 for k in range(cut_off)]
-    context = stream.codec_context
+    context, aspect = stream.codec_context, stream.sample_aspect_ratio or Fraction(1)
+    shown_nx = round(context.width * aspect)
+    if shown_nx != context.width:
+        said.append(
+            f"pixels are not square, {aspect.numerator}:{aspect.denominator} wide to high: a viewer shows "
+            f"{shown_nx}x{context.height} px instead of {context.width}x{context.height}"
+        )
     return FilmIndex(
         ticks=ticks,
         time_ns=time_ns,
@@ -133,6 +149,7 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
         codec=context.name,
         pixel_format=context.pix_fmt or "",
         first_packets=kept,
+        pixel_aspect=aspect,
     )
 
 

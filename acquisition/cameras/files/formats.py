@@ -1,84 +1,179 @@
-"""What libraries do not tell of images in files: the maximum value of a PGM, a TIFF cut off, damaged FFV1.
+"""What libraries do not tell of images in files: all images of a portable map, of a TIFF, damaged FFV1.
 
-OpenCV rescales some portable grey maps; the pages of a TIFF file are counted by its directories.
+OpenCV rescales some portable maps and reads the first image of each; the images of a TIFF file are counted by
+its directories, of which ImageJ writes one.
 """
 
 import re
 import zlib
+from fractions import Fraction
+from mmap import mmap
 from pathlib import Path
-from typing import Any, BinaryIO, Final, Literal
+from typing import Any, BinaryIO, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-_HEADER = re.compile(
-    rb"(P[25])(?:\s|#[^\n\r]*[\n\r])+(\d+)(?:\s|#[^\n\r]*[\n\r])+(\d+)(?:\s|#[^\n\r]*[\n\r])+(\d+)\s"
+_GAP: Final = rb"(?:\s|#[^\n\r]*[\n\r])+"
+_HEADER: Final = re.compile(
+    rb"\s*P(?:[14]" + 2 * (_GAP + rb"(\d+)") + rb"|[2356]" + 3 * (_GAP + rb"(\d+)") + rb")\s"
 )
+_PLAIN: Final = re.compile(rb"P[123]\s")
+_COMMENT: Final = re.compile(rb"#[^\n\r]*")
 
 
-def read_pgm(data: bytes) -> tuple[NDArray[Any], int]:
-    """Pixels (ny, nx) as uint8 or uint16, and the maximum value stated in the file.
+class _Portable(NamedTuple):
+    """What the header of an image states; `largest` is 0 for black and white."""
 
-    Raises ValueError with the reason: not a PGM file, too short, or a pixel above the maximum.
-    """
-    header = _HEADER.match(data)
+    kind: int
+    nx: int
+    ny: int
+    largest: int
+    pixels_at: int
+
+    @property
+    def row(self) -> int:
+        """Samples of a row, or its bytes where it is of bits."""
+        return -(-self.nx // 8) if self.kind == 4 else self.nx * (3 if self.kind in (3, 6) else 1)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        return np.dtype(np.uint8 if self.largest < 256 else ">u2")
+
+
+def _portable(data: bytes | mmap, begin: int) -> _Portable | None:
+    header = _HEADER.match(data, begin)
     if header is None:
-        raise ValueError("no PGM header")
-    nx, ny, largest = (int(header.group(i)) for i in (2, 3, 4))
-    if not 0 < largest < 65536 or nx * ny == 0:
-        raise ValueError(f"PGM header states {nx}x{ny} pixels up to {largest}")
-    dtype: type[np.uint8] | type[np.uint16] = np.uint8 if largest < 256 else np.uint16
-    if header.group(1) == b"P5":
-        stored = np.dtype(dtype).newbyteorder(">")
-        raster = data[header.end() : header.end() + nx * ny * stored.itemsize]
-        if len(raster) < nx * ny * stored.itemsize:
-            raise ValueError(
-                f"the file ends after {len(raster)} of {nx * ny * stored.itemsize} bytes of pixels"
-            )
-        values = np.frombuffer(raster, dtype=stored)
+        return None
+    numbers = [int(one) for one in header.groups() if one]
+    kind = header.group().split(maxsplit=1)[0][1:2]
+    return _Portable(int(kind), numbers[0], numbers[1], numbers[2] if len(numbers) > 2 else 0, header.end())
+
+
+def portable_images(data: bytes | mmap) -> list[tuple[int, int]]:
+    """Where each image of a portable map begins and ends; the last may end behind the end of the file."""
+    found, begin = list[tuple[int, int]](), 0
+    while header := _portable(data, begin):
+        if header.kind <= 3:
+            # a comment may say anything
+            bare = _COMMENT.sub(lambda comment: bytes(len(comment.group())), bytes(data))
+            begins = [one.start() for one in _PLAIN.finditer(bare)]
+            return list(zip(begins, [*begins[1:], len(data)], strict=True))
+        end = header.pixels_at + header.row * header.ny * header.dtype.itemsize
+        found.append((begin, end))
+        begin = end
+    return found
+
+
+def read_portable(data: bytes) -> tuple[NDArray[Any], int]:
+    """Pixels (ny, nx), or (ny, nx, 3) with blue first, as uint8 or uint16, and the largest value stated.
+
+    Raises ValueError with the reason: no portable map, too short, or a pixel above the maximum.
+    """
+    header = _portable(data, 0)
+    if header is None:
+        raise ValueError("no header of a PBM, PGM or PPM file")
+    kind, nx, ny, largest, begin = header
+    if not largest < 65536 or nx * ny == 0 or (largest == 0 and kind not in (1, 4)):
+        raise ValueError(f"the header states {nx}x{ny} pixels up to {largest}")
+    if kind > 3:
+        wanted = header.row * ny * header.dtype.itemsize
+        raster = data[begin : begin + wanted]
+        if len(raster) < wanted:
+            raise ValueError(f"the file ends after {len(raster)} of {wanted} bytes of pixels")
+        values: NDArray[Any] = np.frombuffer(raster, dtype=header.dtype)
     else:
-        words = data[header.end() :].split()
-        if len(words) < nx * ny:
-            raise ValueError(f"the file ends after {len(words)} of {nx * ny} pixels")
-        values = np.array([int(word) for word in words[: nx * ny]])
+        bare = _COMMENT.sub(b"", data[begin:])
+        # the figures of black and white need no gap between them
+        words = list(b"".join(bare.split()).decode()) if kind == 1 else bare.split()
+        if len(words) < header.row * ny:
+            raise ValueError(f"the file ends after {len(words)} of {header.row * ny} pixels")
+        values = np.array([int(word) for word in words[: header.row * ny]])
+    values = values.reshape(ny, header.row)
+    if kind in (1, 4):
+        bits = values if kind == 1 else np.unpackbits(values, axis=1)[:, :nx]
+        return np.where(bits > 0, 0, 255).astype(np.uint8), 255
     if values.min() < 0:
         raise ValueError(f"a pixel of {values.min()}")
     if values.max() > largest:
         raise ValueError(f"a pixel of {values.max()} is above the stated largest value {largest}")
-    return values.reshape(ny, nx).astype(dtype), largest
+    pixels = values.astype(header.dtype.newbyteorder("="))
+    return pixels.reshape(ny, nx, 3)[:, :, ::-1] if kind in (3, 6) else pixels, largest
 
 
 _Order = Literal["little", "big"]
 _ORDERS: Final[dict[bytes, _Order]] = {b"II": "little", b"MM": "big"}
 _MOST_PAGES = 10_000_000
+_SIZES: Final = {1: 1, 2: 1, 3: 2, 4: 4, 16: 8}
+"""Bytes of the types of a TIFF tag that are read here: byte, text, short, long, and long of BigTIFF."""
+_LONGEST_NOTE = 1 << 20
+WIDTH, HEIGHT, BITS, COMPRESSION, _NOTE, PLACES = 256, 257, 258, 259, 270, 273
 
 
-def is_cut_off(path: Path) -> bool:
-    """Whether a directory, to which the file or a page refers, lies beyond the end of the file.
+class TiffHead(NamedTuple):
+    """Directories of a TIFF file, numbers that the first one holds, and its note.
 
-    False as well for a file that is no TIFF, which is for others to report.
+    `cut_off`: a directory, to which the file or a page refers, lies beyond the end of the file.
     """
+
+    directories: int
+    cut_off: bool
+    order: _Order
+    tags: dict[int, list[int]]
+    note: str
+
+
+def tiff_head(path: Path) -> TiffHead:
+    """What a TIFF file says of itself; nothing of a file that is none, which is for others to report."""
     size = path.stat().st_size
+    tags: dict[int, list[int]] = {}
+    count = 0
     with path.open("rb") as file:
         head = file.read(16)
         order = _ORDERS.get(head[:2])
         if order is None or len(head) < 8:
-            return False
+            return TiffHead(0, False, "little", tags, "")
         big = int.from_bytes(head[2:4], order) == 43
         offset = int.from_bytes(head[8:16] if big else head[4:8], order)
-        for _ in range(_MOST_PAGES):
-            if not offset:
-                return False
+        while offset and count < _MOST_PAGES:
             following = _following(file, offset, size, order, big)
             if following is None:
-                return True
-            offset = following
-    return False
+                break
+            tags = tags or _tags(file, offset, order, big)
+            offset, count = following, count + 1
+    note = bytes(one & 0xFF for one in tags.pop(_NOTE, [])).decode("latin-1")
+    return TiffHead(count, offset > 0, order, tags, note)
+
+
+def _tags(file: BinaryIO, offset: int, order: _Order, big: bool) -> dict[int, list[int]]:
+    """Whole numbers, and bytes of texts, by the tags of a directory."""
+    count_bytes, entry_bytes, place_bytes = _directory(big)
+    file.seek(offset)
+    entries = file.read(count_bytes + entry_bytes * int.from_bytes(file.read(count_bytes), order))
+    found = {}
+    for at in range(0, len(entries) - entry_bytes + 1, entry_bytes):
+        tag, kind = (int.from_bytes(entries[at + k : at + k + 2], order) for k in (0, 2))
+        size = _SIZES.get(kind, 0)
+        length = size * int.from_bytes(entries[at + 4 : at + entry_bytes - place_bytes], order)
+        data = entries[at + entry_bytes - place_bytes : at + entry_bytes]
+        if length > place_bytes:
+            file.seek(int.from_bytes(data, order))
+            data = file.read(min(length, _LONGEST_NOTE))
+        if size:
+            found[tag] = [
+                int.from_bytes(data[k : k + size], order) for k in range(0, min(length, len(data)), size)
+            ]
+    return found
+
+
+def _directory(big: bool) -> tuple[int, int, int]:
+    """Bytes of a directory's number of entries, of an entry, and of a place in the file."""
+    return (8, 20, 8) if big else (2, 12, 4)
 
 
 def _following(file: BinaryIO, offset: int, size: int, order: _Order, big: bool) -> int | None:
     """Place of the directory after the one at `offset`, 0 after the last; None if the file ends before."""
-    count_bytes, entry_bytes, place_bytes = (8, 20, 8) if big else (2, 12, 4)
+    count_bytes, entry_bytes, place_bytes = _directory(big)
     if offset + count_bytes > size:
         return None
     file.seek(offset)
@@ -88,6 +183,24 @@ def _following(file: BinaryIO, offset: int, size: int, order: _Order, big: bool)
         return None
     file.seek(end)
     return int.from_bytes(file.read(place_bytes), order)
+
+
+def apng_delays_s(path: Path) -> list[Fraction]:
+    """How long each picture of an animated PNG is shown, as it states; FFmpeg rounds a thirtieth by 1e-4."""
+    found = list[Fraction]()
+    with path.open("rb") as file:
+        file.seek(8)
+        while len(head := file.read(8)) == 8:
+            length = int.from_bytes(head[:4], "big")
+            if head[4:] == b"fcTL":
+                body = file.read(length)
+                # a denominator of 0 stands for 100
+                found.append(
+                    Fraction(*(int.from_bytes(body[k : k + 2], "big") or 100 * (k == 22) for k in (20, 22)))
+                )
+                length = 0
+            file.seek(length + 4, 1)
+    return found
 
 
 # Checksums of FFV1 video (RFC 9043): a decoder that finds damage delivers a picture all the same.

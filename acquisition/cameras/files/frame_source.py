@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from acquisition.cameras.files.timestamps import FrameTimes
 
+ONE_IMAGE = "is one image; name the folder that holds the images, or a film"
+
 
 class Unreadable(Exception):
     """One frame cannot be read; the message gives the reason."""
@@ -44,6 +46,8 @@ class FrameSource(ABC):
     """Lines on what is not as it should be: missing, cut off, out of order."""
     summary: str = ""
     """One line on what was found, for a person; may be empty."""
+    pixel_aspect: float = 1.0
+    """Width of a pixel over its height, as the source itself states it."""
     lossy: str = ""
     """Name of the codec if it is lossy, otherwise empty."""
 

@@ -1,6 +1,8 @@
-"""Sources of recorded frames: folder of images, TIFF file, .npy stack, raw pixels, film."""
+"""Sources of recorded frames: folder of images, file of several, .npy stack, raw pixels, film."""
 
 import contextlib
+import math
+import mmap
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -13,17 +15,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.cameras.files.film import FilmSource
-from acquisition.cameras.files.formats import is_cut_off, read_pgm
-from acquisition.cameras.files.frame_source import FrameSource, Stored
+from acquisition.cameras.files.formats import (
+    BITS,
+    COMPRESSION,
+    HEIGHT,
+    PLACES,
+    WIDTH,
+    portable_images,
+    read_portable,
+    tiff_head,
+)
+from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, Stored
 from acquisition.cameras.files.frame_source import Unreadable as Unreadable
 from acquisition.cameras.files.raw import RawSource, is_raw
 from processing.errors import DeviceError
 
-IMAGES = (".png", ".pgm", ".tif", ".tiff", ".bmp")
+_PORTABLE = (".pgm", ".pbm", ".ppm", ".pnm")
 _STACKS = (".tif", ".tiff")
+_LOSSY = (".jpg", ".jpeg")
+IMAGES = (".png", *_PORTABLE, *_STACKS, ".bmp", *_LOSSY)
+_HEAD_OF_PNG = 1 << 16
+"""Bytes in which it is said whether a PNG file is animated."""
 _FILMS = (
     ".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv",
-    ".3gp", ".nut", ".gif",
+    ".3gp", ".nut", ".gif", ".apng",
 )  # fmt: skip
 _LISTED = 5
 """Places that a message names one by one."""
@@ -32,17 +47,15 @@ _LISTED = 5
 def open_source(path: Path) -> FrameSource:
     """The source for `path`. Raises DeviceError if it is missing, empty or of an unknown kind."""
     if path.is_dir():
-        return FolderSource(path)
+        return ImageSource(path)
     if not path.exists():
         raise DeviceError(f"{path}: no such file or folder of frames; name another")
     if path.suffix.lower() == ".npy":
         return StackSource(path)
-    if path.suffix.lower() in _STACKS:
-        return TiffSource(path)
-    if is_raw(path):
+    if path.suffix.lower() not in _STACKS and is_raw(path):
         return RawSource(path)
-    if path.suffix.lower() in IMAGES:
-        raise DeviceError(f"{path}: is one image; name the folder that holds the images")
+    if path.suffix.lower() in IMAGES and not _animated(path):
+        return ImageSource(path)
     return FilmSource(path)
 
 
@@ -77,64 +90,213 @@ def numbers_in(names: Sequence[str]) -> list[int] | None:
     return [(number - numbers[0]) // step for number in numbers]
 
 
-class FolderSource(FrameSource):
-    """A folder of images, in natural order of their names."""
+class _Images:
+    """The images of one file: one, unless a subclass says otherwise."""
+
+    count = 1
+    said: Sequence[str] = ()
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def read(self, page: int) -> Stored:
+        """Raises Unreadable for a damaged image, OSError if the file is not accessible."""
+        assert page == 0
+        return _stored(_decode(self._path.read_bytes()))
+
+
+class _PortableImages(_Images):
+    """PBM, PGM or PPM, plain or raw, in which one image may follow another."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        try:
-            inside = [entry.name for entry in path.iterdir()]
-        except OSError as error:
-            raise DeviceError(f"{path}: cannot be listed: {error.strerror}") from None
-        images = (name for name in inside if Path(name).suffix.lower() in IMAGES and not name.startswith("."))
-        self.names = sorted(images, key=natural_key)
-        self.count = len(self.names)
-        films = sum(is_film(path / name) for name in inside if not name.startswith("."))
-        if not self.names and films:
-            raise DeviceError(f"{path}: holds {films} films and no images; name one of the films")
-        if not self.names:
-            raise DeviceError(
-                f"{path}: holds no image ({', '.join(IMAGES)}) among its {len(inside)} files; name another"
-            )
-        self.numbers = numbers_in(self.names)
-        beside = [f"{films} films lie beside the images, and are left out"] if films else []
-        self.said = [*beside, *self._missing()]
+        self._places = [(0, 0)]
+        with contextlib.suppress(ValueError), path.open("rb") as file:
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                self._places = portable_images(data) or self._places
+                rest = len(data) - self._places[-1][1]
+            if rest >= self._places[0][1] - self._places[0][0] > 0:
+                self.said = [f"{path}: {rest} bytes behind its last image are none; they are left out"]
+        self.count = len(self._places)
 
-    def read(self, index: int) -> Stored:
-        path = self._path / self.names[index]
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            if not self._path.is_dir():
-                raise
-            raise Unreadable(str(error.strerror)) from None
-        if path.suffix.lower() == ".pgm":
+    def read(self, page: int) -> Stored:
+        begin, end = self._places[page]
+        with self._path.open("rb") as file:
+            file.seek(begin)
             try:
-                pixels, largest = read_pgm(data)
+                pixels, largest = read_portable(file.read(end - begin))
             except ValueError as error:
                 raise Unreadable(str(error)) from None
-            # some programs write the maximum of the image; the full scale is the next 2^bits - 1
-            return Stored(pixels, max(2 ** largest.bit_length() - 1, 255))
-        if path.suffix.lower() in _STACKS and _pages(path) > 1:
+        # some programs write the maximum of the image; the full scale is the next 2^bits - 1
+        return Stored(pixels, max(2 ** largest.bit_length() - 1, 255))
+
+
+class _TiffImages(_Images):
+    """TIFF; of a file that is cut off one image more is counted, which cannot be read.
+
+    ImageJ writes one directory for any number of images, whose pixels follow each other, and their number
+    into a note; so does tifffile where it is told to.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        head = tiff_head(path)
+        with _quiet():
+            self._decoded = int(cv2.imcount(str(path), cv2.IMREAD_UNCHANGED))
+        self.count = max(self._decoded + head.cut_off, 1)
+        shape = [head.tags.get(tag, [0])[0] for tag in (HEIGHT, WIDTH)]
+        noted = _noted(path, head.note, shape)
+        self._pixels_at, self._shape = -1, shape
+        if noted <= self.count:
+            return
+        if head.cut_off:
+            self.count = noted
+        elif head.directories > 1:
+            self.said = [f"{path}: its note states {noted} images, of which it holds {self.count}"]
+        else:
+            bits = head.tags.get(BITS, [1])
+            plain = head.tags.get(COMPRESSION, [1]) == [1] and len(bits) == 1 and bits[0] in (8, 16)
+            if not plain or not head.tags.get(PLACES):
+                raise DeviceError(
+                    f"{path}: its note states {noted} images and it has one directory, whose pixels are not "
+                    "plain grey values of 8 or 16 bits; save it as a sequence of images"
+                )
+            self.count, self._pixels_at = noted, head.tags[PLACES][0]
+            self._dtype = np.dtype(f"{'>' if head.order == 'big' else '<'}u{bits[0] // 8}")
+
+    def read(self, page: int) -> Stored:
+        if self._pixels_at >= 0:
+            wanted = math.prod(self._shape) * self._dtype.itemsize
+            with self._path.open("rb") as file:
+                file.seek(self._pixels_at + page * wanted)
+                raster = file.read(wanted)
+            if len(raster) < wanted:
+                raise Unreadable("the file is cut off before this image; copy it again")
+            stored = np.frombuffer(raster, self._dtype).reshape(self._shape)
+            return _stored(stored.astype(self._dtype.newbyteorder("=")))
+        if page >= self._decoded > 0:
+            raise Unreadable("the file is cut off before this image; copy it again")
+        try:
+            with _quiet():
+                good, pages = cv2.imreadmulti(str(self._path), page, 1, flags=cv2.IMREAD_UNCHANGED)
+        except cv2.error:
+            # a changed page may state a size that no array has
+            good = False
+        if not good or len(pages) != 1:
+            self._path.stat()
+            raise Unreadable("the image cannot be decoded")
+        return _stored(pages[0])
+
+
+def _noted(path: Path, note: str, shape: Sequence[int]) -> int:
+    """The number of images that a note in a TIFF states; 0 if it states none.
+
+    Raises DeviceError where they are not one after the other in time.
+    """
+    if note.startswith("ImageJ"):
+        stated = {name: int(number) for name, number in re.findall(r"^(\w+)=(\d+)\s*$", note, re.MULTILINE)}
+        many = [name for name in ("channels", "slices", "frames") if stated.get(name, 1) > 1]
+        if "channels" in many or len(many) > 1:
             raise DeviceError(
-                f"{path}: holds several images; name it itself as camera.files.path, as a stack"
+                f"{path}: holds {' of '.join(f'{stated[name]} {name}' for name in many)} by ImageJ's note; "
+                "save the images of one channel and slice"
             )
-        return _stored(_decode(data))
+        return stated.get("images", 0)
+    if found := re.match(r'{"shape": \[([\d, ]+)\]', note):
+        numbers = [int(one) for one in found.group(1).split(",")]
+        return math.prod(numbers) // max(math.prod(shape), 1) if numbers[-2:] == shape else 0
+    return 0
+
+
+def _images_of(path: Path) -> _Images:
+    suffix = path.suffix.lower()
+    # a file that cannot be opened is an image that cannot be read
+    with contextlib.suppress(OSError):
+        if suffix in _PORTABLE:
+            return _PortableImages(path)
+        if suffix in _STACKS:
+            return _TiffImages(path)
+        if _animated(path):
+            raise DeviceError(f"{path}: is an animated PNG; name it itself, as a film")
+    return _Images(path)
+
+
+def _animated(path: Path) -> bool:
+    if path.suffix.lower() != ".png":
+        return False
+    with path.open("rb") as file:
+        return b"acTL" in file.read(_HEAD_OF_PNG)
+
+
+def images_in(names: Sequence[str]) -> list[str]:
+    """Names in a folder that are its images, in natural order: JPEG only where nothing else is."""
+    images = [name for name in names if Path(name).suffix.lower() in IMAGES and not name.startswith(".")]
+    kept = [name for name in images if Path(name).suffix.lower() not in _LOSSY]
+    films = any(Path(name).suffix.lower() in _FILMS for name in names)
+    return sorted(kept or ([] if films else images), key=natural_key)
+
+
+class ImageSource(FrameSource):
+    """A folder of images, in natural order of their names, or one file of several."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._folder, files, said = path, [""], list[str]()
+        if path.is_dir():
+            try:
+                inside = [entry.name for entry in path.iterdir()]
+            except OSError as error:
+                raise DeviceError(f"{path}: cannot be listed: {error.strerror}") from None
+            files = images_in(inside)
+            said = _left_out(path, inside, files)
+        self._files = [path / name for name in files]
+        self._images = [_images_of(file) for file in self._files]
+        self._places = [(k, page) for k, one in enumerate(self._images) for page in range(one.count)]
+        self.count = len(self._places)
+        if path.is_dir():
+            self.names = [files[k] for k, _ in self._places]
+            said += self._numbered(files)
+        elif self.count == 1:
+            self._one_image()
+        if self.count > len(files):
+            self.summary = f"{self.count} images in {len(files)} file{'s' if len(files) > 1 else ''}"
+        self.said = [*said, *(line for one in self._images for line in one.said)]
+        self.lossy = "jpeg" if self._files[0].suffix.lower() in _LOSSY else ""
+
+    def read(self, index: int) -> Stored:
+        file, page = self._places[index]
+        try:
+            return self._images[file].read(page)
+        except OSError as error:
+            if not self._path.exists():
+                raise
+            raise Unreadable(str(error.strerror)) from None
 
     def label(self, index: int) -> str:
-        return str(self._path / self.names[index])
+        file, page = self._places[index]
+        return str(self._files[file]) + (f", image {page + 1}" if self._images[file].count > 1 else "")
 
-    def _missing(self) -> list[str]:
-        if self.numbers is None:
-            # one image, or two, cannot miss any between them
-            return (
-                ["the images' names do not count evenly: missing ones cannot be told"]
-                if self.count > 2
-                else []
-            )
-        gaps = [i for i, (before, after) in enumerate(pairwise(self.numbers)) if after - before > 1]
-        count = sum(self.numbers[i + 1] - self.numbers[i] - 1 for i in gaps)
-        places = ", ".join(f"{self.names[i]} to {self.names[i + 1]}" for i in gaps[:_LISTED])
+    def _one_image(self) -> None:
+        """Raise DeviceError: one image is no film."""
+        try:
+            self.read(0)
+        except Unreadable as error:
+            raise DeviceError(f"{self._path}: cannot be read as an image: {error}") from None
+        raise DeviceError(f"{self._path}: {ONE_IMAGE}")
+
+    def _numbered(self, files: Sequence[str]) -> list[str]:
+        """Number the images by their files' names; lines on those that are missing."""
+        if len(files) < 3:
+            # one file, or two, cannot miss any between them
+            return []
+        numbers, counts = numbers_in(files), [one.count for one in self._images]
+        # the last file may have been left half full
+        if numbers is None or len(set(counts[:-1])) > 1 or counts[-1] > counts[0]:
+            return ["the images' names do not count evenly: missing ones cannot be told"]
+        self.numbers = [numbers[k] * counts[0] + page for k, page in self._places]
+        gaps = [i for i, (before, after) in enumerate(pairwise(numbers)) if after - before > 1]
+        count = counts[0] * sum(numbers[i + 1] - numbers[i] - 1 for i in gaps)
+        places = ", ".join(f"{files[i]} to {files[i + 1]}" for i in gaps[:_LISTED])
         more = f" and {len(gaps) - _LISTED} more places" if len(gaps) > _LISTED else ""
         return (
             [f"{count} images are missing by the numbers in their names: between {places}{more}"]
@@ -143,33 +305,22 @@ class FolderSource(FrameSource):
         )
 
 
-class TiffSource(FrameSource):
-    """A multi-page TIFF file; one that is cut off counts one page more, which cannot be read."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._pages = self.count = _pages(path)
-        if self.count == 0:
-            raise DeviceError(f"{path}: cannot be read as a TIFF stack")
-        if is_cut_off(path):
-            self.count += 1
-
-    def read(self, index: int) -> Stored:
-        if index == self._pages:
-            raise Unreadable("the file is cut off before this page; copy it again")
-        try:
-            with _quiet():
-                good, pages = cv2.imreadmulti(str(self._path), index, 1, flags=cv2.IMREAD_UNCHANGED)
-        except cv2.error:
-            # a changed page may state a size that no array has
-            good = False
-        if not good or len(pages) != 1:
-            self._path.stat()
-            raise Unreadable("the page cannot be decoded")
-        return _stored(pages[0])
-
-    def label(self, index: int) -> str:
-        return f"{self._path}, page {index + 1}"
+def _left_out(path: Path, inside: Sequence[str], images: Sequence[str]) -> list[str]:
+    """Lines on what lies beside the images; raises DeviceError where there are none."""
+    others = [name for name in inside if name not in set(images) and not name.startswith(".")]
+    films = sum(is_film(path / name) for name in others)
+    if not images and films:
+        raise DeviceError(f"{path}: holds {films} films and no images; name one of the films")
+    if not images:
+        kinds = Counter(Path(name).suffix.lower() or "files without an ending" for name in others)
+        listed = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common(3))
+        raise DeviceError(
+            f"{path}: holds no image ({', '.join(IMAGES)}), but {listed or 'nothing'}; name another, or "
+            "convert them"
+        )
+    photographs = sum(Path(name).suffix.lower() in _LOSSY for name in others)
+    beside = [(films, "films"), (photographs, "JPEG pictures")]
+    return [f"{count} {what} lie beside the images, and are left out" for count, what in beside if count]
 
 
 class StackSource(FrameSource):
@@ -211,11 +362,6 @@ def _stored(pixels: NDArray[Any]) -> Stored:
     if pixels.dtype not in (np.uint8, np.uint16):
         raise Unreadable(f"pixels of type {pixels.dtype}; 8 or 16 bits without sign are needed")
     return Stored(pixels, int(np.iinfo(pixels.dtype).max))
-
-
-def _pages(path: Path) -> int:
-    with _quiet():
-        return int(cv2.imcount(str(path), cv2.IMREAD_UNCHANGED))
 
 
 @contextlib.contextmanager

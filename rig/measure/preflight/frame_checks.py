@@ -10,7 +10,7 @@ import numpy as np
 from acquisition.frame import Frame
 from calibration import relate_clocks
 from processing.errors import DataError
-from processing.spot import Spot, SpotFlag
+from processing.spot import FixedLight, Spot, SpotFlag, fixed_light
 from processing.ticks import seconds
 from rig.devices import MOST_PPM, wrong_rate
 from rig.instrument import beam_quality
@@ -20,6 +20,8 @@ from rig.presentation import Verdict
 from rig.settings import Configuration, PreflightSettings
 
 _SPOT_BYTES = 260
+_PICTURES = 48
+"""In which it is looked for light that stays where it is."""
 
 
 def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
@@ -178,6 +180,11 @@ def _room(size_bytes: float) -> str:
     return f"{size_bytes / 1e9:.1f} GB" if size_bytes >= 1e9 else f"{size_bytes / 1e6:.1f} MB"
 
 
+def _fixed_light(look: TrialFrames) -> FixedLight | None:
+    pairs = list(zip(look.frames, look.spots[-len(look.frames) :], strict=True))
+    return fixed_light([(frame.image, spot) for frame, spot in pairs[:: max(1, len(pairs) // _PICTURES)]])
+
+
 def check_look(
     look: TrialFrames, config: Configuration, full_scale_dn: float, window_bytes: float, free_bytes: int
 ) -> list[Verdict]:
@@ -198,6 +205,7 @@ def check_look(
             full_scale_dn,
             limits,
             noise_is_known=config.sensor is not None,
+            light=None if look.resting else _fixed_light(look),
         ),
         *stillness(look, limits),
         rest_position(look, limits),

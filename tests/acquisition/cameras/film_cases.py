@@ -4,7 +4,7 @@ counted.
 
 import random
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -165,6 +165,7 @@ def _layouts() -> list[Case]:
     return [
         *found,
         Case("gif", gif),
+        Case("apng", Film("apng", "apng", "gray")),
         Case("full range", Film("ffv1", "mkv", "yuv420p", full_range=True)),
         Case("colour, nothing stated", hue),
         Case("colour, brightness", hue, stated={"colour": "brightness"}),
@@ -174,9 +175,14 @@ def _layouts() -> list[Case]:
 
 def _codecs() -> list[Case]:
     fine = {"qp": "1"}
+    sliced = {**fine, "x264-params": "slices=4"}
+    refreshed = {**sliced, "intra-refresh": "1", "g": "15"}
     x265 = {"x265-params": "qp=1:log-level=none"}
+    x265_sliced = {"x265-params": "qp=1:log-level=none:slices=3"}
     return [
         Case("h264 mp4", Film("libx264", "mp4", "yuv420p", options=fine)),
+        Case("h264 mp4, four slices", Film("libx264", "mp4", "yuv420p", options=sliced)),
+        Case("h264 mkv, intra refresh", Film("libx264", "mkv", "yuv420p", options=refreshed)),
         Case("h264 mkv, no B frames", Film("libx264", "mkv", "yuv420p", options={**fine, "bf": "0"})),
         Case("h264 mov, 10 bits", Film("libx264", "mov", "yuv420p10le", options=fine)),
         Case("h264 ts", Film("libx264", "ts", "yuv420p", options=fine)),
@@ -185,6 +191,7 @@ def _codecs() -> list[Case]:
         Case("h264 stream, no times", Film("libx264", "h264", "yuv420p", options=fine)),
         Case("h264 lossless", Film("libx264", "mp4", "yuv444p", options={"qp": "0"})),
         Case("h265 mp4", Film("libx265", "mp4", "yuv420p", options=x265)),
+        Case("h265 mp4, three slices", Film("libx265", "mp4", "yuv420p", options=x265_sliced)),
         Case("h265 mkv, 10 bits", Film("libx265", "mkv", "yuv420p10le", options=x265)),
         Case("vp9 webm", Film("libvpx-vp9", "webm", "yuv420p", options={"lossless": "1"})),
         Case("mjpeg avi", Film("mjpeg", "avi", "yuvj420p", options={"qmin": "1", "qmax": "1"})),
@@ -223,10 +230,12 @@ def _clocks() -> list[Case]:
 
 def _damages() -> list[Case]:
     h264 = Film("libx264", "mp4", "yuv420p", options={"qp": "1", "g": "12"}, muxing={"movflags": "faststart"})
+    sliced = replace(h264, options={**h264.options, "x264-params": "slices=4"})
     stream = Film("libx264", "ts", "yuv420p", options={"qp": "1", "g": "12"})
     return [
         *(Case(f"ffv1, bit {seed}", Film(options={"g": "8"}), flipped(seed)) for seed in range(6)),
         *(Case(f"h264 mp4, bit {seed}", h264, flipped(seed)) for seed in range(6)),
+        *(Case(f"h264 mp4, four slices, bit {seed}", sliced, flipped(seed)) for seed in range(3)),
         *(Case(f"png mov, bit {seed}", Film("png", "mov", "gray"), flipped(seed)) for seed in range(3)),
         Case("ffv1, zeros", Film(options={"g": "8"}), zeroed(0.4, 3000)),
         Case("ffv1, cut off", Film(), cut(0.6)),

@@ -35,6 +35,7 @@ class Film:
     hue: float = 0.0
     muxing: dict[str, str] = field(default_factory=dict)
     leave_out: frozenset[int] = frozenset()
+    pixel_aspect: Fraction = Fraction(1)
 
 
 def places(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -59,6 +60,7 @@ def write_film(path: Path, pictures: Sequence[NDArray[Any]], film: Film) -> Path
     stream.options = dict(film.options)
     # several threads encode slices, whose number differs from machine to machine
     stream.codec_context.thread_count = 1
+    stream.codec_context.sample_aspect_ratio = film.pixel_aspect
     tick_s = film.tick_s or 1 / film.rate_hz
     stream.codec_context.time_base = tick_s
     if film.full_range:

@@ -219,6 +219,125 @@ def test_pgm_with_any_largest_value_keeps_its_numbers(tmp_path: Path, kind: str,
     assert camera.open().full_scale_dn == {100: 255, 255: 255, 1000: 1023, 4095: 4095}[largest]
 
 
+def netpbm(kind: str, image: NDArray[Any], largest: int = 255, comment: str = "") -> bytes:
+    """One image as any of the six portable kinds; of colours all are equal, of bitmaps bright is white."""
+    ny, nx = image.shape
+    values = np.dstack([image] * 3) if kind in ("P3", "P6") else image
+    if kind in ("P1", "P4"):
+        values = (image < 128).astype(np.uint8)
+    head = f"{kind}\n{comment}{nx} {ny}\n" + ("" if kind in ("P1", "P4") else f"{largest}\n")
+    if kind in ("P1", "P2", "P3"):
+        return head.encode() + " ".join(map(str, values.ravel().tolist())).encode() + b"\n"
+    raster = np.packbits(values, axis=1) if kind == "P4" else values.astype(">u2" if largest > 255 else "u1")
+    return head.encode() + raster.tobytes()
+
+
+def tiff(path: Path, images: NDArray[Any], note: str, directories: int = 1, **tags: int) -> Path:
+    """Pixels one after another behind as many directories, the first of which has a note."""
+    ny, nx = images[0].shape
+    bits = 8 * images.itemsize
+    note_at, text = 8, note.encode() + b"\0"
+    pixels_at = note_at + len(text)
+    pixels = images.astype(images.dtype.newbyteorder(">")).tobytes()
+    data = bytearray(b"MM\0*" + bytes(4) + text + pixels)
+    link = 4
+    for k in range(directories):
+        entries = {
+            256: (4, nx), 257: (4, ny), 258: (3, bits), 259: (3, tags.get("compression", 1)), 262: (3, 1),
+            273: (4, pixels_at + k * images[0].nbytes), 277: (3, 1), 278: (4, ny), 279: (4, images[0].nbytes),
+        }  # fmt: skip
+        data[link : link + 4] = struct.pack(">I", len(data))
+        rows = [struct.pack(">HHIHH", tag, 3, 1, v, 0) if kind == 3 else struct.pack(">HHII", tag, 4, 1, v)
+                for tag, (kind, v) in entries.items()]  # fmt: skip
+        rows.insert(5, struct.pack(">HHII", 270, 2, len(text), note_at))
+        data += struct.pack(">H", len(rows)) + b"".join(rows)
+        link = len(data)
+        data += bytes(4)
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("in_folder", [True, False])
+@pytest.mark.parametrize("kind", ["P1", "P2", "P3", "P4", "P5", "P6", "P5 deep"])
+def test_every_image_of_a_portable_file_is_read(tmp_path: Path, kind: str, in_folder: bool) -> None:
+    wanted = frames_of(12 if kind == "P5 deep" else 8, 6)[:, :20, :30]
+    kind, largest = kind[:2], 4095 if kind == "P5 deep" else 255
+    ending = {"1": "pbm", "4": "pbm", "2": "pgm", "5": "pgm"}.get(kind[1], "ppm")
+    files = [wanted[:3], wanted[3:]] if in_folder else [wanted]
+    (tmp_path / "images").mkdir()
+    for number, inside in enumerate(files):
+        data = b"".join(netpbm(kind, one, largest, f"# P5 {k} 1\n") for k, one in enumerate(inside))
+        (tmp_path / f"images/f{number}.{ending}").write_bytes(data)
+    _, frames = play(tmp_path / "images" / ("" if in_folder else f"f0.{ending}"))
+    expected = np.where(wanted < 128, 0, 255) if kind in ("P1", "P4") else wanted
+    assert np.array_equal([frame.image for frame in frames], expected)
+    assert [frame.device_time_ns for frame in frames] == [10_000_000 * k for k in range(6)]
+
+
+def test_images_of_a_missing_file_of_several_leave_a_gap(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    images = frames_of(8, 10)
+    (tmp_path / "images").mkdir()
+    for number in (0, 2, 3, 4):
+        data = b"".join(netpbm("P5", one) for one in images[2 * number : 2 * number + 2])
+        (tmp_path / f"images/f{number}.pgm").write_bytes(data[:-5] if number == 4 else data)
+    camera, frames = play(tmp_path / "images")
+    assert [frame.sequence for frame in frames] == [0, 1, 4, 5, 6, 7, 8]
+    assert (camera.status.dropped_by_camera, camera.status.incomplete) == (2, 1)
+    assert "2 images are missing by the numbers in their names: between f0.pgm to f2.pgm" in caplog.text
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize(
+    "note", ["ImageJ=1.53t\nimages=9\nframes=9\n", "ImageJ=1\nimages=9\nslices=9\n", '{"shape": [9, 48, 64]}']
+)  # fmt: skip
+def test_images_without_directories_of_their_own_are_read(tmp_path: Path, note: str, bits: int) -> None:
+    """ImageJ (and tifffile) write one directory, a note of how many images follow, and their pixels."""
+    wanted = frames_of(bits, 9)
+    path = tiff(tmp_path / "stack.tif", wanted, note)
+    assert np.array_equal([frame.image for frame in play(path)[1]], wanted)
+    path = tiff(tmp_path / "more.tif", wanted, note, directories=9)
+    assert np.array_equal([frame.image for frame in play(path)[1]], wanted)
+    camera, frames = play(tiff(tmp_path / "short.tif", wanted[:4], note))
+    # where there are no pixels any more there is the directory
+    assert (4 <= len(frames) < 9, len(frames) + camera.status.incomplete) == (True, 9)
+
+
+def test_a_note_of_images_that_are_none_of_a_film_is_one_line(tmp_path: Path) -> None:
+    note = "ImageJ=1.53t\nimages=8\n{}hyperstack=true\n"
+    said = refusal(tiff(tmp_path / "a.tif", frames_of(8, 8), note.format("channels=2\nframes=4\n")))
+    assert "2 channels" in said
+    said = refusal(tiff(tmp_path / "b.tif", frames_of(8, 8), note.format("slices=2\nframes=4\n")))
+    assert "2 slices" in said
+    said = refusal(tiff(tmp_path / "c.tif", frames_of(8, 8), note.format(""), compression=5))
+    assert "8 images" in said
+
+
+def test_an_animated_png_is_a_film_and_no_image(tmp_path: Path) -> None:
+    animation = cv2.Animation()
+    animation.frames = [np.dstack([frame] * 3) for frame in frames_of(8, 5)]
+    animation.durations = [40] * 5
+    path = tmp_path / "a.png"
+    assert cv2.imwriteanimation(str(path), animation)
+    _, frames = play(path, frame_rate_hz=None)
+    assert np.array_equal([frame.image for frame in frames], frames_of(8, 5))
+    assert [frame.device_time_ns for frame in frames] == [40_000_000 * k for k in range(5)]
+    (tmp_path / "images").mkdir()
+    shutil.copy(path, tmp_path / "images")
+    assert "a.png: is an animated PNG" in refusal(tmp_path / "images")
+
+
+def test_a_folder_of_jpegs_is_read_as_what_it_is(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    y, x = np.mgrid[:NY, :NX]
+    smooth = np.rint(20 + 200 * np.exp(-((x - 30) ** 2 + (y - 20) ** 2) / 50)).astype(np.uint8)
+    camera, frames = play(write_folder(tmp_path / "images", np.array([smooth] * 3), ".JPG"))
+    assert len(frames) == 3
+    assert np.abs(frames[0].image.astype(float) - smooth).max() < 10
+    assert camera.lossy == "jpeg"
+    assert "the codec jpeg is usually lossy" in caplog.text
+
+
 def test_natural_order() -> None:
     names = ["b10.png", "b9.png", "a100.png", "a20.png", "b9a.png", "7.png", "1²2.png", "1²10.png", "③.png"]
     wanted = ["1²2.png", "1²10.png", "7.png", "a20.png", "a100.png", "b9.png", "b9a.png", "b10.png", "③.png"]
@@ -366,8 +485,13 @@ def test_what_is_no_source_is_refused_in_one_line(tmp_path: Path) -> None:
     assert "cannot be read as a .npy stack" in refusal(tmp_path / "broken.npy")
     np.save(tmp_path / "pickled.npy", np.array([{}], dtype=object), allow_pickle=True)
     assert "cannot be read as a .npy stack" in refusal(tmp_path / "pickled.npy")
-    cv2.imwrite(str(tmp_path / "one.png"), frames_of(8)[0])
-    assert "folder" in refusal(tmp_path / "one.png")
+    for ending in ("png", "jpg", "tif", "pgm", "webp"):
+        path = tmp_path / f"one.{ending}"
+        cv2.imwrite(str(path), frames_of(8)[0])
+        assert "one image; name the folder" in refusal(path)
+    (tmp_path / "empty/a.heic").write_bytes(b"x")
+    assert "holds no image (.png," in (said := refusal(tmp_path / "empty"))
+    assert "but 1 .heic" in said
     folder = tmp_path / "bad"
     folder.mkdir()
     (folder / "a.png").write_bytes(b"x")

@@ -21,7 +21,8 @@ RIGHT = (
     "ffv1 mkv gray", "png mov gray", "png mov rgb48be", "rawvideo avi yuyv422", "rawvideo nut uyvy422",
     "v210 mov yuv422p10le", "huffyuv avi rgb24", "ffv1 mkv yuv420p10le", "full range", "colour, brightness",
     "h264 mp4", "vp9 webm", "mkv, 29.97 frames/s in ms", "mkv, 100 a second under 30", "mkv, starts at 1 s",
-    "mp4, varying", "stated rate, the film's",
+    "h264 mp4, four slices", "h264 mkv, intra refresh", "h265 mp4, three slices", "mp4, varying",
+    "stated rate, the film's", "apng",
 )  # fmt: skip
 
 
@@ -59,7 +60,8 @@ def test_what_cannot_be_read_right_is_refused_in_one_line(tmp_path: Path, name: 
 
 @pytest.mark.parametrize(
     "name",
-    ["ffv1, bit 3", "h264 mp4, bit 0", "h264 mp4, zeros", "h264 mp4, cut off", "ffv1, cut off",
+    ["ffv1, bit 3", "h264 mp4, bit 0", "h264 mp4, four slices, bit 0",
+     "h264 mp4, zeros", "h264 mp4, cut off", "ffv1, cut off",
      "h264 ts, zeros", "rawvideo avi, cut off", "h264 mkv, packets left out", "ffv1 mkv, packets left out"],
 )  # fmt: skip
 def test_what_a_damaged_film_lost_is_counted_and_the_rest_is_right(tmp_path: Path, name: str) -> None:

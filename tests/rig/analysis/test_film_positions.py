@@ -2,17 +2,20 @@
 
 import csv
 import json
+import re
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from processing.errors import ConfigurationError, DataError
 from rig.analysis import FilmAsked, film_trajectory
 from rig.analysis.film_positions import inverted, looks_dark
 from rig.analysis.table_fit import analyse_trajectory
+from rig.presentation import TimeLeft
 from tests.acquisition.cameras.made_films import NX, NY, Film, write_film
 from tests.rig.command_line import rig
 
@@ -113,6 +116,7 @@ def test_what_compression_does_to_all_amplitudes_is_in_the_uncertainty(tmp_path:
     film = Film(codec="libx264", ending="mp4", pixels="yuv420p", options={"crf": "28"})
     trajectory = film_trajectory(write_film(tmp_path / "lossy.mp4", swing(), film), FilmAsked())
     found = analyse_trajectory(tmp_path / "lossy.mp4", trajectory, None).results
+    assert "light that stays" not in " ".join(trajectory.understood)
     blind = replace(trajectory, u_common_in_noises=0.0)
     of_scatter = analyse_trajectory(tmp_path / "lossy.mp4", blind, None).results
     error = found.log_decrement.value - DECREMENT
@@ -128,12 +132,104 @@ def test_what_compression_does_to_all_amplitudes_is_in_the_uncertainty(tmp_path:
     assert abs(found.period_s.value - PERIOD_S) < 3 * found.period_s.standard_uncertainty
 
 
+@pytest.mark.parametrize(
+    ("codec", "ending", "pixels"),
+    [("libx264", "mp4", "yuv420p"), ("libx264", "mkv", "yuv420p"), ("mpeg4", "avi", "yuv420p"),
+     ("png", "mov", "gray")],
+)  # fmt: skip
+def test_of_pixels_that_are_not_square_x_is_as_a_viewer_shows_it(
+    tmp_path: Path, codec: str, ending: str, pixels: str
+) -> None:
+    film = Film(codec=codec, ending=ending, pixels=pixels, pixel_aspect=Fraction(4, 3))
+    wide = film_trajectory(
+        write_film(tmp_path / f"wide.{ending}", swing(count=40), film), FilmAsked(size="2 mm")
+    )
+    square = replace(film, pixel_aspect=Fraction(1))
+    plain = film_trajectory(
+        write_film(tmp_path / f"plain.{ending}", swing(count=40), square), FilmAsked(size="2 mm")
+    )
+    assert np.ptp(wide.positions[0]) == pytest.approx(4 / 3 * np.ptp(plain.positions[0]))
+    assert wide.positions[1] == pytest.approx(plain.positions[1])
+    said = "pixels are not square, 4:3 wide to high: a viewer shows 213x96 px instead of 160x96"
+    assert (said in wide.understood, said in plain.understood) == (True, False)
+    assert "a pixel is 2 mm, x counted in pixels as a viewer shows them" in " ".join(wide.understood)
+
+
 def test_a_film_without_anything_to_follow_is_refused(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     pictures = [rng.integers(90, 110, (NY, NX)).astype(np.uint8) for _ in range(12)]
     film = write_film(tmp_path / "nothing.mkv", pictures, Film())
     with pytest.raises(DataError, match="there is nothing to follow"):
         film_trajectory(film, FilmAsked())
+
+
+@pytest.mark.parametrize("sigma_px", [0.2, 0.35, 0.6])
+def test_a_spot_smaller_than_a_pixel_is_named(tmp_path: Path, sigma_px: float) -> None:
+    rng = np.random.default_rng(5)
+    pictures = []
+    for k in range(30):
+        edges_x, edges_y = np.arange(NX + 1) - 80.0 - 40.0 * np.sin(0.2 * k), np.arange(NY + 1) - 48.3
+        share = [np.diff(norm.cdf(edges, scale=sigma_px)) for edges in (edges_y, edges_x)]
+        light = 20.0 + 200.0 * np.outer(*share) + 1.5 * rng.standard_normal((NY, NX))
+        pictures.append(np.clip(np.rint(light), 0, 255).astype(np.uint8))
+    film = write_film(tmp_path / "small.mkv", pictures, Film())
+    with pytest.raises(DataError, match="what moves is smaller than a pixel"):
+        film_trajectory(film, FilmAsked())
+    # a pixel that is always bright is no spot
+    with pytest.raises(DataError, match="there is nothing to follow"):
+        film_trajectory(write_film(tmp_path / "hot.mkv", pictures[:1] * 12, Film()), FilmAsked())
+
+
+def test_what_was_followed_is_named_where_there_is_no_decay(tmp_path: Path) -> None:
+    still = write_film(tmp_path / "still.mkv", swing(count=1) * 60, Film())
+    done = rig("video", still)
+    assert done.returncode == 1
+    assert (
+        "Followed: a bright spot; 0 frames without one, x 80.31 to 80.31 px and y 47.79 to 47.79 px"
+        in done.stderr
+    )
+    assert "--position" not in done.stderr
+    with pytest.raises(DataError, match="one frame of it can be read"):
+        film_trajectory(write_film(tmp_path / "one.mkv", swing(count=1), Film()), FilmAsked())
+
+
+def test_the_time_that_is_left_of_a_film_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    film = write_film(tmp_path / "long.mkv", swing(count=40), Film())
+    times_s = iter(np.arange(100.0) ** 2 / 10)
+    film_trajectory(film, FilmAsked(), TimeLeft("film: frames", clock=lambda: float(next(times_s))))
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == "film: frames: 11 of 40, about 0:29 min left"
+    assert 2 < len(said) < 40
+
+
+@pytest.mark.parametrize(("part", "amplitude_px"), [(0.03, 50.0), (0.01, 50.0), (0.03, 40.0), (0.0, 50.0)])
+def test_light_that_stays_where_it_is_is_said_and_taken_off(
+    tmp_path: Path, part: float, amplitude_px: float
+) -> None:
+    """A reflection of 3 % beside the middle shifts the spot by ten times the noise of its position."""
+    rng = np.random.default_rng(7)
+    y, x = np.mgrid[:NY, :NX]
+    t = np.arange(300) / RATE_HZ
+    true_px = 80.3 + amplitude_px * np.exp(-t / 20) * np.sin(2.0 * np.pi * t / PERIOD_S)
+    pictures = []
+    for at in true_px:
+        light = np.exp(-((x - at) ** 2 + (y - 47.8) ** 2) / 72.0)
+        light += part * np.exp(-((x - 94.3) ** 2 + (y - 47.8) ** 2) / 72.0)
+        noisy = 20.0 + 180.0 * light + 1.5 * rng.standard_normal(light.shape)
+        pictures.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+    np.save(tmp_path / "swing.npy", pictures)
+    found = film_trajectory(tmp_path / "swing.npy", FilmAsked(rate_hz=RATE_HZ))
+    error_px = found.positions[0] - true_px
+    assert np.std(error_px) < 0.01
+    assert np.abs(error_px - error_px.mean()).max() < 0.04
+    said = [line for line in found.understood if "light that stays" in line]
+    assert len(said) == (part > 0)
+    if said:
+        shown = re.search(r"is, ([\d.]+) % of the spot at x (\d+), y (\d+) px .*; taken off", said[0])
+        assert shown is not None
+        found_part, at_x, at_y = map(float, shown.groups())
+        assert found_part == pytest.approx(100 * part, rel=0.15)
+        assert np.hypot(at_x - 94.3, at_y - 47.8) < 3
 
 
 def test_dark_is_what_is_darker_than_the_middle() -> None:

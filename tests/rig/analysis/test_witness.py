@@ -3,6 +3,7 @@
 import re
 import sys
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -235,30 +236,105 @@ def test_without_obspy_a_seismic_file_says_what_to_install(
         StatedWitness(tmp_path / "w.mseed").read()
 
 
-@pytest.mark.filterwarnings("ignore")  # of ObsPy's own imports
-@pytest.mark.parametrize(("suffix", "kind"), [(".mseed", "MSEED"), (".sac", "SAC")])
-def test_seismic_files_are_read_with_their_gaps(tmp_path: Path, suffix: str, kind: str) -> None:
+BEGIN_S = 1_772_600_000
+STEP_NS, SLOW_NS = 100_000_000, 100_400_000
+
+
+def recorded(time_s: np.ndarray) -> np.ndarray:
+    return 1e5 * np.sin(0.2 * np.pi * time_s)
+
+
+def seismic(path: Path, *records: tuple[str, float, int], step_ns: int = STEP_NS) -> Path:
+    """Records of (NET.STA.LOC.CHA, begin, samples) that state steps of 0.1 s, which last `step_ns`."""
     obspy = pytest.importorskip("obspy")
-    trace = obspy.Trace(np.arange(1000, dtype=np.float32))
-    trace.stats.sampling_rate, trace.stats.channel = 20.0, "BHZ"
-    trace.stats.starttime = obspy.UTCDateTime(2026, 3, 4, 5, 6, 7)
-    start = trace.stats.starttime
-    whole = [trace]
-    if kind == "MSEED":
-        whole = [trace.slice(start, start + 9.95), trace.slice(start + 20.0)]
-    obspy.Stream(whole).write(str(tmp_path / f"w{suffix}"), format=kind)
-    found = StatedWitness(tmp_path / f"w{suffix}").read()
-    assert found.names == ("BHZ",)
+    data = b""
+    for name, begin_s, count in records:
+        time_s = begin_s + np.arange(max(count, 1)) * step_ns * 1e-9
+        trace = obspy.Trace(np.rint(recorded(time_s)).astype(np.int32), {"sampling_rate": 10.0})
+        trace.id, trace.stats.starttime = name, obspy.UTCDateTime(BEGIN_S + begin_s)
+        trace.write(buffer := BytesIO(), format="MSEED", encoding="STEIM2", reclen=4096)
+        record = bytearray(buffer.getvalue())
+        if not count:
+            record[30:32] = b"\0\0"
+        data += record
+    path.write_bytes(data)
+    return path
+
+
+Z, OTHER = "XX.AAA.00.BHZ", "XX.AAA.10.BHZ"
+EVERY = [(Z, 30.0 * k, 300) for k in range(4)]
+
+
+@pytest.mark.filterwarnings("ignore")  # of ObsPy's own imports
+@pytest.mark.parametrize(
+    ("records", "step_ns", "span_s", "lost", "said"),
+    [
+        ([(Z, 10.04 * k, 100) for k in range(60)], SLOW_NS, 602.2996, 0, "9.96016 samples a second"),
+        ([(Z, 100.4 * k, 1000) for k in range(6)], SLOW_NS, 602.2996, 0, "9.96016 samples a second"),
+        ([(Z, 99.6 * k, 1000) for k in range(6)], 99_600_000, 597.5004, 0, "10.0402 samples a second"),
+        (EVERY, STEP_NS, 119.9, 0, ""),
+        (EVERY[::-1] + EVERY[1:3], STEP_NS, 119.9, 0, "left out: 600 samples of records that overlap others"),
+        ([*EVERY, (Z, 115.0, 100)], STEP_NS, 124.9, 0, "left out: 50 samples of records that overlap others"),
+        ([EVERY[0], (Z, 30.0, 0), *EVERY[2:]], STEP_NS, 119.9, 300, "left out: 1 records without samples"),
+        ([EVERY[0], *EVERY[2:]], STEP_NS, 119.9, 300, "missing: 300 of 1200 samples"),
+    ],
+    ids=["drift", "drift, long", "drift, fast", "even", "order, twice", "overlap", "empty", "gap"],
+)
+def test_records_are_read_with_the_times_of_their_own(
+    tmp_path: Path, records: list[tuple[str, float, int]], step_ns: int, span_s: float, lost: int, said: str
+) -> None:
+    """ObsPy takes records that are early or late by less than half a sample for ones without a gap."""
+    found = StatedWitness(seismic(tmp_path / "w.mseed", *records, step_ns=step_ns)).read()
+    since_s = found.times_ns * 1e-9
     assert found.absolute
-    assert found.first_ns == start.ns
+    assert found.first_ns == BEGIN_S * 10**9
+    assert since_s[-1] == pytest.approx(span_s, abs=1e-6)
     missing = np.isnan(found.value[:, 0])
-    assert np.count_nonzero(missing) == (200 if kind == "MSEED" else 0)
-    assert found.value[~missing, 0] == pytest.approx(np.arange(1000.0)[~missing])
-    with pytest.raises(ConfigurationError, match="no channel 'BHN'; channels: BHZ"):
-        StatedWitness(tmp_path / f"w{suffix}", ("BHN",)).read()
+    assert np.count_nonzero(missing) == lost
+    assert found.value[~missing, 0] == pytest.approx(recorded(since_s[~missing]), abs=1.0)
+    assert said in " ".join(found.understood)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("other", ["XX.BBB.00.BHZ", OTHER, "XX.AAA.00.LHZ", "YY.AAA.00.BHZ"])
+def test_of_several_sensors_one_is_asked_for(tmp_path: Path, other: str) -> None:
+    path = seismic(tmp_path / "w.mseed", (Z, 0.0, 300), (other, 0.0, 200))
+    with pytest.raises(ConfigurationError, match=r"holds 2 sensors.*; state one: --witness-column") as caught:
+        StatedWitness(path).read()
+    assert {f"{Z[:-1]}?", f"{other[:-1]}?"} <= set(re.split("[ ,;']+", str(caught.value)))
+    for name, count in ((Z, 300), (other, 200)):
+        for stated in (name, f"{name[:-1]}?"):
+            found = StatedWitness(path, (stated,)).read()
+            assert (found.names, len(found.value)) == ((name[-3:],), count)
+        assert f"not used: {other if name == Z else Z}" in found.understood
+    assert StatedWitness(path, (Z, other)).read().names == (Z, other)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_seismic_file_is_read_with_its_damage_and_its_components(tmp_path: Path) -> None:
+    names = [f"XX.AAA..BH{letter}" for letter in "EZ"]
+    path = seismic(tmp_path / "w.mseed", *[(name, 30.0 * k, 300) for k in range(4) for name in names])
+    data = bytearray(path.read_bytes())
+    data[2 * 4096 + 200] ^= 0x55
+    path.write_bytes(data)
+    found = StatedWitness(path).read()
+    assert found.names == ("BHE", "BHZ")
+    assert np.isnan(found.value).sum(axis=0).tolist() == [300, 0]
+    assert "left out: 1 records that cannot be decoded" in found.understood
+    assert StatedWitness(path, ("BHZ",)).read().names == ("BHZ",)
+    with pytest.raises(ConfigurationError, match="no channel 'BHN'; channels: BHE, BHZ"):
+        StatedWitness(path, ("BHN",)).read()
+    obspy = pytest.importorskip("obspy")
+    trace = obspy.Trace(np.arange(1000, dtype=np.float32), {"sampling_rate": 20.0, "channel": "BHZ"})
+    trace.write(str(tmp_path / "w.sac"), format="SAC")
+    of_sac = StatedWitness(tmp_path / "w.sac").read()
+    assert of_sac.names == ("BHZ",)
+    assert of_sac.value[:, 0] == pytest.approx(np.arange(1000.0))
     (tmp_path / "bad.mseed").write_text("no samples")
     with pytest.raises(DataError, match="as neither miniSEED nor SAC"):
         StatedWitness(tmp_path / "bad.mseed").read()
+    with pytest.raises(DataError, match="BHZ holds no samples"):
+        StatedWitness(seismic(tmp_path / "none.mseed", (Z, 0.0, 0))).read()
 
 
 def test_results_keep_what_a_witness_told_and_sentences_say_it() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from processing.spot import SpotFlag, SpotModel, SpotTracker
+from processing.spot import SpotFlag, SpotModel, SpotTracker, fixed_light
 from rig.instrument import beam_quality
 from rig.presentation import Verdict
 from rig.settings import PreflightSettings
@@ -57,6 +57,24 @@ def judged(beam: Light, frames: int = 16, x_px: float = 60.0) -> Verdict:
         images.append(exposed(beam(*place), rng, sensor=LIT_EIGHT_BIT))
         spots.append(tracker.track(images[-1]))
     return beam_quality(images[-32:], spots, tracker.model, 255.0, PreflightSettings())
+
+
+def test_light_that_stays_where_it_is_is_a_caution() -> None:
+    rng, tracker = np.random.default_rng(8), SpotTracker(LIT_EIGHT_BIT)
+    pictures = []
+    for k in range(48):
+        still = 0.03 * good(70.0, 54.0)
+        image = exposed(good(60.0 + 40.0 * math.sin(0.3 * k), 54.0) + still, rng, sensor=LIT_EIGHT_BIT)
+        pictures.append((image, tracker.track(image)))
+    found = fixed_light(pictures)
+    assert found is not None
+    assert found.part == pytest.approx(0.03, rel=0.2)
+    images, spots = zip(*pictures, strict=True)
+    verdict = beam_quality(images, spots, tracker.model, 255.0, PreflightSettings(), light=found)
+    assert "light that stays where it is" in verdict.reason
+    assert "block it" in verdict.remedy
+    # of a spot that hardly moves it cannot be told
+    assert fixed_light(pictures[:1] * 16) is None
 
 
 def test_a_good_beam_is_go_with_its_numbers() -> None:
