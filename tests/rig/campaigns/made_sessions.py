@@ -77,7 +77,7 @@ def _budget(name: str, value: float, u: float, *, arm: float, mass: float) -> Bu
         if slope:
             sources.append(BudgetSource(source, "B", u_source, slope, abs(slope * u_source), 0.0))
     return Budget(
-        value=value, standard_uncertainty=u, coverage_factor_95=2.0, expanded_uncertainty_95=2 * u,
+        value=value, standard_uncertainty=u,
         sources=tuple(sources),
     )  # fmt: skip
 

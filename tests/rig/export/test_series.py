@@ -64,7 +64,7 @@ def test_tables_hold_every_number_of_the_series(
     assert found.keys() >= wanted.keys()
     np.testing.assert_array_equal([found[name] for name in wanted], list(wanted.values()))
     unit = {row["name"]: row["unit"] for row in rows}
-    assert size(unit["exact.gamma_pa.expanded_uncertainty_95"]) == size("Pa")
+    assert size(unit["exact.gamma_pa.between_runs"]) == size("Pa")
     assert "SIMULATED: 2 of 2 runs" in about
     for run in read_results(measured_series).runs:
         assert run.sha256 in about
@@ -80,7 +80,7 @@ def test_hdf5_has_an_entry_for_the_series(
         assert entry.attrs["NX_class"] == "NXentry"
         assert json.loads(entry["results/json"][()]) == series
         b = entry["results/values/exact/b"]
-        assert b["expanded_uncertainty_95"][()] == series["exact"]["b"]["expanded_uncertainty_95"]
+        assert b["between_runs"][()] == series["exact"]["b"]["between_runs"]
         assert entry["results/values/budget/gamma_pa/value"].attrs["units"] == "Pa"
 
 
