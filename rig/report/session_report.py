@@ -15,6 +15,7 @@ from rig.analysis import (
     AnalysedTable,
     Curves,
     Series,
+    SessionResults,
     curves_of,
     results_path,
     write_positions,
@@ -67,14 +68,15 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     return target
 
 
-def draw_run(source: Path, number: int) -> list[ReportFigure]:
-    """The figures of one run, counted from 1, of a session's folder or a results file.
+def draw_run(source: Path | SessionResults, number: int) -> list[ReportFigure]:
+    """The figures of one run, counted from 1, of a session's folder, a results file, or results in memory.
 
     Raises RecordError where there are no results, no such run, or no record.
     """
     runs = read_source(source).runs
     if not 1 <= number <= len(runs):
-        raise RecordError(f"{source}: run {number} is not there; it has runs 1 to {len(runs)}")
+        named = source if isinstance(source, Path) else "results"
+        raise RecordError(f"{named}: run {number} is not there; it has runs 1 to {len(runs)}")
     run = runs[number - 1]
     return _drawings(run, _curves(run))
 
