@@ -8,7 +8,7 @@ from processing.estimate import Estimate
 from processing.fit import WAVEFORM, BaseMotion, Drag, DragFinding, FitMethod, Ground
 from rig.analysis.headline import drag_headline, headline, shifts_by_drag
 from rig.analysis.limits import whole_result
-from rig.analysis.result_rows import ENERGIES
+from rig.analysis.result_rows import ENERGIES, ResultRow
 from rig.analysis.results import RunResults
 from rig.analysis.witnessed_fits import witness_sentences
 from rig.presentation import plain, quantity, with_uncertainty
@@ -33,7 +33,7 @@ def remarks(run: RunResults) -> list[str]:
     lines += [] if run.clock is None else [f"Camera's clock: {run.clock.text}."]
     lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
     lines += [] if run.witness is None else witness_sentences(run.witness)
-    lines += [_drag_sentence(run.drag, shifts_by_drag(run.drag, run.rows))] if run.drag is not None else []
+    lines += [_drag_sentence(run.drag, run.rows)] if run.drag is not None else []
     lines += [] if exact is None else list(filter(None, [_worth_sentence(exact.worth)]))
     if run.strong_correlations:
         pairs = run.strong_correlations
@@ -120,14 +120,14 @@ def _worth_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
     return f"Without the waveform of the swing {', and '.join(said)}."
 
 
-def _drag_sentence(drag: Drag, shifts: Mapping[str, str]) -> str:
+def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow]) -> str:
     """What the data say of a drag, and whose value stands where they say nothing."""
-    shown = quantity("drag_s")
+    shown, shifts, row = quantity("drag_s"), shifts_by_drag(drag, rows), rows.get("drag_s")
     changes = " and ".join(f"{name} by {shift}" for name, shift in shifts.items())
     moved = f"; it changes {changes}" if changes else ""
     match drag.finding:
         case DragFinding.SEEN:
-            said = f"{shown.text(*drag.drag_s)} s{moved}"
+            said = f"{shown.text(*drag.drag_s) if row is None else row.text} s{moved}"
         case DragFinding.OPEN if _by_the_data(drag):
             return (
                 f"This decay cannot distinguish a drag below {plain(drag.upper_95_s, 2)} s (95 %) from "

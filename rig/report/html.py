@@ -96,10 +96,9 @@ summary { cursor: pointer; font-weight: 600; padding: .2rem 0; }
   body { max-width: none; padding: 0; }
   .first { grid-template-columns: minmax(0, 1fr) minmax(0, 1.05fr); }
   h2 { break-after: avoid; }
-  h2.page { break-before: page; border-top: 0; }
   h3 { break-after: avoid; }
   figure, .key, tr, .warn { break-inside: avoid; }
-  figure { max-width: 150mm; }
+  figure { max-width: 125mm; }
   table.short { break-inside: avoid; }
   .scroll { overflow: visible; }
   thead { display: table-header-group; }
@@ -131,10 +130,9 @@ def escape(text: str) -> str:
     return html.escape(text, quote=True)
 
 
-def heading(text: str, level: int = 2, *, new_page: bool = False) -> str:
-    """A heading; `new_page` where paper should turn over."""
-    kind = ' class="page"' if new_page else ""
-    return f"<h{level}{kind}>{escape(text)}</h{level}>"
+def heading(text: str, level: int = 2) -> str:
+    """A heading."""
+    return f"<h{level}>{escape(text)}</h{level}>"
 
 
 def paragraph(text: str, kind: str = "") -> str:

@@ -95,7 +95,7 @@ def _series(series: Series, files: Path) -> list[str]:
         apart += series.instrument.text
     if not (tables or apart):
         return []
-    body = [html.heading("Series", new_page=True)]
+    body = [html.heading("Series")]
     if tables:
         body.append(html.table(tables[0]))
     body.append(html.notes(apart))
@@ -111,10 +111,10 @@ _ORDER = (
     "kind-damping", "kind-hardness", "kind-decrement", "kind-period", "kind-plane", "instrument",
     "parameters",
     ("quality", "hertz"),
-    "conditions", "fig12-decay", "damping", "fig13-period", "fig14-smoother", "residuals", "position-errors",
+    "conditions", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "damping", "fig13-period", "fig14-smoother", "residuals", "position-errors",
     "spectrum", "witness", "table4-loops", "work", "losses", "laws", "waveform", "moments",
     ("drag", "identifiability"),
-    "correlation", "budget", "monte-carlo", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory",
+    "correlation", "budget",
 )  # fmt: skip
 """Tables and figures of a run as they follow one another; small tables stand side by side."""
 
@@ -128,7 +128,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> dict[str, str]:
     tables_shown = {table.name: html.table(table) for table in tables if table.shown}
     with styled():
         figures = {d.name: text for d, text in _pictures(_drawings(run, curves), files)}
-    body = {"heading": html.heading(run.title, new_page=not alone)}
+    body = {"heading": html.heading(run.title)}
     if not alone:
         body["said"] = html.paragraph(sentence(run)) + html.notes(notes_of(run))
     if run.results.instrument is not None:
@@ -241,7 +241,7 @@ def save_tables(tables: Sequence[Table], files: Path) -> None:
 
 def _provenance(source: ReportSource) -> list[str]:
     name, sha256 = source.results
-    body = [html.heading("Provenance", new_page=True), html.facts([(f"sha256 of {name}", sha256)])]
+    body = [html.heading("Provenance"), html.facts([(f"sha256 of {name}", sha256)])]
     for run in source.runs:
         rows = list(run.provenance["file"].items())
         for section in ("calibration", "record", "session", "environment", "camera", "frame", "versions"):
