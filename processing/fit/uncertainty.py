@@ -59,8 +59,8 @@ class Budget:
 
     @property
     def coverage_factor_95(self) -> float:
-        """Student's t of the degrees of freedom."""
-        return float(stdtrit(min(self.degrees_of_freedom, 1e9), 0.975))
+        """Student's t of the degrees of freedom; a file has none of what has infinitely many."""
+        return float(stdtrit(self.degrees_of_freedom if self.degrees_of_freedom < 1e9 else 1e9, 0.975))
 
     @property
     def of_apparatus(self) -> float:

@@ -44,9 +44,10 @@ def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], n
         scale = quantity(key).factor
         u, row = item.standard_uncertainty, known.get(key)
         text = quantity(key).text(item.value, u) if row is None else row.text
-        half = item.coverage_factor_95 * u * scale
-        head = [quantity(key).label, text]
-        head.append(f"± {plain(half, 2)} (k = {item.coverage_factor_95:.2f})" if _is_parabolic(row) else "")
+        ends = ""
+        if row is not None and row.determined:
+            ends = interval(row.lower * scale, row.upper * scale)
+        head = [quantity(key).label, text, ends]
         small = []
         for line in item.sources:
             contribution, share = line.contribution, line.share
@@ -76,11 +77,6 @@ def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], n
         "without a stated uncertainty contribute nothing; those below 0.5 % of the variance are summed here "
         "and listed one by one in budget.csv. What is not determined has a bound and no contributions.",
     )  # fmt: skip
-
-
-def _is_parabolic(row: ResultRow | None) -> bool:
-    """Whether the interval is the value and a multiple of its uncertainty to either side."""
-    return row is None or (row.determined and not row.by_profile)
 
 
 def _part(contribution: float) -> str:

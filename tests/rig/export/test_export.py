@@ -39,8 +39,13 @@ def test_csv_holds_every_digit_and_the_provenance(
     spots, swings, results = truth
     made = export_session(measured_series, "csv", tmp_path / "csv")
     assert [path.name for path in made] == [
-        *(f"run-{number}-{what}.csv" for number in (1, 2) for what in ("spots", "swings", "results")),
+        *(
+            f"run-{number}-{what}.csv"
+            for number in (1, 2)
+            for what in ("spots", "swings", "results", "table")
+        ),
         "series-results.csv",
+        "series-table.csv",
     ]
     lines = made[1].read_text(encoding="utf-8").splitlines()
     head = [line for line in lines if line.startswith("#")]
