@@ -180,7 +180,7 @@ def standard_uncertainties(found: FittedContact, rig: RigQuantities, outputs: Ou
     inputs = rig.inputs()
     return {
         name: hypot(
-            _of(found.covariance, slopes),
+            _type_a(found, slopes),
             *(slope * inputs[source].u for source, slope in by_input.get(name, {}).items()),
         )
         for name, slopes in by_value.items()
@@ -196,9 +196,7 @@ def _budget(
     by_value: Floats,
     by_input: Mapping[str, float],
 ) -> Budget:
-    blind = ~np.isfinite(np.diag(found.covariance))
-    known = np.where(np.outer(~blind, ~blind), found.covariance, 0.0)
-    type_a = inf if np.any(by_value[blind] != 0) else sqrt(max(float(by_value @ known @ by_value), 0.0))
+    type_a = _type_a(found, by_value)
     parts: list[tuple[str, Literal["A", "B"], float, float, float]] = []
     if type_a > 0:
         own = found.names.index(name) if name in found.names else None
@@ -226,6 +224,13 @@ def _budget(
     estimated = [(type_a, found.dof)] if 0 < type_a < inf else []
     estimated += [(part, inputs[source].dof) for source, _, _, _, part in parts if source in inputs]
     return budget_of(unit, value, parts, estimated)
+
+
+def _type_a(found: FittedContact, by_value: Floats) -> float:
+    """Standard uncertainty by the fit; infinite where a parameter of which nothing is known has a part."""
+    blind = ~np.isfinite(np.diag(found.covariance))
+    known = np.where(np.outer(~blind, ~blind), found.covariance, 0.0)
+    return inf if np.any(by_value[blind] != 0) else _of(known, by_value)
 
 
 def _of(covariance: Floats | None, by_value: Floats) -> float:

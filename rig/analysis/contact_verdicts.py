@@ -54,8 +54,6 @@ from rig.settings import Configuration, PendulumSettings, TimebaseSettings
 
 _UNUSED = Material(1e11, 0.3)
 """Where the contact's radius is stated: some possible material, on which nothing depends."""
-_SEEN = 2.0
-"""Least c, in standard uncertainties, for which adhesion is accounted for."""
 TABLE4_AMPLITUDE_ARCSEC = 3.1
 """Amplitude at which the paper's Table 4 draws its loops."""
 
@@ -198,7 +196,7 @@ def evaluate(
         run,
         pendulum=pendulum,
         hertz=None if rig is None else contact_of(rig),
-        adhesion=None if rig is None else _adhesion(exact.estimate("c"), pendulum, rig),
+        adhesion=_adhesion(exact.estimate("c"), pendulum, rig) if rig is not None and sees_c else None,
         drag=drag,
         table=rows,
         strong_correlations=tuple(strong_correlations(exact)),
@@ -236,8 +234,8 @@ def _widening(fit: FitResult) -> dict[str, float]:
 
 
 def _adhesion(c: Estimate, pendulum: PendulumOnBall, rig: RigQuantities) -> Adhesion | None:
-    """The spot with adhesion; None where c is not seen or the spot's radius was stated."""
-    if rig.contact_radius_m is not None or not c.value > _SEEN * c.standard_uncertainty:
+    """The spot with adhesion, for a c that is determined; None where the spot's radius was stated."""
+    if rig.contact_radius_m is not None or not c.value > 0:
         return None
     hertz, found = contact_of(rig), adhesive_contacts(c.value, pendulum)
     u_radius, u_c = (

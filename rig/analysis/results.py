@@ -44,7 +44,7 @@ class RunResults(WithRows):
     `measured_again_on` is the motion on which the fitted turning points were measured again (see
     `processing.fit.remeasure`); None: they are as detected. `position_errors` were subtracted from the
     deflections before that; None if the run shows none. `laws` compares several laws, if requested.
-    `adhesion` is the contact spot with adhesion, if c is seen and the spot's radius is Hertz's.
+    `adhesion` is the contact spot with adhesion, if c is determined and the spot's radius is Hertz's.
     `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px for a record without a
     lever; those in arcsec are then not determined. `ended` is why the run ended, as its record says. `clock`
     compares the camera's clock with the computer's; None for frames made on demand.

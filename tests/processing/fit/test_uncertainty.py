@@ -211,6 +211,9 @@ def test_what_the_data_do_not_determine_has_no_finite_budget(found: FittedContac
     blind[2, 2] = np.inf
     lost = replace(found, covariance=blind)
     assert np.isinf(budgets(lost, rig())["c"].standard_uncertainty)
+    u = standard_uncertainties(lost, rig(), lambda values, inputs: {"c": values[2], "p": values[1]})
+    assert np.isinf(u["c"])
+    assert u["p"] == pytest.approx(float(np.sqrt(lost.covariance[1, 1])))
     assert np.isfinite(budgets(lost, rig())["n"].standard_uncertainty)
 
 
