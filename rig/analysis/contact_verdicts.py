@@ -12,12 +12,10 @@ from processing.angle import ARCSEC_RAD
 from processing.arrays import Floats
 from processing.contact import (
     AdhesiveContact,
-    HertzContact,
     Material,
     PendulumOnBall,
     adhesive_contacts,
     cycle_work,
-    hertz_contact,
 )
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
@@ -104,30 +102,6 @@ def rig_quantities(
     )
 
 
-def contact_of(rig: RigQuantities) -> HertzContact:
-    """Contact with the uncertainties of load, radius and elastic constants, or of a stated radius."""
-    stated = rig.contact_radius_m
-    if stated is not None:
-        ball = rig.ball_radius_m
-        depth, angle = stated.value**2 / ball.value, stated.value / ball.value
-        u_spot, u_ball = stated.u / stated.value, ball.u / ball.value
-        return HertzContact(
-            Estimate(stated.value, stated.u),
-            Estimate(depth, depth * math.hypot(2 * u_spot, u_ball)),
-            Estimate(angle, angle * math.hypot(u_spot, u_ball)),
-        )
-    mass, gravity, radius = rig.mass_kg, rig.gravity_m_per_s2, rig.ball_radius_m
-    force = mass.value * gravity.value / rig.balls
-    return hertz_contact(
-        force,
-        radius.value,
-        rig.ball,
-        rig.flat,
-        u_force_n=force * math.hypot(mass.u / mass.value, gravity.u / gravity.value),
-        u_ball_radius_m=radius.u,
-    )
-
-
 def evaluate(
     run: RunResults,
     points: TurningPoints,
@@ -195,8 +169,9 @@ def evaluate(
     return replace(
         run,
         pendulum=pendulum,
-        hertz=None if rig is None else contact_of(rig),
-        adhesion=_adhesion(exact.estimate("c"), pendulum, rig) if rig is not None and sees_c else None,
+        adhesion=_adhesion(exact.estimate("c"), pendulum, tables["contact_radius_m"])
+        if rig is not None and rig.contact_radius_m is None and sees_c
+        else None,
         drag=drag,
         table=rows,
         strong_correlations=tuple(strong_correlations(exact)),
@@ -233,15 +208,12 @@ def _widening(fit: FitResult) -> dict[str, float]:
     return {name: known[name] for name in fit.contact_names}
 
 
-def _adhesion(c: Estimate, pendulum: PendulumOnBall, rig: RigQuantities) -> Adhesion | None:
-    """The spot with adhesion, for a c that is determined; None where the spot's radius was stated."""
-    if rig.contact_radius_m is not None or not c.value > 0:
+def _adhesion(c: Estimate, pendulum: PendulumOnBall, radius: Budget) -> Adhesion | None:
+    """The spot with adhesion, for a c that is determined and Hertz's radius of the spot."""
+    if not c.value > 0:
         return None
-    hertz, found = contact_of(rig), adhesive_contacts(c.value, pendulum)
-    u_radius, u_c = (
-        hertz.radius_m.standard_uncertainty / hertz.radius_m.value,
-        c.standard_uncertainty / c.value,
-    )
+    found = adhesive_contacts(c.value, pendulum)
+    u_radius, u_c = radius.standard_uncertainty / radius.value, c.standard_uncertainty / c.value
 
     def spot(contact: AdhesiveContact) -> AdhesiveSpot:
         radius_m, energy = contact.radius_m, contact.surface_energy_j_per_m2

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 from acquisition.frame_losses import FrameLosses
-from processing.contact import HertzContact
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import Budget, Combined, Disagreement, Drag, WitnessUse, Work
 from processing.quantity import STATED, Quantity
@@ -79,7 +78,6 @@ class RunResults(WithRows):
     settings: JsonObject = field(default_factory=dict)
     calibration: JsonObject = field(default_factory=dict)
     pendulum: Annotated[Pendulum | None, Kept] = None
-    hertz: Annotated[HertzContact | None, Section] = None
     adhesion: Adhesion | None = None
     drag: Annotated[Drag | None, Section] = None
     strong_correlations: tuple[tuple[str, str, float], ...] = ()

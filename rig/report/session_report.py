@@ -110,7 +110,7 @@ def _series(series: Series, files: Path) -> list[str]:
 _ORDER = (
     "kind-damping", "kind-hardness", "kind-decrement", "kind-period", "kind-plane", "instrument",
     "parameters",
-    ("quality", "hertz"),
+    ("quality", "adhesion"),
     "conditions", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "damping",
     "fig13-period", "fig14-smoother", "residuals", "position-errors",
     "spectrum", "witness", "table4-loops", "work", "losses", "laws", "waveform", "moments",

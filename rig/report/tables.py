@@ -4,7 +4,6 @@ import math
 
 from processing.angle import ARCSEC_RAD
 from processing.contact import ExpectedDrag, weight_moment
-from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.analysis import (
     Curves,
@@ -44,7 +43,7 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
         tables = [
             parameter_table(results),
             quality_table(results.fits),
-            hertz_table(results),
+            adhesion_table(results),
             work_table(results),
             drag_table(results),
             identifiability_table(results),
@@ -82,16 +81,10 @@ def _judged(item: Verdict) -> str:
     return "warning" if item.remedy else "ok"
 
 
-def hertz_table(results: RunResults) -> Table:
-    """Contact according to Hertz (Table 1 of the paper), and with adhesion where that is seen."""
+def adhesion_table(results: RunResults) -> Table:
+    """The contact with adhesion, where c is determined; Hertz's is in the table of results."""
     rows: list[list[Cell]] = []
     shown = []
-    if results.hertz is not None:
-        for key in ("radius_m", "depth_m", "angle_rad"):
-            name = f"contact_{key}"
-            value: Estimate = getattr(results.hertz, key)
-            rows.append([name, *value])
-            shown.append([quantity(name).symbol, quantity(name).text(*value), quantity(name).unit])
     note = ""
     if results.adhesion is not None:
         for theory, spot in results.adhesion.spots().items():
@@ -108,7 +101,7 @@ def hertz_table(results: RunResults) -> Table:
             f"{results.adhesion.holds}; all other values follow the paper, with Hertz's theory."
         )
     return Table(
-        "hertz", "Contact according to Hertz, and with adhesion" if note else "Contact according to Hertz",
+        "adhesion", "Contact with adhesion",
         ("quantity", "value", "standard_uncertainty"), rows, ("", "value", "unit"), shown, note,
     )  # fmt: skip
 

@@ -89,7 +89,7 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
         if results.problem:
             parts.append(f"no fit: {results.problem}")
         if results.fits:
-            parts.append(_markdown(parameter_table(results, full=False), 1))
+            parts.append(_markdown(parameter_table(results, full=False)))
             parts.append(_markdown(quality_table(results.fits)))
         instrument = instrument_table(results)
         if instrument.rows:
@@ -98,8 +98,8 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
     return "\n\n".join(parts)
 
 
-def _markdown(table: Table, column: int | None = None) -> str:
-    """The table, or one column of it, in Markdown; units are appended to the names."""
+def _markdown(table: Table) -> str:
+    """The table in Markdown; units are appended to the names."""
     head, rows = list(table.head), [list(row) for row in table.shown]
     if "unit" in head:
         place = head.index("unit")
@@ -109,8 +109,6 @@ def _markdown(table: Table, column: int | None = None) -> str:
             [f"{row[0]} / {unit}" if unit else row[0], *row[1:]]
             for row, unit in zip(rows, units, strict=True)
         ]
-    if column is not None:
-        head, rows = [head[0], head[column]], [[row[0], row[column]] for row in rows]
 
     def line(cells: Sequence[str]) -> str:
         return f"| {' | '.join(cells)} |"

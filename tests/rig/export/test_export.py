@@ -191,7 +191,6 @@ UNITS = {
     "fits/asymptotic/mean_period_s/value": "s",
     "table/0/upper": "rad^-p",
     "table/5/u_total": "Pa",
-    "hertz/angle_rad/value": "rad",
     "budget/gamma_pa/value": "Pa",
     "budget/surface_energy_table2_j_per_m2/sources/0/contribution": "J/m^2",
     "work_per_cycle/0/dissipated_4a_j/value": "J",
