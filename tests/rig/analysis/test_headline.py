@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
-from processing.estimate import Determinacy
-from processing.fit import Budget
+from processing.estimate import Determinacy, Estimate
+from processing.fit import Budget, Drag, DragFinding
 from processing.fit.uncertainty import BudgetSource
-from rig.analysis.headline import headline
+from rig.analysis import RunResults
+from rig.analysis.headline import drag_headline, headline
+from rig.analysis.limits import whole_result
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
 
 
@@ -37,3 +39,13 @@ def test_there_is_none_without_the_apparatus_or_where_the_data_set_a_bound() -> 
     bound = replace(ROW, verdict=Determinacy.UPPER_BOUND)
     assert headline({SURFACE_ENERGY: bound}, {SURFACE_ENERGY: BUDGET}) == ""
     assert headline({}, {}) == ""
+
+
+def test_what_is_said_first_is_named_and_has_the_whole_uncertainty() -> None:
+    """Sigma stood there without a name; a drag was 1.93 +- 0.10 where its interval is uneven."""
+    run = RunResults(record="run-1.mcap", table=(ROW,), budget={SURFACE_ENERGY: BUDGET})
+    assert whole_result(run).text == "surface energy σ (Table 2's form) = 83.4 ± 1.3 mJ/m²"
+    drag = ResultRow(quantity="drag_s", verdict=Determinacy.INTERVAL, lower=1.58e-3, upper=2.09e-3)
+    seen = Drag(drag_s=Estimate(1.93e-3, 1e-4), finding=DragFinding.SEEN)
+    said = drag_headline(seen, {"drag_s": drag, "b": replace(drag, quantity="b")}, fitted=True)
+    assert said == "The drag of the air is seen, (1.58 … 2.09) × 10⁻³ (95 %) s."

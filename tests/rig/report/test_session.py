@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from processing.errors import RecordError
+from rig.analysis import read_results
 from rig.report.session_report import make_report
 from tests.rig.command_line import figures_are_not_drawn
 
@@ -230,3 +231,21 @@ def html_table(page: Path, title: str, number: int) -> list[list[str]]:
     part = page.read_text(encoding="utf-8").split(f"{title}</h3>")[number].split("</table>")[0]
     body = part.split("<tbody>")[1]
     return [re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in body.split("</tr>") if "<td" in row]
+
+
+def test_what_goes_into_a_paper_is_there_to_be_copied(measured_series: Path) -> None:
+    """Values with whole uncertainty or bound, what to cite, a row for LaTeX; figures in their order."""
+    page = (measured_series / "report.html").read_text(encoding="utf-8")
+    text = parsed(measured_series / "report.html").text
+    session = read_results(measured_series)
+    assert session["c"].equation in text
+    assert session["gamma"].equation in text
+    assert "doi:10.3390/lubricants11020088" in text
+    value, u = session["gamma"].text.split(" ± ")
+    assert rf"\num{{{value} +- {u}}}" in text
+    assert text.index("surface energy σ") < text.index(
+        "σ (Table 2's form)", text.index("surface energy σ") + 20
+    )
+    order = [page.index(f">{name}: ") for name in ("Fig. 9", "Fig. 10", "Fig. 11", "Fig. 13", "Fig. 14")]
+    assert order == sorted(order)
+    assert "break-before: page" not in page
