@@ -11,8 +11,8 @@ from processing.quantity import Quantity
 class Derived:
     """What follows from the parameters of the paper's law and the rig's input quantities.
 
-    A quantity that is added here has a line in the budget, an interval by Monte Carlo, and a place in every
-    table and file: `derived_quantities` of `processing.fit` calculates it.
+    A quantity that is added here has a line in the budget, a row in the table of results, and a place in
+    every file: `derived_quantities` of `processing.fit` calculates it.
     """
 
     surface_energy_table2_j_per_m2: Annotated[

@@ -1,6 +1,9 @@
 """MCAP records: schemas, writer, reader, recovery."""
 
+import re
 from pathlib import Path
+
+from processing.errors import ConfigurationError
 
 PIXELS_SUFFIX = ".pixels.mcap"
 
@@ -23,3 +26,22 @@ def is_pixels(path: Path) -> bool:
 def records_of(folder: Path, pattern: str = "*.mcap") -> list[Path]:
     """The records in a folder whose names match, sorted by name."""
     return sorted(path for path in folder.glob(pattern) if path.is_file() and not is_pixels(path))
+
+
+def records_in(path: Path) -> list[Path]:
+    """The record itself, or those of a session's folder in their order; instead of one its recovered copy.
+
+    Raises ConfigurationError for a folder without records.
+    """
+    if not path.is_dir():
+        return [path]
+    runs = sorted(
+        (int(found[1]), file)
+        for file in records_of(path, "run-*.mcap")
+        if (found := re.fullmatch(r"run-(\d+)", file.stem))
+    )
+    records = [copy if (copy := recovered_beside(file)).exists() else file for _, file in runs]
+    records = records or records_of(path)
+    if records:
+        return records
+    raise ConfigurationError(f"{path}: holds no record (run-1.mcap, ...); name one, or a session's folder")

@@ -1,8 +1,7 @@
 """Input quantities of the results beside the swings (GUM type B): mass, ball, materials, lever arm, clock."""
 
 from dataclasses import dataclass
-from math import inf, sqrt
-from typing import Literal
+from math import inf
 
 import numpy as np
 
@@ -10,20 +9,17 @@ from processing.arrays import Floats
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material, PendulumOnBall, contact_radius
 from processing.errors import ConfigurationError
 
-Distribution = Literal["normal", "rectangular"]
-
 
 @dataclass(frozen=True, slots=True)
 class InputQuantity:
-    """An input quantity that the fit takes as known: value, standard uncertainty and distribution.
+    """An input quantity that the fit takes as known: value and standard uncertainty.
 
     A rectangular distribution of half-width h has the standard uncertainty h/sqrt(3). `dof` are the degrees
-    of freedom of an uncertainty that was itself estimated from some readings (Student's t then).
+    of freedom of an uncertainty that was itself estimated from some readings.
     """
 
     value: float
     u: float = 0.0
-    distribution: Distribution = "normal"
     dof: float = inf
 
     def __post_init__(self) -> None:
@@ -31,16 +27,6 @@ class InputQuantity:
             raise ConfigurationError(
                 f"standard uncertainty {self.u} of the value {self.value}: it must not be negative"
             )
-
-    def draw(self, rng: np.random.Generator, draws: int) -> Floats:
-        """Random values (draws,) of its distribution."""
-        if self.distribution == "rectangular":
-            deviation = rng.uniform(-sqrt(3), sqrt(3), draws)
-        elif self.dof < inf:
-            deviation = rng.standard_t(self.dof, draws)
-        else:
-            deviation = rng.standard_normal(draws)
-        return self.value + self.u * deviation
 
 
 @dataclass(frozen=True)
@@ -107,7 +93,6 @@ class RigQuantities:
             found |= _elastic("flat", self.flat)
             if self.ball != self.flat:
                 found |= _elastic("ball", self.ball)
-        # appended last, so that the Monte Carlo draws of the other inputs are the same as in older versions
         found["slow_angle_rad"] = self.slow_angle_rad
         found["non_orthogonality_rad"] = self.non_orthogonality_rad
         found["skew"] = self.skew

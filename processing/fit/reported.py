@@ -89,7 +89,7 @@ def fitted_contact(result: FitResult) -> FittedContact:
 def reported_quantities(
     found: FittedContact, values: Floats, inputs: Mapping[str, Floats], rig: RigQuantities
 ) -> dict[str, Floats]:
-    """The reported quantities for given fitted values and inputs, as in a Monte Carlo draw.
+    """The reported quantities for given fitted values and inputs.
 
     Parameters
     ----------
@@ -161,39 +161,6 @@ def derived_quantities(
         "contact_depth_m": a**2 / ball_radius_m,
         "contact_angle_rad": a / ball_radius_m,
     }
-
-
-def draw_fitted(found: FittedContact, rng: np.random.Generator, draws: int) -> Floats:
-    """Random draws of the fitted parameters, shape ``(names, draws)``.
-
-    Multivariate Student t distribution about the fit, for ln b and gamma expressed at the reference
-    amplitude. There the distribution is nearly normal; that of b and gamma themselves is skewed, because
-    their units contain the exponents p and n.
-    """
-    spread = np.diag(found.covariance)
-    if not np.all(np.isfinite(spread)):
-        lost = ", ".join(name for name, v in zip(found.names, spread, strict=True) if not np.isfinite(v))
-        raise DataError(f"nothing can be drawn for {lost}: the data do not determine it")
-    values, log_r = found.values, float(np.log(found.reference_rad))
-    to_normal = np.eye(len(values))
-    to_normal[0, 0], to_normal[0, 1] = 1 / values[0], log_r  # ln(b r^(p-1))
-    gamma_scale = np.exp(values[3] * log_r)
-    to_normal[5, 5], to_normal[5, 3] = gamma_scale, values[5] * gamma_scale * log_r
-    centre = values.copy()
-    centre[0] = np.log(values[0]) + (values[1] - 1) * log_r if values[0] > 0 else np.nan
-    centre[5] = values[5] * gamma_scale
-    covariance = to_normal @ found.covariance @ to_normal.T
-    scale = np.sqrt(np.diag(covariance))
-    scale[scale == 0] = 1.0
-    # for correlations close to 1 the Cholesky factorisation fails; the eigenvalue decomposition does not
-    eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    factor = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
-    z = rng.standard_normal((len(values), draws))
-    z *= np.sqrt(found.dof / rng.chisquare(found.dof, draws))
-    out = centre[:, None] + scale[:, None] * (factor @ z)
-    out[0] = np.exp(out[0] + (1 - out[1]) * log_r)
-    out[5] = out[5] * np.exp(-out[3] * log_r)
-    return np.asarray(out, dtype=np.float64)
 
 
 def work_per_cycle_j(

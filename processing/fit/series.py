@@ -38,8 +38,8 @@ class Combined:
     value, standard_uncertainty
         Mean weighted by within-run and between-run variance, and its standard uncertainty, which contains
         both and is at least `within_runs`.
-    expanded_uncertainty_95, degrees_of_freedom
-        Half-width of the 95 % interval by Student's t, and number of runs minus one.
+    degrees_of_freedom
+        Number of runs minus one.
     within_runs
         Standard uncertainty of the mean from the runs' own uncertainties only.
     between_runs
@@ -53,7 +53,6 @@ class Combined:
 
     value: Annotated[float, PART]
     standard_uncertainty: Annotated[float, PART]
-    expanded_uncertainty_95: Annotated[float, PART] = nan
     degrees_of_freedom: int = 0
     within_runs: Annotated[float, PART] = nan
     between_runs: Annotated[float, PART] = nan
@@ -64,6 +63,12 @@ class Combined:
     @property
     def estimate(self) -> Estimate:
         return Estimate(self.value, self.standard_uncertainty)
+
+    @property
+    def expanded_uncertainty_95(self) -> float:
+        """Half-width of the 95 % interval: Student's t of what scatters, the normal's of what is shared."""
+        own = sqrt(max(self.standard_uncertainty**2 - self.by_air**2, 0.0))
+        return hypot(float(stdtrit(self.degrees_of_freedom, 0.975)) * own, _NORMAL_95 * self.by_air)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +147,6 @@ def combine(name: str, runs: Sequence[Estimate], by_air: Sequence[float] = ()) -
     return Combined(
         value=value,
         standard_uncertainty=uncertainty,
-        expanded_uncertainty_95=hypot(float(stdtrit(dof, 0.975)) * own, _NORMAL_95 * of_air),
         degrees_of_freedom=dof,
         within_runs=within,
         between_runs=sqrt(variance),
@@ -207,11 +211,7 @@ def _with_misfit(found: Combined, name: str, results: Sequence[FitResult]) -> Co
     if not added > 0:
         return found
     factor = sqrt(1 + added / found.standard_uncertainty**2)
-    return replace(
-        found,
-        standard_uncertainty=factor * found.standard_uncertainty,
-        expanded_uncertainty_95=factor * found.expanded_uncertainty_95,
-    )
+    return replace(found, standard_uncertainty=factor * found.standard_uncertainty)
 
 
 def _by_air(name: str, results: Sequence[FitResult]) -> tuple[float, ...]:

@@ -1,8 +1,8 @@
-"""Uncertainty of the reported quantities: GUM budget, and Monte Carlo propagation (JCGM 101)."""
+"""Uncertainty of the reported quantities: their GUM budgets."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from math import floor, inf, isfinite, log10, nan, sqrt
+from dataclasses import dataclass, replace
+from math import hypot, inf, isfinite, nan, sqrt
 from typing import Annotated, Literal
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.special import stdtrit
 from processing.arrays import Floats
 from processing.contact.laws import DRAG
 from processing.fit.apparatus import InputQuantity, RigQuantities
-from processing.fit.reported import OUTPUTS, FittedContact, draw_fitted, reported_quantities
+from processing.fit.reported import OUTPUTS, FittedContact, reported_quantities
 from processing.quantity import OF, OWN, PART, PER, Quantity
 
 FIT = "swings"
@@ -22,8 +22,6 @@ MISFIT = "misfit"
 """Name of that part which the distance between the law and the decay leaves."""
 PLACE = "position_errors"
 """Name of that part which errors of position that are fixed on the sensor leave after their correction."""
-_BY_CHANCE = 3.0
-"""Standard uncertainties of an end of a Monte Carlo interval by which it may be off for want of draws."""
 AIR_DRAG = "air"
 """Name of that part of it which is due to what is known of the air's drag beside the decay."""
 
@@ -50,38 +48,37 @@ class Budget:
     """GUM budget of one quantity, largest contribution first.
 
     `unit` is that of the value. `degrees_of_freedom` are the effective ones (Welch-Satterthwaite; infinite
-    for what is stated), `coverage_factor_95` is Student's t, `expanded_uncertainty_95` its product with
-    `standard_uncertainty`.
+    for what is stated).
     """
 
     unit: str = ""
     value: Annotated[float, PART]
     standard_uncertainty: Annotated[float, PART]
     degrees_of_freedom: float = nan
-    coverage_factor_95: float
-    expanded_uncertainty_95: Annotated[float, PART]
     sources: Annotated[tuple[BudgetSource, ...], PART] = ()
 
+    @property
+    def coverage_factor_95(self) -> float:
+        """Student's t of the degrees of freedom; a file has none of what has infinitely many."""
+        return float(stdtrit(self.degrees_of_freedom if self.degrees_of_freedom < 1e9 else 1e9, 0.975))
 
-@dataclass(frozen=True, slots=True)
-class Propagated:
-    """Monte Carlo result of one quantity: mean, standard uncertainty, probabilistically symmetric 95 %
-    interval.
+    @property
+    def of_apparatus(self) -> float:
+        """What the stated sources beside the decay contribute; the air is known with the swings."""
+        return hypot(
+            *(one.contribution for one in self.sources if one.type == "B" and one.source != AIR_DRAG)
+        )
 
-    `gum_holds` is the validation of JCGM 101 (clause 8): both ends of the budget's interval agree with this
-    interval within half a unit of the second significant digit of the standard uncertainty, and within what
-    so many draws leave uncertain of its ends.
-    """
-
-    mean: Annotated[float, PART]
-    standard_uncertainty: Annotated[float, PART]
-    lower_95: Annotated[float, PART]
-    upper_95: Annotated[float, PART]
-    gum_holds: bool
+    def shares_only(self) -> "Budget":
+        """Without numbers that a value with a standard uncertainty would need, but with their shares."""
+        sources = tuple(replace(one, contribution=nan) for one in self.sources)
+        return replace(self, value=nan, standard_uncertainty=nan, sources=sources)
 
 
 Model = Callable[[Mapping[str, Floats]], Mapping[str, Floats]]
 """Quantities (n,) of input quantities (n,), by name."""
+Outputs = Callable[[Floats, Mapping[str, Floats]], Mapping[str, Floats]]
+"""Quantities (n,) of fitted values (names, n) and of input quantities (n,), by name."""
 
 
 def sensitivities(model: Model, inputs: Mapping[str, InputQuantity]) -> dict[str, dict[str, float]]:
@@ -126,32 +123,13 @@ def budget_of(
         )
         for source, kind, u, slope, part in sorted(parts, key=lambda part: -part[4])
     )
-    factor = float(stdtrit(min(dof, 1e9), 0.975))
     return Budget(
         unit=unit,
         value=value,
         standard_uncertainty=combined,
         degrees_of_freedom=dof,
-        coverage_factor_95=factor,
-        expanded_uncertainty_95=factor * combined,
         sources=sources,
     )
-
-
-def propagated(sample: Floats, budget: Budget) -> Propagated:
-    """What a Monte Carlo sample (n,) of a quantity says, and whether its budget agrees with it."""
-    ends = np.array([0.025, 0.975])
-    # of an end, a quantile p, the number of draws below it scatters by sqrt(n p (1 - p))
-    scatter = np.sqrt(ends * (1 - ends) / len(sample))
-    lower, upper = found = np.quantile(sample, ends)
-    around = np.clip([ends - scatter, ends + scatter], 0.0, 1.0)
-    u_ends = np.diff(np.quantile(sample, around), axis=0)[0] / 2
-    u = float(np.std(sample, ddof=1))
-    tolerance = 0.05 * 10 ** floor(log10(u)) if u > 0 and isfinite(u) else 0.0
-    half = budget.expanded_uncertainty_95
-    off = np.abs(budget.value + np.array([-half, half]) - found)
-    holds = bool(np.all(off <= tolerance + _BY_CHANCE * u_ends)) or u == 0
-    return Propagated(float(np.mean(sample)), u, float(lower), float(upper), holds)
 
 
 def _nominal(rig: RigQuantities, count: int) -> dict[str, Floats]:
@@ -166,29 +144,46 @@ def budgets(found: FittedContact, rig: RigQuantities) -> dict[str, Budget]:
     """A budget for every reported quantity.
 
     Derivatives are central differences over a thousandth of each source's uncertainty, with a relative error
-    of 1e-6 for quantities that are nearly linear over the uncertainty. For others the Monte Carlo interval
-    should be used.
+    of 1e-6 for quantities that are nearly linear over the uncertainty.
     """
-
-    def slopes(values: Floats, inputs: Mapping[str, Floats], step: float) -> dict[str, float]:
-        reported = reported_quantities(found, values, inputs, rig)
-        return {name: float(out[1] - out[0]) / (2 * step) for name, out in reported.items()}
 
     reported = reported_quantities(found, found.values[:, None], _nominal(rig, 1), rig)
     value = {name: float(out[0]) for name, out in reported.items()}
+    by_value, by_input = _slopes(
+        found, rig, lambda values, inputs: reported_quantities(found, values, inputs, rig)
+    )
+    return {
+        name: _budget(name, unit, value[name], found, rig, by_value[name], by_input.get(name, {}))
+        for name, unit in _quantities(found).items()
+    }
+
+
+def _slopes(
+    found: FittedContact, rig: RigQuantities, outputs: Outputs
+) -> tuple[dict[str, Floats], dict[str, dict[str, float]]]:
+    """Derivatives of each output by the fitted values, and by each input that is uncertain."""
     spread = np.diag(found.covariance)
-    by_value: dict[str, Floats] = {name: np.zeros(len(found.names)) for name in value}
+    by_value: dict[str, Floats] = {}
     for i in range(len(found.names)):
         step = 1e-3 * (sqrt(spread[i]) if 0 < spread[i] < inf else 1e-3 * abs(found.values[i]) or 1e-12)
         both = np.repeat(found.values[:, None], 2, axis=1)
         both[i] += (-step, step)
-        for name, slope in slopes(both, _nominal(rig, 2), step).items():
-            by_value[name][i] = slope
+        for name, out in outputs(both, _nominal(rig, 2)).items():
+            by_value.setdefault(name, np.zeros(len(found.names)))[i] = float(out[1] - out[0]) / (2 * step)
     fixed = np.repeat(found.values[:, None], 2, axis=1)
-    by_input = sensitivities(lambda inputs: reported_quantities(found, fixed, inputs, rig), rig.inputs())
+    return by_value, sensitivities(lambda inputs: outputs(fixed, inputs), rig.inputs())
+
+
+def standard_uncertainties(found: FittedContact, rig: RigQuantities, outputs: Outputs) -> dict[str, float]:
+    """The standard uncertainty of each output by the covariance of the fit and the inputs, to first order."""
+    by_value, by_input = _slopes(found, rig, outputs)
+    inputs = rig.inputs()
     return {
-        name: _budget(name, unit, value[name], found, rig, by_value[name], by_input.get(name, {}))
-        for name, unit in _quantities(found).items()
+        name: hypot(
+            _type_a(found, slopes),
+            *(slope * inputs[source].u for source, slope in by_input.get(name, {}).items()),
+        )
+        for name, slopes in by_value.items()
     }
 
 
@@ -201,9 +196,7 @@ def _budget(
     by_value: Floats,
     by_input: Mapping[str, float],
 ) -> Budget:
-    blind = ~np.isfinite(np.diag(found.covariance))
-    known = np.where(np.outer(~blind, ~blind), found.covariance, 0.0)
-    type_a = inf if np.any(by_value[blind] != 0) else sqrt(max(float(by_value @ known @ by_value), 0.0))
+    type_a = _type_a(found, by_value)
     parts: list[tuple[str, Literal["A", "B"], float, float, float]] = []
     if type_a > 0:
         own = found.names.index(name) if name in found.names else None
@@ -233,6 +226,13 @@ def _budget(
     return budget_of(unit, value, parts, estimated)
 
 
+def _type_a(found: FittedContact, by_value: Floats) -> float:
+    """Standard uncertainty by the fit; infinite where a parameter of which nothing is known has a part."""
+    blind = ~np.isfinite(np.diag(found.covariance))
+    known = np.where(np.outer(~blind, ~blind), found.covariance, 0.0)
+    return inf if np.any(by_value[blind] != 0) else _of(known, by_value)
+
+
 def _of(covariance: Floats | None, by_value: Floats) -> float:
     """Standard uncertainty by a covariance of the values; 0 without one."""
     if covariance is None:
@@ -248,35 +248,3 @@ def _reading(found: FittedContact, by_value: Floats, type_a: float) -> float:
     reading = _of(found.reading_covariance, by_value)
     # equal but for rounding
     return reading if reading < 0.999 * type_a else type_a
-
-
-def monte_carlo(
-    found: FittedContact,
-    rig: RigQuantities,
-    rng: np.random.Generator,
-    *,
-    draws: int = 10_000,
-    against: Mapping[str, Budget] | None = None,
-) -> dict[str, Propagated]:
-    """Propagate distributions instead of uncertainties (JCGM 101:2008).
-
-    Parameters
-    ----------
-    rng
-        Seeded by the caller, so that a report can be reproduced exactly.
-    against
-        The budgets to validate; computed if None.
-
-    Raises
-    ------
-    DataError
-        A fitted parameter that the data do not determine at all.
-    """
-    # draws of what the data hardly determine overflow: their spread is then infinite or NaN, and stated so
-    with np.errstate(over="ignore", invalid="ignore"):
-        values = draw_fitted(found, rng, draws)
-        inputs = {name: quantity.draw(rng, draws) for name, quantity in rig.inputs().items()}
-        reported = reported_quantities(found, values, inputs, rig)
-        if against is None:
-            against = budgets(found, rig)
-        return {name: propagated(reported[name], against[name]) for name in _quantities(found)}

@@ -3,19 +3,17 @@
 from rig.analysis.analysed_run import AnalysedRun, refuse_unread, session_results
 from rig.analysis.base_acceleration import base_motion
 from rig.analysis.compared_laws import chosen_laws, law_table, laws_of, moments_table
-from rig.analysis.contact_laws import surface_energies
-from rig.analysis.contact_results import Correlation, Fit, MonteCarlo
+from rig.analysis.contact_results import Correlation, Fit
 from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, evaluate, fit_results
 from rig.analysis.curves import Curves, curves_of
 from rig.analysis.decay_values import decay_lines
-from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.encoding import JsonObject, units_of
 from rig.analysis.film_positions import FilmAsked, film_needs_rate, film_trajectory, films_in
 from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.fitted_drag import evidence_of, known_drag
-from rig.analysis.headline import budget_of, dominant_text
+from rig.analysis.headline import dominant_text, has_apparatus
 from rig.analysis.instrument_results import (
     DampingResults,
     DecrementTable,
@@ -33,6 +31,7 @@ from rig.analysis.position_table import TableColumns
 from rig.analysis.positions_file import read_positions, write_positions
 from rig.analysis.record_fit import analyse_record, analyse_run, with_dropped_frames
 from rig.analysis.recorded_witness import taken
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, WithRows, named
 from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults, TableDecay, TableResults
 from rig.analysis.results_file import (
     RESULTS_NAME,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from processing.contact import PendulumOnBall, surface_energy
+from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.fit import (
     NO_EVIDENCE,
@@ -26,7 +26,6 @@ from processing.fit import (
     without_alternation,
 )
 from processing.swing import TurningPoints
-from rig.analysis.contact_results import SurfaceEnergies
 from rig.analysis.drifts import BelievedDrifts
 from rig.analysis.settled import loss_of
 from rig.analysis.witnessed_fits import WitnessedWith
@@ -42,7 +41,6 @@ class DecayFits:
     """
 
     fits: Mapping[str, FitResult]
-    surface_energy: SurfaceEnergies | None
     problem: str = ""
     points: TurningPoints | None = None
     witness: WitnessUse | None = None
@@ -66,7 +64,7 @@ def fit_decay(
     """
     if pendulum is None:
         return DecayFits(
-            {}, None, "no [pendulum] in the configuration: state mass_kg and ball_radius_m to fit the contact"
+            {}, "no [pendulum] in the configuration: state mass_kg and ball_radius_m to fit the contact"
         )
     loss, printed_curvature = loss_of(settings), settings.printed_055
     try:
@@ -91,14 +89,12 @@ def fit_decay(
         if steeper is not None:
             exact = with_steeper_drag(exact, steeper)
     except DataError as error:
-        return DecayFits({}, None, str(error))
+        return DecayFits({}, str(error))
     if exact.place_covariance is not None:
         asymptotic = with_place_errors(asymptotic, exact.place_covariance, exact.names)
     asymptotic = with_misfit_of(asymptotic, exact)
     fits: dict[str, FitResult] = {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}
-    return DecayFits(
-        fits, surface_energies(fits, pendulum), points=points if alternates else None, witness=use
-    )
+    return DecayFits(fits, points=points if alternates else None, witness=use)
 
 
 def _of_one_moment(
@@ -124,10 +120,3 @@ def _judged(points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult) -
     changes = changes_of(points, pendulum, exact, explained)
     said = (*warnings_of(changes), *domain_warnings(points, pendulum, described))
     return replace(described, changes=changes, warnings=(*described.warnings, *said))
-
-
-def surface_energies(fits: Mapping[str, FitResult], pendulum: PendulumOnBall) -> SurfaceEnergies:
-    """Surface energy after every fit."""
-    energies = {name: surface_energy(fit.estimate("c"), pendulum) for name, fit in fits.items()}
-    default = energies.pop(FitMethod.EXACT)
-    return SurfaceEnergies(default.table2, default.eq2, energies)

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 from math import nan
 from typing import Annotated
 
-from processing.contact import DRAG, ContactParameters, SurfaceEnergy
+from processing.contact import DRAG, ContactParameters
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
-from processing.fit import FitMethod, FitQuality, Propagated
-from processing.quantity import PART
+from processing.fit import FitQuality
 from rig.analysis.encoding import Entries
 
 
@@ -47,17 +46,6 @@ class Fit(FitQuality):
         return ContactParameters(**values, drag_s=0.0 if drag is None else drag.value)
 
 
-@dataclass(frozen=True, slots=True)
-class SurfaceEnergies(SurfaceEnergy):
-    """Surface energy after the default fit; those after the other fits by the fit's name."""
-
-    others: Annotated[Mapping[str, SurfaceEnergy], Entries, PART] = field(default_factory=dict)
-
-    def of(self, method: str) -> SurfaceEnergy | None:
-        """The surface energy after one fit."""
-        return self if method == FitMethod.EXACT else self.others.get(method)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AdhesiveSpot:
     """Radius of the contact spot with adhesion, and the surface energy (Table 2's form) of that radius."""
@@ -80,12 +68,3 @@ class Adhesion:
     def spots(self) -> dict[str, AdhesiveSpot]:
         """By the name of the theory."""
         return {"JKR": self.jkr, "Maugis-Dugdale": self.maugis_dugdale, "DMT": self.dmt}
-
-
-@dataclass(frozen=True, slots=True)
-class MonteCarlo:
-    """Monte Carlo propagation after JCGM 101."""
-
-    draws: int = 0
-    seed: int = 0
-    quantities: Mapping[str, Propagated] = field(default_factory=dict)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import PendulumOnBall, surface_energy
+from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.fit import (
     FitMethod,
@@ -20,6 +20,7 @@ from processing.fit import (
     fit_asymptotic,
 )
 from processing.swing import TurningPoints
+from rig.analysis.result_rows import series_rows, withheld
 from rig.analysis.results import AveragedCurves, Series
 
 
@@ -60,13 +61,13 @@ def combined_series(
             measured = replace(measured, by_drifts=_by_drifts(points, pendulum, fits[FitMethod.EXACT]))
         except DataError as error:
             problems.append(f"the budget has no lines for drifts: {error}")
+    budget = budgets(measured, rig) if measured and rig else {}
+    table = () if default is None else series_rows(default.parameters, budget, pendulum)
     return Series(
         runs=len(points),
         fits={method: found.parameters for method, found in combined.items()},
-        surface_energy_j_per_m2=surface_energy(default.parameters["c"].estimate, pendulum)
-        if default
-        else None,
-        budget=budgets(measured, rig) if measured and rig else {},
+        table=table,
+        budget=withheld(budget, table),
         disagreements=default.disagreements if default else (),
         averaged_curves=averaged,
         problems=tuple(problems),

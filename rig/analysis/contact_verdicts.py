@@ -1,8 +1,9 @@
-"""What stands behind a fit's numbers: drag, identifiability, budget, Monte Carlo, contact, work."""
+"""What stands behind a fit's numbers: drag, budget, table of results, contact, work."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -11,15 +12,13 @@ from processing.angle import ARCSEC_RAD
 from processing.arrays import Floats
 from processing.contact import (
     AdhesiveContact,
-    HertzContact,
     Material,
     PendulumOnBall,
     adhesive_contacts,
     cycle_work,
-    hertz_contact,
 )
 from processing.errors import DataError
-from processing.estimate import NOT_DETERMINED, Determinacy, Estimate
+from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import (
     Budget,
     Determination,
@@ -27,7 +26,6 @@ from processing.fit import (
     FitQuality,
     FitResult,
     InputQuantity,
-    Propagated,
     RigQuantities,
     Work,
     budgets,
@@ -35,28 +33,25 @@ from processing.fit import (
     by_common_amplitude,
     by_row_time,
     drag_verdict,
-    draw_fitted,
     drifts_of,
     fitted_contact,
     identifiability,
-    monte_carlo,
     reported_quantities,
+    standard_uncertainties,
     strong_correlations,
     work_per_cycle_j,
 )
 from processing.swing import TurningPoints
 from rig.analysis.base_acceleration import base_motion
-from rig.analysis.contact_results import Adhesion, AdhesiveSpot, Correlation, Fit, MonteCarlo
+from rig.analysis.contact_results import Adhesion, AdhesiveSpot, Correlation, Fit
 from rig.analysis.drifts import BelievedDrifts, limit_sentence
+from rig.analysis.result_rows import result_rows, withheld
 from rig.analysis.results import RunResults
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
 
-DRAWS = 10_000  # a standard deviation is known to 0.7 %
 _UNUSED = Material(1e11, 0.3)
 """Where the contact's radius is stated: some possible material, on which nothing depends."""
-_SEEN = 2.0
-"""Least c, in standard uncertainties, for which adhesion is accounted for."""
 TABLE4_AMPLITUDE_ARCSEC = 3.1
 """Amplitude at which the paper's Table 4 draws its loops."""
 
@@ -107,37 +102,12 @@ def rig_quantities(
     )
 
 
-def contact_of(rig: RigQuantities) -> HertzContact:
-    """Contact with the uncertainties of load, radius and elastic constants, or of a stated radius."""
-    stated = rig.contact_radius_m
-    if stated is not None:
-        ball = rig.ball_radius_m
-        depth, angle = stated.value**2 / ball.value, stated.value / ball.value
-        u_spot, u_ball = stated.u / stated.value, ball.u / ball.value
-        return HertzContact(
-            Estimate(stated.value, stated.u),
-            Estimate(depth, depth * math.hypot(2 * u_spot, u_ball)),
-            Estimate(angle, angle * math.hypot(u_spot, u_ball)),
-        )
-    mass, gravity, radius = rig.mass_kg, rig.gravity_m_per_s2, rig.ball_radius_m
-    force = mass.value * gravity.value / rig.balls
-    return hertz_contact(
-        force,
-        radius.value,
-        rig.ball,
-        rig.flat,
-        u_force_n=force * math.hypot(mass.u / mass.value, gravity.u / gravity.value),
-        u_ball_radius_m=radius.u,
-    )
-
-
 def evaluate(
     run: RunResults,
     points: TurningPoints,
     pendulum: PendulumOnBall,
     exact: FitResult,
     rig: RigQuantities | None,
-    seed: int,
     plane_errors: Floats | None = None,
 ) -> RunResults:
     """The run with everything that is said about its exact fit beyond the fit's own numbers.
@@ -145,9 +115,7 @@ def evaluate(
     Parameters
     ----------
     rig
-        None without [pendulum]: there is no budget and no Monte Carlo then.
-    seed
-        Of the Monte Carlo draws, so that the same record gives the same intervals.
+        None without [pendulum]: there is no budget then.
     plane_errors : (points, terms)
         Independent errors of the amplitudes by what is not known of the plane of swing; None: there are none.
 
@@ -170,7 +138,6 @@ def evaluate(
     except DataError as error:
         notes.append(f"no identifiability verdict: {error}")
     tables: Mapping[str, Budget] = {}
-    propagated: Mapping[str, Propagated] = {}
     if rig is not None:
         try:
             by_row = by_row_time(points, pendulum, exact, rig)
@@ -197,25 +164,20 @@ def evaluate(
                 "the configuration states no type B uncertainty (u_mass_kg, u_ball_radius_m, u_arm_m, "
                 "u_youngs_modulus_pa, ...): budgets contain only the scatter of the swings"
             )
-        try:
-            rng = np.random.default_rng(seed)
-            propagated = monte_carlo(contact, rig, rng, draws=DRAWS, against=tables)
-        except DataError as error:
-            notes.append(f"no Monte Carlo: {error}")
-    sees_c = all(each.verdict is Determinacy.DETERMINED for each in determinations if each.name == "c")
+    rows = result_rows(Path(run.record).stem, exact, determinations, tables, pendulum)
+    sees_c = any(row.quantity == "c" and row.determined for row in rows)
     return replace(
         run,
         pendulum=pendulum,
-        hertz=None if rig is None else contact_of(rig),
-        adhesion=None if rig is None else _adhesion(exact.estimate("c"), pendulum, rig),
+        adhesion=_adhesion(exact.estimate("c"), pendulum, tables["contact_radius_m"])
+        if rig is not None and rig.contact_radius_m is None and sees_c
+        else None,
         drag=drag,
-        identifiability=determinations,
+        table=rows,
         strong_correlations=tuple(strong_correlations(exact)),
-        budget=tables,
-        monte_carlo=MonteCarlo(DRAWS, seed, propagated) if propagated else None,
+        budget=withheld(tables, rows),
         work_per_cycle=tuple(
-            _work(amplitude, exact, pendulum, rig if propagated else None, seed, sees_c=sees_c)
-            for amplitude in _shown_amplitudes(points)
+            _work(amplitude, exact, pendulum, rig, sees_c=sees_c) for amplitude in _shown_amplitudes(points)
         ),
         notes=tuple(notes),
     )
@@ -246,15 +208,12 @@ def _widening(fit: FitResult) -> dict[str, float]:
     return {name: known[name] for name in fit.contact_names}
 
 
-def _adhesion(c: Estimate, pendulum: PendulumOnBall, rig: RigQuantities) -> Adhesion | None:
-    """The spot with adhesion; None where c is not seen or the spot's radius was stated."""
-    if rig.contact_radius_m is not None or not c.value > _SEEN * c.standard_uncertainty:
+def _adhesion(c: Estimate, pendulum: PendulumOnBall, radius: Budget) -> Adhesion | None:
+    """The spot with adhesion, for a c that is determined and Hertz's radius of the spot."""
+    if not c.value > 0:
         return None
-    hertz, found = contact_of(rig), adhesive_contacts(c.value, pendulum)
-    u_radius, u_c = (
-        hertz.radius_m.standard_uncertainty / hertz.radius_m.value,
-        c.standard_uncertainty / c.value,
-    )
+    found = adhesive_contacts(c.value, pendulum)
+    u_radius, u_c = radius.standard_uncertainty / radius.value, c.standard_uncertainty / c.value
 
     def spot(contact: AdhesiveContact) -> AdhesiveSpot:
         radius_m, energy = contact.radius_m, contact.surface_energy_j_per_m2
@@ -287,7 +246,6 @@ def _work(
     exact: FitResult,
     pendulum: PendulumOnBall,
     rig: RigQuantities | None,
-    seed: int,
     *,
     sees_c: bool,
 ) -> Work:
@@ -299,17 +257,19 @@ def _work(
     work = cycle_work(amplitude_rad, exact.parameters, pendulum)
     u_dissipated = u_adhesive = math.nan
     if rig is not None:
-        rng = np.random.default_rng(seed)
-        found = fitted_contact(exact)
-        # draws of what the data hardly determine overflow: their spread is then stated as infinite or NaN
-        with np.errstate(over="ignore", invalid="ignore"):
-            values = draw_fitted(found, rng, DRAWS)
-            inputs = {name: quantity.draw(rng, DRAWS) for name, quantity in rig.inputs().items()}
-            reported = reported_quantities(found, values, inputs, rig)
-            without_drag = {name: sample for name, sample in reported.items() if name != "drag_s"}
+        contact = fitted_contact(exact)
+
+        def works(values: Floats, inputs: Mapping[str, Floats]) -> Mapping[str, Floats]:
+            reported = reported_quantities(contact, values, inputs, rig)
+            without_drag = {name: found for name, found in reported.items() if name != "drag_s"}
             moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
-            u_dissipated = float(np.std(work_per_cycle_j(amplitude_rad, without_drag, inputs), ddof=1))
-            u_adhesive = float(np.std(4 * moment * reported["c"] * amplitude_rad, ddof=1))
+            return {
+                "all": work_per_cycle_j(amplitude_rad, without_drag, inputs),
+                "adhesive": 4 * moment * reported["c"] * amplitude_rad,
+            }
+
+        u = standard_uncertainties(contact, rig, works)
+        u_dissipated, u_adhesive = u["all"], u["adhesive"]
     return Work(
         amplitude_arcsec,
         Estimate(work.dissipated_j, u_dissipated),

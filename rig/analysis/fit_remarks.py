@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from math import isfinite
 
 from processing.contact import DRAG
-from processing.estimate import Determinacy, Estimate
-from processing.fit import WAVEFORM, BaseMotion, Determination, Drag, DragFinding, FitMethod, Ground
-from rig.analysis.determined import bound_text
+from processing.estimate import Estimate
+from processing.fit import WAVEFORM, BaseMotion, Drag, DragFinding, FitMethod, Ground
 from rig.analysis.headline import drag_headline, headline, shifts_by_drag
 from rig.analysis.limits import whole_result
+from rig.analysis.result_rows import ENERGIES, ResultRow
 from rig.analysis.results import RunResults
 from rig.analysis.witnessed_fits import witness_sentences
 from rig.presentation import plain, quantity, with_uncertainty
@@ -27,24 +27,22 @@ def remarks(run: RunResults) -> list[str]:
     """The headline, sentences on beam, ground, drag and what is hardly determined, then the run's notes."""
     exact = run.fits.get(FitMethod.EXACT)
     parameters = {} if exact is None else exact.parameters
-    of_drag = drag_headline(run.drag, run.verdicts(), fitted=DRAG.key in parameters) if parameters else ""
-    lines = list(filter(None, [headline(run.budget, run.verdicts()), of_drag]))
+    of_drag = drag_headline(run.drag, run.rows, fitted=DRAG.key in parameters) if parameters else ""
+    lines = list(filter(None, [headline(run.rows, run.budget), of_drag]))
     lines += [] if run.beam is None else [run.beam.sentence]
     lines += [] if run.clock is None else [f"Camera's clock: {run.clock.text}."]
     lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
     lines += [] if run.witness is None else witness_sentences(run.witness)
-    lines += (
-        [_drag_sentence(run.drag, shifts_by_drag(run.drag, run.verdicts()))] if run.drag is not None else []
-    )
+    lines += [_drag_sentence(run.drag, run.rows)] if run.drag is not None else []
     lines += [] if exact is None else list(filter(None, [_worth_sentence(exact.worth)]))
     if run.strong_correlations:
         pairs = run.strong_correlations
         names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
         lines.append(f"Strongly correlated in this run: {names}.".replace("-", "−"))
     lines += [
-        f"Not determined: {quantity(item.name).symbol}, {_bound(item)}."
-        for item in run.identifiability
-        if item.verdict is not Determinacy.DETERMINED
+        f"Not determined: {row.shown.symbol}, {row.text} {row.shown.unit}".rstrip() + "."
+        for row in run.table
+        if not row.determined and row.quantity not in ENERGIES
     ]
     return [*lines, *run.notes]
 
@@ -54,7 +52,7 @@ def brief_remarks(run: RunResults) -> list[str]:
     exact = run.fits.get(FitMethod.EXACT)
     if exact is None:
         return []
-    lines = [drag_headline(run.drag, run.verdicts(), fitted=DRAG.key in exact.parameters)]
+    lines = [drag_headline(run.drag, run.rows, fitted=DRAG.key in exact.parameters)]
     lines += [ground_sentence(exact.ground)] if exact.ground is not None and exact.ground.seen else []
     lines += [] if run.witness is None else witness_sentences(run.witness)
     result = whole_result(run)
@@ -94,11 +92,6 @@ def _density(found: Estimate, upper_95: float, unit: str, seen: bool) -> str:
     return f"{with_uncertainty(*found)} {unit}" if seen else f"below {plain(upper_95, 2)} {unit} (95 %)"
 
 
-def _bound(item: Determination) -> str:
-    shown = quantity(item.name)
-    return f"{bound_text(item, shown.factor)} {shown.unit}".rstrip()
-
-
 def _cost(ground: Ground) -> str:
     """What the ground adds to the uncertainties, and what would help; nothing where it adds little."""
     widened = {name: factor for name, factor in ground.widening.items() if factor > _MUCH}
@@ -127,14 +120,14 @@ def _worth_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
     return f"Without the waveform of the swing {', and '.join(said)}."
 
 
-def _drag_sentence(drag: Drag, shifts: Mapping[str, str]) -> str:
+def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow]) -> str:
     """What the data say of a drag, and whose value stands where they say nothing."""
-    shown = quantity("drag_s")
+    shown, shifts, row = quantity("drag_s"), shifts_by_drag(drag, rows), rows.get("drag_s")
     changes = " and ".join(f"{name} by {shift}" for name, shift in shifts.items())
     moved = f"; it changes {changes}" if changes else ""
     match drag.finding:
         case DragFinding.SEEN:
-            said = f"{shown.text(*drag.drag_s)} s{moved}"
+            said = f"{shown.text(*drag.drag_s) if row is None else row.text} s{moved}"
         case DragFinding.OPEN if _by_the_data(drag):
             return (
                 f"This decay cannot distinguish a drag below {plain(drag.upper_95_s, 2)} s (95 %) from "

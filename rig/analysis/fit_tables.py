@@ -1,14 +1,15 @@
 """Tables of the fitted parameters and of the quality of the fits, for terminal, report and Rerun."""
 
 from collections.abc import Mapping, Sequence
+from math import isnan, nan
 
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
-from processing.fit import Determination, FitMethod, FitQuality
+from processing.fit import FitMethod, FitQuality
 from processing.quantity import quantities_of
-from rig.analysis.contact_results import Fit, SurfaceEnergies
-from rig.analysis.determined import determined_text, series_verdicts
-from rig.analysis.headline import SURFACE_ENERGY, budget_of, dominant_text
+from rig.analysis.contact_results import Fit
+from rig.analysis.headline import dominant_text, has_apparatus
+from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import RunResults, SessionResults
 from rig.presentation import Cell, Table, plain, quantity, signed_percent
 
@@ -16,120 +17,77 @@ _LARGEST_BIAS = 0.3
 """Of a parameter, as a fraction of it."""
 
 
-def parameter_table(
-    fits: Mapping[str, Fit], energy: SurfaceEnergies | None, verdicts: Mapping[str, Determination]
-) -> Table:
-    """Parameters and surface energies, a column for each fit.
+def parameter_table(run: RunResults, *, full: bool = True) -> Table:
+    """The table of results of one run; `full` also what the other fits give, and the swings' own uncertainty.
 
-    `verdicts` are those on the default fit's parameters: in its column one that the data do not determine is
-    shown as an interval or a bound.
+    What is not determined has no value by any method.
     """
-    methods = _in_order(fits)
-    entries: list[tuple[str, list[Estimate | None]]] = [
-        (name, [fits[method].parameters.get(name) for method in methods])
-        for name in DEFAULT_LAW.names(drag=True)
-    ]
-    if energy is not None:
-        of_fits = [energy.of(method) for method in methods]
-        entries += [
-            (
-                "surface_energy_table2_j_per_m2",
-                [None if found is None else found.table2 for found in of_fits],
-            ),
-            ("surface_energy_eq2_j_per_m2", [None if found is None else found.eq2 for found in of_fits]),
+    others = [method for method in _in_order(run.fits) if method != FitMethod.EXACT] if full else []
+    rows: list[list[Cell]] = []
+    shown = []
+    named = (*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY)
+    for row in (row for row in run.table if full or row.quantity in named):
+        found = [
+            run.fits[method].estimate(row.quantity) if row.determined else NOT_DETERMINED for method in others
         ]
-    rows: list[list[Cell]] = []
-    shown = []
-    for name, estimates in entries:
-        if not any(estimates):
-            continue
-        rows.append([name, *(number for found in estimates for number in found or NOT_DETERMINED)])
-        texts = [
-            "" if found is None
-            else determined_text(name, found, verdicts if method == FitMethod.EXACT else {})
-            for method, found in zip(methods, estimates, strict=True)
-        ]  # fmt: skip
-        shown.append([quantity(name).symbol, *texts, quantity(name).unit])
-    return Table(
-        "parameters",
-        "Parameters of the contact",
-        ("parameter", *(column for method in methods for column in (method, f"u_{method}"))),
-        rows,
-        ("", *map(_heading, methods), "unit"),
-        shown,
-        "Value ± standard uncertainty of the swings alone; the budget adds the apparatus. " + _of_bias(fits),
-    )
-
-
-def whole_table(run: RunResults) -> Table:
-    """The exact fit with the uncertainty of swings and apparatus together, and what makes most of it.
-
-    Without content where no apparatus is stated that could add to the swings'.
-    """
-    exact, verdicts, energy = run.fits.get(FitMethod.EXACT), run.verdicts(), run.surface_energy_j_per_m2
-    found = {} if exact is None else dict(exact.parameters)
-    if energy is not None:
-        found[SURFACE_ENERGY] = energy.table2
-    order = [*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY]
-    rows: list[list[Cell]] = []
-    shown = []
-    for name in (each for each in order if each in found):
-        whole = budget_of(name, run.budget, verdicts)
-        estimate = found[name] if whole is None else Estimate(whole.value, whole.standard_uncertainty)
-        rows.append([name, *estimate])
-        cause = "" if whole is None else dominant_text(whole)
-        shown.append(
-            [quantity(name).symbol, determined_text(name, estimate, verdicts), quantity(name).unit, cause]
+        numbers = [row.value, row.u, row.u_total, row.lower, row.upper]
+        rows.append(
+            [row.quantity, *numbers, str(row.verdict), row.unit, *(each for one in found for each in one)]
         )
+        item = run.budget.get(row.quantity)
+        texts = [row.text, row.shown.unit]
+        if full:
+            alone = row.u * row.shown.factor
+            texts.append(plain(alone, 2) if alone > 0 else "")
+            texts += ["" if isnan(one.value) else row.shown.text(*one) for one in found]
+        texts.append(
+            dominant_text(item) if item is not None and row.determined and has_apparatus(item) else ""
+        )
+        shown.append([row.shown.symbol, *texts])
+    head = ["", "value", "unit", *(["u of the swings", *map(_heading, others)] if full else []), _SOURCES]
+    if not any(row[-1] for row in shown):
+        head, shown = head[:-1], [row[:-1] for row in shown]
     return Table(
-        "whole",
-        "Parameters of the contact, exact fit",
-        ("parameter", "value", "standard_uncertainty"),
-        rows if any(row[-1] for row in shown) else (),
-        ("", "value", "unit", "main sources of its variance"),
-        shown,
-        "Value ± standard uncertainty of swings and apparatus together.",
+        "parameters", "Parameters of the contact, exact fit",
+        (*_COLUMNS, *(column for method in others for column in (method, f"u_{method}"))), rows,
+        tuple(head), shown, _of_whole(run) + (f" {_of_bias(run.fits)}" if others else ""),
+    )  # fmt: skip
+
+
+_SOURCES = "main sources of its variance"
+_COLUMNS = ("parameter", "value", "u", "u_total", "lower_95", "upper_95", "verdict", "unit")
+
+
+def _of_whole(run: RunResults) -> str:
+    whole = any(has_apparatus(item) for item in run.budget.values())
+    of = (
+        "swings and apparatus together"
+        if whole
+        else "the swings alone, since none is stated of the apparatus"
     )
+    return f"Value ± standard uncertainty of {of}; 95 % where an interval or a bound."
 
 
 def combined_table(results: SessionResults) -> Table | None:
-    """The exact fits of several runs beside each other, and of the series; None where fewer are fitted."""
-    fits = [(number, run) for number, run in enumerate(results.runs, start=1) if FitMethod.EXACT in run.fits]
-    series = {} if results.series is None else results.series.fits.get(FitMethod.EXACT, {})
-    if len(fits) < 2 or not series:
+    """The rows of several runs beside each other, and of the series; None where fewer are fitted."""
+    runs = [(number, run) for number, run in enumerate(results.runs, start=1) if run.table]
+    series = results.series
+    if len(runs) < 2 or series is None or not series.table:
         return None
-    verdicts = series_verdicts(series)
-    energies = [run.surface_energy_j_per_m2 for _, run in fits]
-    together = results.series.surface_energy_j_per_m2 if results.series is not None else None
     rows: list[list[Cell]] = []
     shown = []
-    for name in DEFAULT_LAW.names():
-        estimates = [run.fits[FitMethod.EXACT].parameters.get(name) for _, run in fits]
-        item = series.get(name)
-        if item is None or not any(estimates):
-            continue
-        whole = Estimate(item.value, item.standard_uncertainty)
-        rows.append([name, *(number for found in (*estimates, whole) for number in found or NOT_DETERMINED)])
-        texts = [
-            "" if found is None else determined_text(name, found, run.verdicts())
-            for found, (_, run) in zip(estimates, fits, strict=True)
-        ]
-        shown.append(
-            [quantity(name).symbol, *texts, determined_text(name, whole, verdicts), quantity(name).unit]
-        )
-    if together is not None and all(energies):
-        name = "surface_energy_table2_j_per_m2"
-        found = [*(energy.table2 for energy in energies if energy is not None), together.table2]
-        rows.append([name, *(number for estimate in found for number in estimate)])
-        known = [*(run.verdicts() for _, run in fits), verdicts]
-        texts = [determined_text(name, one, judged) for one, judged in zip(found, known, strict=True)]
-        shown.append([quantity(name).symbol, *texts, quantity(name).unit])
-    heads = [f"run {number}" for number, _ in fits]
+    for whole in series.table:
+        found = [run.rows.get(whole.quantity) for _, run in runs] + [whole]
+        rows.append([whole.quantity, *(number for row in found for number in (row or (nan, nan)))])
+        texts = ["" if row is None else row.text for row in found]
+        shown.append([whole.shown.symbol, *texts, whole.shown.unit])
+    heads = [f"run {number}" for number, _ in runs]
     return Table(
         "combined", "Parameters of the contact, exact fits",
-        ("parameter", *(column for head in (*heads, "together") for column in (head, f"u_{head}"))), rows,
+        ("parameter", *(column for head in (*heads, "together") for column in (head, f"u_total_{head}"))),
+        rows,
         ("", *heads, "together", "unit"), shown,
-        "Value ± standard uncertainty of the swings; together, also of what scatters between the runs.",
+        f"{_of_whole(runs[0][1])} Together, also of what scatters between the runs.",
     )  # fmt: skip
 
 

@@ -1,25 +1,18 @@
-"""The result that is looked for first, with its whole uncertainty and what dominates it."""
+"""What dominates a result's uncertainty, and what is said first of a drag."""
 
 from collections.abc import Mapping
 
-from processing.estimate import Determinacy
-from processing.fit import Budget, Determination, Drag
+from processing.fit import Budget, Drag
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
 from rig.presentation import SOURCES, quantity, signed_percent
 
-SURFACE_ENERGY = "surface_energy_table2_j_per_m2"
 _LARGE = 0.25
 """Share of the variance from which on a source is named; the largest one always is."""
 
 
-def budget_of(
-    name: str, budget: Mapping[str, Budget], verdicts: Mapping[str, Determination]
-) -> Budget | None:
-    """The budget of a quantity that the data determine, if the apparatus has a part in it; else None."""
-    item = budget.get(name)
-    verdict = verdicts.get("c" if name == SURFACE_ENERGY else name)
-    if item is None or (verdict is not None and verdict.verdict is not Determinacy.DETERMINED):
-        return None
-    return item if any(line.type == "B" and line.share > 0 for line in item.sources) else None
+def has_apparatus(item: Budget | None) -> bool:
+    """Whether the apparatus has a part in a budget."""
+    return item is not None and any(line.type == "B" and line.share > 0 for line in item.sources)
 
 
 def dominant_text(item: Budget) -> str:
@@ -29,7 +22,7 @@ def dominant_text(item: Budget) -> str:
     return ", ".join(f"{SOURCES.get(line.source, line.source)} {100 * line.share:.0f} %" for line in named)
 
 
-def drag_headline(drag: Drag | None, verdicts: Mapping[str, Determination], *, fitted: bool) -> str:
+def drag_headline(drag: Drag | None, rows: Mapping[str, ResultRow], *, fitted: bool) -> str:
     """A drag that is seen, or that the fit has none; empty otherwise."""
     shown = quantity("drag_s")
     if not fitted:
@@ -39,26 +32,25 @@ def drag_headline(drag: Drag | None, verdicts: Mapping[str, Determination], *, f
         return f"{text}."
     if drag is None or not drag.significant:
         return ""
-    seen = f"The drag of the air is seen, {shown.text(*drag.drag_s)} s"
-    shifts = shifts_by_drag(drag, verdicts)
+    row = rows.get("drag_s")
+    seen = f"The drag of the air is seen, {shown.text(*drag.drag_s) if row is None else row.text} s"
+    shifts = shifts_by_drag(drag, rows)
     return f"{seen}; without it b would differ by {shifts['b']}." if "b" in shifts else f"{seen}."
 
 
-def shifts_by_drag(drag: Drag, verdicts: Mapping[str, Determination]) -> dict[str, str]:
+def shifts_by_drag(drag: Drag, rows: Mapping[str, ResultRow]) -> dict[str, str]:
     """What the drag does to b and c; of one that is not determined, a change in per cent says nothing."""
     return {
         name: signed_percent(shift)
         for name, shift in (("b", drag.relative_shift_b), ("c", drag.relative_shift_c))
-        if name not in verdicts or verdicts[name].verdict is Determinacy.DETERMINED
+        if name not in rows or rows[name].determined
     }
 
 
-def headline(budget: Mapping[str, Budget], verdicts: Mapping[str, Determination]) -> str:
+def headline(rows: Mapping[str, ResultRow], budget: Mapping[str, Budget]) -> str:
     """The surface energy with the whole budget, and what dominates; empty without a type B uncertainty."""
-    item = budget_of(SURFACE_ENERGY, budget, verdicts)
-    if item is None:
+    row, item = rows.get(SURFACE_ENERGY), budget.get(SURFACE_ENERGY)
+    if row is None or item is None or not (row.determined and has_apparatus(item)):
         return ""
-    shown = quantity(SURFACE_ENERGY)
-    text = f"{shown.symbol} = {shown.text(item.value, item.standard_uncertainty)} {shown.unit}"
     sources = f"main sources of its variance: {dominant_text(item)}"
-    return f"{text} with the whole budget, swings and apparatus; {sources}."
+    return f"{row.equation} with the whole budget, swings and apparatus; {sources}."

@@ -4,10 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 from processing.contact.laws import DEFAULT_LAW
-from processing.estimate import Determinacy
-from processing.fit import Budget, FitMethod
-from rig.analysis.headline import SURFACE_ENERGY, budget_of
-from rig.analysis.results import RunResults
+from rig.analysis.headline import has_apparatus
+from rig.analysis.result_rows import SURFACE_ENERGY, named
+from rig.analysis.results import RunResults, Series
 from rig.presentation import SOURCES, quantity
 
 _SHOWN_SHARE = 0.02
@@ -54,29 +53,26 @@ class WholeResult(NamedTuple):
         return [_DO.get(one.source, f"determine {one.name} more accurately") for one in large]
 
 
-def whole_result(run: RunResults, of_series: Mapping[str, Budget] | None = None) -> WholeResult:
+def whole_result(run: RunResults, series: Series | None = None) -> WholeResult:
     """The surface energy, else the first parameter of the law that the data determine.
 
-    `of_series` is the budget of a series of runs, which is taken instead of the run's own.
+    Of a `series` with a table of its own its rows are taken instead of the run's.
     """
     if run.instrument is not None:
         return WholeResult(run.instrument.text[0] if run.instrument.text else "", "the swings")
-    exact, verdicts = run.fits.get(FitMethod.EXACT), run.verdicts()
-    if exact is None or not exact.parameters:
+    found = series if series is not None and series.table else run
+    if not found.table:
         return WholeResult()
-    budget = of_series or run.budget
-    for name in (SURFACE_ENERGY, *DEFAULT_LAW.names(drag=False)):
-        item = budget_of(name, budget, verdicts)
-        if item is not None:
-            shown = quantity(name)
-            text = f"{shown.symbol} = {shown.text(item.value, item.standard_uncertainty)} {shown.unit}"
-            sources = sorted(item.sources, key=lambda line: -line.share)
-            limits = [Limit(one.source, one.share) for one in sources if one.share >= _SHOWN_SHARE]
-            return WholeResult(text.rstrip(), "the whole budget, swings and apparatus", limits, shown.symbol)
-    for name in DEFAULT_LAW.names(drag=False):
-        verdict = verdicts.get(name)
-        if name in exact.parameters and (verdict is None or verdict.verdict is Determinacy.DETERMINED):
-            shown = quantity(name)
-            text = f"{shown.symbol} = {shown.text(*exact.parameters[name])} {shown.unit}"
-            return WholeResult(text.rstrip(), "the swings alone", [Limit("swings", 1.0)], shown.symbol)
-    return WholeResult("No parameter is determined", "", [Limit("swings", 1.0)])
+    rows = found.rows
+    names = (name for name in (SURFACE_ENERGY, *DEFAULT_LAW.names(drag=False)) if name in rows)
+    row = next((rows[name] for name in names if rows[name].determined), None)
+    if row is None:
+        return WholeResult("No parameter is determined", "", [Limit("swings", 1.0)])
+    item = found.budget.get(row.quantity)
+    symbol = quantity(row.quantity).symbol
+    text = row.equation.replace(symbol, named(row.quantity).partition(" / ")[0], 1)
+    if item is None or not has_apparatus(item):
+        return WholeResult(text, "the swings alone", [Limit("swings", 1.0)], symbol)
+    sources = sorted(item.sources, key=lambda line: -line.share)
+    limits = [Limit(one.source, one.share) for one in sources if one.share >= _SHOWN_SHARE]
+    return WholeResult(text, "the whole budget, swings and apparatus", limits, symbol)

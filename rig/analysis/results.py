@@ -10,18 +10,18 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 from acquisition.frame_losses import FrameLosses
-from processing.contact import HertzContact, SurfaceEnergy
 from processing.estimate import NOT_DETERMINED, Estimate
-from processing.fit import Budget, Combined, Determination, Disagreement, Drag, WitnessUse, Work
+from processing.fit import Budget, Combined, Disagreement, Drag, WitnessUse, Work
 from processing.quantity import STATED, Quantity
 from processing.surroundings import Surroundings
 from processing.swing import KnownMotion
 from rig.analysis.amplitude_damping import AmplitudeDamping
 from rig.analysis.beam import Beam
-from rig.analysis.contact_results import Adhesion, Fit, MonteCarlo, SurfaceEnergies
+from rig.analysis.contact_results import Adhesion, Fit
 from rig.analysis.encoding import Beside, Entries, JsonObject, Kept, Pendulum, Section
 from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
 from rig.analysis.law_results import ComparedLaws
+from rig.analysis.result_rows import ResultRow, WithRows
 from rig.analysis.run_clock import RunClock
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
@@ -32,8 +32,8 @@ _Run = TypeVar("_Run")
 _IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitude_unit")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunResults:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class RunResults(WithRows):
     """Results of one run; `problem` says in one line why a fit is missing.
 
     `record` is relative to the folder of the file where possible. `sha256` is its hash, `inputs_sha256` those
@@ -43,7 +43,7 @@ class RunResults:
     `measured_again_on` is the motion on which the fitted turning points were measured again (see
     `processing.fit.remeasure`); None: they are as detected. `position_errors` were subtracted from the
     deflections before that; None if the run shows none. `laws` compares several laws, if requested.
-    `adhesion` is the contact spot with adhesion, if c is seen and the spot's radius is Hertz's.
+    `adhesion` is the contact spot with adhesion, if c is determined and the spot's radius is Hertz's.
     `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px for a record without a
     lever; those in arcsec are then not determined. `ended` is why the run ended, as its record says. `clock`
     compares the camera's clock with the computer's; None for frames made on demand.
@@ -72,20 +72,17 @@ class RunResults:
     final_amplitude: Annotated[float, _IN_AMPLITUDE_UNIT] = nan
     initial_amplitude_arcsec: float = nan
     final_amplitude_arcsec: float = nan
+    table: tuple[ResultRow, ...] = ()
     fits: Mapping[str, Annotated[Fit, Beside("parameters")]] = field(default_factory=dict)
-    surface_energy_j_per_m2: Annotated[Annotated[SurfaceEnergies, Beside("others")] | None, Section] = None
     problem: str = ""
     warnings: tuple[str, ...] = ()
     settings: JsonObject = field(default_factory=dict)
     calibration: JsonObject = field(default_factory=dict)
     pendulum: Annotated[Pendulum | None, Kept] = None
-    hertz: Annotated[HertzContact | None, Section] = None
     adhesion: Adhesion | None = None
     drag: Annotated[Drag | None, Section] = None
-    identifiability: tuple[Determination, ...] = ()
     strong_correlations: tuple[tuple[str, str, float], ...] = ()
     budget: Mapping[str, Budget] = field(default_factory=dict)
-    monte_carlo: Annotated[MonteCarlo | None, Section] = None
     work_per_cycle: tuple[Work, ...] = ()
     notes: tuple[str, ...] = ()
     instrument: InstrumentResults | None = None
@@ -116,9 +113,14 @@ class RunResults:
             return f"{self.half_cycles} half-cycles{before_amplitudes}{text}"
         return f"{self.half_cycles} half-cycles{before_amplitudes}{first:.2f} to {last:.2f} {unit}"
 
-    def verdicts(self) -> dict[str, Determination]:
-        """By parameter, whether the data determine it."""
-        return {item.name: item for item in self.identifiability}
+    def _table(self) -> Sequence[ResultRow]:
+        return self.table
+
+    def __repr__(self) -> str:
+        unit = self.amplitude_unit or ""
+        return self._summary(
+            f"run {self.record}: {self.half_cycles_text(unit)}{self.problem and '; '}{self.problem}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +133,7 @@ class AveragedCurves:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Series:
+class Series(WithRows):
     """A series of runs: each fit's parameters combined, in `fits` by the fit's name.
 
     `combined_runs` are the numbers of the runs that could be fitted, counted from 1 among all, in the order
@@ -140,29 +142,43 @@ class Series:
 
     runs: int = 0
     combined_runs: tuple[int, ...] = ()
+    table: tuple[ResultRow, ...] = ()
     fits: Annotated[Mapping[str, Mapping[str, Combined]], Entries] = field(default_factory=dict)
-    surface_energy_j_per_m2: Annotated[SurfaceEnergy | None, Section] = None
     budget: Mapping[str, Budget] = field(default_factory=dict)
     disagreements: tuple[Disagreement, ...] = ()
     averaged_curves: Annotated[Annotated[AveragedCurves, Beside("parameters")] | None, Section] = None
     problems: tuple[str, ...] = ()
     instrument: InstrumentSeries | None = None
 
+    def _table(self) -> Sequence[ResultRow]:
+        return self.table
+
     def combined(self, runs: Sequence[_Run]) -> Sequence[_Run]:
         """Those of all runs that are combined."""
         return [runs[number - 1] for number in self.combined_runs] or runs
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SessionResults:
-    """results.json of one or more records."""
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class SessionResults(WithRows):
+    """results.json of one or more records.
+
+    By name it has the rows of its series, or of its one run: ``results["b"]``.
+    """
 
     schema: int = SCHEMA
     runs: tuple[RunResults, ...]
     series: Annotated[Annotated[Series, Beside("fits")] | None, Section] = None
 
+    def _table(self) -> Sequence[ResultRow]:
+        if self.series is not None and self.series.table:
+            return self.series.table
+        return next((run.table for run in self.runs if run.table), ())
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+    def __repr__(self) -> str:
+        return self._summary("\n".join(repr(run).partition("\n")[0] for run in self.runs))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class TableDecay(RunResults):
     """One decay of a table, with the results of a run of the rig.
 
@@ -183,7 +199,7 @@ class TableDecay(RunResults):
         return f"{Path(self.record).stem}{f'-run-{self.run}' if self.run else ''}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class TableResults(TableDecay):
     """results.json of a table of positions of any instrument.
 

@@ -8,7 +8,7 @@ from processing.fit import FitMethod
 from rig.analysis.compared_laws import law_table
 from rig.analysis.decay_values import decay_lines
 from rig.analysis.fit_remarks import brief_remarks, remarks
-from rig.analysis.fit_tables import combined_table, parameter_table, quality_table, whole_table
+from rig.analysis.fit_tables import combined_table, parameter_table, quality_table
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import encoded
 from rig.analysis.waveform_results import waveform_table
@@ -60,11 +60,8 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
     if run.problem:
         print_line(f"  contact laws not fitted: {run.problem}")
     if run.fits and not short:
-        whole = whole_table(run)
-        tables = [whole] if whole.rows else []
-        if full or not tables:
-            tables.append(parameter_table(run.fits, run.surface_energy_j_per_m2, run.verdicts()))
-        print_tables([*tables, quality_table(run.fits)] if full else tables)
+        parameters = parameter_table(run, full=full)
+        print_tables([parameters, quality_table(run.fits)] if full else [parameters])
     if run.laws is not None:
         print_tables([law_table(run.laws), waveform_table(run.laws)])
         print_line(f"  {run.laws.verdict}")

@@ -81,7 +81,7 @@ def analyse_swings(
     settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
     points = points_in_true_time(settled.swings, clock_rate)
     if followed.problem:
-        decay = DecayFits({}, None, followed.problem)
+        decay = DecayFits({}, followed.problem)
     elif unit is DeflectionUnit.RAD:
         evidence = evidence_of(drag, settled.harmonics)
         believed = believed_drifts(config, air) if config.fit.drifts else None
@@ -98,7 +98,7 @@ def analyse_swings(
         points = points if decay.points is None else decay.points
     else:
         decay = DecayFits(
-            {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
+            {}, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
         )
     ratio = deflections.fast_ratio()
     across = why_no_half_cycles(path.name, ratio, len(points), config.axes)
@@ -109,7 +109,6 @@ def analyse_swings(
         measured_again_on=settled.motion,
         position_errors=errors,
         fits={name: fit_results(fit, config.pendulum) for name, fit in decay.fits.items()},
-        surface_energy_j_per_m2=decay.surface_energy,
         problem=across or decay.problem,
         warnings=tuple(dict.fromkeys([*_fit_warnings(decay.fits), *filter(None, [settled.doubt])])),
         settings=config.fit.model_dump(),
@@ -126,10 +125,9 @@ def analyse_swings(
     if rig is not None and not config.fit.drifts:
         rig = replace(rig, ageing=believed.ageing, period_drift=believed.period)
     if decay.fits and pendulum is not None:
-        seed = int(results.sha256[:12], 16)
         exact = decay.fits[FitMethod.EXACT]
         results = evaluate(
-            results, points, pendulum, exact, rig, seed, plane_errors=followed.amplitude_errors(points)
+            results, points, pendulum, exact, rig, plane_errors=followed.amplitude_errors(points)
         )
         if results.drag is not None:
             results = replace(results, drag=replace(results.drag, of_air=of_air))

@@ -272,11 +272,8 @@ def _analyse(
             *doubts_of(found),
             *strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config),
         )
-    if config is not None and config.lever is None and run.budget:
-        values["notes"] = (
-            *values["notes"],
-            "the budget takes the table's angles as exact; [lever] u_arm_m states the u of their scale",
-        )
+    if config is not None and run.budget:
+        values["notes"] = (*values["notes"], *_taken_as_exact(config))
     results = TableDecay(
         **values,
         began_s=seconds(unflagged[0]),
@@ -295,6 +292,21 @@ def _in_both(
         return samples
     u_x = np.full(len(x), max(noise, estimate_noise(times_ns, x)))
     return replace(samples, x=x, u_x=u_x)
+
+
+def _taken_as_exact(config: Configuration) -> list[str]:
+    """What the budget of a table assumes to be without error: the scale of its angles, that of its times."""
+    lines = []
+    if config.lever is None:
+        lines.append(
+            "the budget takes the table's angles as exact; [lever] u_arm_m states the u of their scale"
+        )
+    if config.timebase is None or config.timebase.u_camera_rate == 0:
+        lines.append(
+            "the budget takes the table's times as exact; [timebase] u_camera_rate states the relative u of "
+            "their second (a clock that nobody compared may be off by 50 ppm: 5e-5)"
+        )
+    return lines
 
 
 def _direction_warning(

@@ -29,6 +29,11 @@ def _estimated(names: Iterable[str]) -> dict[str, str]:
     return {column: "double" for name in names for column in (name, f"u_{name}")}
 
 
+def of_row(name: str) -> tuple[str, ...]:
+    """The columns of a row of the table of results: value, u, u_total, and both ends of the interval."""
+    return (name, f"u_{name}", f"u_total_{name}", f"lower_{name}", f"upper_{name}")
+
+
 COLUMNS: Final[Mapping[str, str]] = {
     **_typed("""
         sha256 varchar, session varchar, run varchar, folder varchar, record varchar, record_bytes bigint,
@@ -41,11 +46,12 @@ COLUMNS: Final[Mapping[str, str]] = {
         amplitude_unit varchar, initial_amplitude double, final_amplitude double,
         conditions_met boolean, problem varchar, law varchar
     """),
-    **_estimated(PARAMETERS),
-    **{f"verdict_{name}": "varchar" for name in PARAMETERS[:-1]},
-    **{f"u_total_{name}": "double" for name in PARAMETERS[:-1]},
+    **{column: "double" for name in PARAMETERS for column in of_row(name)},
+    **{f"verdict_{name}": "varchar" for name in PARAMETERS},
     **_typed("witness varchar, witness_explained double, chi2_per_dof double, degrees_of_freedom bigint"),
-    **_estimated(("mean_period_s", *DERIVED)),
+    **_estimated(("mean_period_s",)),
+    **{column: "double" for name in DERIVED for column in of_row(name)},
+    **{f"verdict_{name}": "varchar" for name in DERIVED},
     **_typed("mass_kg double, ball_radius_m double, instrument varchar"),
     **_estimated(OF_INSTRUMENTS),
 }

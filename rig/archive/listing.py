@@ -11,8 +11,9 @@ from typing import Any
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Determinacy
+from rig.analysis import ResultRow
 from rig.archive.catalogue import duckdb_module, reading
-from rig.archive.columns import IMPORTANT, IS_SIMULATED, SHOWN
+from rig.archive.columns import COLUMNS, IMPORTANT, IS_SIMULATED, SHOWN, of_row
 from rig.presentation import (
     NOT_KNOWN,
     Cell,
@@ -24,16 +25,22 @@ from rig.presentation import (
     with_uncertainty,
 )
 
-_DOUBT = " ?"
 _SIMULATED = "SIMULATED: "
 _WIDE = 150
 """Characters of a line that hold all columns of `SHOWN`; a narrower terminal shows `IMPORTANT` alone."""
 _ID = "left(sha256, 8) as id"
 _PARAMETERS = ("b", "p", "c", "n")
 _SAMPLE = f"case when {IS_SIMULATED} then '{_SIMULATED}' else '' end || coalesce(sample, '') as sample"
+
+
+def _beside(names: Sequence[str]) -> list[str]:
+    """The columns that stand with quantities in one cell of the screen."""
+    return [column for name in names for column in (*of_row(name)[1:], f"verdict_{name}")]
+
+
 _FOUND = (
     f"{_ID}, began_utc, folder, run, {_SAMPLE}, operator, state, "
-    "b, p, c, u_b, u_p, u_c, verdict_b, verdict_p, verdict_c"
+    f"b, p, c, {', '.join(_beside(('b', 'p', 'c')))}"
 )
 _SEARCHED = (
     "lower(concat_ws(' ', strftime(began_utc, '%Y-%m-%d %H:%M:%S'), folder, run, sample, operator, state, "
@@ -54,7 +61,7 @@ def list_runs(
     on_screen = not json_lines and output is None
     shown = IMPORTANT if on_screen and screen_width() < _WIDE else SHOWN
     usual = f"{_ID}, {', '.join(shown)}" + ("" if on_screen else ", camera")
-    usual += "".join(f", u_{name}, verdict_{name}" for name in _PARAMETERS if name in shown)
+    usual += "".join(f", {name}" for name in _beside([each for each in _PARAMETERS if each in shown]))
     if on_screen:
         usual = usual.replace(" sample,", f" {_SAMPLE},")
     names, rows = selected(archive, columns if columns.strip() else usual, condition)
@@ -84,9 +91,9 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
         row = dict(zip(columns, values, strict=True))
         title = f"{_SIMULATED if row.pop('simulated') else ''}{Path(row['folder']) / row['record']}"
         texts = [
-            (name, _text(value, row.get(f"u_{name}")))
+            (name, _shown(name, row))
             for name, value in row.items()
-            if value not in (None, "") and not name.startswith("u_")
+            if (value not in (None, "") or row.get(f"verdict_{name}")) and name not in _NUMBERS
         ]
         print_tables([Table(row["sha256"][:8], title, (), (), ("", ""), texts, "")])
 
@@ -157,37 +164,34 @@ def _named(archive: Path, name: str) -> list[str]:
 
 
 def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
-    """For the screen values with uncertainty and doubt in one cell, for the file each in its own."""
+    """For the screen values with whole uncertainty, or bounds, in one cell; for the file each in its own."""
     found = [dict(zip(names, row, strict=True)) for row in rows]
-    beside = {f"{kind}_{name}" for name in names for kind in ("u", "verdict")}
-    head = [name for name in names if name not in beside]
+    head = [name for name in names if name not in _NUMBERS or _PREFIX.sub("", name, count=1) not in names]
     shown = [[_shown(name, row) for name in head] for row in found]
     cells = [[_cell(value) for value in row] for row in rows]
-    summary = f"{len(rows)} run{'s' if len(rows) != 1 else ''}"
-    if any(_is_doubtful(name, row) for name in head for row in found):
-        summary += f"; {_DOUBT.strip()}: the run's data do not determine it; its report gives bounds"
-    return Table("runs", "", names, cells, head, shown, summary)
+    return Table("runs", "", names, cells, head, shown, f"{len(rows)} run{'s' if len(rows) != 1 else ''}")
 
 
-def _is_doubtful(name: str, row: Mapping[str, Any]) -> bool:
-    return row[name] is not None and row.get(f"verdict_{name}") not in (None, Determinacy.DETERMINED)
+_PREFIX = re.compile("(u_total|u|lower|upper|verdict)_")
+_NUMBERS = [name for name in COLUMNS if _PREFIX.match(name)]
+"""Columns that are shown with the quantity to which they belong."""
 
 
 def _shown(name: str, row: Mapping[str, Any]) -> str:
     value = row[name]
     if value is None:
-        return NOT_KNOWN
-    if f"u_{name}" in row:
-        return _text(value, row[f"u_{name}"]) + (_DOUBT if _is_doubtful(name, row) else "")
+        verdict, ends = row.get(f"verdict_{name}"), [row.get(f"{end}_{name}") for end in ("lower", "upper")]
+        if not verdict or not any(ends):
+            return NOT_KNOWN
+        lower, upper = (nan if end is None else end for end in ends)
+        bound = ResultRow(quantity=name, verdict=Determinacy(verdict), lower=lower, upper=upper)
+        return bound.scaled_text(1.0)
     if isinstance(value, datetime.datetime):
         return f"{value:%Y-%m-%d %H:%M}"
-    return plain(value, 5) if isinstance(value, float) else str(value)
-
-
-def _text(value: Any, u: float | None) -> str:
-    if isinstance(value, float):
-        return plain(value, 6) if u is None else with_uncertainty(value, u)
-    return str(value)
+    if not isinstance(value, float):
+        return str(value)
+    u = row.get(f"u_total_{name}", row.get(f"u_{name}"))
+    return plain(value, 5) if u is None else with_uncertainty(value, u)
 
 
 def _cell(value: Any) -> Cell:

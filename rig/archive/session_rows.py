@@ -17,7 +17,7 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.ticks import seconds
 from rig.analysis import RunResults, TableDecay, read_results, recorded_surroundings, results_path
-from rig.archive.columns import DERIVED, OF_INSTRUMENTS, PARAMETERS
+from rig.archive.columns import DERIVED, OF_INSTRUMENTS, PARAMETERS, of_row
 
 Row = dict[str, Any]
 
@@ -156,23 +156,16 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
         yield "law", fit.law
         yield "chi2_per_dof", _number(fit.chi2_per_dof)
         yield "degrees_of_freedom", fit.degrees_of_freedom
-        for name in PARAMETERS:
-            yield from _estimate(name, fit.estimate(name))
         yield from _estimate("mean_period_s", fit.mean_period_s)
     if run.witness is not None:
         yield "witness", run.witness.verdict.value
         yield "witness_explained", _number(run.witness.explained)
-    for name, item in run.verdicts().items():
-        yield f"verdict_{name}", item.verdict.value
-    for name, budget in run.budget.items():
-        yield f"u_total_{name}", _number(budget.standard_uncertainty)
-        if name in DERIVED:
-            yield from _estimate(name, Estimate(budget.value, budget.standard_uncertainty))
-    if run.surface_energy_j_per_m2 is not None:
-        yield from _estimate("surface_energy_table2_j_per_m2", run.surface_energy_j_per_m2.table2)
-        yield from _estimate("surface_energy_eq2_j_per_m2", run.surface_energy_j_per_m2.eq2)
-    if run.hertz is not None:
-        yield from _estimate("contact_radius_m", run.hertz.radius_m)
+    for row in run.table:
+        name = row.quantity
+        if name in PARAMETERS or name in DERIVED:
+            numbers = (row.value, row.u, row.u_total, row.lower, row.upper)
+            yield from zip(of_row(name), map(_number, numbers), strict=False)
+            yield f"verdict_{name}", row.verdict.value
     if run.instrument is not None:
         yield "instrument", run.instrument.kind
         for name in OF_INSTRUMENTS:

@@ -43,19 +43,30 @@ from rig.campaigns.results import (
     likelihood_tree,
 )
 from rig.campaigns.stated import StatedCampaign, StatedEffect, model_of, names_of, refuse_other_contacts
+from rig.presentation import quantity
 
 _BAD = 0.5
 _FEW = 0.05
 """Part of the draws that must count."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Campaign:
     """The answer, and what figures and tables are drawn from beside it."""
 
     results: CampaignResults
     posterior: CampaignPosterior
     stated: StatedCampaign
+
+    def __repr__(self) -> str:
+        lines = ["campaign"]
+        for contact, values in self.results.contacts.items():
+            lines += [
+                f"  {contact}: {quantity(name).symbol} = "
+                f"{quantity(name).text(one.value, one.standard_uncertainty)} {quantity(name).unit}".rstrip()
+                for name, one in values.items()
+            ]
+        return "\n".join(lines)
 
 
 def answer_of(

@@ -8,7 +8,9 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.campaign import CampaignPosterior, Level, parameters
+from processing.contact import surface_energy
 from processing.estimate import NOT_DETERMINED, Estimate
+from processing.fit import FitMethod
 from rig.analysis import RunResults
 from rig.campaigns.likelihoods import FoundRun
 from rig.campaigns.results import CampaignValue
@@ -97,14 +99,16 @@ def energy_draws(found: CampaignPosterior, c: Floats, runs: Sequence[RunResults]
     ratios: list[float] = []
     moved: dict[str, list[float]] = {}
     for run in runs:
-        energy, of_c = run.budget.get(ENERGY), run.budget.get("c")
-        if energy is None or of_c is None or not energy.value * of_c.value > 0:
+        energy, of_c, pendulum = run.budget.get(ENERGY), run.budget.get("c"), run.pendulum
+        c_of_run = run.fits[FitMethod.EXACT].estimate("c").value
+        if energy is None or of_c is None or pendulum is None or c_of_run == 0:
             continue
-        ratios.append(energy.value / of_c.value)
-        for budget, sign in ((energy, 1.0), (of_c, -1.0)):
+        ratio = surface_energy(Estimate(1.0, 0.0), pendulum).table2.value
+        ratios.append(ratio)
+        for budget, value in ((energy, ratio * c_of_run), (of_c, -c_of_run)):
             for one in budget.sources:
                 if isfinite(one.sensitivity):
-                    part = sign * one.sensitivity * one.u_source / budget.value
+                    part = one.sensitivity * one.u_source / value
                     moved.setdefault(one.source, []).append(part)
     if not ratios:
         return None

@@ -16,8 +16,8 @@ from processing.campaign import POSITIVE, Bound, CompressedRun, Side, to_coordin
 from processing.contact import DRAG
 from processing.contact.laws import AMPLITUDE, DEFAULT_LAW
 from processing.estimate import Determinacy, Estimate
-from processing.fit import Determination, FitMethod
-from rig.analysis import Fit, RunResults
+from processing.fit import FitMethod
+from rig.analysis import Fit, ResultRow, RunResults
 from rig.campaigns.stated import SURROUNDING_COVARIATES
 
 _AIR, _MISFIT, _AGEING, _PERIOD_DRIFT = "air", "misfit", "ageing", "period_drift"
@@ -48,15 +48,15 @@ def compressed(
     fit = run.fits.get(FitMethod.EXACT)
     if fit is None:
         return None, f"{found.label}: left out: {run.problem or 'it has no exact fit'}"
-    verdicts, names, bounds = run.verdicts(), [], {}
+    rows, names, bounds = run.rows, [], {}
     for name in (*DEFAULT_LAW.names(), DRAG.key):
         value, u = fit.estimate(name)
         if not isfinite(value):
             continue
-        bound = _bound(name, value, u, verdicts.get(name))
+        bound = _bound(name, value, u, rows.get(name))
         if bound is not None:
             bounds[name] = bound
-        elif 0 < u < inf and _is_told(verdicts.get(name)):
+        elif 0 < u < inf and _is_told(rows.get(name)):
             names.append(name)
     # b and gamma are independent of their exponents only beside them
     names = [
@@ -86,7 +86,7 @@ def compressed(
             values=at.values,
             covariance=0.5 * (own + own.T),
             shared=shared,
-            asymmetry=_asymmetry(names, verdicts),
+            asymmetry=_asymmetry(fit, names, rows),
             bounds=bounds,
             covariates=_covariates(run, fit, u_covariates),
             by_growth=by_growth,
@@ -96,19 +96,19 @@ def compressed(
     )
 
 
-def _is_told(verdict: Determination | None) -> bool:
-    return verdict is None or verdict.verdict in (Determinacy.DETERMINED, Determinacy.INTERVAL)
+def _is_told(row: ResultRow | None) -> bool:
+    return row is None or row.verdict in (Determinacy.DETERMINED, Determinacy.INTERVAL)
 
 
-def _bound(name: str, value: float, u: float, verdict: Determination | None) -> Bound | None:
+def _bound(name: str, value: float, u: float, row: ResultRow | None) -> Bound | None:
     """The limit of a positive parameter that a run only bounds, in its coordinate; not of b and gamma,
     whose coordinates hold other parameters."""
     if name != "c":
         return None
-    if verdict is not None and verdict.verdict is Determinacy.LOWER_BOUND and verdict.lower_95 > 0:
-        return Bound(log(verdict.lower_95), Side.LOWER, 0.3)
-    upper = verdict.upper_95 if verdict is not None and isfinite(verdict.upper_95) else value + 2 * u
-    only = not _is_told(verdict) or value <= 0 or (verdict is None and u > _WELL * value)
+    if row is not None and row.verdict is Determinacy.LOWER_BOUND and row.lower > 0:
+        return Bound(log(row.lower), Side.LOWER, 0.3)
+    upper = row.upper if row is not None and isfinite(row.upper) else value + 2 * u
+    only = not _is_told(row) or value <= 0 or (row is None and u > _WELL * value)
     if not only or not 0 < upper < inf:
         return None
     # the likelihood falls from one u below the limit on: its half is at the value plus one u
@@ -171,7 +171,11 @@ def _shared(run: RunResults, names: Sequence[str], to: Floats) -> tuple[dict[str
     fit, budget = run.fits[FitMethod.EXACT], run.budget.get(DRAG.key)
     of_air = 0.0
     if budget is not None:
-        of_air = next((one.contribution for one in budget.sources if one.source == _AIR), 0.0)
+        shares = {one.source: one.share for one in budget.sources if one.type == "A" or one.source == _AIR}
+        if shares.get(_AIR, 0.0) > 0:
+            of_air = (
+                fit.estimate(DRAG.key).standard_uncertainty * (shares[_AIR] / sum(shares.values())) ** 0.5
+            )
     if of_air > 0 and DRAG.key in names:
         covariance = _covariance(fit, names)
         drag = names.index(DRAG.key)
@@ -188,8 +192,8 @@ def _less_misfit(
     for place, name in enumerate(names):
         budget = run.budget.get(name)
         sources = () if budget is None else budget.sources
-        part = sum(one.contribution**2 for one in sources if one.source == _MISFIT)
-        whole = sum(one.contribution**2 for one in sources if one.type == "A" or one.source == _AIR)
+        part = sum(one.share for one in sources if one.source == _MISFIT)
+        whole = sum(one.share for one in sources if one.type == "A" or one.source == _AIR)
         if part > 0 and isfinite(whole):
             share = min(part / whole, _MOST_SHARED)
             keep[place] = (1 - share) ** 0.5
@@ -199,14 +203,14 @@ def _less_misfit(
     return own * np.outer(keep, keep), shared
 
 
-def _asymmetry(names: Sequence[str], verdicts: Mapping[str, Determination]) -> dict[str, float]:
+def _asymmetry(fit: Fit, names: Sequence[str], rows: Mapping[str, ResultRow]) -> dict[str, float]:
     """Of profiles whose ends lie unevenly about the value, in coordinates that are the parameter's own."""
     found = {}
     for name in names:
-        verdict = verdicts.get(name)
-        if verdict is None or not verdict.profile_likelihood or name in ("b", "gamma_pa"):
+        row = rows.get(name)
+        if row is None or not row.by_profile or name in ("b", "gamma_pa"):
             continue
-        ends = np.array([verdict.lower_95, verdict.value, verdict.upper_95])
+        ends = np.array([row.lower, fit.estimate(name).value, row.upper])
         if not np.all(np.isfinite(ends)) or (name in POSITIVE and ends[0] <= 0):
             continue
         low, high = np.diff(np.log(ends) if name in POSITIVE else ends)

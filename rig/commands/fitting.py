@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from acquisition.record import records_in
 from processing.errors import ConfigurationError
 from rig.commands.arguments import ResultsFolder, Set
 from rig.commands.films import table_report
-from rig.commands.inputs import recorded, records_in, there
+from rig.commands.inputs import recorded, there
 from rig.commands.json_answers import in_json
 
 if TYPE_CHECKING:
@@ -184,6 +185,7 @@ def fit_records(
         session_results,
         write_results,
     )
+    from rig.presentation import say
 
     compared = chosen_laws(laws) if laws else ()
     refuse_copies(paths)
@@ -197,6 +199,11 @@ def fit_records(
     target = free_path(folder) if output is None else folder / RESULTS_NAME
     write_results(target, results)
     print_results(results, [("results", target)])
+    if target.name != RESULTS_NAME:
+        say(
+            f"{target.name} is the newest of {folder} now, and report, export, compare and replay take it; "
+            f"earlier results stay, to be named ({folder / RESULTS_NAME}); -o FOLDER writes elsewhere"
+        )
     return 1 if any(run.problem for run in results.runs) else 0
 
 

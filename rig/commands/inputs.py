@@ -4,12 +4,11 @@
 they got, or raise ConfigurationError.
 """
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from acquisition.record import records_of, recovered_beside
+from acquisition.record import records_in
 from processing.errors import ConfigurationError
 
 _Given = TypeVar("_Given", Path, list[Path], Path | None, list[Path] | None)
@@ -63,26 +62,13 @@ def with_results(given: _Given) -> _Given:
             raise ConfigurationError(
                 f"{path}: holds no results.json; rig run makes one, and rig fit from records"
             )
+        if any(path.glob("results-*.json")):
+            from rig.analysis import results_path
+            from rig.presentation import say
+
+            newest = results_path(path)
+            say(f"{path}: {newest.name}, the newest of its results, is taken; name others to take them")
     return given
-
-
-def records_in(path: Path) -> list[Path]:
-    """The record itself, or those of a session's folder in their order; instead of one its recovered copy.
-
-    Raises ConfigurationError for a folder without records.
-    """
-    if not path.is_dir():
-        return [path]
-    runs = sorted(
-        (int(found[1]), file)
-        for file in records_of(path, "run-*.mcap")
-        if (found := re.fullmatch(r"run-(\d+)", file.stem))
-    )
-    records = [copy if (copy := recovered_beside(file)).exists() else file for _, file in runs]
-    records = records or records_of(path)
-    if records:
-        return records
-    raise ConfigurationError(f"{path}: holds no record (run-1.mcap, ...); name one, or a session's folder")
 
 
 def one_record(path: Path) -> Path:

@@ -6,9 +6,10 @@ from typing import Annotated, Literal
 
 import typer
 
+from acquisition.record import records_in
 from processing.errors import ConfigurationError
 from rig.commands.arguments import MODES, Config, JsonLines, NewRecord, Record, ResultsFolder, Set, View
-from rig.commands.inputs import one_record, recorded, records_in, there
+from rig.commands.inputs import one_record, recorded, there
 from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without, new_file, output_option
 

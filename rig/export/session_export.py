@@ -18,8 +18,8 @@ Format = Literal["csv", "parquet", "hdf5", "latex"]
 def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     """Export a session's folder, that of a table's results, or one record; returns the files made.
 
-    What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, three
-    files a run, and one with what the runs say together. HDF5: `output` is the file, one NXentry a run and
+    What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, four
+    files a run, and two with what the runs say together. HDF5: `output` is the file, one NXentry a run and
     one for the series. LaTeX: a folder with the tables of the report. Nothing that exists is written over.
 
     Raises RecordError for a source without records, ConfigurationError for a file that exists.
@@ -33,7 +33,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     made = [table_path(output, name, what, suffix) for name in names for what in TABLES]
     if series is not None:
         names.append(SERIES_NAME)
-        made.append(table_path(output, SERIES_NAME, "results", suffix))
+        made += [table_path(output, SERIES_NAME, what, suffix) for what in ("results", "table")]
     if len(set(made)) < len(made) or (kind == "hdf5" and len(set(map(item_name, names))) < len(names)):
         raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
     for path in [output] if kind == "hdf5" else made:

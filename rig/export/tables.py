@@ -3,15 +3,17 @@
 import json
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any, Final, get_type_hints
 
 import pyarrow as pa
 from pyarrow import csv, parquet
 
 from acquisition.record.whole_file import being_written
+from rig.analysis import ResultRow
 from rig.export.run import ExportedResults, ExportedRun, columns_of, flat_results
 from rig.presentation import harmless_line, harmless_text
 
-TABLES = ("spots", "swings", "results")
+TABLES = ("spots", "swings", "results", "table")
 
 
 def write_csv(folder: Path, run: ExportedResults) -> list[Path]:
@@ -78,6 +80,22 @@ def _tables(
                 }
             ),
         )
+        # a list of rows, each an object of the same keys
+        listed: Any = run.results.get("table", [])
+        named = [
+            {key: text_of(cell) if isinstance(cell, str) else cell for key, cell in row.items()}
+            for row in listed
+        ]
+        if named:
+            yield table_path(folder, run.name, "table", suffix), pa.Table.from_pylist(named, schema=_ROWS)
+
+
+_ROWS: Final = pa.schema(
+    [
+        (name, {float: pa.float64(), bool: pa.bool_()}.get(hint, pa.string()))
+        for name, hint in get_type_hints(ResultRow).items()
+    ]
+)
 
 
 def table_path(folder: Path, run: str, what: str, suffix: str) -> Path:

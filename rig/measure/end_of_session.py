@@ -6,18 +6,15 @@ from pathlib import Path
 
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError, RigError
-from processing.fit import FitMethod
 from rig.analysis import (
     Limit,
     RunResults,
     curves_of,
-    determined_text,
     read_results,
     results_path,
     whole_result,
 )
 from rig.measure.session_file import RunState, SessionState, read_session
-from rig.presentation import quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +84,7 @@ def hand_over(folder: Path) -> HandOver:
     except RigError as error:
         return HandOver(folder, ended, went, next_steps=[*steps, str(error)], report=report)
     run = results.runs[-1]
-    found = whole_result(run, None if results.series is None else results.series.budget)
+    found = whole_result(run, results.series)
     headline, of = found.text, found.of
     against = [f"{one.name}: {one.said}" for one in run.conditions if not one.ok or one.remedy]
     remarks = [*run.warnings, *against]
@@ -122,11 +119,7 @@ def _steps_of_end(ended: RunState | None) -> list[str]:
 
 
 def _others(run: RunResults) -> list[tuple[str, str]]:
-    exact, verdicts = run.fits.get(FitMethod.EXACT), run.verdicts()
-    parameters = {} if exact is None else exact.parameters
-    return [
-        (quantity(name).label, determined_text(name, found, verdicts)) for name, found in parameters.items()
-    ]
+    return [(row.shown.label, row.text) for row in run.table]
 
 
 def _decay(run: RunResults) -> DecayDrawn | None:

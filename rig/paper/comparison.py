@@ -173,33 +173,34 @@ def _fitted(
     value, u = exact.value / scale, exact.standard_uncertainty / scale
     half, other = exact.expanded_uncertainty_95 / scale, asymptotic.value / scale
     difference = value - printed
-    if abs(difference) <= half:
-        verdict = f"{AGREES} (95 %)"
-    elif abs(difference) <= 0.5 * last_digit:
-        verdict = f"{AGREES} as rounded"
-    else:
-        verdict = f"differs by {abs(difference) / u:.1f} u"
+    verdict = _agreement(difference, half, last_digit) or f"differs by {abs(difference) / u:.1f} u"
     label = {"period0_s": "T₀", "gamma_pa": "γ"}.get(parameter, parameter)
     differences = value / printed - 1, other / printed - 1
     return _Compared(series.pair, label, unit, printed, value, u, other, *differences, verdict, note=note)
 
 
+def _agreement(difference: float, half: float, last_digit: float) -> str:
+    """How a value agrees with a printed one, by its 95 % half-width or as rounded; empty if it does not."""
+    if abs(difference) <= half:
+        return f"{AGREES} (95 %)"
+    return f"{AGREES} as rounded" if abs(difference) <= 0.5 * last_digit else ""
+
+
 def _energy(series: PairSeries, form: str) -> _Compared:
     """Row of the surface energy: the form used in Table 2 must agree, Eq. 2 as printed is known to differ."""
     printed = series.pair.surface_energy_j_per_m2 * 1e3
-    energy = series.series.surface_energy_j_per_m2
-    assert energy is not None  # the fits of a simulated series converge
-    estimate = energy.table2 if form == "table2" else energy.eq2
-    value, u = estimate.value * 1e3, estimate.standard_uncertainty * 1e3
     exact, asymptotic = (series.series.fits[method]["c"] for method in _BOTH)
+    energy = surface_energy(exact.estimate, series.pendulum)
+    value, u = (1e3 * number for number in (energy.table2 if form == "table2" else energy.eq2))
     other = value / exact.value * asymptotic.value
     label = "σ, m g R c/(2a²)" if form == "table2" else "σ, Eq. 2: m g c/(2a)"
     half = u * exact.expanded_uncertainty_95 / exact.standard_uncertainty
     of_printed_c = surface_energy(Estimate(series.pair.c, 0.0), series.pendulum).table2.value * 1e3
+    agrees = _agreement(value - printed, half, 0.1)
     if form == "eq2":
         verdict = CONTRADICTION
-    elif abs(value - printed) <= half + 0.05:
-        verdict = f"{AGREES} as rounded"
+    elif agrees:
+        verdict = agrees
     elif abs(value - of_printed_c) <= half:
         off = f"{100 * abs(printed / of_printed_c - 1):.1f} %"
         verdict = f"{AGREES} with the printed c (σ {of_printed_c:.2f}, {off} off)"

@@ -74,7 +74,7 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
             folder.mkdir(exist_ok=True)
             combined = series_table(series.series)
             save_tables([combined], folder)
-            body.append(html.heading(series.pair.name[0].upper() + series.pair.name[1:], new_page=True))
+            body.append(html.heading(series.pair.name[0].upper() + series.pair.name[1:]))
             body.append(html.table(combined))
             with styled():
                 body += save_figures(_drawings(series), folder)

@@ -23,7 +23,6 @@ from rig.analysis import (
     evaluate,
     fit_results,
     settled_swings,
-    surface_energies,
 )
 from rig.paper.printed import (
     BALL,
@@ -106,9 +105,8 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
     run = RunResults(
         record="",
         fits={name: fit_results(fit) for name, fit in first.items()},
-        surface_energy_j_per_m2=surface_energies(first, pendulum),
     )
-    run = evaluate(run, runs[0], pendulum, first[FitMethod.EXACT], rig, seed)
+    run = evaluate(run, runs[0], pendulum, first[FitMethod.EXACT], rig)
     return PairSeries(pair, truth, pendulum, runs, shown, run, combined_series(fits, runs, pendulum, rig))
 
 

@@ -2,11 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import isfinite, nan
+from math import nan
 from pathlib import Path
 
 import numpy as np
-from scipy.special import stdtrit
 
 from acquisition.record import whole_file
 from processing.contact.laws import DEFAULT_LAW
@@ -15,14 +14,13 @@ from processing.estimate import Estimate
 from processing.fit import (
     Combined,
     Comparison,
-    Determination,
     FitMethod,
     FittedContact,
     SeriesResult,
     combine,
     compare_series,
 )
-from rig.analysis import Fit, SessionResults, determined_text, read_results, series_verdicts
+from rig.analysis import SURFACE_ENERGY, ResultRow, RunResults, SessionResults, read_results
 from rig.presentation import (
     Cell,
     Table,
@@ -35,7 +33,6 @@ from rig.report.drawing import styled
 from rig.report.figures_contact import comparison_figure
 from rig.report.session_report import save_figures, save_tables
 
-_ENERGY = "surface_energy_table2_j_per_m2"
 _OF_ANY_DECAY = {"mean_period_s": "period_s", "log_decrement": "log_decrement"}
 """What is compared where no run was fitted: names of quantities, and of fields of `RunResults`."""
 DIFFERENT = 0.05
@@ -63,27 +60,20 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
         for label, folder, found in zip(labels, folders, sessions, strict=True)
     }
     seen = seen_runs(dict(zip(labels, sessions, strict=True)), over) if over else []
-    verdicts = [verdicts_of(found) for found in sessions]
-    energies = [energy_of(found) for found in sessions]
-    values = values_table(series, verdicts, energies)
+    rows = {label: rows_of(found, series[label]) for label, found in zip(labels, sessions, strict=True)}
+    values = values_table(series, rows)
     tables = [with_witnesses(values, dict(zip(labels, sessions, strict=True)))]
     tables += [differences_table(compare_series(series))] if len(series) > 1 else []
     tables += [against_table(seen, over)] if over else []
     if output is not None:
         files = output.parent / output.stem
         compared = (*DEFAULT_LAW.names(), *_OF_ANY_DECAY)
-        names = [name for name in compared if all(name in s.parameters for s in series.values())]
-        bars = {
-            label: {
-                name: (item.value, item.expanded_uncertainty_95) for name, item in found.parameters.items()
-            }
-            for label, found in series.items()
-        }
+        names = [name for name in compared if all(name in known for known in rows.values())]
         try:
             files.mkdir(parents=True, exist_ok=True)
             save_tables(tables, files)
             with styled():
-                drawings = [comparison_figure(names, bars), *([against_figure(seen, over)] if over else [])]
+                drawings = [comparison_figure(names, rows), *([against_figure(seen, over)] if over else [])]
                 figures = save_figures(drawings, files)
             body = [*figures, *(html.table(content) for content in tables)]
             page = html.page("Series compared", ", ".join(series), body)
@@ -118,7 +108,7 @@ def series_of(session: SessionResults, folder: Path) -> SeriesResult:
         fitted = [run for run in session.runs if run.fits]
         if not fitted:
             raise RecordError(f"{folder}: no run of it was fitted ({session.runs[0].problem})")
-        parameters = _single(fitted[0].fits[FitMethod.EXACT])
+        parameters = _single(fitted[0])
     return _series(parameters)
 
 
@@ -148,35 +138,35 @@ def _series(parameters: Mapping[str, Combined]) -> SeriesResult:
     return SeriesResult(parameters, (), together)
 
 
-def verdicts_of(session: SessionResults) -> dict[str, Determination]:
-    """By parameter, whether a session's data determine it, as its report says it."""
-    combined = _combined_of(session)
-    if combined:
-        return series_verdicts(combined)
-    return next((run.verdicts() for run in session.runs if run.fits), {})
-
-
-def energy_of(session: SessionResults) -> Estimate | None:
-    """The surface energy of a session, in the form of the paper's Table 2; None where it has none."""
-    energy = None if session.series is None else session.series.surface_energy_j_per_m2
-    if energy is None:
-        energy = next((run.surface_energy_j_per_m2 for run in session.runs if run.fits), None)
-    return None if energy is None else energy.table2
+def rows_of(session: SessionResults, series: SeriesResult) -> Mapping[str, ResultRow]:
+    """The table of results of a session: of its series, of its one fitted run, or of its mean decay."""
+    if session.rows:
+        return session.rows
+    return {
+        name: ResultRow(
+            quantity=name,
+            value=item.value,
+            u=item.standard_uncertainty,
+            u_total=item.standard_uncertainty,
+            lower=item.value - item.expanded_uncertainty_95,
+            upper=item.value + item.expanded_uncertainty_95,
+        )
+        for name, item in series.parameters.items()
+    }
 
 
 def _combined_of(session: SessionResults) -> Mapping[str, Combined]:
     return {} if session.series is None else session.series.fits.get(FitMethod.EXACT, {})
 
 
-def _single(fit: Fit) -> dict[str, Combined]:
-    """One run as a series of its own: what scatters between runs is not known of it."""
-    dof = fit.degrees_of_freedom
-    found = {}
-    for name in DEFAULT_LAW.names():
-        value, u = fit.estimate(name)
-        if isfinite(value) and isfinite(u):
-            found[name] = _alone(Estimate(value, u), dof)
-    return found
+def _single(run: RunResults) -> dict[str, Combined]:
+    """What one run determines, as a series of its own: what scatters between runs is not known of it."""
+    dof = run.fits[FitMethod.EXACT].degrees_of_freedom
+    return {
+        name: _alone(Estimate(row.value, row.u), dof)
+        for name, row in run.rows.items()
+        if name in DEFAULT_LAW.names() and row.determined
+    }
 
 
 def _alone(estimate: Estimate, dof: int) -> Combined:
@@ -184,7 +174,6 @@ def _alone(estimate: Estimate, dof: int) -> Combined:
     return Combined(
         value=value,
         standard_uncertainty=u,
-        expanded_uncertainty_95=float(stdtrit(dof, 0.975)) * u,
         degrees_of_freedom=dof,
         within_runs=u,
         between_runs=0.0,
@@ -192,44 +181,33 @@ def _alone(estimate: Estimate, dof: int) -> Combined:
     )
 
 
-def values_table(
-    series: Mapping[str, SeriesResult],
-    verdicts: Sequence[Mapping[str, Determination]],
-    energies: Sequence[Estimate | None],
-) -> Table:
-    """One row a parameter, one column a series; what is not determined as interval or bound."""
-    known = {name for found in series.values() for name in found.parameters}
-    names = [name for name in (*DEFAULT_LAW.names(), *_OF_ANY_DECAY) if name in known]
+def values_table(series: Mapping[str, SeriesResult], found: Mapping[str, Mapping[str, ResultRow]]) -> Table:
+    """One row a quantity, one column a series; what is not determined as interval or bound."""
+    known = {name for rows in found.values() for name in rows}
+    names = [name for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY, *_OF_ANY_DECAY) if name in known]
     rows: list[list[Cell]] = []
     shown = []
     for name in names:
-        items = [found.parameters.get(name) for found in series.values()]
+        items = [each.get(name) for each in found.values()]
         cells: list[Cell] = [name]
-        for item in items:
+        for row in items:
             cells += (
-                [nan, nan, nan]
-                if item is None
-                else [item.value, item.standard_uncertainty, item.expanded_uncertainty_95]
+                [nan] * 4 + [""]
+                if row is None
+                else [row.value, row.u_total, row.lower, row.upper, row.verdict]
             )
         rows.append(cells)
-        texts = [
-            "–" if item is None else determined_text(name, item.estimate, verdict)
-            for item, verdict in zip(items, verdicts, strict=True)
-        ]
-        shown.append([quantity(name).label, *texts])
-    if any(energies):
-        rows.append([_ENERGY, *(number for found in energies for number in (*(found or (nan, nan)), nan))])
-        texts = [
-            "–" if found is None else determined_text(_ENERGY, found, verdict)
-            for found, verdict in zip(energies, verdicts, strict=True)
-        ]
-        shown.append([quantity(_ENERGY).label, *texts])
-    columns = [f"{label}_{what}" for label in series for what in ("value", "u", "expanded_95")]
-    runs = ", ".join(f"{label}: {len(_runs(found))}" for label, found in series.items())
+        shown.append([quantity(name).label, *("–" if row is None else row.text for row in items)])
+    columns = [
+        f"{label}_{what}"
+        for label in series
+        for what in ("value", "u_total", "lower_95", "upper_95", "verdict")
+    ]
+    runs = ", ".join(f"{label}: {len(_runs(one))}" for label, one in series.items())
     return Table(
         "values", "Parameters of each series", ("parameter", *columns), rows, ("", *series), shown,
         ("Means over the decays" if known <= set(_OF_ANY_DECAY) else "Exact fits")
-        + f", value ± standard uncertainty of the swings. Runs: {runs}.",
+        + f", value ± standard uncertainty of swings and apparatus, as far as stated. Runs: {runs}.",
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from processing.angle import ARCSEC_RAD
 from processing.contact import ContactParameters, PendulumOnBall, cycle_work, moment_loop, weight_moment
 from processing.fit import FitMethod
-from rig.analysis import TABLE4_AMPLITUDE_ARCSEC, Correlation, Series
+from rig.analysis import TABLE4_AMPLITUDE_ARCSEC, Correlation, ResultRow, Series
 from rig.presentation import palette, plain, quantity
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, ReportFigure, canvas
 
@@ -105,9 +105,10 @@ def series_figure(series: Series) -> ReportFigure:
         item = combined[name]
         x = np.arange(1, len(item.runs) + 1)
         values, u = np.array([tuple(run) for run in item.runs]).T * scale
-        middle, expanded = item.value * scale, item.expanded_uncertainty_95 * scale
-        axes.axhspan(middle - expanded, middle + expanded, color=EXACT, alpha=0.15, lw=0)
-        axes.axhline(middle, color=EXACT, lw=1.0)
+        row = series.rows.get(name)
+        if row is not None:
+            axes.axhspan(row.lower * scale, row.upper * scale, color=EXACT, alpha=0.15, lw=0)
+        axes.axhline(item.value * scale, color=EXACT, lw=1.0)
         axes.errorbar(x, values, u, fmt="o", color=DATA, ms=3.5, elinewidth=0.8, capsize=2)
         axes.set_xlim(0.5, len(item.runs) + 0.5)
         axes.set_xticks(x, [str(number) for number in series.combined_runs])
@@ -124,10 +125,8 @@ def series_figure(series: Series) -> ReportFigure:
     )
 
 
-def comparison_figure(
-    names: Sequence[str], series: Mapping[str, Mapping[str, tuple[float, float]]]
-) -> ReportFigure:
-    """One panel a parameter, one point a series: value and half-width of the 95 % interval."""
+def comparison_figure(names: Sequence[str], series: Mapping[str, Mapping[str, ResultRow]]) -> ReportFigure:
+    """One panel a parameter, one bar a series: its 95 % interval, and the value where there is one."""
     rows = (len(names) + 2) // 3
     figure = canvas(0.5 + 1.9 * rows)
     panels = figure.subplots(rows, 3, squeeze=False)
@@ -138,17 +137,11 @@ def comparison_figure(
         for position, (values, colour) in enumerate(
             zip(series.values(), (DATA, EXACT, ASYMPTOTIC, *palette.SEQUENCE) * len(series), strict=False)
         ):
-            value, half = values.get(name, (np.nan, np.nan))
-            axes.errorbar(
-                position,
-                value * scale,
-                half * scale,
-                fmt="o",
-                color=colour,
-                ms=4,
-                capsize=2.5,
-                elinewidth=0.9,
-            )
+            if (row := values.get(name)) is None:
+                continue
+            axes.plot(position, row.value * scale, "o", color=colour, ms=4)
+            ends = [row.lower * scale, row.upper * scale]
+            axes.plot([position, position], ends, "_-", color=colour, lw=0.9, ms=5)
         axes.set_xticks(x, list(series), rotation=25, ha="right")
         axes.set_xlim(-0.5, len(series) - 0.5)
         axes.set_title(quantity(name).label)

@@ -46,6 +46,7 @@ h1 { font-size: 1.6rem; line-height: 1.2; margin: 0 0 .2rem; letter-spacing: -.0
 h2 { font-size: 1.3rem; margin: 2.6rem 0 .8rem; padding-top: .5rem; border-top: 1px solid var(--line); }
 h3 { font-size: 1.02rem; margin: 1.9rem 0 .5rem; }
 p { margin: .5rem 0; max-width: 46rem; }
+pre { background: var(--tint); padding: .5rem .8rem; font-size: .8rem; white-space: pre-wrap; }
 a { color: var(--accent); }
 .soft, figcaption, .note { color: var(--soft); font-size: .88rem; }
 .first { display: grid; grid-template-columns: minmax(0, 1fr) minmax(0, 1.05fr); gap: 0 1.6rem; }
@@ -95,10 +96,9 @@ summary { cursor: pointer; font-weight: 600; padding: .2rem 0; }
   body { max-width: none; padding: 0; }
   .first { grid-template-columns: minmax(0, 1fr) minmax(0, 1.05fr); }
   h2 { break-after: avoid; }
-  h2.page { break-before: page; border-top: 0; }
   h3 { break-after: avoid; }
   figure, .key, tr, .warn { break-inside: avoid; }
-  figure { max-width: 150mm; }
+  figure { max-width: 125mm; }
   table.short { break-inside: avoid; }
   .scroll { overflow: visible; }
   thead { display: table-header-group; }
@@ -130,16 +130,20 @@ def escape(text: str) -> str:
     return html.escape(text, quote=True)
 
 
-def heading(text: str, level: int = 2, *, new_page: bool = False) -> str:
-    """A heading; `new_page` where paper should turn over."""
-    kind = ' class="page"' if new_page else ""
-    return f"<h{level}{kind}>{escape(text)}</h{level}>"
+def heading(text: str, level: int = 2) -> str:
+    """A heading."""
+    return f"<h{level}>{escape(text)}</h{level}>"
 
 
 def paragraph(text: str, kind: str = "") -> str:
     """A paragraph of plain text."""
     attribute = f' class="{kind}"' if kind else ""
     return f"<p{attribute}>{escape(text)}</p>"
+
+
+def preformatted(text: str) -> str:
+    """Lines to be copied as they are."""
+    return f"<pre>{escape(text)}</pre>"
 
 
 def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:

@@ -15,6 +15,7 @@ from rig.analysis import (
     AnalysedTable,
     Curves,
     Series,
+    SessionResults,
     curves_of,
     results_path,
     write_positions,
@@ -67,14 +68,15 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     return target
 
 
-def draw_run(source: Path, number: int) -> list[ReportFigure]:
-    """The figures of one run, counted from 1, of a session's folder or a results file.
+def draw_run(source: Path | SessionResults, number: int) -> list[ReportFigure]:
+    """The figures of one run, counted from 1, of a session's folder, a results file, or results in memory.
 
     Raises RecordError where there are no results, no such run, or no record.
     """
     runs = read_source(source).runs
     if not 1 <= number <= len(runs):
-        raise RecordError(f"{source}: run {number} is not there; it has runs 1 to {len(runs)}")
+        named = source if isinstance(source, Path) else "results"
+        raise RecordError(f"{named}: run {number} is not there; it has runs 1 to {len(runs)}")
     run = runs[number - 1]
     return _drawings(run, _curves(run))
 
@@ -93,7 +95,7 @@ def _series(series: Series, files: Path) -> list[str]:
         apart += series.instrument.text
     if not (tables or apart):
         return []
-    body = [html.heading("Series", new_page=True)]
+    body = [html.heading("Series")]
     if tables:
         body.append(html.table(tables[0]))
     body.append(html.notes(apart))
@@ -108,11 +110,12 @@ def _series(series: Series, files: Path) -> list[str]:
 _ORDER = (
     "kind-damping", "kind-hardness", "kind-decrement", "kind-period", "kind-plane", "instrument",
     "parameters",
-    ("quality", "hertz"),
-    "conditions", "fig12-decay", "damping", "fig13-period", "fig14-smoother", "residuals", "position-errors",
+    ("quality", "adhesion"),
+    "conditions", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "damping",
+    "fig13-period", "fig14-smoother", "residuals", "position-errors",
     "spectrum", "witness", "table4-loops", "work", "losses", "laws", "waveform", "moments",
     ("drag", "identifiability"),
-    "correlation", "budget", "monte-carlo", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory",
+    "correlation", "budget",
 )  # fmt: skip
 """Tables and figures of a run as they follow one another; small tables stand side by side."""
 
@@ -126,7 +129,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> dict[str, str]:
     tables_shown = {table.name: html.table(table) for table in tables if table.shown}
     with styled():
         figures = {d.name: text for d, text in _pictures(_drawings(run, curves), files)}
-    body = {"heading": html.heading(run.title, new_page=not alone)}
+    body = {"heading": html.heading(run.title)}
     if not alone:
         body["said"] = html.paragraph(sentence(run)) + html.notes(notes_of(run))
     if run.results.instrument is not None:
@@ -239,7 +242,7 @@ def save_tables(tables: Sequence[Table], files: Path) -> None:
 
 def _provenance(source: ReportSource) -> list[str]:
     name, sha256 = source.results
-    body = [html.heading("Provenance", new_page=True), html.facts([(f"sha256 of {name}", sha256)])]
+    body = [html.heading("Provenance"), html.facts([(f"sha256 of {name}", sha256)])]
     for run in source.runs:
         rows = list(run.provenance["file"].items())
         for section in ("calibration", "record", "session", "environment", "camera", "frame", "versions"):

@@ -39,11 +39,17 @@ _EDGE = 0.05
 """Part of a decay's length that is drawn before and after it."""
 
 
-def read_source(source: Path) -> ReportSource:
-    """Results of a folder (or a results file) and the records they were made from.
+def read_source(source: Path | SessionResults) -> ReportSource:
+    """Results of a folder, a results file or in memory, and the records they were made from.
+
+    Those in memory name their records as seen from the working directory.
 
     Raises RecordError for a folder without results, or with a record that is not there.
     """
+    if isinstance(source, SessionResults):
+        folder = Path.cwd()
+        runs = [_read_run(folder, run, number) for number, run in enumerate(source.runs, start=1)]
+        return ReportSource(folder, ("results", ""), source.series, runs)
     results = read_any_results(source)
     folder, path = source if source.is_dir() else source.parent, results_path(source)
     name = path.name, known_sha256_of(path)

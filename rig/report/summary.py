@@ -3,29 +3,28 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from processing.contact import SurfaceEnergy
 from processing.contact.laws import DEFAULT_LAW
-from processing.estimate import Estimate
-from processing.fit import Budget, Determination, FitMethod
+from processing.fit import Budget
 from processing.instruments import INSTRUMENTS
 from rig.analysis import (
-    RunResults,
-    Series,
+    SURFACE_ENERGY,
     TableDecay,
-    budget_of,
+    WithRows,
     decay_lines,
-    determined_text,
     dominant_text,
+    has_apparatus,
+    named,
     remarks,
-    series_verdicts,
     whole_result,
 )
-from rig.presentation import plain, quantity
+from rig.presentation import latex_rows, plain, quantity
 from rig.report import html
 from rig.report.run_data import ReportSource, RunData
 from rig.report.tables_instruments import headline
 
 _NOT_STATED = "not stated"
+PAPER = "I. Gilavdary, S. Mekid, N. Riznookaya, Lubricants 2023, 11(2), 88, doi:10.3390/lubricants11020088"
+"""Where the laws that are fitted were published."""
 
 
 def title_of(source: ReportSource) -> tuple[str, str]:
@@ -60,21 +59,20 @@ def summary_of(source: ReportSource, decay: str) -> list[str]:
             "nothing was measured.</div>"
         )
     first = [html.verdict(_verdict(source))]
-    exact, energy, verdicts = _headline(run, series)
-    if exact:
-        budget = run.budget if series is None else series.budget
-        first.append(html.key_values(_key_results(exact, energy, verdicts, budget)))
-        what = "combined over the runs" if series is not None else "of the run"
+    found = series if series is not None and series.table else run
+    if found.table:
+        first.append(html.key_values(_key_results(found, found.budget)))
+        what = "combined over the runs" if found is series else "of the run"
         first.append(
             html.paragraph(
-                f"Exact fit {what}, value ± standard uncertainty: of the whole budget where its main "
-                "sources are named, otherwise of the swings alone.",
+                f"Exact fit {what}, value ± standard uncertainty: of swings and apparatus together where the "
+                "main sources are named, otherwise of the swings alone.",
                 "note",
             )
         )
     if run.instrument is not None:
-        found = headline(run.instrument, None if series is None else series.instrument)
-        first.append(html.key_values(found))
+        values = headline(run.instrument, None if series is None else series.instrument)
+        first.append(html.key_values(values))
         first.append(html.paragraph("Value ± standard uncertainty of the swings.", "note"))
     body.append(html.first_screen(first, [decay]))
     body.append(html.heading("Summary"))
@@ -86,13 +84,13 @@ def summary_of(source: ReportSource, decay: str) -> list[str]:
             body.append(html.notes(decay_lines(data.results)))
     if len(source.runs) == 1:
         body.append(html.notes(notes_of(source.runs[0])))
-    return body
+    return body + (_to_copy(source, found) if found.table else [])
 
 
 def _verdict(source: ReportSource) -> list[tuple[str, str]]:
     """The result, what limits it and what to do, and whether the conditions of the runs held."""
     first = source.runs[0].results
-    found = whole_result(first, None if source.series is None else source.series.budget)
+    found = whole_result(first, source.series)
     lines = [(found.text or "Nothing was fitted", "")]
     if found.limits:
         limited = ", ".join(f"{one.name} {100 * one.share:.0f} %" for one in found.limits[:2])
@@ -152,37 +150,38 @@ def _surroundings(run: RunData) -> str:
     return ", ".join(said)
 
 
-def _headline(
-    run: RunResults, series: Series | None
-) -> tuple[Mapping[str, Estimate], SurfaceEnergy | None, Mapping[str, Determination]]:
-    """Parameters, surface energy and verdicts that are reported first: those of the series, or of the run."""
-    combined = {} if series is None else series.fits.get(FitMethod.EXACT, {})
-    if series is not None and combined:
-        parameters = {n: Estimate(item.value, item.standard_uncertainty) for n, item in combined.items()}
-        return parameters, series.surface_energy_j_per_m2, series_verdicts(combined)
-    fit = run.fits.get(FitMethod.EXACT)
-    return {} if fit is None else fit.parameters, run.surface_energy_j_per_m2, run.verdicts()
-
-
-def _key_results(
-    exact: Mapping[str, Estimate],
-    energy: SurfaceEnergy | None,
-    verdicts: Mapping[str, Determination],
-    budget: Mapping[str, Budget],
-) -> list[tuple[str, str]]:
-    """Labels and values; with the whole budget and what dominates it where the apparatus has a part."""
-    items = [(name, exact[name]) for name in DEFAULT_LAW.names(drag=True) if name in exact]
-    if energy is not None:
-        items.insert(0, ("surface_energy_table2_j_per_m2", energy.table2))
+def _key_results(found: WithRows, budget: Mapping[str, Budget]) -> list[tuple[str, str]]:
+    """Labels and values; with what dominates the whole uncertainty where the apparatus has a part."""
+    names = [SURFACE_ENERGY, *DEFAULT_LAW.names(drag=True)]
     shown = []
-    for name, value in items:
-        item, label = budget_of(name, budget, verdicts), quantity(name).label
-        if item is None:
-            shown.append((label, determined_text(name, value, verdicts)))
-        else:
-            text = quantity(name).text(item.value, item.standard_uncertainty)
-            shown.append((f"{label} (u: {dominant_text(item)})", text))
+    for row in (found.rows[name] for name in names if name in found.rows):
+        item, label = budget.get(row.quantity), named(row.quantity)
+        if row.determined and item is not None and has_apparatus(item):
+            label = f"{label} (u: {dominant_text(item)})"
+        shown.append((label, row.text))
     return shown
+
+
+def _to_copy(source: ReportSource, found: WithRows) -> list[str]:
+    """A sentence with the values and what to cite, and a row for a table in LaTeX."""
+    rows = [found.rows[name] for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY) if name in found.rows]
+    first = source.runs[0]
+    several = f"{len(source.runs)} runs" if len(source.runs) > 1 else "one run"
+    half_cycles = sum(data.results.half_cycles for data in source.runs)
+    version = first.provenance.get("versions", {}).get("optical-pendulum-rig", "")
+    simulated = "SIMULATED: " if any(data.simulated for data in source.runs) else ""
+    values = ", ".join(row.equation for row in rows)
+    text = (
+        f"{simulated}From {several} with {half_cycles} half-cycles: {values} (standard uncertainties of "
+        "swings and apparatus together, as far as they are stated, or 95 % limits; exact fit by "
+        f"optical-pendulum-rig{f' {version}' if version else ''} of the laws of {PAPER})."
+    )
+    head = [quantity(row.quantity).label for row in rows]
+    return [
+        html.heading("To copy", 3),
+        html.paragraph(text),
+        html.preformatted(latex_rows(head, [row.text for row in rows], title_of(source)[0])),
+    ]
 
 
 def sentence(run: RunData) -> str:

@@ -4,13 +4,11 @@ import math
 
 from processing.angle import ARCSEC_RAD
 from processing.contact import ExpectedDrag, weight_moment
-from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.analysis import (
     Curves,
     RunResults,
     Series,
-    bound_text,
     encoded,
     law_table,
     moments_table,
@@ -33,7 +31,6 @@ from rig.report.tables_instruments import instrument_series_table, instrument_ta
 from rig.report.tables_uncertainty import (
     budget_table,
     identifiability_table,
-    monte_carlo_table,
     series_table,
 )
 
@@ -44,14 +41,13 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
     tables = [instrument_table(results), conditions_table(results), half_cycle_table(run, curves)]
     if results.fits:
         tables = [
-            parameter_table(results.fits, results.surface_energy_j_per_m2, results.verdicts()),
+            parameter_table(results),
             quality_table(results.fits),
-            hertz_table(results),
+            adhesion_table(results),
             work_table(results),
             drag_table(results),
             identifiability_table(results),
-            budget_table(results.budget),
-            monte_carlo_table(results),
+            budget_table(results.budget, results.rows),
             correlation_table(results),
             *tables,
         ]
@@ -64,7 +60,7 @@ def series_tables(series: Series) -> list[Table]:
     """The tables of a series."""
     if series.instrument is not None:
         return [instrument_series_table(series.instrument)]
-    return [series_table(series), budget_table(series.budget, "series-budget")]
+    return [series_table(series), budget_table(series.budget, series.rows, "series-budget")]
 
 
 _CONDITIONS = ("condition", "verdict", "measured", "limit", "reason")
@@ -85,16 +81,10 @@ def _judged(item: Verdict) -> str:
     return "warning" if item.remedy else "ok"
 
 
-def hertz_table(results: RunResults) -> Table:
-    """Contact according to Hertz (Table 1 of the paper), and with adhesion where that is seen."""
+def adhesion_table(results: RunResults) -> Table:
+    """The contact with adhesion, where c is determined; Hertz's is in the table of results."""
     rows: list[list[Cell]] = []
     shown = []
-    if results.hertz is not None:
-        for key in ("radius_m", "depth_m", "angle_rad"):
-            name = f"contact_{key}"
-            value: Estimate = getattr(results.hertz, key)
-            rows.append([name, *value])
-            shown.append([quantity(name).symbol, quantity(name).text(*value), quantity(name).unit])
     note = ""
     if results.adhesion is not None:
         for theory, spot in results.adhesion.spots().items():
@@ -111,7 +101,7 @@ def hertz_table(results: RunResults) -> Table:
             f"{results.adhesion.holds}; all other values follow the paper, with Hertz's theory."
         )
     return Table(
-        "hertz", "Contact according to Hertz, and with adhesion" if note else "Contact according to Hertz",
+        "adhesion", "Contact with adhesion",
         ("quantity", "value", "standard_uncertainty"), rows, ("", "value", "unit"), shown, note,
     )  # fmt: skip
 
@@ -120,7 +110,7 @@ def work_table(results: RunResults) -> Table:
     """4A and 4A_t at the amplitude of Table 4, or the measured one nearest to it, and at the run's start."""
     rows: list[list[Cell]] = []
     shown = []
-    c = results.verdicts().get("c")
+    c = results.rows.get("c")
     for item in results.work_per_cycle:
         pairs = (item.dissipated_4a_j, item.adhesive_4at_j)
         rows.append([item.amplitude_arcsec, *pairs[0], *pairs[1]])
@@ -131,7 +121,7 @@ def work_table(results: RunResults) -> Table:
             share = NOT_KNOWN
             if c is not None and results.pendulum is not None:
                 moment_n_m = weight_moment(results.pendulum)
-                texts[1] = bound_text(c, 1e15 * 4 * moment_n_m * item.amplitude_arcsec * ARCSEC_RAD)
+                texts[1] = c.scaled_text(1e15 * 4 * moment_n_m * item.amplitude_arcsec * ARCSEC_RAD)
         shown.append([plain(item.amplitude_arcsec, 4), *texts, share])
     return Table(
         "work", "Work over one cycle",
@@ -145,13 +135,14 @@ def drag_table(results: RunResults) -> Table:
     drag = results.drag
     if drag is None:
         return Table("drag", "", (), ())
+    row = results.rows.get("drag_s")
     keys = ("upper_95_s", "f_statistic", "p_value", "relative_shift_b", "relative_shift_c")
     rows: list[list[Cell]] = [["drag_s", drag.drag_s.value], ["u_drag_s", drag.drag_s.standard_uncertainty]]
     rows += [["of_data_s", drag.of_data_s.value], ["u_of_data_s", drag.of_data_s.standard_uncertainty]]
     rows += [[key, getattr(drag, key)] for key in keys]
     rows.append(["significant", str(drag.significant)])
     shown = [
-        ["linear drag", f"{quantity('drag_s').text(*drag.drag_s)} s"],
+        ["linear drag", f"{quantity('drag_s').text(*drag.drag_s) if row is None else row.text} s"],
         ["by decay and waveform alone", f"{quantity('drag_s').text(*drag.of_data_s)} s"],
         *_of_air(drag.of_air),
         ["F-test", f"F = {plain(drag.f_statistic, 3)}, p-value without a drag {plain(drag.p_value, 2)}"],

@@ -1,116 +1,86 @@
-"""Tables of what is known how well: identifiability, budget, Monte Carlo, the series."""
+"""Tables of what is known how well: identifiability, budget, the series."""
 
 import math
 from collections.abc import Mapping
 
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import Budget, FitMethod
-from rig.analysis import (
-    AveragedCurves,
-    MonteCarlo,
-    RunResults,
-    Series,
-    determined_text,
-    series_verdicts,
-)
-from rig.presentation import SOURCES, Cell, Table, interval, plain, quantity
+from rig.analysis import AveragedCurves, ResultRow, RunResults, Series
+from rig.presentation import SOURCES, Cell, Table, interval, law_parameters, plain, quantity
 
 _NEGLIGIBLE = 0.005
 """Share of the variance below which a source is shown with others in one line."""
 
 
 def identifiability_table(results: RunResults) -> Table:
-    """Which parameters the data determine."""
-    rows: list[list[Cell]] = []
-    shown = []
-    for item in results.identifiability:
-        shown_as = quantity(item.name)
-        rows.append(
-            [
-                item.name, item.verdict, item.value, item.standard_uncertainty, item.lower_95, item.upper_95,
-                str(item.profile_likelihood),
-            ]
-        )  # fmt: skip
-        relative = abs(item.standard_uncertainty / item.value) if item.value else math.inf
-        shown.append(
-            [
-                shown_as.symbol, item.verdict, plain(relative, 2),
-                interval(item.lower_95 * shown_as.factor, item.upper_95 * shown_as.factor), shown_as.unit,
-                "profile likelihood" if item.profile_likelihood else "covariance",
-            ]
-        )  # fmt: skip
+    """Which quantities the data determine, and the interval in which each lies."""
+    fitted = [row for row in results.table if row.quantity in law_parameters()]
+    shown = [
+        [
+            row.shown.symbol, row.verdict,
+            interval(row.lower * row.shown.factor, row.upper * row.shown.factor), row.shown.unit,
+            "profile likelihood" if row.by_profile else "covariance",
+        ]
+        for row in fitted
+    ]  # fmt: skip
+    rows: list[list[Cell]] = [
+        [row.quantity, row.verdict, row.lower, row.upper, str(row.by_profile)] for row in fitted
+    ]
     return Table(
         "identifiability", "What the data determine",
-        ("parameter", "verdict", "value", "standard_uncertainty", "lower_95", "upper_95",
-         "profile_likelihood"),
-        rows, ("", "verdict", "u relative", "95 % interval", "unit", "by"), shown,
+        ("parameter", "verdict", "lower_95", "upper_95", "profile_likelihood"),
+        rows, ("", "verdict", "95 % interval", "unit", "by"), shown,
     )  # fmt: skip
 
 
-def budget_table(budget: Mapping[str, Budget], name: str = "budget") -> Table:
-    """GUM budgets of all quantities, largest contribution first."""
+def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], name: str = "budget") -> Table:
+    """GUM budgets of all quantities, largest contribution first.
+
+    Of what the data do not determine, its bound and the shares of the sources alone.
+    """
     rows: list[list[Cell]] = []
     shown = []
     for key, item in budget.items():
         scale = quantity(key).factor
-        value, u = item.value, item.standard_uncertainty
-        head = [quantity(key).label, quantity(key).text(value, u)]
-        head.append(f"± {plain(item.expanded_uncertainty_95 * scale, 2)} (k = {item.coverage_factor_95:.2f})")
+        u, row = item.standard_uncertainty, known.get(key)
+        text = quantity(key).text(item.value, u) if row is None else row.text
+        ends = ""
+        if row is not None and row.determined:
+            ends = interval(row.lower * scale, row.upper * scale)
+        head = [quantity(key).label, text, ends]
         small = []
         for line in item.sources:
             contribution, share = line.contribution, line.share
             rows.append(
                 [
-                    key, value, u, line.source, line.type, line.u_source, line.sensitivity,
+                    key, item.value, u, line.source, line.type, line.u_source, line.sensitivity,
                     contribution, share,
                 ]
             )  # fmt: skip
             if share < _NEGLIGIBLE:
-                small.append(contribution)
+                small.append(line)
                 continue
             cells = [SOURCES.get(line.source, line.source), line.type]
-            shown.append([*head, *cells, plain(contribution * scale, 2), f"{100 * share:.1f} %"])
+            shown.append([*head, *cells, _part(contribution * scale), f"{100 * share:.1f} %"])
             head = [""] * 3
         if small:
-            rest = math.hypot(*small)
+            rest = math.hypot(*(line.contribution for line in small)) * scale
             count = f"{len(small)} more" if len(small) < len(item.sources) else f"{len(small)} sources"
-            shown.append([*head, count, "", plain(rest * scale, 2), f"{100 * (rest / u) ** 2:.2f} %"])
+            share = sum(line.share for line in small)
+            shown.append([*head, count, "", _part(rest), f"{100 * share:.2f} %"])
     return Table(
         name, "Uncertainty budget (GUM)",
-        ("quantity", "value", "standard_uncertainty", "source", "type", "u_source", "sensitivity",
+        ("quantity", "value", "u_total", "source", "type", "u_source", "sensitivity",
          "contribution", "share"),
         rows, ("", "value ± u", "95 %", "source", "type", "u", "share"), shown,
         "Largest contribution first. Type A: from the swings; B: stated in the configuration. Sources "
         "without a stated uncertainty contribute nothing; those below 0.5 % of the variance are summed here "
-        "and listed one by one in budget.csv.",
+        "and listed one by one in budget.csv. What is not determined has a bound and no contributions.",
     )  # fmt: skip
 
 
-def monte_carlo_table(results: RunResults) -> Table:
-    """Monte Carlo after JCGM 101 beside the budget."""
-    found = results.monte_carlo or MonteCarlo()
-    rows: list[list[Cell]] = []
-    shown = []
-    for name, item in found.quantities.items():
-        scale = quantity(name).factor
-        mean, u, low, high = item.mean, item.standard_uncertainty, item.lower_95, item.upper_95
-        rows.append([name, mean, u, low, high, str(item.gum_holds)])
-        if u == 0:
-            continue
-        value, half = results.budget[name].value, results.budget[name].expanded_uncertainty_95
-        shown.append(
-            [
-                quantity(name).label, quantity(name).text(mean, u),
-                interval(low * scale, high * scale),
-                interval((value - half) * scale, (value + half) * scale),
-                "agrees" if item.gum_holds else "take Monte Carlo's",
-            ]
-        )  # fmt: skip
-    return Table(
-        "monte-carlo", f"Monte Carlo propagation (JCGM 101), {found.draws:,} draws".replace(",", " "),
-        ("quantity", "mean", "standard_uncertainty", "lower_95", "upper_95", "gum_holds"), rows,
-        ("", "mean ± u", "95 % interval", "budget's interval", "budget"), shown,
-    )  # fmt: skip
+def _part(contribution: float) -> str:
+    return "" if math.isnan(contribution) else plain(contribution, 2)
 
 
 def series_table(series: Series) -> Table:
@@ -119,39 +89,38 @@ def series_table(series: Series) -> Table:
     shown = []
     exact, asymptotic = (series.fits.get(method, {}) for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC))
     average = series.averaged_curves or AveragedCurves()
-    verdicts = series_verdicts(exact)
     for name in exact or asymptotic:
-        shown_as = quantity(name)
+        shown_as, row = quantity(name), series.rows.get(name)
         cells = [getattr(exact.get(name), key, math.nan) for key in _SERIES_KEYS]
         item = asymptotic.get(name)
         others = [
             NOT_DETERMINED if item is None else Estimate(item.value, item.standard_uncertainty),
             average.parameters.get(name, NOT_DETERMINED),
         ]
-        rows.append([name, *cells, *others[0], *others[1]])
-        between = cells[4] * shown_as.factor
+        known = (row.value, row.u_total, row.lower, row.upper) if row is not None else [math.nan] * 4
+        rows.append([name, *known, *cells, *others[0], *others[1]])
+        between = cells[1] * shown_as.factor
+        told = row is None or row.determined
         shown.append(
             [
                 shown_as.label,
-                determined_text(name, Estimate(cells[0], cells[1]), verdicts),
-                plain(cells[2] * shown_as.factor, 2),
+                "" if row is None else row.text,
+                "" if row is None else interval(row.lower * shown_as.factor, row.upper * shown_as.factor),
                 plain(between, 2) if between else "none seen",
-                *(shown_as.text(value, u) for value, u in others),
+                *(shown_as.text(value, u) if told else "" for value, u in others),
             ]
         )  # fmt: skip
     return Table(
         "series", "The series",
-        ("parameter", *(f"exact_{key}" for key in _SERIES_KEYS), "asymptotic_value",
-         "asymptotic_standard_uncertainty", "averaged_curves_value", "averaged_curves_standard_uncertainty"),
+        ("parameter", "value", "u_total", "lower_95", "upper_95", *_SERIES_KEYS, "asymptotic_value",
+         "asymptotic_u", "averaged_curves_value", "averaged_curves_u"),
         rows,
-        ("", FitMethod.EXACT, "95 % (±)", "between runs", FitMethod.ASYMPTOTIC.heading,
+        ("", FitMethod.EXACT, "95 % interval", "between runs", FitMethod.ASYMPTOTIC.heading,
          "curves averaged first"), shown,
-        "Runs combined with their own and the between-run scatter, Student's t for the 95 % half-width; "
-        "last, the paper's way: the runs' curves averaged, then Eqs. 5 and 6 fitted.",
+        "Runs combined with their own and the between-run scatter, Student's t for the 95 % interval, and "
+        "with the apparatus as far as stated; beside it, of the swings alone, Eqs. 5 and 6, and the paper's "
+        "way: the runs' curves averaged, then Eqs. 5 and 6 fitted.",
     )  # fmt: skip
 
 
-_SERIES_KEYS = (
-    "value", "standard_uncertainty", "expanded_uncertainty_95", "within_runs", "between_runs",
-    "p_homogeneous",
-)  # fmt: skip
+_SERIES_KEYS = ("within_runs", "between_runs", "p_homogeneous")

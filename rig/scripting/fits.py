@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from acquisition.record import records_in
 from processing.contact import DEFAULT_LAW, Law, Moment, StatedLaw
 from processing.errors import ConfigurationError
 from rig.analysis import (
@@ -44,7 +45,8 @@ def fit(
     Parameters
     ----------
     source
-        A record, a session, the path of a record, or a sequence of these, which are combined as a series.
+        A record, a session, the path of a record or of a session's folder, or a sequence of these, which are
+        combined as a series.
     overrides
         Changes of the recorded configuration for this fit, by dotted key: ``{"fit.drag": True}``.
     witness
@@ -61,7 +63,7 @@ def fit(
     -------
     SessionResults
         The content of results.json. Nothing is written; `rig.write_results` does that. If a run could not be
-        fitted, its `problem` is the reason.
+        fitted, its `problem` is the reason. ``results["b"]`` is a row of its table of results.
 
     Raises
     ------
@@ -162,10 +164,7 @@ def _paths(source: Recorded) -> list[Path]:
         case Record():
             return [source.path]
         case _:
-            path = path_of(source, "source")
-            if path.is_dir():
-                raise ConfigurationError(f"{path}: is a folder; rig.open_session(folder) opens a session")
-            return [path]
+            return records_in(path_of(source, "source"))
 
 
 def fit_table(

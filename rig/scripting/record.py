@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from acquisition.frame import Frame
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import SWING, RecordedWindow
+from acquisition.record.topics import BALANCE, SWING, RecordedWindow
 from processing.deflections import Deflections, DeflectionUnit
 from rig.scripting.given import path_of
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Record:
     """A record on disk. Every method opens the file, reads the data that it returns, and closes the file.
 
@@ -62,6 +62,20 @@ class Record:
         """
         with RecordReader(self.path) as reader:
             return reader.table(SWING.topic)
+
+    def balance(self) -> NDArray[Any]:
+        """States of the balance as a structured array (n,), one row each, as they were found during the run.
+
+        The names of the fields end in the unit, where they have one: `rest_y_rad` (`rest_y_px` without a
+        lever), `period_ratio` ..., each with its `u_`.
+        """
+        with RecordReader(self.path) as reader:
+            return reader.table(BALANCE.topic)
+
+    def __repr__(self) -> str:
+        sample = self.metadata.get("session", {}).get("sample", "")
+        cut = ", cut short" if self.truncated else ""
+        return f"<record {self.path}: {sample or 'no sample stated'}, in {self.unit}{cut}>"
 
     def events(self) -> NDArray[Any]:
         """Events during the run as a structured array (n,): `time_ns`, `kind` and `text`."""

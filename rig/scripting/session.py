@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from processing.errors import ConfigurationError
 from rig import analysis
-from rig.analysis import SessionResults, TableResults
+from rig.analysis import ResultRow, SessionResults, TableResults
 from rig.report import draw_run, styled
 from rig.scripting.given import path_of
 from rig.scripting.record import Record, open_record
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def figures(source: str | Path, run: int = 1) -> "Mapping[str, Figure]":
+def figures(source: "str | Path | Session | SessionResults", run: int = 1) -> "Mapping[str, Figure]":
     """Figures of one run of a session, by the names that their files have in a report.
 
     Parameters
     ----------
     source
-        Folder of a session, or a results file.
+        Folder of a session, a results file, a session, or what `rig.fit` returned.
     run
         Number of the run, counted from 1.
 
@@ -36,17 +36,33 @@ def figures(source: str | Path, run: int = 1) -> "Mapping[str, Figure]":
     RigError
         There are no results or no such run, or a record is missing.
     """
+    if isinstance(source, TableResults):
+        raise ConfigurationError(
+            "source: figures of a table need its positions: rig fit TABLE -o FOLDER, then rig.figures(FOLDER)"
+        )
+    if isinstance(source, Session):
+        source = source.folder
+    found = source if isinstance(source, SessionResults) else path_of(source, "source")
     with styled():
-        return {drawing.name: drawing.figure for drawing in draw_run(path_of(source, "source"), run)}
+        return {drawing.name: drawing.figure for drawing in draw_run(found, run)}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Session:
-    """A session: its folder, its results, and the records from which they were made, in order of the runs."""
+    """A session: its folder, its results, and the records from which they were made, in order of the runs.
+
+    ``session["b"]`` is a row of its table of results: of its series, or of its one run.
+    """
 
     folder: Path
     results: SessionResults
     records: tuple[Record, ...]
+
+    def __getitem__(self, name: str) -> ResultRow:
+        return self.results[name]
+
+    def __repr__(self) -> str:
+        return f"session {self.folder}\n{self.results!r}"
 
     def figures(self, run: int = 1) -> "Mapping[str, Figure]":
         """Figures of one run, counted from 1; see `rig.figures`."""

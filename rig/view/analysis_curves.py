@@ -89,9 +89,7 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
         if results.problem:
             parts.append(f"no fit: {results.problem}")
         if results.fits:
-            parameters = parameter_table(results.fits, results.surface_energy_j_per_m2, results.verdicts())
-            # one fit below the other, because a panel is narrow
-            parts += [_markdown(parameters, column) for column in (2, 1)]
+            parts.append(_markdown(parameter_table(results, full=False)))
             parts.append(_markdown(quality_table(results.fits)))
         instrument = instrument_table(results)
         if instrument.rows:
@@ -100,14 +98,17 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
     return "\n\n".join(parts)
 
 
-def _markdown(table: Table, column: int | None = None) -> str:
-    """The table, or one column of it, in Markdown; units are appended to the names."""
+def _markdown(table: Table) -> str:
+    """The table in Markdown; units are appended to the names."""
     head, rows = list(table.head), [list(row) for row in table.shown]
-    if head[-1] == "unit":
-        head = head[:-1]
-        rows = [[f"{row[0]} / {row[-1]}" if row[-1] else row[0], *row[1:-1]] for row in rows]
-    if column is not None:
-        head, rows = [head[0], head[column]], [[row[0], row[column]] for row in rows]
+    if "unit" in head:
+        place = head.index("unit")
+        del head[place]
+        units = [row.pop(place) for row in rows]
+        rows = [
+            [f"{row[0]} / {unit}" if unit else row[0], *row[1:]]
+            for row, unit in zip(rows, units, strict=True)
+        ]
 
     def line(cells: Sequence[str]) -> str:
         return f"| {' | '.join(cells)} |"

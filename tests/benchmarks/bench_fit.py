@@ -23,7 +23,7 @@ from processing.fit.determination import identifiability
 from processing.fit.drag import drag_verdict
 from processing.fit.exact import fit_exact
 from processing.fit.reported import fitted_contact
-from processing.fit.uncertainty import monte_carlo
+from processing.fit.uncertainty import budgets
 from tests.processing.contact.eq5_closed_form import decay_time
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair
 
@@ -142,7 +142,7 @@ def speed(quick: bool) -> dict[str, float]:
         found = fit_exact(dragged, pendulum, drag=True)
         drag_verdict(dragged, pendulum, found)
         identifiability(dragged, pendulum, found)
-        monte_carlo(fitted_contact(found), rig, np.random.default_rng(0), draws=10_000)
+        budgets(fitted_contact(found), rig)
 
     return {
         "half_cycles": len(long_run),

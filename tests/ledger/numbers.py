@@ -23,7 +23,7 @@ DRAWN_U_LIMIT = 0.1
 
 NOT_KEPT = (
     *("*_bytes", "*/started*", "*/software/*", "/schema", "*sha256*", "*elapsed*", "*/provenance/*"),
-    *("*/monte_carlo/*", "*/frames", "*/judged_frames"),
+    *("*/frames", "*/judged_frames"),
 )
 """Paths of what is no result (sizes of files, moments, versions), and of what differs from run to run: draws,
 and how many frames came after the end was noticed."""

@@ -38,6 +38,8 @@ def test_every_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) ->
     assert names["good"]["amplitude_rad"][0] == pytest.approx(118 * np.pi / 648000, rel=0.01)
     assert set(names["record"].events()["kind"]) >= {"start", "stop"}
     assert names["b"].value == pytest.approx(0.03, rel=0.02)
+    assert names["b"].u_total > names["b"].u
+    assert len(names["balance"]) == 0, "too short for one"
     assert names["table"].fits["exact"].parameters["p"].value == pytest.approx(0.944, rel=0.01)
     assert np.sqrt(np.mean(names["pull"] ** 2)) == pytest.approx(1, abs=0.6)
     assert len(names["half_period_s"][0]) == len(names["exact"].index) - 1
@@ -58,6 +60,31 @@ def test_a_session_is_a_series(folder: Path) -> None:
     assert sum(1 for _ in session.records[0].images()) == 1
     with pytest.raises(rig.RigError, match="run 2"):
         session.figures(2)
+    again = rig.fit(folder / "runs" / "first")
+    assert [row.quantity for row in again.runs[0].table] == [
+        row.quantity for row in session.results.runs[0].table
+    ]
+    assert set(rig.figures(again)) == set(rig.figures(session))
+    with pytest.raises(rig.RigError, match="no such result; there are b, p"):
+        session["bb"]
+
+
+def test_the_last_line_of_a_cell_is_short(folder: Path) -> None:
+    """A session printed 86,826 characters."""
+    session = rig.open_session(folder / "runs" / "first")
+    for shown in (session, session.results, session.results.runs[0], session.records[0], session["b"]):
+        assert len(repr(shown)) < 1500, type(shown)
+    assert str(session["b"]) in repr(session)
+
+
+def test_a_bound_is_one_in_python_too(measured_series: Path) -> None:
+    """c was a bound on the terminal, and 4.7e-9 +- 4.5e-9 in Python."""
+    session = rig.open_session(measured_series)
+    assert {"time_ns", "period_ratio", "u_period_ratio"} <= set(session.records[0].balance().dtype.names)
+    c = session["c"]
+    assert c.verdict != "determined"
+    assert np.isnan([c.value, c.u, c.u_total]).all()
+    assert "95 %" in str(c)
 
 
 def test_an_uncalibrated_record_says_px() -> None:

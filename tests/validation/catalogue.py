@@ -7,7 +7,6 @@ from tests.validation.benchmarks import benchmark, peers, pooled
 from tests.validation.outside import (
     emva1288,
     gum,
-    gum_s1,
     iso11146,
     mcap_records,
     nist_sets,
@@ -20,7 +19,7 @@ from tests.validation.row import Limit, NotTested, Row, limit_of_share
 _NUMBERS, _FORMATS = "Numbers against published ones", "Formats and devices against their standards"
 _COVERAGE = "Do intervals hold what they say?"
 _SPOT, _HARM, SPEED = "The spot, and other programs beside it", "Damage, kills, light", "Speed"
-_PRINTED, _TOLERANCE = "of the last printed digit", "of the numerical tolerance"
+_PRINTED = "of the last printed digit"
 _CERTIFIED = (
     "NIST's Statistical Reference Datasets, nonlinear, 27 sets from two starts, certified to 11 digits"
 )
@@ -47,19 +46,6 @@ ROWS: tuple[Row, ...] = (
         gum.zener, "off", _PRINTED, Limit(high=1), quick=True),
     Row("gum-h6", _NUMBERS, "A budget of parts that are added", "GUM H.6, a hardness; the three parts that its text names; compared with no second source",
         gum.hardness, "off", _PRINTED, Limit(high=1), quick=True),
-    Row("gum-s1-9-2", _NUMBERS, "Monte Carlo gives the distribution of a sum", "GUM Supplement 1 (JCGM 101:2008) 9.2, three cases; their answers also follow from the distributions",
-        gum_s1.additive, "off", _TOLERANCE, Limit(high=1), quick=True),
-    Row("gum-s1-9-3", _NUMBERS, "Monte Carlo of a product", "GUM Supplement 1, 9.3, a mass; of the interval its width; compared with no second source",
-        gum_s1.mass, "off", _TOLERANCE, Limit(high=1), quick=True),
-    Row("gum-s1-9-4", _NUMBERS, "Monte Carlo where derivatives vanish",
-        "GUM Supplement 1, 9.4, comparison loss without correlation, against scipy's non-central chi-square",
-        gum_s1.comparison_loss, "off", _TOLERANCE, Limit(high=1), quick=True),
-    Row("gum-s1-9-5", _NUMBERS, "Monte Carlo of a whole budget",
-        "GUM Supplement 1, 9.5, a gauge block: values and standard uncertainties; inputs as suncal has them, answers compared with no second source", gum_s1.gauge_block, "off", _TOLERANCE,
-        Limit(high=1), quick=True),
-    Row("gum-s1-verdicts", _NUMBERS, "A budget's interval is called good or not as the standard does",
-        "GUM Supplement 1, the verdicts of 9.2 to 9.4, by two digits of u",
-        gum_s1.verdicts, "agree", "of 7 verdicts", Limit(7, 7), quick=True),
     Row("peterson-models", _NUMBERS, "The noise models of the ground are Peterson's",
         "table of USGS open-file report 93-322, which is drawn through the breaks of the models", peterson.models, "largest",
         "dB", Limit(high=0.2), quick=True),
@@ -222,10 +208,6 @@ ROWS: tuple[Row, ...] = (
 )  # fmt: skip
 
 NOT_TESTED: tuple[NotTested, ...] = (
-    NotTested("GUM Supplement 1, 9.4 with correlation 0.9",
-              "inputs of the program's Monte Carlo are independent, but for the parameters of a fit, which are drawn together"),
-    NotTested("GUM Supplement 1, 9.5: the 99 % interval",
-              "intervals are of 95 %, and of two inputs the standard's shapes (arcsine, curvilinear trapezoid) are none of the program's"),
     NotTested("EMVA 1288: DSNU, responsivity, quantum efficiency, spectrograms",
               "the program does not determine them: it has no radiometer, and the tracker uses the mean dark level and a list of hot pixels"),
     NotTested("MCAP's own conformance suite",

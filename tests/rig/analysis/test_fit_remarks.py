@@ -5,10 +5,11 @@ from dataclasses import replace
 import pytest
 
 from processing.estimate import Determinacy, Estimate
-from processing.fit import BaseMotion, Determination, Drag, DragFinding, Ground
+from processing.fit import BaseMotion, Drag, DragFinding, Ground
 from rig.analysis import RunResults
 from rig.analysis.contact_results import Fit
 from rig.analysis.fit_remarks import ground_sentence, remarks
+from rig.analysis.result_rows import ResultRow
 from rig.report.tables import drag_table
 
 _SEEN = Drag(
@@ -87,9 +88,9 @@ def test_a_drag_that_is_seen_says_what_it_does_to_the_others() -> None:
 
 def test_of_what_is_not_determined_no_change_in_per_cent_is_told() -> None:
     """A live run of 35 half-cycles in a basement said that b would differ by -100 %."""
-    open_b = Determination(name="b", verdict=Determinacy.INTERVAL, value=0.04, lower_95=0.0038, upper_95=1.0)
+    open_b = ResultRow(quantity="b", verdict=Determinacy.INTERVAL, lower=0.0038, upper=1.0)
     fit = Fit(parameters={"b": Estimate(0.04, 0.06), "drag_s": Estimate(2e-3, 1e-4)})
-    run = RunResults(record="run-1.mcap", drag=_SEEN, fits={"exact": fit}, identifiability=(open_b,))
+    run = RunResults(record="run-1.mcap", drag=_SEEN, fits={"exact": fit}, table=(open_b,))
     headline, sentence = remarks(run)[:2]
     assert headline == "The drag of the air is seen, (2.00 ± 0.10) × 10⁻³ s."
     assert sentence.endswith("s; it changes c by +3.4 %.")
@@ -122,21 +123,12 @@ def test_what_the_waveform_gave_is_said() -> None:
 
 
 def test_what_is_hardly_determined_is_said_and_nothing_of_what_is() -> None:
-    known = Determination(
-        name="b",
-        verdict=Determinacy.DETERMINED,
-        value=1e-3,
-        lower_95=9e-4,
-        upper_95=1.1e-3,
-        text="b is known",
-    )
-    bound = Determination(
-        name="c", verdict=Determinacy.UPPER_BOUND, value=1e-9, lower_95=0.0, upper_95=2e-9, text="c < 2e-9"
-    )
+    known = ResultRow(quantity="b", value=1e-3, lower=9e-4, upper=1.1e-3)
+    bound = ResultRow(quantity="c", verdict=Determinacy.UPPER_BOUND, lower=0.0, upper=2e-9)
     results = RunResults(
         record="run-1.mcap",
         fits={"exact": Fit(ground=_DRIVEN)},
-        identifiability=(known, bound),
+        table=(known, bound),
         strong_correlations=(("b", "p", -0.998),),
         notes=("a note",),
     )

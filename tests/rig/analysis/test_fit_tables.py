@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from processing.contact import SurfaceEnergy
 from processing.estimate import Determinacy, Estimate
-from processing.fit import Budget, Determination, Drag
+from processing.fit import Budget, Drag
 from processing.fit.uncertainty import BudgetSource
 from rig.analysis import (
     Fit,
@@ -22,7 +21,7 @@ from rig.analysis import (
     read_results,
     remarks,
 )
-from rig.analysis.contact_results import SurfaceEnergies
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
 
 _RUN = RunResults(
     record="run-1.mcap",
@@ -39,20 +38,10 @@ _RUN = RunResults(
         ),
         "asymptotic": Fit(parameters={"b": Estimate(3.7e-3, 1e-5), "c": Estimate(-2e-9, 3e-8)}),
     },
-    surface_energy_j_per_m2=SurfaceEnergies(
-        Estimate(0.003, 0.09),
-        Estimate(0.001, 0.03),
-        {"asymptotic": SurfaceEnergy(Estimate(-0.006, 0.09), Estimate(-0.002, 0.03))},
-    ),
-    identifiability=(
-        Determination(
-            name="c",
-            verdict=Determinacy.UPPER_BOUND,
-            value=1e-9,
-            lower_95=0.0,
-            upper_95=6.1e-8,
-            text="c below 6.1e-8",
-        ),
+    table=(
+        ResultRow(quantity="b", value=3.5e-3, u=1e-5, u_total=1e-5, lower=3.48e-3, upper=3.52e-3),
+        ResultRow(quantity="c", verdict=Determinacy.UPPER_BOUND, lower=0.0, upper=6.1e-8),
+        ResultRow(quantity=SURFACE_ENERGY, verdict=Determinacy.UPPER_BOUND, lower=0.0, upper=0.183),
     ),
 )
 
@@ -64,7 +53,7 @@ def test_the_terminal_shows_the_report_s_tables_where_asked(
     print_results(SessionResults(runs=(_RUN,)), [])
     printed = capsys.readouterr().out
     tables = [
-        parameter_table(_RUN.fits, _RUN.surface_energy_j_per_m2, _RUN.verdicts()),
+        parameter_table(_RUN),
         quality_table(_RUN.fits),
     ]
     for table in tables:
@@ -81,11 +70,10 @@ def with_apparatus() -> RunResults:
     whole = Budget(
         value=3.5e-3,
         standard_uncertainty=1e-4,
-        coverage_factor_95=2.0,
-        expanded_uncertainty_95=2e-4,
         sources=sources,
     )
-    return replace(_RUN, budget={"b": whole})
+    rows = (replace(_RUN.table[0], u_total=1e-4), *_RUN.table[1:])
+    return replace(_RUN, budget={"b": whole}, table=rows)
 
 
 @pytest.mark.parametrize("verbose", [False, True])
@@ -95,11 +83,12 @@ def test_the_terminal_shows_the_whole_uncertainty_and_that_of_the_swings_alone_w
     caplog.set_level(logging.INFO if verbose else logging.WARNING, logger="rig.analysis.screen")
     print_results(SessionResults(runs=(with_apparatus(),)), [])
     printed = capsys.readouterr().out
-    (line, *others) = [line for line in printed.splitlines() if line.startswith("b ")]
+    (line,) = [line for line in printed.splitlines() if line.startswith("b ")]
     assert "(3.50 ± 0.10) × 10⁻³" in line
     assert "E of the flat 99 %" in line
-    # never only the swings' uncertainty, which is a tenth of it
-    assert [("(3.500 ± 0.010) × 10⁻³" in each) for each in others] == [True] * verbose
+    # the swings' own uncertainty, a tenth of it, stands behind it and only where asked
+    assert (" 1.0 × 10⁻⁵ " in line) == verbose
+    assert printed.count("(3.50 ± 0.10)") == 1
     bound = next(line for line in printed.splitlines() if line.startswith("c "))
     assert "< 6.1 × 10⁻⁸ (95 %)" in bound
 
@@ -124,14 +113,14 @@ def test_whose_drag_it_is(of_data: Estimate, known: Estimate | None, words: str)
     assert words in line
 
 
-def test_what_is_not_determined_is_a_bound_in_the_default_fit_alone() -> None:
-    table = parameter_table(_RUN.fits, _RUN.surface_energy_j_per_m2, _RUN.verdicts())
+def test_what_is_not_determined_has_no_value_by_any_method() -> None:
+    table = parameter_table(_RUN)
     rows = {row[0]: row[1:] for row in table.shown}
-    assert table.head == ("", "Eqs. 5 and 6", "exact map", "unit")
-    assert rows["c"][1] == "< 6.1 × 10⁻⁸ (95 %)"
-    assert rows["σ (Table 2's form)"][1].startswith("< ")
-    assert "±" in rows["c"][0]
-    assert "±" in rows["b"][1]
+    assert table.head == ("", "value", "unit", "u of the swings", "Eqs. 5 and 6")
+    assert rows["c"] == ["< 6.1 × 10⁻⁸ (95 %)", "", "", ""]
+    assert rows["σ (Table 2's form)"][0] == "< 183 (95 %)"
+    assert "±" in rows["b"][0]
+    assert "±" in rows["b"][3]
 
 
 def test_relative_errors_are_in_per_cent_and_a_count_is_a_whole_number() -> None:
@@ -142,11 +131,9 @@ def test_relative_errors_are_in_per_cent_and_a_count_is_a_whole_number() -> None
 
 def test_a_fit_that_only_one_method_made_has_empty_cells_for_the_other() -> None:
     fits = {"exact": _RUN.fits["exact"], "another": Fit(parameters={"p": Estimate(0.9, 0.01)})}
-    table = parameter_table(fits, None, {})
-    rows = {row[0]: row[1:] for row in table.shown}
-    assert table.head == ("", "exact map", "another", "unit")
-    assert rows["p"][0] == ""
-    assert rows["c"][1] == ""
+    table = parameter_table(replace(_RUN, fits=fits))
+    assert table.head[-1] == "another"
+    assert {row[0]: row[-1] for row in table.shown}["b"] == ""
 
 
 def test_a_run_without_half_cycles_says_so(capsys: pytest.CaptureFixture[str]) -> None:

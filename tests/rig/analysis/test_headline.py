@@ -2,10 +2,13 @@
 
 from dataclasses import replace
 
-from processing.estimate import Determinacy
-from processing.fit import Budget, Determination
+from processing.estimate import Determinacy, Estimate
+from processing.fit import Budget, Drag, DragFinding
 from processing.fit.uncertainty import BudgetSource
-from rig.analysis.headline import SURFACE_ENERGY, headline
+from rig.analysis import RunResults
+from rig.analysis.headline import drag_headline, headline
+from rig.analysis.limits import whole_result
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
 
 
 def source(name: str, kind: str, share: float) -> BudgetSource:
@@ -15,25 +18,34 @@ def source(name: str, kind: str, share: float) -> BudgetSource:
 BUDGET = Budget(
     value=0.0834,
     standard_uncertainty=0.0013,
-    coverage_factor_95=2.0,
-    expanded_uncertainty_95=0.0026,
     sources=(
         source("swings", "A", 0.28),
         source("flat_youngs_modulus_pa", "B", 0.7),
         source("mass_kg", "B", 0.02),
     ),
 )
+ROW = ResultRow(quantity=SURFACE_ENERGY, value=0.0834, u=0.0007, u_total=0.0013)
 
 
 def test_the_headline_names_what_dominates() -> None:
-    text = headline({SURFACE_ENERGY: BUDGET}, {})
+    text = headline({SURFACE_ENERGY: ROW}, {SURFACE_ENERGY: BUDGET})
     assert "83.4 ± 1.3 mJ/m² with the whole budget" in text
     assert text.endswith("of its variance: E of the flat 70 %, swings (fit) 28 %.")
 
 
 def test_there_is_none_without_the_apparatus_or_where_the_data_set_a_bound() -> None:
     alone = replace(BUDGET, sources=(source("swings", "A", 1.0), source("mass_kg", "B", 0.0)))
-    assert headline({SURFACE_ENERGY: alone}, {}) == ""
-    bound = Determination(name="c", verdict=Determinacy.UPPER_BOUND, value=1e-9, lower_95=0.0, upper_95=2e-9)
-    assert headline({SURFACE_ENERGY: BUDGET}, {"c": bound}) == ""
+    assert headline({SURFACE_ENERGY: ROW}, {SURFACE_ENERGY: alone}) == ""
+    bound = replace(ROW, verdict=Determinacy.UPPER_BOUND)
+    assert headline({SURFACE_ENERGY: bound}, {SURFACE_ENERGY: BUDGET}) == ""
     assert headline({}, {}) == ""
+
+
+def test_what_is_said_first_is_named_and_has_the_whole_uncertainty() -> None:
+    """Sigma stood there without a name; a drag was 1.93 +- 0.10 where its interval is uneven."""
+    run = RunResults(record="run-1.mcap", table=(ROW,), budget={SURFACE_ENERGY: BUDGET})
+    assert whole_result(run).text == "surface energy σ (Table 2's form) = 83.4 ± 1.3 mJ/m²"
+    drag = ResultRow(quantity="drag_s", verdict=Determinacy.INTERVAL, lower=1.58e-3, upper=2.09e-3)
+    seen = Drag(drag_s=Estimate(1.93e-3, 1e-4), finding=DragFinding.SEEN)
+    said = drag_headline(seen, {"drag_s": drag, "b": replace(drag, quantity="b")}, fitted=True)
+    assert said == "The drag of the air is seen, (1.58 … 2.09) × 10⁻³ (95 %) s."

@@ -56,10 +56,10 @@ def test_arrays_stand_on_one_line_each(measured_series: Path) -> None:
 def test_null_says_not_determined(measured_series: Path, tmp_path: Path) -> None:
     tree = results_of(measured_series)
     tree["runs"][0]["fits"]["exact"]["c"]["standard_uncertainty"] = None
-    tree["runs"][0]["identifiability"][0]["upper_95"] = None
+    tree["runs"][0]["table"][0]["upper"] = None
     found = read_results(changed(tmp_path, tree))
     assert math.isnan(found.runs[0].fits["exact"].estimate("c").standard_uncertainty)
-    assert math.isnan(found.runs[0].identifiability[0].upper_95)
+    assert math.isnan(found.runs[0].table[0].upper)
     assert encoded(found) == tree
 
 

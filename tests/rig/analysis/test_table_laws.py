@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rig.analysis.table_fit import _taken_as_exact
+from rig.settings import load_configuration
 from tests.rig.command_line import rig
 
 
@@ -41,3 +43,22 @@ def test_without_a_pendulum_one_line_says_so(tmp_path: Path) -> None:
     done = rig("fit", swings(tmp_path / "t.csv"), "--law", "all")
     assert done.returncode != 0
     assert done.stderr.strip() == "rig: --law all: laws need swings and --config CONFIG with [pendulum]"
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ("", ["angles", "times"]),
+        ("[timebase]\nu_camera_rate = 5e-5\n", ["angles"]),
+        ("[timebase]\n", ["angles", "times"]),
+    ],
+)
+def test_what_a_table_states_no_uncertainty_of_is_said(tmp_path: Path, stated: str, said: list[str]) -> None:
+    """50 ppm of the clock moved T0 by 2.4 u, and only the angles were said to be taken as exact."""
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
+        f'ball_material = "steel"\nflat_material = "glass_k8"\n{stated}'
+    )
+    lines = _taken_as_exact(load_configuration(path, needs_camera=False))
+    assert [line.split("table's ")[1].split()[0] for line in lines] == said

@@ -18,7 +18,7 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
 from rig.archive import add_folders, check_archive, find_runs, list_runs, selected, update_archive
 from rig.archive.catalogue import write_sessions, writing
-from rig.archive.columns import COLUMNS, DERIVED
+from rig.archive.columns import COLUMNS, DERIVED, PARAMETERS, of_row
 from tests.rig.command_line import rig
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -113,10 +113,11 @@ def test_only_what_has_changed_is_read(sessions: Path, archive: Path) -> None:
     # new results are the ones that are listed
     series = sessions / "series"
     changed = json.loads((series / "results.json").read_text())
-    changed["runs"][0]["fits"]["exact"]["c"]["value"] = 0.5
+    (row,) = (row for row in changed["runs"][0]["table"] if row["quantity"] == "p")
+    row["value"] = 0.5
     (series / "results-2.json").write_text(json.dumps(changed))
     assert update_archive(archive) == "1 session read (2 runs), 1 unchanged, 0 gone"
-    assert rows(archive, "b > 0", "c, results") == [{"c": 0.5, "results": "results-2.json"}]
+    assert rows(archive, "b > 0", "p, results") == [{"p": 0.5, "results": "results-2.json"}]
     # a record that goes on has another hash; a session of a new folder is found, one that was removed is gone
     with (series / "run-2.mcap").open("ab") as file:
         file.write(b"\0")
@@ -293,4 +294,7 @@ def test_numbers_are_kept_to_the_last_digit(tmp_path: Path) -> None:
 def test_every_column_stands_in_the_reference() -> None:
     text = (ROOT / "docs" / "reference" / "archive.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"^\| `(\w+)` \| .+ \|$", text, re.MULTILINE))
-    assert listed == {name for name in COLUMNS if name.removeprefix("u_") not in DERIVED}
+    of_rows = {column for name in (*PARAMETERS, *DERIVED) for column in (*of_row(name), f"verdict_{name}")}
+    assert listed == {name for name in COLUMNS if name not in of_rows}
+    for name in PARAMETERS:
+        assert f"`{name}`" in text

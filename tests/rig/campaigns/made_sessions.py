@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from processing.angle import ARCSEC_RAD
-from processing.contact import PendulumOnBall
+from processing.contact import PendulumOnBall, surface_energy
 from processing.estimate import Estimate
 from processing.fit import Budget, FitMethod
 from processing.fit.uncertainty import BudgetSource
@@ -17,7 +17,8 @@ from rig.analysis import Correlation, Fit, RunResults, SessionResults, StoredTur
 NAMES = ("b", "p", "c", "n", "period0_s", "gamma_pa")
 GLASS = np.array([3.733e-3, 0.944, 1.051e-8, 0.092, 4.071, 28.97e6])
 RELATIVE_U = np.array([0.005, 0.001, 0.1, 0.02, 1e-4, 0.01])
-ENERGY_OVER_C = 2.75e6
+PENDULUM = PendulumOnBall(0.406, 6.05e-3, 6.6e-5)
+ENERGY_OVER_C = surface_energy(Estimate(1.0, 0.0), PENDULUM).table2.value
 """Of the surface energy in J/m2 to c."""
 U_MASS_KG, U_ARM_M = 2e-4, 1e-3
 
@@ -57,7 +58,7 @@ def run(
         sha256=sha256 or f"{rng.integers(2**62):064x}",
         half_cycles=len(time_s),
         fits={FitMethod.EXACT: fit},
-        pendulum=PendulumOnBall(0.406, 6.05e-3, 6.6e-5),
+        pendulum=PENDULUM,
         budget=budget,
         surroundings=Surroundings(temperature_c=20.0, humidity_percent=humidity_percent),
         turning_points=StoredTurningPoints(
@@ -77,7 +78,7 @@ def _budget(name: str, value: float, u: float, *, arm: float, mass: float) -> Bu
         if slope:
             sources.append(BudgetSource(source, "B", u_source, slope, abs(slope * u_source), 0.0))
     return Budget(
-        value=value, standard_uncertainty=u, coverage_factor_95=2.0, expanded_uncertainty_95=2 * u,
+        value=value, standard_uncertainty=u,
         sources=tuple(sources),
     )  # fmt: skip
 

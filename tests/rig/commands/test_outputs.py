@@ -1,5 +1,6 @@
 """What commands would write over, or cannot write, is refused before the work."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from rig.cli import app
 from tests.rig.command_line import CONFIGS, rig
 from tests.rig.commands.wrong_inputs import commands
 
+SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 DEMO = str(CONFIGS / "demo.toml")
 NEW_FILES = {
     ("archive", "list"): ("out.csv", "-o"),
@@ -107,3 +109,14 @@ def test_every_option_that_names_an_output_is_checked() -> None:
     ]
     # which of two checks it needs depends on its --format
     assert unchecked == [("export", "-o")]
+
+
+def test_results_that_become_the_newest_of_a_session_are_named(tmp_path: Path) -> None:
+    """rig fit left results-2.json inside the session, and report and replay took it without a word."""
+    shutil.copytree(SAMPLES / "first", tmp_path / "first")
+    done = rig("fit", "first", cwd=tmp_path)
+    assert "results-2.json is the newest of first now" in done.stderr
+    done = rig("export", "first", "-o", "out", cwd=tmp_path)
+    assert "first: results-2.json, the newest of its results, is taken" in done.stderr
+    done = rig("export", "first/results.json", "-o", "earlier", cwd=tmp_path)
+    assert "newest" not in done.stderr

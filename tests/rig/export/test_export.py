@@ -39,8 +39,13 @@ def test_csv_holds_every_digit_and_the_provenance(
     spots, swings, results = truth
     made = export_session(measured_series, "csv", tmp_path / "csv")
     assert [path.name for path in made] == [
-        *(f"run-{number}-{what}.csv" for number in (1, 2) for what in ("spots", "swings", "results")),
+        *(
+            f"run-{number}-{what}.csv"
+            for number in (1, 2)
+            for what in ("spots", "swings", "results", "table")
+        ),
         "series-results.csv",
+        "series-table.csv",
     ]
     lines = made[1].read_text(encoding="utf-8").splitlines()
     head = [line for line in lines if line.startswith("#")]
@@ -184,12 +189,10 @@ UNITS = {
     "fits/exact/ground/density_rad_per_s2_rthz/value": "rad/s^2/sqrt(Hz)",
     "fits/exact/ground/upper_95": "rad/s^2/sqrt(Hz)",
     "fits/asymptotic/mean_period_s/value": "s",
-    "surface_energy_j_per_m2/table2/value": "J/m^2",
-    "surface_energy_j_per_m2/asymptotic/eq2/standard_uncertainty": "J/m^2",
-    "hertz/angle_rad/value": "rad",
+    "table/0/upper": "rad^-p",
+    "table/5/u_total": "Pa",
     "budget/gamma_pa/value": "Pa",
     "budget/surface_energy_table2_j_per_m2/sources/0/contribution": "J/m^2",
-    "monte_carlo/quantities/contact_radius_m/upper_95": "m",
     "work_per_cycle/0/dissipated_4a_j/value": "J",
     "turning_points/amplitude/0": "rad",
     "turning_points/u_time_s/0": "s",

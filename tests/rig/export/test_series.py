@@ -45,8 +45,12 @@ def series(measured_series: Path) -> dict[str, Any]:
 def test_tables_hold_every_number_of_the_series(
     measured_series: Path, series: dict[str, Any], tmp_path: Path, kind: Any
 ) -> None:
-    path = export_session(measured_series, kind, tmp_path)[-1]
+    path, of_rows = export_session(measured_series, kind, tmp_path)[-2:]
     assert path.name == f"series-results.{kind}"
+    if kind == "parquet":
+        rows = {row["quantity"]: row for row in parquet.read_table(of_rows).to_pylist()}
+        assert [row["quantity"] for row in series["table"]] == list(rows)
+        assert rows["c"]["upper"] == next(row["upper"] for row in series["table"] if row["quantity"] == "c")
     if kind == "csv":
         lines = path.read_text(encoding="utf-8").splitlines()
         rows: list[dict[str, Any]] = list(csv.DictReader(line for line in lines if line[0] != "#"))
@@ -64,7 +68,7 @@ def test_tables_hold_every_number_of_the_series(
     assert found.keys() >= wanted.keys()
     np.testing.assert_array_equal([found[name] for name in wanted], list(wanted.values()))
     unit = {row["name"]: row["unit"] for row in rows}
-    assert size(unit["exact.gamma_pa.expanded_uncertainty_95"]) == size("Pa")
+    assert size(unit["exact.gamma_pa.between_runs"]) == size("Pa")
     assert "SIMULATED: 2 of 2 runs" in about
     for run in read_results(measured_series).runs:
         assert run.sha256 in about
@@ -80,7 +84,7 @@ def test_hdf5_has_an_entry_for_the_series(
         assert entry.attrs["NX_class"] == "NXentry"
         assert json.loads(entry["results/json"][()]) == series
         b = entry["results/values/exact/b"]
-        assert b["expanded_uncertainty_95"][()] == series["exact"]["b"]["expanded_uncertainty_95"]
+        assert b["between_runs"][()] == series["exact"]["b"]["between_runs"]
         assert entry["results/values/budget/gamma_pa/value"].attrs["units"] == "Pa"
 
 
@@ -135,4 +139,4 @@ def test_two_names_that_are_one_in_nexus(measured_series: Path, tmp_path: Path) 
     write_results(tmp_path / "results.json", replace(found, runs=runs))
     with pytest.raises(ConfigurationError, match="several records of one name"):
         export_session(tmp_path, "hdf5", tmp_path / "x.h5")
-    assert len(export_session(tmp_path, "csv", tmp_path / "csv")) == 7
+    assert len(export_session(tmp_path, "csv", tmp_path / "csv")) == 10

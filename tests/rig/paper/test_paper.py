@@ -8,7 +8,7 @@ import pytest
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.moments import surface_energy
 from processing.estimate import Estimate
-from rig.paper.comparison import CONTRADICTION, table1, table2, table3, table4
+from rig.paper.comparison import CONTRADICTION, _agreement, table1, table2, table3, table4
 from rig.paper.paper_report import write_paper
 from rig.paper.printed import BALL_RADIUS_M, MASS_KG, PAIRS
 from rig.paper.shaken import shaken_pair, table5
@@ -95,3 +95,14 @@ def test_the_ground_that_makes_the_printed_residuals_is_that_of_the_stated_power
     """A tenth of the time to walk in: a ground of before would make a third of the printed residual."""
     found = [shaken_pair(PAIRS[0], -3, seed).arae_decay for seed in (3, 4)]
     assert sum(found) / 2 == pytest.approx(0.008, rel=0.4)
+
+
+@pytest.mark.parametrize(
+    ("found", "printed", "half", "verdict"),
+    [(27.22, 27.3, 0.06, ""), (27.26, 27.3, 0.03, "agrees as rounded"), (27.22, 27.3, 0.09, "agrees (95 %)")],
+)
+def test_rounding_is_half_of_the_last_digit_and_no_more(
+    found: float, printed: float, half: float, verdict: str
+) -> None:
+    """Sigma of steel, 27.22 +- 0.03 against 27.3, was said to agree as rounded."""
+    assert _agreement(found - printed, half, 0.1) == verdict

@@ -8,7 +8,11 @@ from typing import Any
 import pytest
 
 from processing.errors import ConfigurationError, RecordError
+from processing.fit import Combined
+from rig.analysis import Series, encoded
+from rig.analysis.result_rows import series_rows
 from rig.report.comparison import compare
+from tests.processing.fit.decays import paper_pair
 from tests.rig.command_line import rig
 
 
@@ -20,12 +24,15 @@ def session(folder: Path, changed: str = "", by: float = 0.0) -> Path:
         u = 1e-3 * value
         middle = value + by * u * (name == changed)
         exact[name] = {
-            "value": middle, "standard_uncertainty": u, "expanded_uncertainty_95": 4.3 * u,
+            "value": middle, "standard_uncertainty": u,
             "degrees_of_freedom": 2, "within_runs": u, "between_runs": 0.0, "p_homogeneous": 0.5,
             "runs": [{"value": middle, "standard_uncertainty": 1.7 * u}] * 3,
         }  # fmt: skip
     folder.mkdir()
-    tree = {"schema": 1, "runs": [{"record": f"run-{k}.mcap"} for k in (1, 2, 3)], "series": {"exact": exact}}
+    combined = {name: Combined(**{**item, "runs": ()}) for name, item in exact.items()}
+    table = encoded(Series(table=series_rows(combined, {}, paper_pair("steel")[1])))["table"]
+    series = {"exact": exact, "table": table}
+    tree = {"schema": 1, "runs": [{"record": f"run-{k}.mcap"} for k in (1, 2, 3)], "series": series}
     (folder / "results.json").write_text(json.dumps(tree))
     return folder
 
@@ -48,7 +55,7 @@ def test_table_and_plot_of_three_series(tmp_path: Path) -> None:
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert re.findall(r'src="(\w+:)', page) == ["data:"]
     assert (tmp_path / "page" / "comparison.svg").stat().st_size > 1000
-    assert len((tmp_path / "page" / "values.csv").read_text().splitlines()) == 7
+    assert len((tmp_path / "page" / "values.csv").read_text().splitlines()) == 8
 
 
 def test_a_simulated_series_is_called_so(tmp_path: Path) -> None:
@@ -77,7 +84,8 @@ def test_what_a_series_does_not_determine_is_a_bound(tmp_path: Path) -> None:
     """c is 1.05e-8 with an uncertainty of 0.9e-8: no number with digits, but less than something."""
     vague = session(tmp_path / "vague")
     tree = json.loads((vague / "results.json").read_text())
-    tree["series"]["exact"]["c"] |= {"standard_uncertainty": 0.9e-8, "expanded_uncertainty_95": 3.9e-8}
+    (row,) = [row for row in tree["series"]["table"] if row["quantity"] == "c"]
+    row |= {"value": None, "u_total": None, "upper": 4.95e-8, "verdict": "upper bound"}
     (vague / "results.json").write_text(json.dumps(tree))
     values, _ = compare([session(tmp_path / "clear"), vague], None)
     row = next(row for row, cells in zip(values.shown, values.rows, strict=True) if cells[0] == "c")
@@ -113,10 +121,10 @@ def test_a_session_is_not_compared_with_itself(tmp_path: Path) -> None:
 def test_only_differences_are_listed_and_the_surface_energy_is_compared(tmp_path: Path) -> None:
     folders = [session(tmp_path / "dry"), session(tmp_path / "wet", "gamma_pa", 80.0)]
     tree = json.loads((folders[0] / "results.json").read_text())
-    energy = {"value": 0.0289, "standard_uncertainty": 0.0002}
-    tree["series"]["surface_energy_j_per_m2"] = {"table2": energy, "eq2": energy}
+    (row,) = [row for row in tree["series"]["table"] if row["quantity"] == "surface_energy_table2_j_per_m2"]
+    row |= {"value": 0.0289, "u_total": 0.0002}
     (folders[0] / "results.json").write_text(json.dumps(tree))
     values, differences = compare(folders, None)
-    assert [row[1:] for row in values.shown if row[0].startswith("σ")] == [["28.90 ± 0.20", "–"]]
+    assert [row[1] for row in values.shown if row[0].startswith("σ")] == ["28.90 ± 0.20"]
     assert len(differences.shown) == 1
     assert differences.note.startswith("1 of 6 comparisons differ")

@@ -1,7 +1,6 @@
 """Numbers as text: digits by the uncertainty, powers of ten, values that are not determined."""
 
 import math
-from dataclasses import replace
 from decimal import Context, Decimal, localcontext
 
 import numpy as np
@@ -9,10 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from processing.estimate import Determinacy, Estimate
-from processing.fit import Combined, Determination
 from processing.number_text import decimals, plain, rounded, signed, signed_percent, with_uncertainty
-from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.report.drawing import broken, envelope, thinned
 from rig.terminal import spelled
 
@@ -117,24 +113,6 @@ def test_a_plain_number_keeps_its_digits(value: float, digits: int) -> None:
         exponent = int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")))
         text = f"{mantissa}e{exponent}"
     assert float(text) == pytest.approx(value, rel=0.5001 * 10.0 ** (1 - digits))
-
-
-def test_what_is_not_determined_is_a_bound_or_an_interval() -> None:
-    verdict = Determination(
-        name="c", verdict=Determinacy.UPPER_BOUND, value=1e-9, lower_95=0.0, upper_95=2.34e-8
-    )
-    assert bound_text(verdict) == "< 2.3 × 10⁻⁸ (95 %)"
-    assert bound_text(replace(verdict, verdict=Determinacy.UNDETERMINED)) == "not determined"
-    energy = determined_text("surface_energy_table2_j_per_m2", Estimate(2.75e-3, 1e-3), {"c": verdict})
-    assert energy == "< 64 (95 %)"  # 2.34e-8 times 2.75e-3/1e-9 J/m^2
-
-
-def test_a_series_that_scatters_too_much_gives_a_bound() -> None:
-    item = Combined(value=-1.2e-8, standard_uncertainty=8e-9, expanded_uncertainty_95=3.4e-8)
-    found = series_verdicts({"c": item, "p": replace(item, value=0.9, standard_uncertainty=0.01)})
-    assert found["c"].verdict == "upper bound"
-    assert found["c"].upper_95 == pytest.approx(2.2e-8)
-    assert found["p"].verdict == "determined"
 
 
 def test_an_envelope_holds_every_extreme() -> None:

@@ -54,10 +54,10 @@ def end_gauge() -> dict[str, Found]:
         "d": InputQuantity(215.0, 5.8, dof=24),
         "d1": InputQuantity(0.0, 3.9, dof=5),
         "d2": InputQuantity(0.0, 6.7, dof=8),
-        "alpha": InputQuantity(11.5e-6, 2e-6 / sqrt(3), "rectangular"),
+        "alpha": InputQuantity(11.5e-6, 2e-6 / sqrt(3)),
         "theta": InputQuantity(-0.1, 0.41),
-        "d_alpha": InputQuantity(0.0, 1e-6 / sqrt(3), "rectangular", 50),
-        "d_theta": InputQuantity(0.0, 0.05 / sqrt(3), "rectangular", 2),
+        "d_alpha": InputQuantity(0.0, 1e-6 / sqrt(3), dof=50),
+        "d_theta": InputQuantity(0.0, 0.05 / sqrt(3), dof=2),
     }
 
     def model(x: Mapping[str, Floats]) -> Floats:

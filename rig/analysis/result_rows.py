@@ -1,0 +1,249 @@
+"""The table of results: what is known of every quantity, made once, and read by every output."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import exp, floor, hypot, isfinite, log, log10, nan
+from typing import Annotated, Final
+
+from processing.contact import DRAG, PendulumOnBall, surface_energy
+from processing.errors import ConfigurationError
+from processing.estimate import WELL_DETERMINED, Determinacy, Estimate
+from processing.fit import Budget, Combined, Determination, FitResult
+from processing.quantity import OF, Quantity
+from rig.presentation import Shown, interval, law_parameters, plain, quantity, unit_of
+
+SURFACE_ENERGY: Final = "surface_energy_table2_j_per_m2"
+ENERGIES: Final = (SURFACE_ENERGY, "surface_energy_eq2_j_per_m2")
+_SHORT_NAMES: Final = {
+    "T0": "period0_s",
+    "gamma": "gamma_pa",
+    "sigma": SURFACE_ENERGY,
+    "drag": DRAG.key,
+    "a": "contact_radius_m",
+}
+_OWN = Quantity("", "", unit=OF + "quantity")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class ResultRow:
+    """One quantity of a run or a series.
+
+    `value`, `u` and `u_total` are NaN unless the data determine the quantity: then `lower` and `upper` say
+    all that is known. `u` is the standard uncertainty of the swings alone, `u_total` that of swings and
+    apparatus together, `lower` to `upper` the 95 % interval, of both together; a limit that the data do not
+    set is NaN. `unit` is that of the numbers. `by_profile`: the interval follows from the profile likelihood,
+    otherwise from the covariance. `run` is the run's name, "series" for several together.
+
+    It unpacks: ``value, u_total = row``.
+    """
+
+    quantity: str
+    value: Annotated[float, _OWN] = nan
+    u: Annotated[float, _OWN] = nan
+    u_total: Annotated[float, _OWN] = nan
+    lower: Annotated[float, _OWN] = nan
+    upper: Annotated[float, _OWN] = nan
+    verdict: Determinacy = Determinacy.DETERMINED
+    unit: str = ""
+    run: str = ""
+    by_profile: bool = False
+
+    def __iter__(self) -> Iterator[float]:
+        return iter((self.value, self.u_total))
+
+    @property
+    def determined(self) -> bool:
+        """Whether value and uncertainty describe it."""
+        return self.verdict is Determinacy.DETERMINED
+
+    @property
+    def shown(self) -> Shown:
+        """How a person reads it: symbol, unit, factor."""
+        return quantity(self.quantity)
+
+    @property
+    def text(self) -> str:
+        """Value and whole uncertainty in the unit shown, or the interval or bound."""
+        return self.shown.text(*self) if self.determined else self.scaled_text(self.shown.factor)
+
+    def scaled_text(self, scale: float) -> str:
+        """Interval or bound of what is `scale` times the quantity."""
+        low, high = self.lower * scale, self.upper * scale
+        match self.verdict:
+            case Determinacy.UPPER_BOUND:
+                return f"< {plain(high, 2)} (95 %)"
+            case Determinacy.LOWER_BOUND if low > 0:
+                # downwards: rounded to the nearest it might lie above the limit
+                digit = 10.0 ** (floor(log10(low)) - 2)
+                return f"> {plain(low - 0.5 * digit, 3)} (95 %)"
+            case Determinacy.INTERVAL | Determinacy.DETERMINED:
+                return f"{interval(low, high)} (95 %)"
+        return "not determined"
+
+    @property
+    def equation(self) -> str:
+        """``b = (3.73 ± 0.02) × 10⁻³ rad⁻ᵖ``, ``c < 1.4 × 10⁻⁸ (95 %)``."""
+        sign = "" if self.text.startswith(("<", ">")) else "= " if self.determined else "in "
+        if self.text == "not determined":
+            sign = ""
+        return f"{self.shown.symbol} {sign}{self.text} {self.shown.unit}".rstrip()
+
+    def __str__(self) -> str:
+        return self.equation
+
+    def __repr__(self) -> str:
+        return f"<{self.equation}>"
+
+
+def named(key: str) -> str:
+    """The label of a quantity where it is met first: a surface energy by its name."""
+    label = quantity(key).label
+    return f"surface energy {label}" if key in ENERGIES else label
+
+
+def result_rows(
+    run: str,
+    fit: FitResult,
+    determinations: Sequence[Determination],
+    budget: Mapping[str, Budget],
+    pendulum: PendulumOnBall,
+) -> tuple[ResultRow, ...]:
+    """The rows of one run: the fitted parameters, the surface energies, and what the apparatus alone gives.
+
+    A parameter on which there is no determination (its profile failed) is withheld, unless its relative
+    uncertainty is so small that it needs none.
+    """
+    known = {one.name: one for one in determinations}
+    rows = []
+    for name in fit.contact_names:
+        value, u = fit.estimate(name)
+        row = ResultRow(quantity=name, value=value, u=u, verdict=Determinacy.UNDETERMINED)
+        if (found := known.get(name)) is not None:
+            row = replace(
+                row,
+                lower=found.lower_95,
+                upper=found.upper_95,
+                verdict=found.verdict,
+                by_profile=found.profile_likelihood,
+            )
+        elif u <= WELL_DETERMINED * abs(value):
+            lower, upper = fit.interval(name)
+            row = replace(row, lower=lower, upper=upper, verdict=Determinacy.DETERMINED)
+        rows.append(row)
+    return _completed(run, rows, budget, pendulum)
+
+
+def series_rows(
+    combined: Mapping[str, Combined], budget: Mapping[str, Budget], pendulum: PendulumOnBall
+) -> tuple[ResultRow, ...]:
+    """The rows of several runs together, each quantity by the interval of their mean."""
+    rows = []
+    for name, item in combined.items():
+        half = item.expanded_uncertainty_95
+        lower, upper = item.value - half, item.value + half
+        verdict = Determinacy.DETERMINED
+        if item.standard_uncertainty > WELL_DETERMINED * abs(item.value):
+            verdict = Determinacy.INTERVAL
+            if lower <= 0 and law_parameters()[name].lower == 0:
+                verdict, lower = Determinacy.UPPER_BOUND, 0.0
+        rows.append(
+            ResultRow(
+                quantity=name,
+                value=item.value,
+                u=item.standard_uncertainty,
+                lower=lower,
+                upper=upper,
+                verdict=verdict,
+            )
+        )
+    return _completed("series", rows, budget, pendulum)
+
+
+def _completed(
+    run: str, fitted: Sequence[ResultRow], budget: Mapping[str, Budget], pendulum: PendulumOnBall
+) -> tuple[ResultRow, ...]:
+    """The rows with what follows from them, the whole uncertainty, units and the run's name."""
+    rows = list(fitted)
+    c = next((row for row in rows if row.quantity == "c"), None)
+    if c is not None:
+        # each surface energy is c times what is known of the apparatus
+        for name, per_c in zip(ENERGIES, _energies_per_c(pendulum), strict=True):
+            value, u, low, high = (per_c * number for number in (c.value, c.u, c.lower, c.upper))
+            rows.append(replace(c, quantity=name, value=value, u=u, lower=low, upper=high))
+    for name, item in budget.items():
+        if not any(row.quantity == name for row in rows):
+            rows.append(ResultRow(quantity=name, value=item.value, u=0.0, lower=item.value, upper=item.value))
+    return tuple(
+        _stated(replace(_whole(row, budget.get(row.quantity)), unit=unit_of(row.quantity), run=run))
+        for row in rows
+    )
+
+
+def _energies_per_c(pendulum: PendulumOnBall) -> tuple[float, float]:
+    found = surface_energy(Estimate(1.0, 0.0), pendulum)
+    return found.table2.value, found.eq2.value
+
+
+def _whole(row: ResultRow, item: Budget | None) -> ResultRow:
+    """The row with what the apparatus adds to its uncertainty, and to both sides of its interval."""
+    part = 0.0 if item is None else item.of_apparatus
+    if not part > 0:
+        return replace(row, u_total=row.u)
+    assert item is not None
+    value, expanded = row.value, item.coverage_factor_95 * part
+    low, high = value - row.lower, row.upper - value
+    parameter = law_parameters().get(row.quantity)
+    if parameter is not None and parameter.logarithmic and value > 0 and row.lower > 0:
+        # their units hold an exponent: the interval is symmetric in the logarithm
+        low, high = (
+            _wider(side, expanded / value) for side in (log(value / row.lower), log(row.upper / value))
+        )
+        lower, upper = value * exp(-low), value * exp(high)
+    else:
+        lower, upper = value - _wider(low, expanded), value + _wider(high, expanded)
+        if row.lower == 0:
+            # a limit by physics, which no apparatus moves
+            lower = 0.0
+    return replace(row, u_total=hypot(row.u, part), lower=lower, upper=upper)
+
+
+def _wider(side: float, part: float) -> float:
+    return hypot(max(side, 0.0), part) if isfinite(side) else side
+
+
+def _stated(row: ResultRow) -> ResultRow:
+    """Without value and uncertainty where they would not describe what is known."""
+    if not row.determined:
+        return replace(row, value=nan, u=nan, u_total=nan)
+    return row
+
+
+def withheld(budget: Mapping[str, Budget], rows: Sequence[ResultRow]) -> dict[str, Budget]:
+    """The budgets, of what is not determined with the shares of the sources alone."""
+    known = {row.quantity: row.determined for row in rows}
+    return {name: item if known.get(name, True) else item.shares_only() for name, item in budget.items()}
+
+
+class WithRows:
+    """What has a table of results gives its rows by name: ``results["b"]``, ``results["T0"]``."""
+
+    __slots__ = ()
+
+    @property
+    def rows(self) -> Mapping[str, ResultRow]:
+        """The rows by quantity."""
+        return {row.quantity: row for row in self._table()}
+
+    def _table(self) -> Sequence[ResultRow]:
+        raise NotImplementedError
+
+    def __getitem__(self, name: str) -> ResultRow:
+        found = self.rows.get(_SHORT_NAMES.get(name, name))
+        if found is None:
+            known = ", ".join(self.rows) or "none, since nothing was fitted"
+            raise ConfigurationError(f"{name!r}: no such result; there are {known}")
+        return found
+
+    def _summary(self, head: str) -> str:
+        """A head and a line a row, for a person."""
+        return "\n".join([head, *(f"  {row}" for row in self._table())])

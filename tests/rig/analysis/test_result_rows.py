@@ -1,0 +1,168 @@
+"""The table of results: one interval and one verdict of each quantity, whichever output shows it."""
+
+import json
+from dataclasses import replace
+from math import isnan, log, nan
+
+import numpy as np
+import pytest
+
+from processing.errors import ConfigurationError
+from processing.estimate import Determinacy
+from processing.fit import (
+    Combined,
+    Determination,
+    FitResult,
+    budgets,
+    fit_exact,
+    fitted_contact,
+    identifiability,
+)
+from rig.analysis import RunResults, Series, SessionResults, encoded
+from rig.analysis.fit_tables import parameter_table
+from rig.analysis.result_rows import ResultRow, result_rows, series_rows, withheld
+from rig.presentation import latex_table
+from rig.report.tables_uncertainty import budget_table, identifiability_table
+from tests.processing.fit.decays import decay, paper_pair
+from tests.processing.fit.test_uncertainty import rig
+
+_PENDULUM = rig().pendulum()
+
+
+@pytest.fixture(scope="module")
+def long_fit() -> FitResult:
+    parameters, pendulum = paper_pair("glass_k8")
+    return fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=3, last_arcsec=20), pendulum)
+
+
+def rows_of(fit: FitResult, determinations: tuple[Determination, ...] = ()) -> dict[str, ResultRow]:
+    table = budgets(fitted_contact(fit), rig())
+    return {row.quantity: row for row in result_rows("run-1", fit, determinations, table, _PENDULUM)}
+
+
+def bounded(fit: FitResult, name: str, lower: float, upper: float, verdict: Determinacy) -> Determination:
+    value, u = fit.estimate(name)
+    return Determination(
+        name=name, verdict=verdict, value=value, standard_uncertainty=u, lower_95=lower, upper_95=upper,
+        profile_likelihood=True,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.1])
+def test_a_short_run_has_the_profile_s_interval_in_every_output(scale: float) -> None:
+    """b of 75 s: the budget said 2.7e-5 to 2.4e-3, the profile 7.2e-5 to 0.02; the truth is 3.7e-3."""
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.5 * scale, seed=3, last_arcsec=105)
+    fit = fit_exact(points, pendulum)
+    determinations = identifiability(points, pendulum, fit)
+    budget = budgets(fitted_contact(fit), rig())
+    table = result_rows("run-1", fit, determinations, budget, pendulum)
+    run = RunResults(record="run-1.mcap", table=table, budget=withheld(budget, table))
+    open_ones = [one for one in determinations if one.verdict is not Determinacy.DETERMINED]
+    assert {"b", "c"} <= {one.name for one in open_ones}
+    for one in open_ones:
+        row = run[one.name]
+        assert isnan(row.value + row.u + row.u_total)
+        for end, of_profile in ((row.lower, one.lower_95), (row.upper, one.upper_95)):
+            # the apparatus widens it a little
+            assert end == pytest.approx(of_profile, rel=0.02, nan_ok=True)
+        assert isnan(run.budget[one.name].standard_uncertainty)
+        assert all(isnan(source.contribution) for source in run.budget[one.name].sources)
+        assert "±" not in str(row)
+    tree = json.dumps(encoded(run))
+    assert "expanded" not in tree
+    shown = {content.name: content for content in (
+        parameter_table(run), budget_table(run.budget, run.rows), identifiability_table(run),
+    )}  # fmt: skip
+    c = run["c"]
+    for content in (shown["parameters"], shown["budget"]):
+        assert any(c.text in cells for cells in content.shown)
+        assert "pm" not in next(line for line in latex_table(content).splitlines() if line.startswith("c "))
+    known = {cells[0]: cells for cells in shown["identifiability"].rows}
+    assert known["b"][2:4] == [run["b"].lower, run["b"].upper]
+
+
+def test_the_whole_uncertainty_comes_first(long_fit: FitResult) -> None:
+    """gamma was 29.072 +- 0.093 in LaTeX and 29.07 +- 0.19 on the terminal."""
+    rows = rows_of(long_fit)
+    budget = budgets(fitted_contact(long_fit), rig())
+    gamma = rows["gamma_pa"]
+    assert gamma.u == long_fit.estimate("gamma_pa").standard_uncertainty
+    assert gamma.u_total == pytest.approx(budget["gamma_pa"].standard_uncertainty)
+    assert gamma.u_total > 1.5 * gamma.u
+    assert tuple(gamma) == (gamma.value, gamma.u_total)
+    half = 1.97 * gamma.u_total
+    assert log(gamma.upper / gamma.value) == pytest.approx(half / gamma.value, rel=0.02)
+    assert gamma.upper - gamma.value > gamma.value - gamma.lower
+    run = RunResults(record="run-1.mcap", table=tuple(rows.values()), budget=budget)
+    text = latex_table(parameter_table(run))
+    line = next(line for line in text.splitlines() if "gamma" in line)
+    assert gamma.text.split(" ± ")[1] in line.split("&")[1]
+    assert "swings and apparatus together" in text
+
+
+def test_a_bound_stays_one_and_so_does_that_of_what_follows(long_fit: FitResult) -> None:
+    known = bounded(long_fit, "c", 0.0, 1.4e-8, Determinacy.UPPER_BOUND)
+    rows = rows_of(long_fit, (known,))
+    c, energy = rows["c"], rows["surface_energy_table2_j_per_m2"]
+    assert c.equation == "c < 1.4 × 10⁻⁸ (95 %)"
+    assert (c.lower, energy.lower) == (0.0, 0.0)
+    assert energy.verdict is Determinacy.UPPER_BOUND
+    assert energy.upper / c.upper == pytest.approx(
+        budgets(fitted_contact(long_fit), rig())["surface_energy_table2_j_per_m2"].value
+        / long_fit.estimate("c").value,
+        rel=0.02,
+    )
+    assert rows["contact_radius_m"].determined
+
+
+@pytest.mark.parametrize(
+    ("verdict", "lower", "upper", "said"),
+    [
+        (Determinacy.INTERVAL, 2e-9, 3e-8, "c in (0.200 … 3.00) × 10⁻⁸ (95 %)"),
+        (Determinacy.LOWER_BOUND, 2.349e-9, nan, "c > 2.34 × 10⁻⁹ (95 %)"),
+        (Determinacy.LOWER_BOUND, 0.0, nan, "c not determined"),
+        (Determinacy.UPPER_BOUND, 0.0, 2.34e-8, "c < 2.3 × 10⁻⁸ (95 %)"),
+        (Determinacy.UNDETERMINED, nan, nan, "c not determined"),
+    ],
+)
+def test_what_is_not_determined_is_said_in_words(
+    verdict: Determinacy, lower: float, upper: float, said: str
+) -> None:
+    """T0 of at least 3.967 s was printed as above 4.0."""
+    row = ResultRow(quantity="c", verdict=verdict, lower=lower, upper=upper)
+    assert str(row) == said
+    assert repr(row) == f"<{said}>"
+
+
+def test_without_a_profile_a_weak_parameter_is_withheld(long_fit: FitResult) -> None:
+    weak = replace(long_fit, covariance=long_fit.covariance * np.outer(*[[1e3, 1, 1, 1, 1, 1, 1, 1]] * 2))
+    rows = rows_of(weak)
+    assert rows["b"].verdict is Determinacy.UNDETERMINED
+    assert str(rows["b"]) == "b not determined rad⁻ᵖ" or str(rows["b"]) == "b not determined"
+    assert rows["p"].determined
+
+
+def test_a_series_that_scatters_too_much_gives_a_bound() -> None:
+    item = Combined(value=-1.2e-8, standard_uncertainty=8e-9, degrees_of_freedom=2)
+    rows = series_rows({"c": item, "p": replace(item, value=0.9, standard_uncertainty=0.01)}, {}, _PENDULUM)
+    c, p = rows[0], rows[1]
+    assert c.verdict is Determinacy.UPPER_BOUND
+    assert c.upper == pytest.approx(2.24e-8, rel=0.01)
+    assert p.text == "0.900 ± 0.010"
+    assert p.upper == pytest.approx(0.943, abs=1e-3)
+
+
+def test_rows_are_found_by_name_and_by_symbol() -> None:
+    row = ResultRow(quantity="period0_s", value=4.0, u=0.01, u_total=0.02, run="run-1")
+    run = RunResults(record="run-1.mcap", table=(row,))
+    session = SessionResults(runs=(RunResults(record="run-0.mcap"), run))
+    assert run["T0"] is row
+    assert session["period0_s"] is row
+    with pytest.raises(ConfigurationError, match=r"'bb': no such result; there are period0_s"):
+        session["bb"]
+    of_series = replace(row, run="series")
+    together = replace(session, series=Series(table=(of_series,)))
+    assert together["T0"] is of_series
+    assert repr(session).splitlines()[-1] == "  T₀ = 4.000 ± 0.020 s"
+    assert len(repr(session).splitlines()) == 3
