@@ -17,7 +17,7 @@ from rig.devices.host_clock import (
     ntp_state,
     wrong_rate,
 )
-from rig.devices.laser import STAYS_LIT, WIRE_IT, goes_dark_by_itself, wait_for_command
+from rig.devices.laser import STAYS_LIT, WIRE_IT, through_controller, wait_for_command
 from rig.devices.latest_frames import watch_latest
 from rig.devices.leave import TypedLeave, ask_leave, at_terminal
 from rig.devices.light_watch import LightWatch
