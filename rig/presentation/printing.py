@@ -27,6 +27,12 @@ def say(text: str, *, error: bool = False) -> None:
     _print(f"rig: {text}" if error else text, sys.stderr)
 
 
+def loud(text: str) -> str:
+    """A request in capitals, up to its first colon: what follows may be a command."""
+    head, colon, rest = text.partition(": ")
+    return head.upper() + colon + rest
+
+
 def _print(text: str, stream: IO[str]) -> None:
     columns = columns_of(stream)
     lines = text.split("\n") if columns else [text]
