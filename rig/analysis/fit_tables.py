@@ -94,7 +94,8 @@ def whole_table(run: RunResults) -> Table:
 
 def combined_table(results: SessionResults) -> Table | None:
     """The exact fits of several runs beside each other, and of the series; None where fewer are fitted."""
-    fits = [(number, run) for number, run in enumerate(results.runs, start=1) if FitMethod.EXACT in run.fits]
+    numbered = zip(results.numbers, results.runs, strict=True)
+    fits = [(number, run) for number, run in numbered if FitMethod.EXACT in run.fits]
     series = {} if results.series is None else results.series.fits.get(FitMethod.EXACT, {})
     if len(fits) < 2 or not series:
         return None

@@ -90,6 +90,7 @@ def run(
       rig run configs/demo.toml -o runs/first --view web
       rig run mine.toml --runs 3 --set session.sample="steel on K8"
       rig run --resume runs/first
+      rig run --resume runs/first --set camera.exposure_us=80
       rig run --resume runs/first --config corrected.toml
     """
     if instead is not None and resume is None:
@@ -98,19 +99,14 @@ def run(
         raise typer.BadParameter("Missing argument 'CONFIG'.")
 
     if resume is not None:
-        stated = set_ if instead is None else None
-        if config is not None or output is not None or stated or runs is not None or view or plan:
+        if config is not None or output is not None or runs is not None or view or plan:
             raise typer.BadParameter(
-                "--resume takes its configuration from DIR: leave out CONFIG and options but --force, "
-                "--json, --config FILE (and its --set)"
+                "--resume takes its configuration from DIR: leave out CONFIG and options but --set, --force, "
+                "--json, --config FILE"
             )
-        from rig.measure import SourcedConfiguration, resume_session
-        from rig.settings import load_configuration
+        from rig.measure import resume_session
 
-        other = None
-        if instead is not None:
-            other = SourcedConfiguration(instead, load_configuration(instead, set_ or []))
-        raise typer.Exit(resume_session(resume, other, force=force, json_lines=json_lines))
+        raise typer.Exit(resume_session(resume, instead, set_ or [], force=force, json_lines=json_lines))
     if plan is not None:
         if config is not None or set_ or runs is not None or view:
             raise typer.BadParameter(
