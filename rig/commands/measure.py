@@ -8,7 +8,7 @@ import typer
 
 from processing.errors import ConfigurationError
 from rig.commands.arguments import MODES, Config, JsonLines, NewRecord, Record, ResultsFolder, Set, View
-from rig.commands.inputs import one_record, recorded, records_in, there
+from rig.commands.inputs import configuration, one_record, recorded, records_in, there
 from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without, new_file, output_option
 
@@ -54,7 +54,8 @@ def demo(
 
 def run(
     config: Annotated[
-        Path | None, typer.Argument(help="Configuration (TOML file).", show_default=False, callback=there)
+        Path | None,
+        typer.Argument(help="Configuration (TOML file).", show_default=False, callback=configuration),
     ] = None,
     output: RunsFolder = None,
     runs: Annotated[int | None, typer.Option(help="Number of runs; default: session.runs.", min=1)] = None,

@@ -42,7 +42,17 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
         ),
         (("plan", DEMO, "--first=ten"), "--first ten: should be a number\n"),
         (("export", ".", "-o", "x", "--format", "xml"), "--format xml: 'xml' is not one of 'csv', 'parquet'"),
-        (("run",), "rig: Missing argument 'CONFIG'; --help shows what is needed"),
+        (("run",), "--help shows what is needed, for example rig run configs/demo.toml -o runs/first"),
+        (("camera", "show"), "for example rig camera show mine.toml"),
+        (("view", "run-1.mcap", "--layout", "balance"), "'analysing'; did you mean balancing?\n"),
+        (("view", "run-1.mcap", "--layout=measure"), "'analysing'; did you mean measuring?\n"),
+        (("view", "run-1.mcap", "--layout=x"), "'measuring', 'analysing'\n"),
+        (("balance", "run-1.mcap"), "wanted; rig view run-1.mcap --layout balancing shows its balance\n"),
+        (("run", "run-1.mcap"), "wanted; rig replay run-1.mcap processes it again, rig fit run-1.mcap fits"),
+        (
+            ("camera", "align", "run-1.mcap"),
+            "is a record, and a configuration (TOML file) is wanted; rig",
+        ),
         (("doctor", "my", "rig.toml"), "my: no such file or folder; put a name with spaces in quotes"),
         (
             ("doctor", DEMO, "--set", "lever={arm_m=1000, pixel_pitch_m=5e-6}"),
