@@ -4,6 +4,7 @@ import datetime
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from copy import deepcopy
 from pathlib import Path
 from typing import NamedTuple
 
@@ -260,7 +261,7 @@ def resume_session(
     with closing(SessionFile.opened(folder)) as file:
         source = instead or Path(file.state.source)
         if instead is None:
-            tree = unnumbered(file.state.configuration, f"{folder / STATE_NAME}: its configuration")
+            tree = unnumbered(deepcopy(file.state.configuration), f"{folder / STATE_NAME}: its configuration")
             apply_overrides(tree, overrides)
             config = validate_configuration(tree, str(folder / STATE_NAME), overrides)
             config = config.from_file(source, overrides)
