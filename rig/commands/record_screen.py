@@ -84,7 +84,8 @@ def _result(path: Path) -> str:
         return str(error)
     if run is None:
         return f"none in {source.name}; rig fit {path} makes one"
-    return f"{whole_result(run).text or run.problem or 'nothing was fitted'} ({source.name})"
+    problem = f"not fitted: {run.problem}" if run.problem else "nothing was fitted"
+    return f"{whole_result(run).text or problem} ({source.name})"
 
 
 def print_check(path: Path, results: Path | None) -> int:
