@@ -272,7 +272,7 @@ class Configuration(Section, frozen=True):
             return ""
         keys = ["controller.kind=none"] if board else []
         keys += ["laser.kind=none"] if self.laser.kind != "none" else []
-        keys += ["start.way=at once"] if board and self.start.by_controller else []
+        keys += ["start.way=at once"] if board and self.start.way != "at once" else []
         words = shlex.join(word for key in keys for word in ("--set", key))
         return f"the camera is simulated, and runs without: {words}"
 

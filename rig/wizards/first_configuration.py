@@ -199,8 +199,8 @@ def _region_and_start(*, controlled: bool) -> Iterator[Question]:
         says_enter=True,
     )
     ways = {
+        "at once": "it is recorded from the first frame: start the pendulum, then the program",
         "by hand": "the program waits for rest, checks, and asks you to release the pendulum",
-        "at once": "it is recorded from the first frame, whether the pendulum moves or not",
     }
     if controlled:
         ways["magnet"] = "the controller's magnet holds the pendulum and lets it go"
@@ -209,7 +209,7 @@ def _region_and_start(*, controlled: bool) -> Iterator[Question]:
         "start",
         "The start of a run:",
         lambda text: {"start.way": _known(text, ways, value=True)},
-        suggested="by hand",
+        suggested="at once",
         choices=tuple(Choice(way, text) for way, text in ways.items()),
     )
 

@@ -234,6 +234,33 @@ def test_folders_work_wherever_records_do(measured_series: Path, tmp_path: Path)
     assert "is not a results file" in said("report", "one/run-1.mcap", cwd=tmp_path, status=1)
 
 
+@pytest.mark.parametrize(
+    ("sample", "begins"),
+    [
+        (
+            "first",
+            ["amplitude    118.00 to 61.04 arcsec", "half-cycles  15, 1 of", "result       b = 0.0300 ±"],
+        ),
+        (
+            "uncalibrated",
+            ["amplitude    100.00 to 68.39 px", "half-cycles  20, 0 of", "result       not fitted"],
+        ),
+        (
+            "alone",
+            ["amplitude    118.00 to 61.04 arcsec", "half-cycles  15, 1 of", "result       none yet; rig f"],
+        ),
+    ],
+)
+def test_info_begins_with_the_decay_and_its_result(tmp_path: Path, sample: str, begins: list[str]) -> None:
+    folder = DECAY.parent / ("first" if sample == "alone" else sample)
+    if sample == "alone":
+        shutil.copy(folder / "run-1.mcap", tmp_path)
+        folder = tmp_path
+    lines = rig("info", folder).stdout.splitlines()
+    assert lines[0].endswith(", whole")
+    assert [line[: len(begin)] for line, begin in zip(lines[1:4], begins, strict=True)] == begins
+
+
 @pytest.mark.parametrize("group", [(), ("camera",), ("calibrate",)])
 def test_a_group_alone_prints_its_help_and_every_command_has_a_whole_sentence(
     group: tuple[str, ...], tmp_path: Path

@@ -117,13 +117,13 @@ def test_every_answer_is_held_against_the_models() -> None:
             answered(wizard, lit, text)
     whole = answered(wizard, lit, "")
     assert progress(wizard, answered(wizard, whole, "")).question is None
-    assert stated_keys(progress(wizard, answered(wizard, whole, "")).values)["start.way"] == "by hand"
+    assert stated_keys(progress(wizard, answered(wizard, whole, "")).values)["start.way"] == "at once"
 
 
 def test_without_a_controller_none_starts_the_run() -> None:
     wizard = FirstConfiguration(PLUGGED, PORTS)
     by_hand = draft_of(wizard, "1", "0.406", "6.05 mm", "", "", "", "", "", "", "", "none", "none", "")
-    with pytest.raises(ConfigurationError, match="choose one of by hand, at once"):
+    with pytest.raises(ConfigurationError, match="choose one of at once, by hand"):
         answered(wizard, by_hand, "magnet")
 
 
