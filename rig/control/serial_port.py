@@ -169,6 +169,8 @@ def _why_closed(error: Exception) -> str:
     number = getattr(error, "errno", None)
     if number in (errno.EAGAIN, errno.EBUSY):
         return "another program has it open; end that program"
+    if number == errno.EACCES:
+        return "you may not open it; rig doctor --install-udev, as root, or the group dialout allows it"
     reason = os.strerror(number) if number else str(error) or type(error).__name__
     return f"{reason}; {ports_here()}"
 

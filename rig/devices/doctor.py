@@ -73,6 +73,14 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
             yield from check_laser(config.laser)
     except DeviceError as error:
         yield Verdict.failed("controller and laser", error, "end that program, or ask it")
+    if config.controller.kind == "none":
+        for key, value, wants in (
+            ("start.way", config.start.way, config.start.by_controller),
+            ("environment_sensor.kind", "controller", config.environment_sensor.kind == "controller"),
+        ):
+            if wants:
+                reason = f"{key} = {value!r}, but controller.kind = 'none'"
+                yield Verdict("controller", False, reason, f"set controller.kind, or another {key}")
     yield from check_environment(config.environment_sensor)
     yield check_witness(config)
     if config.camera.driver == "usb3vision":

@@ -129,6 +129,8 @@ class LitDevices:
             return light(self._config.laser, self.control, self.laser)
         except DeviceError as error:
             self.audit(Audited.REFUSED, str(error))
+            if self.laser is not None and self.laser.snapshot.state is None and self._config.rehearsal:
+                raise DeviceError(f"{error}; {self._config.rehearsal}") from None
             raise
 
     def _note_lit(self) -> None:

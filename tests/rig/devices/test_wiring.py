@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from rig.control import LightRefused
+from rig.control.serial_port import PortLost, SerialPort
 from rig.devices import Devices
 from rig.settings import Configuration, validate_configuration
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
@@ -86,6 +87,10 @@ def test_a_start_by_a_controller_that_is_not_there_is_refused_before_anything_wa
     assert done.returncode == 2
     assert "start.way = 'starter' needs a controller" in done.stderr
     assert "warm-up" not in done.stderr
+    doctor = rig("doctor", LIVE, "--json", *set_words(keys), cwd=tmp_path)
+    assert doctor.returncode == 1
+    for key in ("start.way = 'starter'", "environment_sensor.kind = 'controller'"):
+        assert f"{key}, but controller.kind = 'none'" in doctor.stdout
 
 
 @pytest.mark.parametrize(
@@ -127,6 +132,27 @@ def test_a_port_that_is_not_there_is_said_once_with_those_that_are(tmp_path: Pat
     (said,) = (text for text in doctor.replace("\n", " ").split("NO-GO ") if text.startswith("controller: "))
     assert said.count("ttyWRONG") == 1
     assert WITHOUT in said
+
+
+def test_a_laser_that_is_not_there_says_so_once_and_how_to_do_without(tmp_path: Path) -> None:
+    known("/dev/ttyWRONG")
+    keys = {**SHORT, "controller.kind": "none", "start.way": "at once", "preflight.when": "never"}
+    keys |= {"laser.kind": "obis", "laser.port": "/dev/ttyWRONG", "laser.power_w": "0.0005"}
+    done = rig("run", LIVE, "-o", "out", *set_words(keys), cwd=tmp_path)
+    (line,) = (line for line in done.stderr.splitlines() if line.startswith("rig: "))
+    assert line.count("ttyWRONG") == 1
+    assert line.endswith("; the camera is simulated, and runs without: --set laser.kind=none")
+    assert "confirmed" not in done.stderr
+
+
+def test_a_port_that_another_program_has_is_called_that() -> None:
+    master, slave = pty.openpty()
+    try:
+        with SerialPort(os.ttyname(slave)), pytest.raises(PortLost, match="another program has it open; end"):
+            SerialPort(os.ttyname(slave))
+    finally:
+        os.close(master)
+        os.close(slave)
 
 
 def test_the_printed_line_is_one_that_runs(tmp_path: Path) -> None:
