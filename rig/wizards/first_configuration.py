@@ -125,7 +125,8 @@ class FirstConfiguration:
                 if text == "none"
                 else _KEYS.checked({"controller.kind": "serial", "controller.port": text}, whole="controller")
             ),
-            do="What the program switches. A controller has laser, magnet, starter, brake and interlock.",
+            do="What the program switches. A controller has laser, magnet, starter, brake and interlock: a "
+            "Raspberry Pi Pico with this program's firmware. With another board, such as an Arduino: none.",
             suggested="none",
             choices=(Choice("none", "everything is switched by hand"), *ports),
             open_choice=True,
