@@ -12,8 +12,9 @@ export PYTHONDONTWRITEBYTECODE =
 .DELETE_ON_ERROR:
 .PHONY: demo test test-quick test-kernel bench validation ledger lint format schema pictures drawings docs hooks pins wheel clean
 
+# Into the folder that README and docs go on with; called again, into one named by date and time.
 demo: $(VENV)/.installed
-	$(BIN)/rig run configs/demo.toml $(ARGS)
+	$(BIN)/rig run configs/demo.toml $(if $(wildcard runs/first/*),,-o runs/first) $(ARGS)
 
 # tests/conftest.py says how many workers `auto` is, and what runs in which.
 test: $(VENV)/.installed-test
@@ -85,7 +86,8 @@ $(VENV)/bin/python:
 
 # Everything is pinned with hashes, which pip checks; then the package itself, with nothing left to resolve.
 $(VENV)/.installed: pyproject.toml constraints.txt | $(VENV)/bin/python
-	$(INSTALL) --requirement constraints.txt
+	@echo "installing $$(grep -c == constraints.txt) packages into $(VENV), 2 to 3 minutes; the largest are rerun-sdk, llvmlite, pyarrow, opencv"
+	$(PIP) install --requirement constraints.txt
 	$(INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $@
 

@@ -8,6 +8,7 @@ import logging
 import os
 import re
 import sys
+from difflib import get_close_matches
 from importlib import metadata
 from itertools import pairwise
 from typing import Annotated
@@ -156,6 +157,20 @@ def _is_way_to_view(word: str) -> bool:
     return word in ("window", "web") or (word.isalpha() and not os.path.lexists(word))
 
 
+def _example(words: list[str]) -> str:
+    """The first example of the command's own help; empty where it has none."""
+    named = [word for word in words[1:] if not word.startswith("-")]
+    command: object = typer.main.get_command(app)
+    for word in named:
+        inner = getattr(command, "commands", {}).get(word)
+        if inner is None:
+            break
+        command = inner
+    lines = [line.strip() for line in (getattr(command, "help", None) or "").splitlines()]
+    shown = next((line for line in lines if line.startswith("rig ")), "")
+    return f", for example {shown}" if shown else ""
+
+
 def _of_usage(text: str, words: list[str]) -> str:
     """What typer says of a wrong call, with the value that was given and without the names of its parts."""
     text = (
@@ -169,9 +184,8 @@ def _of_usage(text: str, words: list[str]) -> str:
     )
     text = re.sub(r", unable to parse string as an? \w+", "", text)
     if text.startswith("Missing argument"):
-        return (
-            re.sub(r"'.*'", lambda name: name[0].upper(), text.rstrip(".")) + "; --help shows what is needed"
-        )
+        text = re.sub(r"'.*'", lambda name: name[0].upper(), text.rstrip("."))
+        return f"{text}; --help shows what is needed{_example(words)}"
     if re.fullmatch(r"No such (option|command)[^(]*", text):
         return f"{text.rstrip('.')}; --help lists the choices"
     if text.startswith("Got unexpected extra argument"):
@@ -183,7 +197,11 @@ def _of_usage(text: str, words: list[str]) -> str:
     for word, following in pairwise([*words, ""]):
         option, equals, value = word.partition("=")
         if option in names:
-            return f"{option} {value if equals else following}: {found[2].rstrip('.')}"
+            said = found[2].rstrip(".")
+            choices = said.partition(" is not one of ")[2]
+            meant = get_close_matches((value or following).lower(), re.findall(r"'([^']*)'", choices), 1)
+            said += f"; did you mean {meant[0]}?" if meant else ""
+            return f"{option} {value if equals else following}: {said}"
     return text
 
 

@@ -1,6 +1,7 @@
 """What a contributor's tools read agrees with what pyproject.toml and the Makefile state."""
 
 import re
+import subprocess
 import tomllib
 from importlib import metadata
 from pathlib import Path
@@ -39,6 +40,22 @@ def test_the_workflow_runs_what_exists() -> None:
     named = re.findall(r"(?<![\w/])(?:tests|configs)/[\w./]+", text)
     assert len(named) >= 5
     assert all((ROOT / name).exists() for name in named)
+
+
+def test_the_demonstration_is_measured_once_into_the_folder_that_the_pages_name(tmp_path: Path) -> None:
+    (tmp_path / "Makefile").write_text((ROOT / "Makefile").read_text(encoding="utf-8"), encoding="utf-8")
+    for folder, made in ((None, "runs/first"), ("runs/first/run-1.mcap", None)):
+        if folder:
+            (tmp_path / folder).mkdir(parents=True)
+        plan = subprocess.run(
+            ["make", "-n", "-o", ".venv/.installed", "demo"],
+            cwd=tmp_path, capture_output=True, text=True, check=True,
+        ).stdout  # fmt: skip
+        words = plan.split()
+        assert words[words.index("run") + 1] == "configs/demo.toml"
+        assert ("-o" in words and words[words.index("-o") + 1]) == (made or False)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "    rig demo -o runs/first\n" in readme
 
 
 def test_hooks_run_the_pinned_tools_of_make_lint() -> None:

@@ -176,7 +176,7 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     ),
     AlarmKey.STALLED: Alarm(
         "run in trouble",
-        "a part of the run has stalled, so the laser was switched off",
+        "a part of the run has stalled; a laser that the program switches is told off",
         "check the computer's load and disk; the record is complete up to here",
         _URGENT,
     ),

@@ -70,7 +70,7 @@ def _of_whole(run: RunResults) -> str:
 
 def combined_table(results: SessionResults) -> Table | None:
     """The rows of several runs beside each other, and of the series; None where fewer are fitted."""
-    runs = [(number, run) for number, run in enumerate(results.runs, start=1) if run.table]
+    runs = [(number, run) for number, run in zip(results.numbers, results.runs, strict=True) if run.table]
     series = results.series
     if len(runs) < 2 or series is None or not series.table:
         return None

@@ -3,6 +3,7 @@
 `rig.analysis.encoding` says how estimates, arrays and "not determined" are spelled in the file.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, nan
@@ -28,6 +29,7 @@ from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.presentation import Verdict
 
 SCHEMA = 1
+_OF_A_RUN = re.compile(r"run-(\d+)(-recovered)?\.mcap")
 _Run = TypeVar("_Run")
 _IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitude_unit")
 
@@ -168,6 +170,14 @@ class SessionResults(WithRows):
     schema: int = SCHEMA
     runs: tuple[RunResults, ...]
     series: Annotated[Annotated[Series, Beside("fits")] | None, Section] = None
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """What the runs are called: the numbers of their records, else of their places."""
+        named = [_OF_A_RUN.fullmatch(Path(run.record).name) for run in self.runs]
+        numbers = tuple(int(found[1]) for found in named if found is not None)
+        is_whole = len(set(numbers)) == len(self.runs)
+        return numbers if is_whole else tuple(range(1, len(self.runs) + 1))
 
     def _table(self) -> Sequence[ResultRow]:
         if self.series is not None and self.series.table:

@@ -27,7 +27,7 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
     answer(results=encoded(results), written=[path for _, path in paths])
     combined = combined_table(results)
     short = combined is not None and not logger.isEnabledFor(logging.INFO)
-    for number, run in enumerate(results.runs, start=1):
+    for number, run in zip(results.numbers, results.runs, strict=True):
         origin = "SIMULATED run" if run.simulated else "run"
         head = (
             f"{origin} {number}: {run.half_cycles_text(run.amplitude_unit or '')}, {run.frames} frames, "

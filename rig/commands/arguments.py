@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 
 import typer
 
-from rig.commands.inputs import recorded, there
+from rig.commands.inputs import configuration, recorded
 from rig.commands.outputs import folder_without, new_file, output_option
 
 Config = Annotated[
-    Path, typer.Argument(help="Configuration (TOML file).", show_default=False, callback=there)
+    Path, typer.Argument(help="Configuration (TOML file).", show_default=False, callback=configuration)
 ]
 Record = Annotated[
     Path,

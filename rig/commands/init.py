@@ -60,9 +60,8 @@ def init(
     )
 
     refuse_existing(file)
-    cameras, notes = find_cameras()
-    for note in notes:
-        say(f"note: {note}")
+    # the first thing that is said is the first question
+    cameras, _ = find_cameras()
     ports = [(port.device, port.description) for port in list_serial_ports()]
     wizard = FirstConfiguration(cameras, ports)
     answers = ask_in_terminal(wizard)

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
+import typer
+
 from acquisition.record import records_in
 from processing.errors import ConfigurationError
 
@@ -26,6 +28,27 @@ def there(given: _Given) -> _Given:
             raise ConfigurationError(f"{path}: no such {kind}{_instead_of(path)}") from None
         except (OSError, ValueError):
             continue  # not to be seen, or no name at all: the reader's own words are better
+    return given
+
+
+_OF_RECORDS = {
+    "balance": "rig view {} --layout balancing shows its balance",
+    "run": "rig replay {0} processes it again, rig fit {0} fits it",
+    "desk": "rig view {} shows it",
+}
+
+
+def configuration(ctx: typer.Context, given: _Given) -> _Given:
+    """The same, for a configuration; a record, or its folder, is taken by other commands."""
+    for path in _paths(there(given)):
+        if path.suffix.lower() == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
+            kind = "is a folder with records" if path.is_dir() else "is a record"
+            instead = _OF_RECORDS.get(ctx.command.name or "", "rig info {} says how it was made")
+            if path.is_dir() and ctx.command.name == "run":
+                instead = "rig run --resume {} continues its session"
+            raise ConfigurationError(
+                f"{path}: {kind}, and a configuration (TOML file) is wanted; {instead.format(path)}"
+            )
     return given
 
 

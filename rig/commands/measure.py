@@ -9,7 +9,7 @@ import typer
 from acquisition.record import records_in
 from processing.errors import ConfigurationError
 from rig.commands.arguments import MODES, Config, JsonLines, NewRecord, Record, ResultsFolder, Set, View
-from rig.commands.inputs import one_record, recorded, there
+from rig.commands.inputs import configuration, one_record, recorded, there
 from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without, new_file, output_option
 
@@ -55,7 +55,8 @@ def demo(
 
 def run(
     config: Annotated[
-        Path | None, typer.Argument(help="Configuration (TOML file).", show_default=False, callback=there)
+        Path | None,
+        typer.Argument(help="Configuration (TOML file).", show_default=False, callback=configuration),
     ] = None,
     output: RunsFolder = None,
     runs: Annotated[int | None, typer.Option(help="Number of runs; default: session.runs.", min=1)] = None,
@@ -91,6 +92,7 @@ def run(
       rig run configs/demo.toml -o runs/first --view web
       rig run mine.toml --runs 3 --set session.sample="steel on K8"
       rig run --resume runs/first
+      rig run --resume runs/first --set camera.exposure_us=80
       rig run --resume runs/first --config corrected.toml
     """
     if instead is not None and resume is None:
@@ -99,19 +101,14 @@ def run(
         raise typer.BadParameter("Missing argument 'CONFIG'.")
 
     if resume is not None:
-        stated = set_ if instead is None else None
-        if config is not None or output is not None or stated or runs is not None or view or plan:
+        if config is not None or output is not None or runs is not None or view or plan:
             raise typer.BadParameter(
-                "--resume takes its configuration from DIR: leave out CONFIG and options but --force, "
-                "--json, --config FILE (and its --set)"
+                "--resume takes its configuration from DIR: leave out CONFIG and options but --set, --force, "
+                "--json, --config FILE"
             )
-        from rig.measure import SourcedConfiguration, resume_session
-        from rig.settings import load_configuration
+        from rig.measure import resume_session
 
-        other = None
-        if instead is not None:
-            other = SourcedConfiguration(instead, load_configuration(instead, set_ or []))
-        raise typer.Exit(resume_session(resume, other, force=force, json_lines=json_lines))
+        raise typer.Exit(resume_session(resume, instead, set_ or [], force=force, json_lines=json_lines))
     if plan is not None:
         if config is not None or set_ or runs is not None or view:
             raise typer.BadParameter(

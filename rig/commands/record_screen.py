@@ -8,6 +8,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.recover import recover
 from acquisition.record.utc import utc_text
+from processing.errors import RigError
 from processing.ticks import seconds
 from rig.presentation import answer, print_line
 
@@ -15,14 +16,21 @@ _HIDDEN = {"record"}
 
 
 def print_info(path: Path) -> None:
-    """Print the contents of a record, read from its index alone."""
+    """Print what a record tells of its decay, the result beside it, and what it contains."""
     with RecordReader(path) as reader:
         contents, metadata = reader.contents, reader.metadata
         losses, counts, files = reader.losses(), reader.counts, reader.files
+        swings, unit = reader.swings(), reader.deflection_unit
+    clean = [swing.amplitude / unit.shown_size for swing in swings if not swing.flags]
+    amplitude = f"{clean[0]:.2f} to {clean[-1]:.2f} {unit.shown}" if clean else "none"
+    half_cycles = f"{len(swings)}, {len(swings) - len(clean)} of them flagged"
+    result = _result(path)
     for file in files:
         held = file.contents
         state = "whole" if held.whole else f"cut short after {_size(held.readable_bytes)} (see rig recover)"
         print_line(f"{file.path}: {_size(held.size)}, {state}")
+    for name, text in (("amplitude", amplitude), ("half-cycles", half_cycles), ("result", result)):
+        print_line(f"{name:<12} {text}")
     print_line(f"schema {int(metadata['record']['schema_version'])}, written by {contents.library}")
     if contents.start_ns:
         when = " of simulated time" if RecordedCamera.of(metadata).simulated else ""
@@ -47,6 +55,10 @@ def print_info(path: Path) -> None:
         records=[
             {
                 "path": path,
+                "amplitudes": clean[:1] + clean[-1:],
+                "amplitude_unit": unit.shown,
+                "half_cycles": len(swings),
+                "result": result,
                 "size_bytes": sum(file.contents.size for file in files),
                 "whole": all(file.contents.whole for file in files),
                 "start_ns": contents.start_ns,
@@ -59,6 +71,23 @@ def print_info(path: Path) -> None:
             }
         ]
     )
+
+
+def _result(path: Path) -> str:
+    """What the results beside a record say of it first."""
+    from rig.analysis import read_results, results_path, whole_result
+
+    source = results_path(path.parent)
+    if not source.exists():
+        return f"none yet; rig fit {path} makes one"
+    try:
+        run = next((run for run in read_results(source).runs if Path(run.record).name == path.name), None)
+    except RigError as error:
+        return str(error)
+    if run is None:
+        return f"none in {source.name}; rig fit {path} makes one"
+    problem = f"not fitted: {run.problem}" if run.problem else "nothing was fitted"
+    return f"{whole_result(run).text or problem} ({source.name})"
 
 
 def print_check(path: Path, results: Path | None) -> int:

@@ -14,7 +14,7 @@ from rig.control.controller_answers import (
     floats_of,
     status_of,
 )
-from rig.control.link import CommandRefused, ControllerReset, Link
+from rig.control.link import CommandRefused, ControllerReset, Link, ReplyTimeout
 from rig.control.protocol import BoardEvent
 from rig.control.serial_port import PortLost, SerialLine, SerialPort
 from rig.control.settings import ControllerSettings
@@ -22,6 +22,11 @@ from rig.control.settings import ControllerSettings
 _MAKER = "optical-pendulum-rig"
 FIRMWARE = "1.4"
 """The firmware whose lines are understood: `VERSION` of firmware/core.py."""
+_OTHER_BOARDS = (
+    "the board must be a Raspberry Pi Pico, or one like it, with this program's firmware "
+    "(docs/controller.md, Flashing); with another, such as an Arduino, set controller.kind = 'none' and "
+    "laser.kind = 'none', and switch by hand"
+)
 _UNKNOWN_COMMAND = -113
 
 
@@ -80,12 +85,18 @@ class Controller:
 
     def _begin(self, link: Link) -> ControllerIdentity:
         link.begin()
-        identity = link.ask("*IDN?")
+        try:
+            identity = link.ask("*IDN?")
+        except ReplyTimeout:
+            raise ReplyTimeout(
+                f"{link.name}: no rig controller answers ({link.heard}); check port, cable and baud rate; "
+                f"{_OTHER_BOARDS}"
+            ) from None
         maker, _, serial, firmware = (identity.split(",") + [""] * 4)[:4]
         if maker != _MAKER:
             raise DeviceError(
-                f"{link.name}: {identity!r} answers there, not the rig controller;"
-                " check the port in the configuration"
+                f"{link.name}: {identity!r} answers there, not the rig controller; check the port; "
+                f"{_OTHER_BOARDS}"
             )
         if firmware != FIRMWARE:
             raise DeviceError(

@@ -114,12 +114,17 @@ class Link:
                     reply.error_code,
                 )
             return reply.values
-        heard = f"; it sent {self._last_junk!r}, which is not a valid line" if self._last_junk else ""
         raise ReplyTimeout(
             f"{self._line.name}: no reply to {command} within {patience_s:g} s,"
-            f" sent {sent} time{'s' * (sent > 1)}{heard};"
+            f" sent {sent} time{'s' * (sent > 1)}: {self.heard};"
             " check port, cable, baud rate and that the controller runs"
         )
+
+    @property
+    def heard(self) -> str:
+        """What came instead of a valid line."""
+        junk = (self._last_junk or self._reader.unended).decode("latin-1").strip()
+        return f"it sends {junk[:60]!r}, which is not a line of the controller" if junk else "it is silent"
 
     def take_events(self) -> tuple[BoardEvent, ...]:
         """Unsolicited messages of the board since the last call."""

@@ -1,6 +1,5 @@
 """Lists serial ports, and checks that the devices connected to them are as configured."""
 
-import contextlib
 import re
 import time
 from collections.abc import Iterator
@@ -13,7 +12,7 @@ from rig.control.controller import Controller
 from rig.control.controller_answers import ControllerStatus
 from rig.control.environment import parse_environment
 from rig.control.lasers import LaserSettings, make_laser
-from rig.control.serial_port import LineReader, PortLost, SerialPort
+from rig.control.serial_port import LineReader, PortLost, SerialPort, ports_here
 from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.presentation import Verdict
 
@@ -49,9 +48,9 @@ def list_serial_ports() -> tuple[SerialPortInfo, ...]:
 
 
 def check_controller(
-    controller: Controller, settings: ControllerSettings, laser: LaserSettings
+    controller: Controller, settings: ControllerSettings, laser: LaserSettings, named: str
 ) -> tuple[Verdict, ...]:
-    """Open, check and close the controller; no output is switched on."""
+    """Open, check and close the controller, of the configuration `named`; no output is switched on."""
     if settings.kind == "none":
         return (Verdict("controller", True, "none is configured", made=False),)
     try:
@@ -62,7 +61,7 @@ def check_controller(
         while code in _TRIPPED:
             code, text = controller.next_error()
     except DeviceError as error:
-        return (Verdict("controller", False, str(error), _port_remedy(settings.port)),)
+        return (Verdict.failed("controller", error, ports_here()),)
     finally:
         controller.close()
     checks = [
@@ -84,7 +83,7 @@ def check_controller(
                 "" if enough else "lower laser.power_w, or laser_max_w in the board's limits.json",
             )
         )
-    checks += _dark_and_allowed(status)
+    checks += _dark_and_allowed(status, named)
     if code:
         checks.append(
             Verdict("controller errors", False, f"{text} ({code})", "remove the cause, then reset the board")
@@ -103,7 +102,7 @@ def check_controller(
     return tuple(checks)
 
 
-def _dark_and_allowed(status: ControllerStatus) -> Iterator[Verdict]:
+def _dark_and_allowed(status: ControllerStatus, named: str) -> Iterator[Verdict]:
     """What the board sees of the laser's output, which is off, and whether it would light."""
     seen = [
         words
@@ -117,7 +116,7 @@ def _dark_and_allowed(status: ControllerStatus) -> Iterator[Verdict]:
         remedy = "the laser may be lit: turn its key, then check relay and wiring"
         yield Verdict("laser output", False, f"it is off, and {' and '.join(seen)}", remedy)
     if (latch := status.latch) is not None:
-        remedy = "check that nobody is in the beam path, then acknowledge what rig light show CONFIG names"
+        remedy = f"check that nobody is in the beam path, then acknowledge what rig light show {named} names"
         yield Verdict(
             "controller's latch",
             False,
@@ -126,7 +125,7 @@ def _dark_and_allowed(status: ControllerStatus) -> Iterator[Verdict]:
         )
 
 
-def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tuple[Verdict, ...]:
+def check_laser(settings: LaserSettings) -> tuple[Verdict, ...]:
     """Open, check and close the laser; it stays off, and the controller's relay stays open."""
     laser = make_laser(settings)
     if laser is None:
@@ -135,19 +134,19 @@ def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tupl
         identity = laser.open()
         state = laser.state()
     except DeviceError as error:
-        return (Verdict("laser", False, str(error), _port_remedy(settings.port)),)
+        return (Verdict.failed("laser", error, ports_here()),)
     finally:
         laser.close()
     checks = [
         Verdict("laser", True, f"{identity.vendor} {identity.model} {identity.serial}".replace("  ", " ")),
-        *_interlock(settings, controller, state.interlock_closed),
+        *_interlock(settings, state.interlock_closed),
     ]
     if state.fault:
         checks.append(Verdict("laser fault", False, state.fault, "check the laser's panel and manual"))
     return tuple(checks)
 
 
-def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: bool) -> Iterator[Verdict]:
+def _interlock(settings: LaserSettings, closed: bool) -> Iterator[Verdict]:
     """Whether the laser reports an open interlock while the controller's relay is open."""
     name = "laser switches off automatically"
     if settings.interlock == "own":
@@ -160,8 +159,6 @@ def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: 
             "no watchdog of its own: it stays on if the program is killed",
             "wire its interlock through a controller's enable relay and set laser.interlock = 'controller'",
         )
-    elif controller.kind == "none":
-        yield Verdict(name, False, "no controller is configured", "set controller.kind, or laser.interlock")
     else:
         yield Verdict(
             name,
@@ -193,19 +190,10 @@ def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) ->
                 if parse_environment(pattern, last) is not None:
                     return (Verdict("environment sensor", True, last[:80]),)
     except PortLost as error:
-        return (Verdict("environment sensor", False, str(error), _port_remedy(settings.port)),)
+        return (Verdict.failed("environment sensor", error, ports_here()),)
     reason = f"{last[:80]!r} does not match the pattern" if last else f"no line within {patience_s:g} s"
     return (
         Verdict(
             "environment sensor", False, reason, "check port, baud rate, request and pattern in [environment]"
         ),
     )
-
-
-def _port_remedy(port: str) -> str:
-    here: tuple[SerialPortInfo, ...] = ()
-    with contextlib.suppress(OSError):
-        here = list_serial_ports()
-    if not here:
-        return "this computer has no serial port: plug the device in"
-    return f"{port or 'no port'} is configured; present are {', '.join(info.device for info in here)}"

@@ -1,10 +1,14 @@
 """Reading and writing of a serial line with timeouts; every failure becomes a DeviceError."""
 
+import errno
+import os
 import time
+from contextlib import suppress
 from types import TracebackType
 from typing import Protocol, Self
 
 import serial
+from serial.tools import list_ports
 
 from processing.errors import DeviceError
 
@@ -59,7 +63,7 @@ class SerialPort:
                 url, baudrate=baud, timeout=0, write_timeout=write_timeout_s, exclusive=True
             )
         except (OSError, ValueError, serial.SerialException) as error:
-            raise PortLost(f"{url}: cannot open the serial port: {_reason(error)}") from error
+            raise PortLost(f"{url}: cannot open the serial port: {_why_closed(error)}") from error
 
     @property
     def name(self) -> str:
@@ -142,6 +146,11 @@ class LineReader:
             if remaining_s <= 0 and self._terminator not in data:
                 return None
 
+    @property
+    def unended(self) -> bytes:
+        """What was received of a line that has not ended."""
+        return bytes(self._buffer)
+
     def finds_line_start(self, deadline_s: float) -> bool:
         """Discard what a port that was opened in the middle of a line still brings of it.
 
@@ -153,6 +162,27 @@ class LineReader:
         """Discard everything received so far."""
         self._line.discard_input()
         self._buffer.clear()
+
+
+def _why_closed(error: Exception) -> str:
+    """The system's words without the port's name, which the library repeats; and which ports are there."""
+    number = getattr(error, "errno", None)
+    if number in (errno.EAGAIN, errno.EBUSY):
+        return "another program has it open; end that program"
+    if number == errno.EACCES:
+        return "you may not open it; rig doctor --install-udev, as root, or the group dialout allows it"
+    reason = os.strerror(number) if number else str(error) or type(error).__name__
+    return f"{reason}; {ports_here()}"
+
+
+def ports_here() -> str:
+    """The serial ports of this computer, as the remedy where another one was named."""
+    here: list[str] = []
+    with suppress(OSError):
+        here = sorted(port.device for port in list_ports.comports())
+    return (
+        f"present are {', '.join(here)}" if here else "this computer has no serial port: plug the device in"
+    )
 
 
 def _reason(error: Exception) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 from processing.errors import ConfigurationError, DeviceError, RigError
 from rig.channel import CHANNEL_NAME, Line
 from rig.control import TripCause, darken_beside
-from rig.devices import Devices
+from rig.devices import NOT_OURS, Devices
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk
@@ -100,7 +100,9 @@ class Lighting:
             problems.append(
                 f"it is not kept ({unkept}): a program that starts may light; turn the key switch"
             )
-        if not heard:
+        if desk.config.laser.kind == "none":
+            problems.append(NOT_OURS)
+        elif not heard:
             kept = "" if unkept else ": it is kept, and nothing is lit until it is acknowledged"
             problems.append(f"no program that could light has answered{kept}")
         return problems

@@ -22,6 +22,7 @@ from rig.desk.sessions import last_state
 from rig.desk.style import STYLE
 from rig.desk.tab import DELIBERATE, Tab
 from rig.instrument import Phase
+from rig.presentation import loud
 
 _LOOK_S = 0.25
 
@@ -130,7 +131,7 @@ def build_page(desk: Desk, off_port: int) -> None:
         again.set_enabled(waiting)
         again.set_text("Light again" if waiting else "Light again: once the trip is acknowledged")
         asked_for = str(run_state.get("instruction") or "")
-        instruction.set_text(asked_for.upper())
+        instruction.set_text(loud(asked_for))
         instruction.set_visibility(bool(asked_for))
         shown = json.dumps(lamps(safety, _recording(desk)))
         cry = json.dumps(" ".join(_name(row) for row in crying))

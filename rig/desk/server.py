@@ -23,6 +23,7 @@ from rig.desk.page import build_page
 from rig.desk.panels.live_picture import picture_now
 from rig.desk.safety_bar import DARK
 from rig.desk.sessions import SERVED, served_file
+from rig.devices import check_wiring
 from rig.presentation import say
 from rig.rerun import LOOPBACK
 from rig.terminal import told_of_hang_up
@@ -49,6 +50,7 @@ def open_desk(
     desk = Desk(source, overrides, archive)
     desk.hold()
     try:
+        check_wiring(desk.config.laser, desk.config.controller)
         return _serve(desk, port, browser=browser)
     finally:
         desk.close()

@@ -17,10 +17,11 @@ from rig.devices.host_clock import (
     ntp_state,
     wrong_rate,
 )
-from rig.devices.laser import STAYS_LIT, WIRE_IT, goes_dark_by_itself, wait_for_command
+from rig.devices.laser import STAYS_LIT, WIRE_IT, check_wiring, through_controller, wait_for_command
 from rig.devices.latest_frames import watch_latest
 from rig.devices.leave import TypedLeave, ask_leave, at_terminal
 from rig.devices.light_watch import LightWatch
+from rig.devices.lit_devices import NOT_OURS
 from rig.devices.picture import PictureFigures, find_exposure
 from rig.devices.session_devices import Devices, OpenCamera
 from rig.devices.udev import RULES_FOLDER, install_rules, udev_rules

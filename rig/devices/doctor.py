@@ -4,7 +4,7 @@ import os
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Literal, cast
 
@@ -14,9 +14,16 @@ from acquisition.camera import CameraStatus, FrameTimeout
 from acquisition.cameras.usb3vision.discovery import FoundCamera, UsbSpeed, find_cameras
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame_losses import FrameLosses
-from processing.errors import DeviceError, RigError
+from processing.errors import ConfigurationError, DeviceError, RigError
 from processing.ticks import seconds
-from rig.control import SafetyState, check_controller, check_environment, check_laser
+from rig.control import (
+    ControllerSettings,
+    LaserSettings,
+    SafetyState,
+    check_controller,
+    check_environment,
+    check_laser,
+)
 from rig.devices.ground_witness import check_witness
 from rig.devices.lit_devices import LEFT_LIT
 from rig.devices.session_devices import Devices
@@ -48,14 +55,34 @@ def examine(config: Configuration, *, json_lines: bool = False) -> int:
 def _checks(stated: Configuration) -> Iterator[Verdict]:
     config = complete(stated)
     yield from check_settings(config, stated)
-    devices = Devices(config)
+    try:
+        devices = Devices(config)
+    except ConfigurationError as error:
+        yield Verdict.failed("controller and laser", error)
+        config = config.model_copy(update={"laser": LaserSettings(), "controller": ControllerSettings()})
+        devices = Devices(config)
     try:
         with devices.state as state:
-            yield check_trip(state)
-            yield from check_controller(devices.make_controller(), config.controller, config.laser)
-            yield from check_laser(config.laser, config.controller)
+            yield check_trip(state, stated.named)
+            for verdict in check_controller(
+                devices.make_controller(), config.controller, config.laser, stated.named
+            ):
+                lost = verdict.name == "controller" and not verdict.ok and config.rehearsal
+                remedy = f"{verdict.remedy}; {config.rehearsal}" if lost else verdict.remedy
+                yield replace(verdict, remedy=remedy)
+            yield from check_laser(config.laser)
     except DeviceError as error:
-        yield Verdict("controller and laser", False, str(error), "end that program, or ask it")
+        yield Verdict.failed("controller and laser", error, "end that program, or ask it")
+    if config.controller.kind == "none":
+        for key, value, wants in (
+            ("start.way", config.start.way, config.start.by_controller),
+            ("environment_sensor.kind", "controller", config.environment_sensor.kind == "controller"),
+        ):
+            if wants:
+                reason = f"{key} = {value!r}, but controller.kind = 'none'"
+                # a run without readings of the air is one
+                fails = key == "start.way"
+                yield Verdict("controller", not fails, reason, f"set controller.kind, or another {key}")
     yield from check_environment(config.environment_sensor)
     yield check_witness(config)
     if config.camera.driver == "usb3vision":
@@ -66,15 +93,15 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
     yield check_governor(_read(_GOVERNOR), os.cpu_count() or 1)
 
 
-def check_trip(state: SafetyState) -> Verdict:
-    """Check that no trip waits for its acknowledgement."""
+def check_trip(state: SafetyState, named: str) -> Verdict:
+    """Check that no trip waits for its acknowledgement; `named` is the configuration."""
     trip = state.trip
     if trip is None and state.left_lit:
-        remedy = "look at the laser, then rig light show CONFIG: it latches the trip, and names it"
+        remedy = f"look at the laser, then rig light show {named}: it latches the trip, and names it"
         return Verdict("permit of light", False, LEFT_LIT, remedy)
     if trip is None:
         return Verdict("permit of light", True, "no trip is latched")
-    remedy = f"check that nobody is in the beam path, then rig light acknowledge CONFIG {trip.number}"
+    remedy = f"check that nobody is in the beam path, then rig light acknowledge {named} {trip.number}"
     return Verdict("permit of light", False, trip.text, remedy)
 
 
@@ -90,7 +117,7 @@ def check_settings(config: Configuration, stated: Configuration) -> Iterator[Ver
             "" if pendulum else "state mass_kg and ball_radius_m under [pendulum]",
         )
     except RigError as error:
-        yield Verdict("pendulum", False, str(error), "correct the material")
+        yield Verdict.failed("pendulum", error, "correct the material")
     lever = _origin("lever", config, stated)
     yield Verdict(
         "light lever",
@@ -142,9 +169,9 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
                 frames = settings.frames_ahead(camera.applied.frame_rate_hz, frame_bytes)
                 yield from check_usb_memory(frame_bytes, frames)
     except FrameTimeout as error:
-        yield Verdict("frames", False, str(error), "is it triggered from outside? see its cable and power")
+        yield Verdict.failed("frames", error, "is it triggered from outside? see its cable and power")
     except RigError as error:
-        yield Verdict("camera", False, str(error), "see camera.driver and camera.serial, its cable and power")
+        yield Verdict.failed("camera", error, "see camera.driver and camera.serial, its cable and power")
 
 
 def check_frames(

@@ -13,8 +13,10 @@ from typing import Any
 from processing.errors import ConfigurationError, DeviceError
 from processing.ticks import seconds
 from rig.control import (
+    LASERS,
     LONGEST_JOB_S,
     STALE_S,
+    ControllerSettings,
     ControlService,
     LaserNow,
     LaserService,
@@ -30,23 +32,25 @@ STAYS_LIT = "it stays lit when this program is killed"
 WIRE_IT = "wire its interlock through the controller's enable relay and set laser.interlock = 'controller'"
 
 
-def goes_dark_by_itself(settings: LaserSettings) -> bool:
-    """Whether the hardware switches the laser off if this program is killed."""
-    return settings.kind == "controller" or settings.interlock == "controller"
+def through_controller(settings: LaserSettings) -> bool:
+    """Whether the controller feeds the laser, or its relay the laser's interlock.
+
+    Then the board's watchdog switches the laser off if this program is killed.
+    """
+    return settings.kind == "controller" or (settings.kind in LASERS and settings.interlock == "controller")
 
 
 def light(settings: LaserSettings, control: ControlService | None, laser: LaserService | None) -> str:
     """Switch the laser on; returns a text that says what was done, empty if the laser was already on.
 
     Raises DeviceError if the laser refuses or does not answer, if an interlock is open, or if the laser's
-    interlock is not wired through the controller as configured. Raises ConfigurationError if a
-    controller is needed and none is configured.
+    interlock is not wired through the controller as configured. `control` is there where
+    `check_wiring` has asked for it.
     """
     if settings.kind == "none" or laser_now(settings, control, laser).on:
         return ""
     if settings.kind == "controller":
-        if control is None:
-            raise ConfigurationError(_needs_controller("laser.kind"))
+        assert control is not None
         if settings.power_w <= 0:
             raise ConfigurationError("laser.power_w = 0: set it to the wanted power in W")
         if settings.pulse_us:
@@ -59,8 +63,7 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
         return ""
     state = _wait(laser, lambda _: True)
     if settings.interlock == "controller":
-        if control is None:
-            raise ConfigurationError(_needs_controller("laser.interlock"))
+        assert control is not None
         relay = control.snapshot.status
         if state.interlock_closed and relay is not None and not relay.laser_on:
             raise DeviceError(
@@ -75,7 +78,7 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
     if settings.current_a > 0:
         wait_for_command(laser.set_current_a(settings.current_a))
     wait_for_command(laser.enable(), LONGEST_JOB_S)
-    return "laser on" if goes_dark_by_itself(settings) else f"laser on; {STAYS_LIT} (docs/controller.md)"
+    return "laser on" if through_controller(settings) else f"laser on; {STAYS_LIT} (docs/controller.md)"
 
 
 def laser_now(
@@ -133,5 +136,12 @@ def _wait(laser: LaserService, reached: Callable[[LaserState], bool]) -> LaserSt
         time.sleep(0.02)
 
 
-def _needs_controller(who: str) -> str:
-    return f"{who} = 'controller' needs a controller: set controller.kind to serial or simulated"
+def check_wiring(laser: LaserSettings, controller: ControllerSettings) -> None:
+    """Raises ConfigurationError if the laser is switched by a controller that is not there."""
+    if through_controller(laser) and controller.kind == "none":
+        key = "kind" if laser.kind == "controller" else "interlock"
+        instead = "laser.kind to none, and switch it by hand" if key == "kind" else "laser.interlock to own"
+        raise ConfigurationError(
+            f"laser.{key} = 'controller', but controller.kind = 'none': nothing switches the laser; set "
+            f"controller.kind to serial or simulated, or {instead}"
+        )

@@ -32,7 +32,14 @@ from rig.control import (
 )
 from rig.devices.audit import Audited, AuditLog
 from rig.devices.confirmed_dark import confirmed_dark
-from rig.devices.laser import age_s, goes_dark_by_itself, laser_now, light, wait_for_command
+from rig.devices.laser import (
+    age_s,
+    check_wiring,
+    laser_now,
+    light,
+    through_controller,
+    wait_for_command,
+)
 from rig.settings import Configuration
 
 _LOOK_S = 0.02
@@ -42,6 +49,7 @@ _LASER_CONFIRMS_WITHIN_S = 5.0
 _LOOKS_FOR_S = _HEARD_WITHIN_S = 3.0
 LEFT_LIT = "a program that had lit the laser was killed, or could not say that it is off"
 _STILL_SEEN = "the laser was commanded off, but the camera still sees its spot"
+NOT_OURS = "no laser is switched by this program: turn its key"
 _SILENT = (Light.SILENT, Light.CONTROLLER_SILENT)
 
 
@@ -56,6 +64,7 @@ class LitDevices:
     def __init__(
         self, config: Configuration, folder: Path | None, task: str, state: SafetyState | None = None
     ) -> None:
+        check_wiring(config.laser, config.controller)
         self._config = config
         self.control: ControlService | None = None
         self.laser: LaserService | None = None
@@ -79,16 +88,28 @@ class LitDevices:
         self.hear_presses()
         if trip := self.permit.latched:
             self.audit(Audited.REFUSED, trip.text)
-            raise LightRefused(
-                f"the laser stays off: {trip.text}; check that nobody is in the beam path, then acknowledge "
-                f"it: rig light acknowledge CONFIG {trip.number}, or at the desk"
-            )
+            raise LightRefused(f"the laser stays off: {trip.text}; {self.remedy}")
         # before it waits for its turn: what trips meanwhile came after the asking
         if asked:
             self.ask_for_light()
         # by a run and by an order at once, the second finds it lit
         with self._lighting:
             return self._lit()
+
+    @property
+    def remedy(self) -> str:
+        """What a person does about the latched trip."""
+        trip = self.permit.latched
+        if trip is None:
+            return ""
+        if self._config.laser.kind == "none":
+            return f"{NOT_OURS}, then start again"
+        if self.state.path is None:
+            return "it is a simulated laser: start again"
+        return (
+            f"check that nobody is in the beam path, then rig light acknowledge {self._config.named} "
+            f"{trip.number}, or at the desk"
+        )
 
     def _lit(self) -> str:
         kind = self._config.laser.kind
@@ -97,7 +118,7 @@ class LitDevices:
             raise LightRefused(TO_BE_ASKED)
         if why := self.darkness():
             self.went_dark(why)
-            if self.state.path is not None or not goes_dark_by_itself(self._config.laser):
+            if self.state.path is not None or not through_controller(self._config.laser):
                 self._note_lit()
             # before it is lit, because a disk may hang
             self.audit(Audited.LIT, f"asked for by {self._task}", laser=kind)
@@ -108,6 +129,8 @@ class LitDevices:
             return light(self._config.laser, self.control, self.laser)
         except DeviceError as error:
             self.audit(Audited.REFUSED, str(error))
+            if self.laser is not None and self.laser.snapshot.state is None and self._config.rehearsal:
+                raise DeviceError(f"{error}; {self._config.rehearsal}") from None
             raise
 
     def _note_lit(self) -> None:
@@ -143,7 +166,7 @@ class LitDevices:
         self.permit.look_for_presses()
         if self.permit.latched is None:
             self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
-        return "the laser is commanded off"
+        return "the laser is commanded off" if self._config.laser.kind != "none" else NOT_OURS
 
     def _look_at_what_was_left(self) -> None:
         """Before anything is opened: a press, and a light of which no program has said that it went."""
@@ -283,7 +306,7 @@ class LitDevices:
     def _darkened(self) -> tuple[str, KeyboardInterrupt | None]:
         """Switch the laser off; says who confirms it, or that nobody does, and what interrupted the wait."""
         asked: list[tuple[str, Callable[[], Future[None]], float]] = []
-        if self.control is not None:
+        if self.control is not None and through_controller(self._config.laser):
             asked.append(("controller", self.control.laser_off, _BOARD_CONFIRMS_WITHIN_S))
         if self.laser is not None:
             asked.append(("laser", self.laser.off, _LASER_CONFIRMS_WITHIN_S))
@@ -302,6 +325,8 @@ class LitDevices:
         with suppress(DeviceError):
             # else the next program finds it noted as lit, and asks
             self.state.lit(False)
+        if not asked:
+            return NOT_OURS, interrupt
         witnesses = [who for who, _, _ in asked] + ["camera"] * self.permit.spot.agrees
         return f"laser off, confirmed by the {' and the '.join(witnesses)}", interrupt
 

@@ -11,7 +11,7 @@ from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.record.events import EventKind
 from acquisition.simulation.inputs import RigInputs
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, DeviceError
 from rig.control import (
     Controller,
     ControlService,
@@ -102,6 +102,8 @@ class Devices(LitDevices):
                 # a terminal that was closed hears nothing, and holds nothing up
                 with suppress(OSError):
                     say(said)
+                    if self.permit.latched is not None:
+                        say(f"{self.permit.latched.text}: {self.remedy}")
         finally:
             self._closing.close()
             self._log.wait()
@@ -127,7 +129,8 @@ class Devices(LitDevices):
                     self.permit,
                 )
             )
-            self.control.wait_open()
+            with self._rehearsed():
+                self.control.wait_open()
         if config.environment_sensor.kind == "serial":
             self.sensor = self._closing.enter_context(EnvironmentService(config.environment_sensor))
         if (witness := ground_witness(config)) is not None:
@@ -138,6 +141,16 @@ class Devices(LitDevices):
             self.laser = self._closing.enter_context(
                 LaserService(laser, permit=self.permit, own_interlock=own_interlock)
             )
+
+    @contextmanager
+    def _rehearsed(self) -> Iterator[None]:
+        """A failure of a real device beside a simulated camera says how to do without."""
+        try:
+            yield
+        except DeviceError as error:
+            if not self._config.rehearsal:
+                raise
+            raise DeviceError(f"{error}; {self._config.rehearsal}") from None
 
     @contextmanager
     def camera(self, config: Configuration) -> Iterator[OpenCamera]:

@@ -2,7 +2,7 @@
 
 from rig.measure.end_of_session import HandOver, hand_over, state_of
 from rig.measure.light_from_outside import acknowledge_trip, check_audit, show_light
-from rig.measure.night import SourcedConfiguration, measure_plan, resume_session
+from rig.measure.night import measure_plan, resume_session
 from rig.measure.plain_record import record_plainly, take_frames
 from rig.measure.preflight_alone import preflight_rig
 from rig.measure.run_panel import estimate_texts

@@ -10,6 +10,8 @@ from rig.instrument import Block, Pipeline
 from rig.measure.recorder import Entry, cut_window
 
 _LOST_IMAGE_INTERVAL_S = 1.0
+_LOST_FOR_S = 5.0
+"""After so long a person is told."""
 
 
 class FrameCounts:
@@ -30,11 +32,20 @@ class FrameCounts:
         self._next_lost_image_ns = first.time_ns
         self._sequence = -1
         self._lost = False
+        self._seen_ns = first.time_ns
 
     @property
     def elapsed_s(self) -> float:
         """Time from the first frame to the last one counted."""
         return seconds(self.last_ns - self.start_ns)
+
+    @property
+    def lost_text(self) -> str:
+        """Since when the spot has been in no frame, once that is no blink; else empty."""
+        if seconds(self.last_ns - self._seen_ns) < _LOST_FOR_S:
+            return ""
+        minutes, rest_s = divmod(seconds(self._seen_ns - self.start_ns), 60)
+        return f"spot lost since {minutes:.0f}:{rest_s:04.1f}: laser on? beam on the sensor?"
 
     @property
     def beam_text(self) -> str:
@@ -71,6 +82,7 @@ class FrameCounts:
                     )
                 )
             self._lost = lost
+            self._seen_ns = self._seen_ns if lost else time_ns
             self.lost_spots += lost
             if time_ns >= self._next_image_ns:
                 images.append(frame)

@@ -2,8 +2,9 @@
 
 import datetime
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
+from copy import deepcopy
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,6 +32,7 @@ from rig.presentation import failures, say
 from rig.settings import (
     Configuration,
     PlannedSeries,
+    apply_overrides,
     load_configuration,
     load_plan,
     stored_configuration,
@@ -178,13 +180,6 @@ def _measure_series(
     return _SeriesEnd(outcome.status, last.reason if bad else "", made)
 
 
-class SourcedConfiguration(NamedTuple):
-    """A configuration and the file from which it comes."""
-
-    source: Path
-    config: Configuration
-
-
 def _configuration(series: PlannedSeries) -> Configuration:
     """Raises ConfigurationError where it cannot be used, or cannot see the conditions of its runs."""
     config = complete(load_configuration(series.config, series.overrides()))
@@ -250,29 +245,38 @@ def _set_bad_aside(folder: Path, most: int) -> int:
 
 def resume_session(
     folder: Path,
-    instead: SourcedConfiguration | None = None,
+    instead: Path | None = None,
+    overrides: Sequence[str] = (),
     *,
     force: bool = False,
     json_lines: bool = False,
 ) -> int:
     """Continue an interrupted session: complete runs are kept, the missing ones are made.
 
-    They get the configuration with which the session was begun, or `instead`, which is then the session's. A
+    They get the configuration with which the session was begun, or that of the file `instead`, either with
+    `overrides`; it is then the session's. A
     truncated record is left unchanged and a recovered copy is made next to it. New runs get new numbers.
     Returns the exit status like `measure_session`.
     """
     with closing(SessionFile.opened(folder)) as file:
+        source = instead or Path(file.state.source)
         if instead is None:
-            tree = unnumbered(file.state.configuration, f"{folder / STATE_NAME}: its configuration")
-            config = validate_configuration(tree, str(folder / STATE_NAME))
-            say(f"{folder}: continues as begun, with {file.state.source} (--config takes another)")
+            tree = unnumbered(deepcopy(file.state.configuration), f"{folder / STATE_NAME}: its configuration")
+            apply_overrides(tree, overrides)
+            config = validate_configuration(tree, str(folder / STATE_NAME), overrides)
+            config = config.from_file(source, overrides)
         else:
-            config = complete(instead.config)
+            config = load_configuration(instead, overrides)
+        if instead is None and not overrides:
+            say(f"{folder}: continues as begun, with {source} (--set changes it, --config takes another)")
+        else:
+            config = complete(config)
             check_materials(config)
             check_stop_when(config)
-            stored = stored_configuration(config)
-            changed = file.reconfigure(instead.source, stored)
-            say(f"{folder}: continues with {instead.source}, which states {changed}")
+            changed = file.reconfigure(source, stored_configuration(config))
+            if any(text.partition("=")[0].strip() == "session.runs" for text in overrides):
+                file.save(file.state.model_copy(update={"runs_wanted": config.session.runs}))
+            say(f"{folder}: continues with {source}, which states {changed}")
         with announced(config.session, folder, file) as outcome:
             outcome.status = _go_on(file, config, Manner(outcome.notices, force, json_lines))
     return outcome.status

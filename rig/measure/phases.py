@@ -14,7 +14,7 @@ from processing.deflections import DeflectionUnit
 from processing.errors import DataError, DeviceError
 from processing.robust import robust_scatter
 from processing.ticks import NS_PER_S, nanoseconds
-from rig.devices import Audited, Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
+from rig.devices import Audited, Devices, FrameStream, OpenCamera, through_controller, wait_for_command
 from rig.instrument import Optics, Phase, Snapshot
 from rig.measure.disk_room import free_bytes
 from rig.measure.end_of_run import StopRequest
@@ -72,6 +72,9 @@ class PhasesBeforeRecord:
         self.starter_pulse_s = config.start.starter_pulse_s
         self._attempt = 0
         self._warm = False
+        if config.start.by_controller:
+            # hours of warm-up and rest are in vain without it
+            devices.required_control(f"start.way = {config.start.way!r}")
 
     def run(
         self, stream: FrameStream, report: Callable[[Snapshot], None], stop: StopRequest
@@ -230,7 +233,7 @@ class PhasesBeforeRecord:
                 free_bytes(self._folder),
             ),
             device_checks.controller(self._devices.now(), config.controller.kind != "none"),
-            device_checks.laser(self._devices.laser_now(), goes_dark_by_itself(config.laser)),
+            device_checks.laser(self._devices.laser_now(), through_controller(config.laser)),
             self._witness(look),
             vault_checks.reference(look, config.reference, limits),
             device_checks.air(

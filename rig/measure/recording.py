@@ -310,7 +310,9 @@ class Recording:
         return [Event(time_ns, kind, text) for kind, text in happened]
 
     def _publish(self, phase: Phase, counts: FrameCounts, swings: list[Swing], age_s: float) -> None:
-        known = self._known
+        known, lost = self._known, counts.lost_text
+        if lost:
+            lost += f" rig camera align {self._parts.record.config.named}"
         self._status.publish(
             Snapshot(
                 phase=phase,
@@ -326,6 +328,7 @@ class Recording:
                 record_bytes=self._recorder.bytes_written,
                 disk_free_bytes=self._recorder.disk_free_bytes,
                 alarm=self._recorder.alarm,
+                instruction=lost if phase is Phase.MEASURING else "",
                 disk_silent_s=self._recorder.disk_silent_s,
                 reason=self._stop.reason,
                 estimates=known.estimates,

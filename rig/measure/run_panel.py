@@ -11,7 +11,7 @@ from rich.text import Text
 
 from processing.estimate import Estimate
 from rig.instrument import Snapshot
-from rig.presentation import percent, quantity
+from rig.presentation import loud, percent, quantity
 from rig.settings import StopCondition
 
 _TWO_COLUMNS_FROM = 120
@@ -52,7 +52,7 @@ def run_panel(
     if snapshot.alarm:
         parts.insert(0, Text(f"!!! {snapshot.alarm.upper()} !!!", style="bold white on red"))
     if snapshot.instruction:
-        parts.append(Text(f">>> {snapshot.instruction.upper()} <<<", style="bold reverse"))
+        parts.append(Text(f">>> {loud(snapshot.instruction)} <<<", style="bold reverse"))
     used = 4 + (len(rows) + 1) // 2 if wide else 4 + len(rows)
     room = max(1, min(_MOST_NOTES, height - used - 3 - bool(snapshot.instruction) - bool(snapshot.alarm)))
     parts += [Text(note, style="dim", no_wrap=True, overflow="ellipsis") for note in notes[-room:]]

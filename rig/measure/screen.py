@@ -22,7 +22,7 @@ from processing.ticks import seconds
 from rig.instrument import Block, Phase, Snapshot
 from rig.measure.end_of_run import BELOW_IN_A_ROW
 from rig.measure.run_panel import Rates, estimate_rows, run_panel
-from rig.presentation import Verdict, print_json_line, print_verdicts, say, table_tree
+from rig.presentation import Verdict, loud, print_json_line, print_verdicts, say, table_tree
 from rig.settings import StopCondition
 
 _PLAIN_INTERVAL_S = 5.0
@@ -64,7 +64,7 @@ class RunDisplay:
         self._live: Live | None = None
         self._printed_s = 0.0
         self._phase: Phase | None = None
-        self._alarm = ""
+        self._asked = ("", "")
         self._swings: deque[tuple[float, float, float]] = deque(maxlen=_SWINGS_KEPT)
         self._balance: Balance | None = None
         self._notes: deque[str] = deque(maxlen=12)
@@ -145,7 +145,8 @@ class RunDisplay:
         ):
             self._forecast_s = now_s
             self._forecast = self._predicted()
-        changed = snapshot.phase is not self._phase or snapshot.alarm != self._alarm
+        asked = snapshot.alarm, snapshot.instruction
+        changed = snapshot.phase is not self._phase or asked != self._asked
         if self._live is not None:
             self._live.update(self.screen(snapshot), refresh=True)
         elif changed or now_s - self._printed_s >= (_JSON_INTERVAL_S if self._json else _PLAIN_INTERVAL_S):
@@ -154,10 +155,10 @@ class RunDisplay:
                 self.line("state", self.values(snapshot))
             else:
                 say(f"{self._title}: {100 * self._fraction(snapshot):.0f} %  {self._plain(snapshot)}")
-            for shout in (snapshot.alarm, snapshot.instruction):
+            for shout in (snapshot.alarm.upper(), loud(snapshot.instruction)):
                 if changed and shout and not self._json:
-                    say(f"{self._title}: {shout.upper()}")
-        self._phase, self._alarm = snapshot.phase, snapshot.alarm
+                    say(f"{self._title}: {shout}")
+        self._phase, self._asked = snapshot.phase, asked
 
     def screen(self, snapshot: Snapshot) -> RenderableType:
         """The whole screen, cut to the size of the terminal."""

@@ -169,8 +169,9 @@ def _make_runs(
             raise
         if outcome.hangs:
             # the entry stays as it is: only when nothing writes any more can the record be repaired
+            off = "" if config.laser.kind == "none" else "the laser was told off, "
             raise DeviceError(
-                f"{outcome.hangs}: the laser is dark, {record} stays as it is; "
+                f"{outcome.hangs}: {off}{record} stays as it is; "
                 f"remove the cause (a disk that hangs?), then rig run --resume {folder}"
             )
         if isinstance(outcome.failure, NoGo) and outcome.interrupt is None:

@@ -17,7 +17,15 @@ from rig.presentation.balance import balance_drawn, balance_numbers, balance_pan
 from rig.presentation.json_object import answer, one_json_object
 from rig.presentation.keys import Keys
 from rig.presentation.latex import latex_rows, latex_table
-from rig.presentation.printing import TimeLeft, columns_of, plain_values, print_json_line, print_line, say
+from rig.presentation.printing import (
+    TimeLeft,
+    columns_of,
+    loud,
+    plain_values,
+    print_json_line,
+    print_line,
+    say,
+)
 from rig.presentation.quantities import SOURCES, Shown, law_parameters, quantity, unit_of
 from rig.presentation.table import Cell, Table, harmless_line, harmless_text
 from rig.presentation.terminal import print_tables, screen_width

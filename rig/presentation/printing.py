@@ -30,6 +30,12 @@ def say(text: str, *, error: bool = False) -> None:
     _print(f"rig: {text}" if error else text, sys.stderr)
 
 
+def loud(text: str) -> str:
+    """A request in capitals, up to its first colon: what follows may be a command."""
+    head, colon, rest = text.partition(": ")
+    return head.upper() + colon + rest
+
+
 class TimeLeft:
     """Says on stderr how far a long work is: at a terminal in one line, else in a line now and then."""
 

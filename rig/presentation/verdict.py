@@ -35,6 +35,12 @@ class Verdict:
     limit: str = ""
     made: bool = True
 
+    @classmethod
+    def failed(cls, name: str, error: Exception, remedy: str = "") -> "Verdict":
+        """Of an error, whose message states its remedy after a semicolon; else it is `remedy`."""
+        reason, _, own = str(error).partition("; ")
+        return cls(name, False, reason, own or remedy)
+
     @property
     def line(self) -> str:
         """The verdict in one line: `beam quality: go, one Gaussian, ...`, with reason and remedy."""

@@ -40,7 +40,7 @@ STYLE = (
 * { box-sizing: border-box; }
 html { font: 15px/1.5 system-ui, "Segoe UI", "Helvetica Neue", Arial, sans-serif; color: var(--ink);
   background: var(--paper); -webkit-print-color-adjust: exact; print-color-adjust: exact; }
-body { max-width: 72rem; margin: 0 auto; padding: 1.2rem 1.6rem 4rem; }
+body { background: var(--paper); max-width: 72rem; margin: 0 auto; padding: 1.2rem 1.6rem 4rem; }
 header { border-bottom: 2px solid var(--ink); padding-bottom: .5rem; margin-bottom: .8rem; }
 h1 { font-size: 1.6rem; line-height: 1.2; margin: 0 0 .2rem; letter-spacing: -.01em; }
 h2 { font-size: 1.3rem; margin: 2.6rem 0 .8rem; padding-top: .5rem; border-top: 1px solid var(--line); }

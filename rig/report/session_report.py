@@ -51,7 +51,7 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     try:
         files.mkdir(parents=True, exist_ok=True)
         whole_file.take_away_leftovers(target.parent, target.name)
-        series = [] if source.series is None else _series(source.series, files)
+        series = [] if source.series is None else _series(source, source.series, files)
         alone = len(source.runs) == 1
         runs = [_run(run, files / f"run-{k}", alone=alone) for k, run in enumerate(source.runs, start=1)]
         # the first decay is seen at once, beside the verdict; each of the others with its run
@@ -81,10 +81,10 @@ def draw_run(source: Path | SessionResults, number: int) -> list[ReportFigure]:
     return _drawings(run, _curves(run))
 
 
-def _series(series: Series, files: Path) -> list[str]:
+def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
     tables = [table for table in series_tables(series) if table.rows]
     apart = [
-        f"Run {item.run} disagrees with the others in {quantity(item.name).symbol}: "
+        f"{source.runs[item.run - 1].title} disagrees with the others in {quantity(item.name).symbol}: "
         f"{item.deviation:+.1f} standard uncertainties."
         for item in series.disagreements
     ]

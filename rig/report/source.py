@@ -54,7 +54,8 @@ def read_source(source: Path | SessionResults) -> ReportSource:
     folder, path = source if source.is_dir() else source.parent, results_path(source)
     name = path.name, known_sha256_of(path)
     if isinstance(results, SessionResults):
-        runs = [_read_run(folder, run, number) for number, run in enumerate(results.runs, start=1)]
+        numbered = zip(results.numbers, results.runs, strict=True)
+        runs = [_read_run(folder, run, number) for number, run in numbered]
         return ReportSource(folder, name, results.series, runs)
     decays = [decay_of_table(folder, results, number) for number in range(1, len(results.decays) + 1)]
     return ReportSource(folder, name, None, decays)

@@ -1,9 +1,11 @@
 """The configuration as frozen models: a section each, and all of them together."""
 
+import shlex
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import AwareDatetime, BaseModel, Field, model_validator
+from pydantic import AwareDatetime, BaseModel, Field, PrivateAttr, model_validator
 
 from acquisition.cameras.drivers import find_driver
 from acquisition.simulation.faults import FaultSettings
@@ -13,13 +15,16 @@ from processing.air import POSSIBLE
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel
-from rig.control import ControllerSettings, EnvironmentSettings, LaserSettings, WitnessSettings
+from rig.control import LASERS, ControllerSettings, EnvironmentSettings, LaserSettings, WitnessSettings
 from rig.settings.balance import BalanceSettings
 from rig.settings.calibration import CalibrationSettings, TimebaseSettings
 from rig.settings.camera import CameraSection
 from rig.settings.instrument import InstrumentSettings
 from rig.settings.phases import PhaseSettings, PreflightSettings, StartSettings
 from rig.settings.stop_conditions import StopCondition, stop_conditions
+
+_OF_THE_RIG = ("controller.", "laser.", "session.output")
+"""Keys that say which rig it is, and where its sessions are."""
 
 
 class Section(BaseModel, frozen=True, extra="forbid"):
@@ -232,6 +237,7 @@ class Configuration(Section, frozen=True):
     balance: BalanceSettings = BalanceSettings()
     simulation: SimulationSettings = SimulationSettings()
     faults: FaultSettings = FaultSettings()
+    _named: str = PrivateAttr(default="CONFIG")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -245,6 +251,30 @@ class Configuration(Section, frozen=True):
         except ValueError as error:
             raise ValueError(f"session.stop_when: {error}") from None
         return self
+
+    @property
+    def named(self) -> str:
+        """As a command for the same rig takes it: its file, with what --set states of the devices."""
+        return self._named
+
+    def from_file(self, path: Path, overrides: Iterable[str] = ()) -> Self:
+        """The same, named after its file."""
+        devices = [text for text in overrides if text.strip().startswith(_OF_THE_RIG)]
+        # it tells where the values came from, and is none of them
+        self._named = shlex.join([str(path), *(word for text in devices for word in ("--set", text))])  # type: ignore[misc]
+        return self
+
+    @property
+    def rehearsal(self) -> str:
+        """What a simulated camera needs to run without the rig's own devices; empty where none is."""
+        board = self.controller.kind == "serial"
+        if not (self.simulated and (board or self.laser.kind in LASERS)):
+            return ""
+        keys = ["controller.kind=none"] if board else []
+        keys += ["laser.kind=none"] if self.laser.kind != "none" else []
+        keys += ["start.way=at once"] if board and self.start.way != "at once" else []
+        words = shlex.join(word for key in keys for word in ("--set", key))
+        return f"the camera is simulated, and runs without: {words}"
 
     @property
     def simulated(self) -> bool:

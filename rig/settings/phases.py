@@ -73,6 +73,11 @@ class StartSettings(BaseModel, frozen=True, extra="forbid"):
     )
     starter_pulse_s: float = Field(default=0.6, gt=0, description="first pulse; adjusted after each attempt")
 
+    @property
+    def by_controller(self) -> bool:
+        """Whether the controller starts the pendulum."""
+        return self.way in ("magnet", "starter")
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.lowest_amplitude >= self.highest_amplitude:

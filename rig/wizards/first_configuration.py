@@ -1,6 +1,7 @@
 """The wizard of `rig init`: finds the devices, asks what must be known, and writes a configuration."""
 
 import getpass
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -82,6 +83,7 @@ class FirstConfiguration:
         yield Question("folder", "Folder for the sessions:", _KEYS.text("session.output"), suggested="runs")
         if not simulated:
             yield from self._controller_and_laser(values)
+            yield from _region_and_start(controlled=bool(values["controller"]))
 
     def _camera(self) -> Question:
         """Cameras that are there are chosen by their number; of one driver there may be several."""
@@ -108,7 +110,7 @@ class FirstConfiguration:
             "Which camera:",
             # a film is asked for next
             lambda answer: _known(answer, keys) if answer == FILM else _KEYS.checked(_known(answer, keys)),
-            do=f"The camera. {len(self.cameras) or 'None'} found.",
+            do=f"The camera. {len(self.cameras) or 'None'} found; rig devices says where none was sought.",
             suggested=choices[0].answer if self.cameras else "simulated",
             choices=tuple(choices),
         )
@@ -123,7 +125,8 @@ class FirstConfiguration:
                 if text == "none"
                 else _KEYS.checked({"controller.kind": "serial", "controller.port": text}, whole="controller")
             ),
-            do="What the program switches. A controller has laser, magnet, starter, brake and interlock.",
+            do="What the program switches. A controller has laser, magnet, starter, brake and interlock: a "
+            "Raspberry Pi Pico with this program's firmware. With another board, such as an Arduino: none.",
             suggested="none",
             choices=(Choice("none", "everything is switched by hand"), *ports),
             open_choice=True,
@@ -183,6 +186,33 @@ class FirstConfiguration:
                     Choice("own", "it has one of its own; it stays lit if this program is killed"),
                 ),
             )
+
+
+def _region_and_start(*, controlled: bool) -> Iterator[Question]:
+    yield Question(
+        "region",
+        "Image region, as 640 x 320, or 640 x 320 at 100, 80 for its first column and row (Enter: the whole "
+        "sensor):",
+        _region,
+        do="What the camera reads, and how a run starts. A small region is read faster and recorded in less "
+        "space; the swing must fit into it. `rig camera align` shows the spot.",
+        suggested="",
+        says_enter=True,
+    )
+    ways = {
+        "at once": "it is recorded from the first frame: start the pendulum, then the program",
+        "by hand": "the program waits for rest, checks, and asks you to release the pendulum",
+    }
+    if controlled:
+        ways["magnet"] = "the controller's magnet holds the pendulum and lets it go"
+        ways["starter"] = "the controller's starter pushes it"
+    yield Question(
+        "start",
+        "The start of a run:",
+        lambda text: {"start.way": _known(text, ways, value=True)},
+        suggested="at once",
+        choices=tuple(Choice(way, text) for way, text in ways.items()),
+    )
 
 
 def _pendulum(values: Mapping[str, Any], *, needed: bool = True) -> Iterator[Question]:
@@ -260,6 +290,15 @@ def _material(body: str, values: Mapping[str, Any]) -> Iterator[Question]:
 
 def _only(key: str, keys: Keys) -> Keys:
     return {key: keys[key]}
+
+
+def _region(text: str) -> Keys:
+    found = re.fullmatch(r"(\d+) *[x×*] *(\d+)(?: *at *(\d+) *[,; ] *(\d+))?", text)
+    if text and found is None:
+        raise ConfigurationError(f"{text!r}: should be width x height in px, such as 640 x 320")
+    names = ("width_px", "height_px", "offset_x_px", "offset_y_px")
+    given = zip(names, () if found is None else found.groups(), strict=False)
+    return _KEYS.checked({f"camera.{name}": int(value) for name, value in given if value is not None})
 
 
 def _period(text: str) -> Keys:

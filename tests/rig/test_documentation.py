@@ -258,7 +258,7 @@ def test_the_readme_from_top_to_bottom(tmp_path: Path) -> None:
     for line in commands:
         words = shlex.split(line)[1:]
         # two minutes of swings instead of twenty
-        extra = SHORT if words[0] == "run" else []
+        extra = SHORT if words[0] == "demo" else []
         done = rig(*words, *extra, cwd=tmp_path, figures=True)
         assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
     assert (tmp_path / "first.rrd").stat().st_size > 0

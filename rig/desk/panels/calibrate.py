@@ -246,4 +246,6 @@ def _why_none(desk: Desk) -> str:
         return no_frame_yet(desk.following)
     if desk.calibrating.watched is not None:
         return "" if desk.following.has_picture else "waiting for the first frame of the recording"
+    if desk.config.laser.kind == "none":
+        return "no picture: a recording brings one"
     return "laser off: a recording switches it on automatically"

@@ -42,7 +42,17 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
         ),
         (("plan", DEMO, "--first=ten"), "--first ten: should be a number\n"),
         (("export", ".", "-o", "x", "--format", "xml"), "--format xml: 'xml' is not one of 'csv', 'parquet'"),
-        (("run",), "rig: Missing argument 'CONFIG'; --help shows what is needed"),
+        (("run",), "--help shows what is needed, for example rig run configs/demo.toml -o runs/first"),
+        (("camera", "show"), "for example rig camera show mine.toml"),
+        (("view", "run-1.mcap", "--layout", "balance"), "'analysing'; did you mean balancing?\n"),
+        (("view", "run-1.mcap", "--layout=measure"), "'analysing'; did you mean measuring?\n"),
+        (("view", "run-1.mcap", "--layout=x"), "'measuring', 'analysing'\n"),
+        (("balance", "run-1.mcap"), "wanted; rig view run-1.mcap --layout balancing shows its balance\n"),
+        (("run", "run-1.mcap"), "wanted; rig replay run-1.mcap processes it again, rig fit run-1.mcap fits"),
+        (
+            ("camera", "align", "run-1.mcap"),
+            "is a record, and a configuration (TOML file) is wanted; rig",
+        ),
         (("doctor", "my", "rig.toml"), "my: no such file or folder; put a name with spaces in quotes"),
         (
             ("doctor", DEMO, "--set", "lever={arm_m=1000, pixel_pitch_m=5e-6}"),
@@ -222,6 +232,33 @@ def test_folders_work_wherever_records_do(measured_series: Path, tmp_path: Path)
     (tmp_path / "one" / "run-1.mcap").symlink_to(measured_series / "run-1.mcap")
     assert "nothing to recover" in rig("recover", "one", cwd=tmp_path).stdout
     assert "is not a results file" in said("report", "one/run-1.mcap", cwd=tmp_path, status=1)
+
+
+@pytest.mark.parametrize(
+    ("sample", "begins"),
+    [
+        (
+            "first",
+            ["amplitude    118.00 to 61.04 arcsec", "half-cycles  15, 1 of", "result       b = 0.0300 ±"],
+        ),
+        (
+            "uncalibrated",
+            ["amplitude    100.00 to 68.39 px", "half-cycles  20, 0 of", "result       not fitted"],
+        ),
+        (
+            "alone",
+            ["amplitude    118.00 to 61.04 arcsec", "half-cycles  15, 1 of", "result       none yet; rig f"],
+        ),
+    ],
+)
+def test_info_begins_with_the_decay_and_its_result(tmp_path: Path, sample: str, begins: list[str]) -> None:
+    folder = DECAY.parent / ("first" if sample == "alone" else sample)
+    if sample == "alone":
+        shutil.copy(folder / "run-1.mcap", tmp_path)
+        folder = tmp_path
+    lines = rig("info", folder).stdout.splitlines()
+    assert lines[0].endswith(", whole")
+    assert [line[: len(begin)] for line, begin in zip(lines[1:4], begins, strict=True)] == begins
 
 
 @pytest.mark.parametrize("group", [(), ("camera",), ("calibrate",)])

@@ -42,7 +42,7 @@ class TestController:
     def checks(self, board: SteppedBoard, laser: LaserSettings) -> dict[str, Verdict]:
         settings = ControllerSettings(kind="serial", port="stepped")
         controller = Controller(settings, laser.max_power_w, board.open_line)
-        found = by_name(check_controller(controller, settings, laser))
+        found = by_name(check_controller(controller, settings, laser, "mine.toml"))
         assert all(bool(check.remedy) is not check.ok for check in found.values())
         # nothing was switched on on the way
         assert not any(board.count(name, 1) for name in ("laser", "magnet", "starter", "clamp", "brake"))
@@ -85,7 +85,7 @@ class TestController:
         board.unplug()
         assert not self.checks(board, laser)["controller"].ok
         nothing = ControllerSettings()
-        (check,) = check_controller(Controller(nothing, 0.001, board.open_line), nothing, laser)
+        (check,) = check_controller(Controller(nothing, 0.001, board.open_line), nothing, laser, "")
         assert (check.ok, check.made) == (True, False)
 
 
@@ -95,27 +95,25 @@ def test_a_laser_without_watchdog_is_warned_of_and_its_wiring_tried(
     instrument = FakeCobolt()
     monkeypatch.setattr(serial_laser, "SerialPort", lambda *_, **__: InstrumentLine(instrument, clock))
     name = "laser switches off automatically"
-    board = ControllerSettings(kind="serial", port="x")
     own = LaserSettings(kind="cobolt", port="y")
     wired = LaserSettings(kind="cobolt", port="y", interlock="controller")
-    found = by_name(check_laser(own, board))
+    found = by_name(check_laser(own))
     assert all(check.ok for check in found.values())
     assert "stays on if the program is killed" in found[name].reason
     assert "enable relay" in found[name].remedy
     assert not found["laser interlock"].remedy
     # said to be wired through the relay, which is open: closed all the same means that it is not
-    assert not by_name(check_laser(wired, board))[name].ok
+    assert not by_name(check_laser(wired))[name].ok
     instrument.interlock_closed = False
-    assert all(check.ok and not check.remedy for check in check_laser(wired, board))
-    assert not all(check.ok for check in check_laser(wired, ControllerSettings()))
-    assert by_name(check_laser(own, board))["laser interlock"].remedy
+    assert all(check.ok and not check.remedy for check in check_laser(wired))
+    assert by_name(check_laser(own))["laser interlock"].remedy
     instrument.fault, instrument.interlock_closed = 4, True
-    fault = by_name(check_laser(own, board))["laser fault"]
+    fault = by_name(check_laser(own))["laser fault"]
     assert (fault.ok, fault.reason) == (False, "constant-power time-out")
     instrument.silent = True
-    (silent,) = check_laser(own, board)
+    (silent,) = check_laser(own)
     assert not silent.ok
-    assert check_laser(LaserSettings(), board) == ()
+    assert check_laser(LaserSettings()) == ()
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,12 @@ def test_pressed_while_nothing_runs_nothing_is_started_until_it_is_acknowledged(
         desk.start("preflight")
 
 
+def test_a_laser_that_is_switched_by_hand_is_not_said_to_be_off(
+    desk_of: Callable[[str], Desk],
+) -> None:
+    assert desk_of("").lighting.off("one") == ["no laser is switched by this program: turn its key"]
+
+
 def test_a_press_that_cannot_be_kept_is_said_and_all_else_is_done(
     desk_of: Callable[[str], Desk], rig_states: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

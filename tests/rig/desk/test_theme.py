@@ -1,6 +1,7 @@
 """Colours of the desk: every text can be read in every theme, and no colour stands anywhere else."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from rig.desk import style, theme
 from rig.desk.theme import THEMES
 from rig.presentation import palette
+from rig.report import html
 
 DESK = Path(theme.__file__).parent
 _TEXTS = ("ink", "dim", "line", "go", "warn", "no")
@@ -52,6 +54,15 @@ def test_texts_and_drawings_can_be_read(name: str) -> None:
     for pairs, least in ((PAIRS, 4.5), (DRAWN, 3.0)):
         dull = {pair: found for pair in pairs if (found := contrast(*(colours[one] for one in pair))) < least}
         assert dull == {}
+
+
+@pytest.mark.parametrize("theme", [html.LIGHT, html.DARK], ids=["light", "dark"])
+def test_every_state_of_a_report_can_be_read_on_every_ground(theme: Mapping[str, str]) -> None:
+    """A report brings its own ground, and stands in the desk's drawer, too."""
+    inks, grounds = ("ink", "soft", "accent", "good", "bad"), ("paper", "tint", "warn")
+    pairs = [(theme[ink], theme[ground]) for ink in inks for ground in grounds]
+    assert {pair: found for pair in pairs if (found := contrast(*pair)) < 4.5} == {}
+    assert "body { background: var(--paper);" in html.STYLE
 
 
 def test_every_theme_has_every_colour_and_every_colour_that_is_used_has_a_name() -> None:

@@ -44,7 +44,7 @@ def test_a_trip_is_acknowledged_by_its_number_and_that_is_kept(
         monkeypatch.setattr(sys, "stdin", Terminal(typed))
         with pytest.raises(LightRefused, match="nobody has acknowledged it"):
             await_leave(devices, session_news)
-        with pytest.raises(LightRefused, match=r"trip 1 \(INTERLOCK\).*rig light acknowledge CONFIG 1"):
+        with pytest.raises(LightRefused, match=r"trip 1 \(INTERLOCK\).*turn its key, then start again"):
             devices.light()
     monkeypatch.setattr(sys, "stdin", Terminal("1\nlight\n"))
     await_leave(devices, session_news)

@@ -62,10 +62,10 @@ def test_what_is_not_stated_is_not_called_stated() -> None:
 
 def test_a_trip_and_a_laser_that_was_left_lit_are_named() -> None:
     state = SafetyState()
-    assert check_trip(state).ok
+    assert check_trip(state, "mine.toml").ok
     state.lit(True)
-    assert "that had lit the laser was killed" in check_trip(state).reason
+    assert "that had lit the laser was killed" in check_trip(state, "mine.toml").reason
     state.latch(TripCause.INTERLOCK, "the interlock of the laser opened", lit=True)
-    found = check_trip(state)
+    found = check_trip(state, "mine.toml")
     assert (found.ok, found.reason) == (False, "trip 1 (INTERLOCK): the interlock of the laser opened")
-    assert "rig light acknowledge CONFIG 1" in found.remedy
+    assert "rig light acknowledge mine.toml 1" in found.remedy

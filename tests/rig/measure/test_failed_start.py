@@ -70,11 +70,37 @@ def test_resume_says_its_configuration_and_takes_another(tmp_path: Path) -> None
     (out / "session.json").write_text(json.dumps(tree))
     failed = rig("run", "--resume", out)
     assert failed.returncode == 1
-    assert f"continues as begun, with {CONFIGS / 'demo.toml'} (--config takes another)" in failed.stderr
+    assert (
+        f"continues as begun, with {CONFIGS / 'demo.toml'} (--set changes it, --config takes another)"
+        in failed.stderr
+    )
     done = rig("run", "--resume", out, "--config", CONFIGS / "demo.toml", *SHORT)
     assert done.returncode == 0, done.stderr
     assert 'which states camera.driver = "simulated" (was "pylon")' in done.stderr
     assert len(read_session(out).complete) == 2
+    # what is said while it is measured, its record, and what is said of its results have one number
+    number = read_session(out).complete[-1].number
+    assert (out / f"run-{number}.mcap").exists()
+    for said in (f"run {number}: SIMULATED (", f"run {number}: 100 %  done"):
+        assert said in done.stderr
+    assert [line.split(":")[0] for line in done.stdout.splitlines() if line.startswith("SIMULATED run")] == [
+        "SIMULATED run 1",
+        f"SIMULATED run {number}",
+    ]
+
+
+@pytest.mark.slow
+def test_resume_takes_what_is_set(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert rig("run", CONFIGS / "demo.toml", "-o", out, *SHORT).returncode == 0
+    done = rig("run", "--resume", out, "--set", "session.runs=x")
+    assert done.returncode == 2
+    assert done.stderr == "rig: --set session.runs = 'x': should be a whole number\n"
+    changed = {"session.runs": "2", "session.max_duration_s": "3", "session.sample": "mine"}
+    done = rig("run", "--resume", out, *set_words(changed))
+    assert "which states session.max_duration_s = 3.0 (was" in done.stderr
+    assert "time limit of 3 s reached" in done.stderr
+    assert read_session(out).configuration["session"]["sample"] == "mine"
 
 
 def test_another_configuration_is_for_resume(tmp_path: Path) -> None:

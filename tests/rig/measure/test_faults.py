@@ -1,6 +1,7 @@
 """Faults of the simulated rig: the session continues, or ends with the correct reason."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -45,6 +46,21 @@ def test_a_laser_that_fades_loses_spots_and_goes_on(tmp_path: Path) -> None:
     assert kinds.index("spot lost") < len(kinds) - 1 - kinds[::-1].index("spot found")
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert results["runs"][0]["half_cycles"] >= 22
+
+
+@pytest.mark.parametrize(
+    ("lasts_s", "said"),
+    [("4", ""), ("30", "run 1: SPOT LOST SINCE 0:{}: laser on? beam on the sensor? rig camera align ")],
+)
+@pytest.mark.parametrize("from_s", ["0", "4"], ids=["never seen", "lost"])
+def test_a_spot_that_stays_away_is_asked_for(tmp_path: Path, from_s: str, lasts_s: str, said: str) -> None:
+    fades = {"faults__laser_fades_at_s": from_s, "faults__laser_fade_duration_s": lasts_s}
+    done = run_with(tmp_path / "out", session__max_duration_s="18", **fades)
+    lines = [line for line in done.stderr.splitlines() if "SPOT LOST" in line]
+    assert len(lines) == bool(said)
+    if said:
+        since = re.escape(said).replace(r"\{\}", r"\d\d\.\d")
+        assert re.fullmatch(f"{since}{re.escape(str(CONFIGS / 'demo.toml'))}", lines[0])
 
 
 @pytest.mark.slow

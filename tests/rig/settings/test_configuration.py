@@ -163,7 +163,7 @@ def test_a_simulated_rig_knows_its_apparatus_and_a_stated_section_wins() -> None
 
 def test_a_complete_configuration_survives_the_record() -> None:
     config = complete(load_configuration(CONFIGS / "silicon.toml"))
-    assert Configuration.model_validate_json(config.model_dump_json()) == config
+    assert Configuration.model_validate_json(config.model_dump_json()).model_dump() == config.model_dump()
 
 
 @pytest.mark.parametrize(

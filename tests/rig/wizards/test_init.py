@@ -48,7 +48,7 @@ def test_a_real_rig_with_everything(tmp_path: Path) -> None:
     wizard = FirstConfiguration(PLUGGED, PORTS)
     answers = ["2", "0.406 ± 0.0001", "6.05 mm", "my_ball", "211 GPa ± 3 GPa", "0.28", "my_ball", "4.07"]
     answers += ["(1 ± 0.001) m", "4.8 um ± 1 nm", "steel on K8", "A. Person", "", "/dev/ttyACM0"]
-    answers += ["thorlabs4000", "2", "80 mA", "60 mA", ""]
+    answers += ["thorlabs4000", "2", "80 mA", "60 mA", "", "640 x 320 at 8,16", "starter"]
     done = progress(wizard, draft_of(wizard, *answers))
     assert done.question is None
     path = tmp_path / "mine.toml"
@@ -65,6 +65,9 @@ def test_a_real_rig_with_everything(tmp_path: Path) -> None:
     assert (config.laser.kind, config.laser.port) == ("thorlabs4000", "/dev/ttyUSB0")
     assert (config.laser.max_current_a, config.laser.current_a) == (0.08, 0.06)
     assert config.laser.interlock == "controller"
+    camera = config.camera
+    assert (camera.width_px, camera.height_px, camera.offset_x_px, camera.offset_y_px) == (640, 320, 8, 16)
+    assert config.start.way == "starter"
     text = path.read_text(encoding="utf-8")
     assert "# [record]" in text, "other keys are there to be uncommented"
     assert "[simulation" not in text
@@ -108,7 +111,31 @@ def test_every_answer_is_held_against_the_models() -> None:
     limited = draft_of(wizard, *good, "1 mW")
     with pytest.raises(ConfigurationError, match=r"power_w 0\.002 is above max_power_w 0\.001"):
         answered(wizard, limited, "2 mW")
-    assert progress(wizard, answered(wizard, limited, "0.5 mW")).question is None
+    lit = answered(wizard, limited, "0.5 mW")
+    for text in ("640", "0 x 320", "640 x 320 px", "a x b"):
+        with pytest.raises(ConfigurationError, match=r"width x height in px|camera\.width_px = 0"):
+            answered(wizard, lit, text)
+    whole = answered(wizard, lit, "")
+    assert progress(wizard, answered(wizard, whole, "")).question is None
+    assert stated_keys(progress(wizard, answered(wizard, whole, "")).values)["start.way"] == "at once"
+
+
+def test_without_a_controller_none_starts_the_run() -> None:
+    wizard = FirstConfiguration(PLUGGED, PORTS)
+    by_hand = draft_of(wizard, "1", "0.406", "6.05 mm", "", "", "", "", "", "", "", "none", "none", "")
+    with pytest.raises(ConfigurationError, match="choose one of at once, by hand"):
+        answered(wizard, by_hand, "magnet")
+
+
+def test_the_first_that_is_said_is_the_first_question(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = "acquisition.cameras.drivers.find_cameras"
+    monkeypatch.setattr(found, lambda: ((), ("x cameras were not looked for: y is missing",)))
+    lines = rig("init", "mine.toml", cwd=tmp_path).stderr.splitlines()
+    assert lines[0].startswith("A configuration for your rig.")
+    assert not any("not looked for" in line for line in lines)
+    assert "x cameras were not looked for" in rig("devices").stdout
 
 
 def test_two_cameras_of_one_driver_without_serial_numbers_differ_by_their_device() -> None:
