@@ -57,7 +57,8 @@ def test_weights_are_out_of_reach_only_if_their_lines_are_known_to_be_one(
     for name, angle_deg in (("x", 30.0), ("y", 30.0 + apart_deg)):
         angle = math.radians(angle_deg)
         moved = moved_arcsec * np.array([math.cos(angle), math.sin(angle), 0.0])
-        responses.learn(name, 0.5, np.zeros(3), moved, U)
+        before = np.array([-25.0, 60.0, 3e-6])
+        responses.learn(name, 0.5, before, before + moved, U)
     across = 50.0 * np.array([-math.sin(math.radians(30.0)), math.cos(math.radians(30.0)), 0.0])
     assert isinstance(responses.advise(across), Unreachable) == unreachable
 
