@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.balance import BalanceLimits, Unreachable, WeightResponses, mass_centre_height_m
+from processing.balance import BalanceLimits, Unreachable, WeightResponses
 from rig.balance.learned_turns import LearnedTurns
 from rig.instrument.balance import nominal_effects
 from tests.rig.balance.cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum
@@ -81,15 +81,6 @@ def test_the_sign_says_which_way() -> None:
     assert back is not None
     assert away.weight == back.weight == "x"
     assert away.turns == -back.turns < 0
-
-
-def test_a_mass_centre_too_high_swings_slowly() -> None:
-    gravity, mass, radius = 9.80665, 0.406, 6.05e-3
-    inertia = mass * gravity * radius * (4.071 / (2 * math.pi)) ** 2
-    assert mass_centre_height_m(4.071, inertia, mass, radius, gravity) == pytest.approx(0.0, abs=1e-12)
-    slow = mass_centre_height_m(4.071 * 1.001, inertia, mass, radius, gravity)
-    # l goes with 1/T^2: 0.1 % of the period is 0.2 % of the arm
-    assert slow == pytest.approx(0.002 * radius, rel=0.01)
 
 
 @pytest.mark.slow
