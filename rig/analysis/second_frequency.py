@@ -1,6 +1,5 @@
 """A second oscillation in a table: why no half-cycle is usable, or why every uncertainty is wide."""
 
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -69,30 +68,25 @@ def second_frequency(times_ns: NDArray[np.int64], deflection: NDArray[np.float64
     )
 
 
-def fast_oscillation(
-    times_ns: NDArray[np.int64],
-    deflection: NDArray[np.float64],
-    positions: Sequence[NDArray[np.float64]],
-    names: Sequence[str],
-    period_s: float,
-) -> str:
+def fast_oscillation(times_ns: NDArray[np.int64], deflection: NDArray[np.float64], period_s: float) -> str:
     """What is to be said of a weaker oscillation that most of what is left beside the swing is; else empty.
 
     It goes into the noise of a sample, and with that into every uncertainty, which name no reason.
     """
-    found = _beside_the_swing(times_ns, deflection, period_s)
-    if found is None or found[1] < _MOST_OF_THE_REST or found[2] < _SEEN:
+    found = _spectrum(times_ns, deflection, period_s)
+    power = np.zeros(0) if found is None else np.abs(found.rest) ** 2
+    rest = float(power.sum())
+    if found is None or not rest > 0 or not found.swing > 0:
         return ""
-    line_hz, _, size, _ = found
-    where = ""
-    if len(positions) > 1:
-        each = [_beside_the_swing(times_ns, one, period_s, line_hz) for one in positions]
-        absolute = [0.0 if one is None else one[3] for one in each]
-        where = f", most of it in {names[int(np.argmax(absolute))]}"
+    k = int(np.argmax(power))
+    line = float(power[found.near(k)].sum())
+    size = (line / found.swing) ** 0.5
+    if line < _MOST_OF_THE_REST * rest or size < _SEEN:
+        return ""
     return (
-        f"the samples hold a second oscillation at {line_hz:.3g} Hz, {size:.2g} times as large as the swing"
-        f"{where}: it counts as noise of the samples and widens every uncertainty; filter or damp it, or "
-        "choose a position that does not see it (--position)"
+        f"the samples hold a second oscillation at {k / found.span_s:.3g} Hz, {size:.2g} times as large as "
+        "the swing: it counts as noise of the samples and widens every uncertainty; filter or damp it, "
+        "or choose a position that does not see it (--position)"
     )
 
 
@@ -169,19 +163,3 @@ def _spectrum(
     # what is slower is the ground or the rest position, which the fits know of, or a side of the swing's line
     rest[: round(_FAST * turns)] = 0.0
     return _Spectrum(float(even_s[-1]), swing, rest)
-
-
-def _beside_the_swing(
-    times_ns: NDArray[np.int64], deflection: NDArray[np.float64], period_s: float, at_hz: float | None = None
-) -> tuple[float, float, float, float] | None:
-    """Of the strongest line beside swing, overtones and drift, or that at `at_hz`: frequency, share of all
-    that is left, amplitude over the swing's, and amplitude; None where there are too few samples.
-    """
-    found = _spectrum(times_ns, deflection, period_s)
-    power = np.zeros(0) if found is None else np.abs(found.rest) ** 2
-    rest = float(power.sum())
-    if found is None or not rest > 0 or not found.swing > 0:
-        return None
-    k = int(np.argmax(power)) if at_hz is None else round(at_hz * found.span_s)
-    line = float(power[found.near(k)].sum())
-    return k / found.span_s, line / rest, (line / found.swing) ** 0.5, line**0.5

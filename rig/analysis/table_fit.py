@@ -219,13 +219,7 @@ def _analyse(
         run = replace(run, witness=of_source(run.witness, witness))
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
-    oscillation = fast_oscillation(
-        trajectory.times_ns[inside],
-        deflection,
-        [position[inside] for position in trajectory.positions],
-        trajectory.names,
-        summary.period_s.value,
-    )
+    oscillation = fast_oscillation(trajectory.times_ns[inside], deflection, summary.period_s.value)
     values = (
         _values(run)
         | decay_values(points, summary, scale, u_common=trajectory.u_common_in_noises * noise)
