@@ -7,6 +7,7 @@ import os
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import chdir
 from pathlib import Path
 
@@ -32,14 +33,15 @@ way = "at once"
 [balance]
 seconds = 20.0
 [simulation.axes]
-rest_slow_arcsec = 6.0
-rest_fast_arcsec = -25.0
+{axes}
 [simulation.sensor]
 width_px = 320
 height_px = 640
 [simulation.release]
 way = "let go"
 """
+ASKEW = "rest_slow_arcsec = 6.0\nrest_fast_arcsec = -25.0"
+TURNING = "spin_rad_per_s = 5e-4"
 HANDED_OVER = "[...document.querySelectorAll('button')].some(b => b.offsetParent && b.innerText === 'REPORT')"
 STILL = (
     "document.getAnimations().every(a => a.playState !== 'running' || "
@@ -50,15 +52,41 @@ SHARPNESS_S = 6.0
 
 
 def main() -> None:
-    """Photograph every panel."""
+    """Photograph every panel, and an alarm."""
+    with_desk(ASKEW, photograph)
+    with_desk(TURNING, photograph_alarm)
+
+
+def with_desk(axes: str, do: Callable[[Page], None]) -> None:
+    """Do something with the desk of a simulated rig with these axes."""
     with tempfile.TemporaryDirectory() as place:
         config = Path(place) / "rig.toml"
         base = HERE.parents[1] / "configs" / "live.toml"
-        config.write_text(CONFIGURATION.format(base=base.as_posix()), encoding="utf-8")
+        config.write_text(CONFIGURATION.format(base=base.as_posix(), axes=axes), encoding="utf-8")
         # sessions and calibrations are filed in the folder in which the desk was opened
         os.environ["PYTHONPATH"] = str(HERE.parents[1])
         with chdir(place), headless_browser() as browser, desk_page(browser, config) as (_, page):
-            photograph(page)
+            do(page)
+
+
+def photograph_alarm(page: Page) -> None:
+    """A run whose plane of swing turns, which is an alarm."""
+    measure(page)
+    page.wait_text("1 active", 200.0)
+    page.key("a")
+    page.wait_text("plane of swing")
+    save(page, "alarm")
+
+
+def measure(page: Page) -> None:
+    """Until a run has been measured for a minute and a half."""
+    page.key("4")
+    page.wait_text("rig desk")
+    page.click("Start …")
+    page.in_dialog()
+    half_cycles = "parseInt(document.body.innerText.match(/elapsed\\s.*?([0-9]+) half-cycles/)[1])"
+    page.wait(f"{half_cycles} > {SHOWN_FROM_HALF_CYCLES}", 400.0)
+    page.wait_text("b / rad", 200.0)
 
 
 def photograph(page: Page) -> None:
@@ -80,13 +108,7 @@ def photograph(page: Page) -> None:
     page.wait("document.querySelector('svg[aria-label^=\"turn weight\"]') !== null", 120.0)
     save(page, "balance")
     page.click("End")
-    page.key("4")
-    page.wait_text("rig desk")
-    page.click("Start …")
-    page.in_dialog()
-    half_cycles = "parseInt(document.body.innerText.match(/elapsed\\s.*?([0-9]+) half-cycles/)[1])"
-    page.wait(f"{half_cycles} > {SHOWN_FROM_HALF_CYCLES}", 400.0)
-    page.wait_text("b / rad", 200.0)
+    measure(page)
     save(page, "measure")
     page.click("Stop")
     page.click("Stop it")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from calibration.axes_fit import fit_axes
+from calibration.axes_fit import AxesFit, fit_axes
 from calibration.oscillation import require_rest
 from calibration.pointing import stability
 from calibration.timebase import relate_clocks, unwrap_counter
@@ -158,6 +158,24 @@ def test_handedness_and_sign_are_said_to_be_assumed() -> None:
         assert np.sum(weight * off**2) < 4 * max(len(off) - 1, 1)
 
 
+def swinging(turning: Callable[[np.ndarray], np.ndarray]) -> AxesFit:
+    rng = np.random.default_rng(8)
+    t = np.arange(5000) * 0.02
+    slow, fast = 100 * np.cos(2 * np.pi * t / 4.07), 10 * np.cos(2 * np.pi * t / 0.8)
+    angle = turning(t)
+    x, y = 0.02 * rng.standard_normal((2, 5000))
+    return fit_axes(t, x + slow * np.sin(angle) + fast, y - slow * np.cos(angle))
+
+
+def test_directions_that_scatter_beyond_their_noise_have_their_scatter_as_uncertainty() -> None:
+    found = swinging(lambda t: 5e-5 * np.sign(np.sin(0.1 * t)))
+    off, weight = np.array(found.slow_parts.off_rad), np.array(found.slow_parts.u_off_rad) ** -2.0
+    assert len(off) == found.windows == 4
+    chi2_per_dof = float(weight @ off**2) / 3
+    assert chi2_per_dof > 10
+    assert found.axes.u_slow_angle_rad == pytest.approx(np.sqrt(chi2_per_dof / weight.sum()), rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("turning", "words"),
     [
@@ -171,13 +189,8 @@ def test_handedness_and_sign_are_said_to_be_assumed() -> None:
 def test_axes_that_do_not_stay_are_refused_with_the_cause(
     turning: Callable[[np.ndarray], np.ndarray], words: str
 ) -> None:
-    rng = np.random.default_rng(8)
-    t = np.arange(5000) * 0.02
-    slow, fast = 100 * np.cos(2 * np.pi * t / 4.07), 10 * np.cos(2 * np.pi * t / 0.8)
-    angle = turning(t)
-    x, y = 0.02 * rng.standard_normal((2, 5000))
     with pytest.raises(DataError, match=words) as caught:
-        fit_axes(t, x + slow * np.sin(angle) + fast, y - slow * np.cos(angle))
+        swinging(turning)
     assert "\n" not in str(caught.value)
 
 

@@ -10,7 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from processing.angle import ARCSEC_RAD
-from processing.balance import Balance, BalanceEstimator, BalanceLimits, find_faults, names_with_units
+from processing.balance import (
+    Balance,
+    BalanceEstimator,
+    BalanceLimits,
+    find_faults,
+    mass_centre_height_m,
+    names_with_units,
+)
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 
@@ -213,3 +220,12 @@ def test_the_first_balance_holds_nothing_of_what_was_before_the_release(
         assert abs(balance.rest_y / ARCSEC_RAD - 5.0) < 0.01 + 3.0 * balance.u_rest_y / ARCSEC_RAD
         assert abs(balance.rest_y / ARCSEC_RAD - 5.0) < 0.05
         assert abs(balance.period_s - period_s) < 1e-3
+
+
+def test_a_mass_centre_too_high_swings_slowly() -> None:
+    gravity, mass, radius = 9.80665, 0.406, 6.05e-3
+    inertia = mass * gravity * radius * (4.071 / (2 * math.pi)) ** 2
+    assert mass_centre_height_m(4.071, inertia, mass, radius, gravity) == pytest.approx(0.0, abs=1e-12)
+    slow = mass_centre_height_m(4.071 * 1.001, inertia, mass, radius, gravity)
+    # l goes with 1/T^2: 0.1 % of the period is 0.2 % of the arm
+    assert slow == pytest.approx(0.002 * radius, rel=0.01)

@@ -5,7 +5,8 @@ import json
 from tests.rig.drawn_pictures import CONFIGURATION, DRAWN, PICTURES, drawn_now
 
 OTHERS = {
-    f"desk-{panel}.png" for panel in ("align", "balance", "preflight", "measure", "calibrate", "sessions")
+    f"desk-{panel}.png"
+    for panel in ("align", "balance", "preflight", "measure", "alarm", "calibrate", "sessions")
 }
 """Pages of the desk: docs/pictures/desk.py photographs them."""
 

@@ -113,20 +113,21 @@ def test_a_stated_contact_radius_has_its_budget(found: FittedContact) -> None:
 
 
 def test_a_skew_matters_where_the_pendulum_rests_beside_the_reference(found: FittedContact) -> None:
-    """Against the lever itself: a swing about 500 arcsec, read without the skew that is there."""
-    rest, skew, swing = 500 * ARCSEC, 0.2, 20 * ARCSEC
+    """Against the lever itself: a swing about 500 arcsec, read with another skew than is there."""
+    rest, stated, skew, swing = 500 * ARCSEC, -0.3, 0.2, 20 * ARCSEC
     true = Lever(arm_m=1.0, pixel_pitch_m=3.45e-6, skew=skew)
-    plain = true.square()
-    ends = plain.tilt_rad(true.displacement_px([rest + swing, rest - swing]))
-    quantities = replace(rig(skew=InputQuantity(0.0, skew)), rest_rad=rest)
+    read = Lever(arm_m=1.0, pixel_pitch_m=3.45e-6, skew=stated)
+    ends = read.tilt_rad(true.displacement_px([rest + swing, rest - swing]))
+    wrong = InputQuantity(stated, skew - stated)
+    quantities = replace(rig(skew=wrong), rest_rad=rest)
     assert float(quantities.skewed_scale(np.array([skew]))[0]) == pytest.approx(
-        2 * swing / float(ends[0] - ends[1]), rel=1e-5
+        2 * swing / float(ends[0] - ends[1]), rel=2e-5
     )
     parts = {line.source: line.contribution for line in budgets(found, quantities)["c"].sources}
-    assert parts["skew"] == pytest.approx(found.values[2] * 2 * skew * np.tan(2 * rest), rel=0.15), (
-        "and a little through R/a"
-    )
-    centred = budgets(found, rig(skew=InputQuantity(0.0, skew)))["c"]
+    assert parts["skew"] == pytest.approx(
+        found.values[2] * 2 * (skew - stated) * np.tan(2 * rest), rel=0.15
+    ), "and a little through R/a"
+    centred = budgets(found, rig(skew=wrong))["c"]
     assert "skew" not in {line.source for line in centred.sources}
 
 

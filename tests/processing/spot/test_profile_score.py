@@ -6,7 +6,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from processing.spot import SensorModel
-from processing.spot.profile_fit import CENTRE_X, CENTRE_Y, FITTED, score_profile, spline_weights
+from processing.spot.profile_fit import (
+    CENTRE_X,
+    CENTRE_Y,
+    FITTED,
+    fit_profile,
+    score_profile,
+    spline_weights,
+)
 
 Floats = NDArray[np.float64]
 NY, NX = 24, 31
@@ -79,6 +86,24 @@ def test_wild_pixels_and_those_near_full_scale_are_left_out() -> None:
     mu = expected(P)
     assert np.count_nonzero(mu > 98) <= saturated <= np.count_nonzero(mu > 80)
     assert kept == NY * NX - 1 - saturated
+
+
+@pytest.mark.parametrize("scatter", [1.0, 6.0])
+def test_the_gate_is_that_of_the_scatter_which_may_be_larger_than_stated(scatter: float) -> None:
+    """All pixels stay but the wild one, also where noise is six times what the sensor's model says."""
+    noise = NOISE._replace(at_zero_dn2=1.0, dn_per_e=0.0, prnu2=0.0)
+    pixels = expected(P) + scatter * np.random.default_rng(2).standard_normal((NY, NX))
+    pixels[2, 3] += 300
+    # the centre's place in the spline's grid; the start is a little beside it
+    centre, p = np.array([BASE_X + 1 + PHASE_X, BASE_Y + 1 + PHASE_Y]), P.copy()
+    p[:4] += [9, 0.1, -0.1, 1]
+    done, chi2, kept, saturated, outliers, *u = fit_profile(
+        pixels.astype(np.float32), coefficients(), centre, p, np.array(noise)
+    )
+    assert done
+    assert (kept, saturated, outliers) == (NY * NX - 1, 0, 1)
+    assert chi2 / kept == pytest.approx(scatter**2, rel=0.2)
+    assert np.all(np.abs(p - P)[[CENTRE_X, CENTRE_Y]] < 4 * scatter * np.array(u))
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.25, 0.9])

@@ -22,6 +22,7 @@ from rig.analysis import (
     remarks,
 )
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
+from rig.presentation import Verdict
 
 _RUN = RunResults(
     record="run-1.mcap",
@@ -81,8 +82,15 @@ def test_the_terminal_shows_the_whole_uncertainty_and_that_of_the_swings_alone_w
     capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, verbose: bool
 ) -> None:
     caplog.set_level(logging.INFO if verbose else logging.WARNING, logger="rig.analysis.screen")
-    print_results(SessionResults(runs=(with_apparatus(),)), [])
+    met = Verdict("lost spots", ok=True, measured="0 %", limit="1 %")
+    wished = Verdict("beam", ok=True, reason="it is wide", remedy="focus it", measured="9 px", limit="12 px")
+    failed = Verdict("end", ok=False, reason="it was cut", remedy="measure again", measured="", limit="whole")
+    run = replace(with_apparatus(), conditions=(met, wished, failed))
+    print_results(SessionResults(runs=(run,)), [])
     printed = capsys.readouterr().out
+    assert "LOST SPOTS" not in printed
+    assert "BEAM: 9 px (limit 12 px); it is wide; focus it" in printed
+    assert "END: " in printed
     (line,) = [line for line in printed.splitlines() if line.startswith("b ")]
     assert "(3.50 ± 0.10) × 10⁻³" in line
     assert "E of the flat 99 %" in line

@@ -113,15 +113,27 @@ def test_what_cannot_be_followed_is_withheld(spoiled: str, said: str, tmp_path: 
     assert not run.budget
 
 
-@pytest.mark.parametrize("spin", [Spin(FAST), Spin(-FAST, leakage=0.5), Spin()])
-def test_a_table_of_two_positions_is_fitted_in_both(spin: Spin, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("spin", "largest_u_b"),
+    [
+        (Spin(FAST), 1.5e-5),
+        # angles that are an eighth too large contradict the law, which widens u
+        (Spin(-FAST, leakage=0.5), inf),
+        (Spin(), 1.5e-5),
+        (Spin(FAST, leakage=0.03, fast_arcsec=6.0), 1.5e-5),
+    ],
+)
+def test_a_table_of_two_positions_is_fitted_in_both(spin: Spin, largest_u_b: float, tmp_path: Path) -> None:
     """Of `x`, `y` both are taken without being named, and amplitudes are those along the swing."""
     config = configuration().model_copy(update={"lever": None, "axes": None})
     run = analysed_table(positions(spin, seed=4), config, tmp_path / "both.csv")
     scale = np.hypot(1.0, spin.leakage)
     assert run.initial_amplitude == pytest.approx(123.236 * scale, rel=3e-4)
-    c = run.budget["c"]
+    b, c = run.budget["b"], run.budget["c"]
     assert abs(c.value - 10.51e-9 * scale) < 3 * c.standard_uncertainty
+    assert abs(b.value - 37.33e-4 * scale**0.056) < 3 * b.standard_uncertainty
+    # the fast mode is no noise of the samples, though no axis of the table is at a right angle to it
+    assert b.standard_uncertainty < largest_u_b
     assert not any("direction" in warning for warning in run.warnings)
     alone = analysed_table(positions(spin, seed=4), None, tmp_path / "both.csv")
     assert alone.initial_amplitude == pytest.approx(run.initial_amplitude, rel=1e-6)

@@ -179,11 +179,13 @@ def test_what_is_stated_wrongly_is_said_in_a_line(tmp_path: Path, text: str, sai
     assert len(done.stderr.strip().splitlines()) == 1
 
 
-def test_growth_within_runs_that_is_not_known_is_said(tmp_path: Path) -> None:
-    folders = humid_campaign(tmp_path)
+def test_growth_within_runs_that_is_not_known_is_said_and_so_is_a_bad_run(tmp_path: Path) -> None:
+    folders = humid_campaign(tmp_path, bad=True)
     growing = {"parameters": ["b", "p", "c"], "effect": [{"parameter": "friction", "form": "during"}]}
     found = answer_of(runs_of_folders(folders), StatedCampaign.model_validate(growing))
     assert "rig fit --set fit.u_ageing=0.01" in " ".join(found.results.warnings)
+    bad = [warning.split(" is a bad run ")[0] for warning in found.results.warnings if "bad run" in warning]
+    assert bad == ["tuesday/run-2"]
 
 
 def test_what_some_runs_were_measured_under_is_not_known_is_said(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Axes of figures follow from what is drawn, and no label is cut."""
 
+from dataclasses import replace
 from threading import Event, Thread
 
 import matplotlib as mpl
@@ -7,9 +8,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from processing.estimate import Estimate
 from processing.swing import TurningPoints
-from rig.analysis import Curves
+from rig.analysis import Curves, InstrumentResults
 from rig.report.drawing import ReportFigure, amplitude_axis, canvas, from_data, png, styled
+from rig.report.figures_instruments import instrument_figures
 from rig.report.figures_laws import decay_figure, period_figure
 from rig.report.run_data import ShownUnit
 
@@ -48,6 +51,19 @@ def test_little_of_a_period_figure_is_blank(first: float, last: float) -> None:
     assert sum(low <= tick <= high for tick in drawn.axes[0].get_xticks()) >= 3
     low, high = decay_figure(points, found, ShownUnit("arcsec", ARCSEC)).figure.axes[0].get_ylim()
     assert (high - low) < 1.2 * max(first - last, 0.0 if low else high)
+
+
+def test_ten_swings_are_shaded_from_the_first_turning_point_whatever_its_number() -> None:
+    points, _ = curves(124.0, 2.0)
+    values = InstrumentResults(
+        kind="koenig", scale_hardness=Estimate(5.0, 0.1), time_hardness_s=Estimate(20, 0.1)
+    )
+    (drawn,) = instrument_figures(values, replace(points, index=points.index + 3))
+    axes = drawn.figure.axes[0]
+    angle_deg = np.asarray(axes.lines[0].get_ydata())
+    assert angle_deg[:3] * 3600 == pytest.approx(np.array([1, -1, 1]) * points.amplitude[:3] / ARCSEC)
+    (shaded,) = axes.patches
+    assert shaded.get_extents().transformed(axes.transData.inverted()).intervalx == pytest.approx([0, 20])
 
 
 @pytest.mark.parametrize(("low", "high"), [(101.0, 140.0), (2.0, 124.0), (0.4, 1.3), (900.0, 30_000.0)])
