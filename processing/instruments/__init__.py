@@ -10,5 +10,6 @@ from processing.instruments.damping_fit import Damping, damping, over_places, ra
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Check, Description, Limits, check
 from processing.instruments.friction_law import FrictionLaw, fit_friction_law, rolling_friction
 from processing.instruments.hardness import herbert_hardness
+from processing.instruments.release import with_release
 from processing.instruments.shared_uncertainty import Reading, SharedError, with_drive, with_shared
 from processing.instruments.turning import refined

@@ -23,6 +23,7 @@ from processing.instruments import (
     inferred_swings,
     joined_swings,
     refined,
+    with_release,
 )
 from processing.surroundings import Surroundings
 from processing.swing import Swing, SwingFlag, TurningPoints
@@ -88,6 +89,8 @@ def reduce_run(
             swings = refined(deflections.times_ns, deflections.y, deflections.u_y, swings)
         swings, inferred = _with_inferred(swings, deflections, lines)
         values = replace(values, inferred_half_cycles=inferred)
+        if description.report == "hardness":
+            swings = _from_the_release(swings, deflections, lines)
     points = points_in_true_time(swings, clock_rate)
     errors = [*errors, *_errors_of_plane(followed, points)]
     readings: Mapping[str, Reading] = {}
@@ -152,6 +155,24 @@ def _with_inferred(
         f"{kept} of {len(joined)} turning points lay off the sensor, inferred from the crossings' speeds"
     )
     return [replace(swing, flags=swing.flags & ~int(SwingFlag.INFERRED)) for swing in joined], kept
+
+
+def _from_the_release(swings: Sequence[Swing], deflections: Deflections, lines: list[str]) -> Sequence[Swing]:
+    """With the release as the first turning point, where it was recorded; that it was not is said."""
+    found = with_release(deflections.times_ns, deflections.y, deflections.u_y, swings)
+    if found is not None:
+        at_s, u_s = seconds(found[0].turn_time_ns - deflections.times_ns[0]), found[0].u_turn_time_s
+        angle = with_uncertainty(found[0].amplitude / DEGREE_RAD, found[0].u_amplitude / DEGREE_RAD)
+        lines.append(
+            f"released {with_uncertainty(float(at_s), u_s)} s after the first sample, at {angle} degrees"
+        )
+        return found
+    if any(swing.flags & SwingFlag.START for swing in swings):
+        lines.append(
+            "the release itself is disturbed or was not recorded: the first swing is that from the first "
+            "turning point seen"
+        )
+    return swings
 
 
 def _held_against_air(description: Description, air: Surroundings, lines: list[str]) -> tuple[Check, ...]:

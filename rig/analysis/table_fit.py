@@ -251,10 +251,12 @@ def _analyse(
         run = replace(run, witness=of_source(run.witness, witness))
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
+    # while the pendulum is held or pushed it does not swing
+    free = trajectory.times_ns[inside] >= next(swing.turn_time_ns for swing in swings if not swing.flags)
     oscillation = fast_oscillation(
-        trajectory.times_ns[inside],
-        deflection,
-        [position[inside] for position in trajectory.positions],
+        trajectory.times_ns[inside][free],
+        deflection[free],
+        [position[inside][free] for position in trajectory.positions],
         trajectory.names,
         summary.period_s.value,
     )
