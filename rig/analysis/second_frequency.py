@@ -27,6 +27,9 @@ _FAST: Final = 1.5
 _LAST_OVERTONE: Final = 5
 _MOST_OF_THE_REST: Final = 0.5
 """Of the power beside the swing; of white noise a line's width holds a fifth at most."""
+_SIDELESS: Final = 12.0
+"""Of Kaiser's window: a swing's line is four bins wide, and its sides lie below 1e-4 of it: those of a few
+swings are no second oscillation."""
 _SEEN: Final = 3e-4
 """Of the swing's amplitude; below are the last digits of the table, and the sides of the swing's own line."""
 
@@ -110,7 +113,7 @@ def _beside_the_swing(
         return None
     even_s = np.linspace(0.0, time_s[-1], len(time_s))
     even = np.interp(even_s, time_s, values)
-    power = np.abs(np.fft.rfft((even - even.mean()) * np.hanning(len(even)))) ** 2
+    power = np.abs(np.fft.rfft((even - even.mean()) * np.kaiser(len(even), _SIDELESS))) ** 2
     span_s = float(even_s[-1])
     turns = span_s / period_s
 
@@ -129,4 +132,5 @@ def _beside_the_swing(
         return None
     k = int(np.argmax(power)) if at_hz is None else round(at_hz * span_s)
     line = float(power[near(k)].sum())
-    return k / span_s, line / rest, (line / swing) ** 0.5, line**0.5
+    middle = float(np.average(np.arange(len(power))[near(k)], weights=power[near(k)])) if line > 0 else k
+    return middle / span_s, line / rest, (line / swing) ** 0.5, line**0.5
