@@ -87,6 +87,7 @@ def _series(runs: Sequence[AnalysedRun]) -> Series | None:
         pendulum,
         fitted[0].rig,
         printed_curvature=bool(fitted[0].results.settings.get("printed_055")),
+        of_runs=[run.results.budget for run in fitted],
     )
     apart = tuple(replace(each, run=numbers[each.run - 1]) for each in joint.disagreements)
     return replace(joint, combined_runs=tuple(numbers), disagreements=apart)
