@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -168,18 +168,26 @@ def test_no_glass_is_said(tmp_path: Path) -> None:
     assert series["time_s"]["value"] > 0
 
 
-def decaying(tau_s: float, *, turning_rad_per_s: float = 0.0, name: str = "") -> list[str]:
+def decaying(
+    tau_s: float,
+    *,
+    turning_rad_per_s: float = 0.0,
+    name: str = "",
+    envelope: Callable[[Any], Any] | None = None,
+    seed: int = 0,
+) -> list[str]:
     """Rows of a table in deg: from 6.9 degrees down to 2.6; the time from 6 to 3 is ln 2 times `tau_s`."""
     time_s = np.arange(0.0, tau_s * math.log(6.9 / 2.6), 0.02)
-    rng = np.random.default_rng(round(10 * tau_s))
-    swing = 6.9 * np.exp(-time_s / tau_s) * np.cos(2.0 * math.pi * time_s / 1.4)
+    rng = np.random.default_rng([round(10 * tau_s), seed])
+    falling = 6.9 * np.exp(-time_s / tau_s) if envelope is None else envelope(time_s)
+    swing = falling * np.cos(2.0 * math.pi * time_s / 1.4)
     angle = 0.3 + turning_rad_per_s * time_s
     x, y = (swing * part + 1e-3 * rng.standard_normal(len(swing)) for part in (np.sin(angle), np.cos(angle)))
+    if turning_rad_per_s == 0.0:
+        y /= math.cos(0.3)
     columns = (time_s, y) if turning_rad_per_s == 0.0 else (time_s, x, y)
-    return [
-        ",".join([*filter(None, [name]), *(f"{value:.6f}" for value in row)])
-        for row in np.column_stack(columns)
-    ]
+    rows = np.column_stack(columns)
+    return [",".join([*filter(None, [name]), *(f"{value:.6f}" for value in row)]) for row in rows]
 
 
 def fitted(folder: Path, table: str, config: str, *positions: str) -> Any:
@@ -218,6 +226,23 @@ def test_places_in_one_table_against_its_glass(
     assert len(read_results(tmp_path / "out").runs) == 3
 
 
+def test_the_scale_that_places_share_is_in_their_mean_and_not_in_their_ratio(tmp_path: Path) -> None:
+    """Constant friction: times go with the scale, known to 1 %. The mean of n places had 1 % over sqrt(n)."""
+    rows = [
+        f"{run},{row}"
+        for run in (1, 2, 3)
+        for row in decaying(60.0, envelope=lambda time_s: 6.9 - 0.07 * time_s, seed=run)
+    ]
+    lever = "[lever]\narm_m = 1.0\nu_arm_m = 0.01\npixel_pitch_m = 5e-6"
+    levels = "start_amplitude_deg = 6\nend_amplitude_deg = 3"
+    config = f'kind = "kuznetsov_two"\nreference_runs = [1]\n{levels}\n{lever}'
+    series = fitted(tmp_path, "\n".join(["run,time_s,phi_deg", *rows]), config)["series"]["instrument"]
+    assert series["time_s"]["standard_uncertainty"] == pytest.approx(0.01 * 3 / 0.07, rel=0.05)
+    assert series["time_s"]["u_shared"] == pytest.approx(0.01 * 3 / 0.07, rel=0.05)
+    assert series["ratio"]["value"] == pytest.approx(1.0, abs=5e-3)
+    assert series["ratio"]["standard_uncertainty"] < 1e-3
+
+
 @pytest.mark.parametrize(
     ("stated", "words"),
     [
@@ -234,12 +259,19 @@ def test_a_ratio_that_cannot_be_had_is_said(
     assert words in " ".join(capsys.readouterr().out.split())
 
 
-def test_a_reference_measured_elsewhere_is_that_of_a_table(tmp_path: Path) -> None:
+def test_a_reference_measured_elsewhere_and_a_clock_that_is_wrong(tmp_path: Path) -> None:
+    """The clock's rate was left out, and its u of every time; the reference has another clock."""
     table = "\n".join(["time_s,phi_deg", *decaying(110.0)])
-    config = 'kind = "koenig"\nreference_time_s = 250\nu_reference_time_s = 0.5'
-    series = fitted(tmp_path, table, config)["series"]["instrument"]
-    assert series["ratio"]["value"] == pytest.approx(110.0 * math.log(2) / 250.0, rel=1e-3)
-    assert series["ratio"]["standard_uncertainty"] >= 0.5 / 250.0 * series["ratio"]["value"]
+    clock = "[timebase]\ncamera_rate = 1.01\nu_camera_rate = 2e-3"
+    config = f'kind = "koenig"\nreference_time_s = 250\nu_reference_time_s = 0.5\n{clock}'
+    found = fitted(tmp_path, table, config)
+    true_s = 1.01 * 110.0 * math.log(2)
+    value, u = found["instrument"]["damping"]["time_s"].values()
+    assert value == pytest.approx(true_s, rel=1e-3)
+    assert u == pytest.approx(2e-3 * true_s, rel=0.05)
+    ratio = found["series"]["instrument"]["ratio"]
+    assert ratio["value"] == pytest.approx(true_s / 250.0, rel=1e-3)
+    assert ratio["standard_uncertainty"] == pytest.approx(math.hypot(2e-3, 2e-3) * true_s / 250.0, rel=0.05)
 
 
 @pytest.mark.parametrize("kind", ["kuznetsov_one", "koenig"])
