@@ -32,9 +32,11 @@ def reduce_series(runs: Sequence[Reduction], numbers: Sequence[int] = ()) -> Ins
         swings = _over_places(places, "swings", "swings", "", lines)
         found = replace(found, time_s=time_s, swings=swings)
     reference = _reference(settings, glass)
-    problem = _why_no_reference(settings, numbered, reference)
-    if reference is None or problem:
+    problem = _of_the_reference(settings, numbered)
+    if reference is None:
+        problem += ": no ratio"
         return replace(found, problem=problem, text=(*lines, problem))
+    lines += [problem] if problem else []
     found = replace(found, reference_time_s=reference.estimate)
     if glass:
         found = replace(found, acceptance=_acceptance(description, glass, lines))
@@ -81,22 +83,20 @@ def _reference(settings: InstrumentSettings, glass: _Readings) -> Reading | None
     return None
 
 
-def _why_no_reference(
-    settings: InstrumentSettings,
-    numbered: Sequence[tuple[int, Mapping[str, Reading]]],
-    reference: Reading | None,
+def _of_the_reference(
+    settings: InstrumentSettings, numbered: Sequence[tuple[int, Mapping[str, Reading]]]
 ) -> str:
-    """Why there is no ratio, or not the one that was asked for; empty if there is."""
+    """What is wrong with the reference that is stated; empty: nothing."""
     stated = f"instrument.reference_runs = {list(settings.reference_runs)}"
     there = list(dict.fromkeys(number for number, _ in numbered))
     if absent := [number for number in settings.reference_runs if number not in there]:
-        return f"{stated}: there is no run {absent[0]}, only {', '.join(map(str, there))}; no ratio"
+        return f"{stated}: there is no run {absent[0]}, only {', '.join(map(str, there))}"
     if failed := [number for number, one in numbered if number in settings.reference_runs and not one]:
-        return f"{stated}: run {failed[0]} has no damping time (its own line says why); no ratio"
-    if reference is None:
+        return f"{stated}: run {failed[0]} has no damping time, as its own line says"
+    if not settings.reference_runs and settings.reference_time_s is None:
         return (
-            "no reference was measured: name its runs (instrument.reference_runs) or its time "
-            "(instrument.reference_time_s) for a ratio"
+            "no reference was measured, which instrument.reference_runs names by its runs, or "
+            "instrument.reference_time_s by its time"
         )
     return ""
 
