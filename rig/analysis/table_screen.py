@@ -55,10 +55,7 @@ def fit_trajectory(
     witness: StatedWitness | None = None,
 ) -> int:
     """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
-    runs = columns.read_runs(path)
-    if len(runs) == 1:
-        return fit_read(path, runs[0], output, config_path, overrides, report, laws, witness)
-    inputs = [(run.run, path, lambda run=run: run) for run in runs]
+    inputs = [(run.run, path, lambda run=run: run) for run in columns.read_runs(path)]
     return fit_several(inputs, output, config_path, overrides, report, laws, witness)
 
 
@@ -71,10 +68,15 @@ def fit_several(
     laws: Sequence[str] = (),
     witness: StatedWitness | None = None,
 ) -> int:
-    """The same of several runs, each by its name, its file and what reads it; a folder for each.
+    """The same of runs, each by its name, its file and what reads it; of several, a folder for each.
 
-    One that cannot be analysed does not keep the others from it. Returns 1 if there was such a run.
+    `report` draws what was found, `laws` are compared. One run of several that cannot be analysed does not
+    keep the others from it; 1 is returned if there was such a run.
     """
+    if len(inputs) == 1:
+        ((_, path, read),) = inputs
+        _fit(path, read(), output, config_path, overrides, report, laws, witness, alone=True)
+        return 0
     folders = [None if output is None else output / _folder_name(name) for name, _, _ in inputs]
     for folder in (output, *folders):
         if folder is not None and (folder / RESULTS_NAME).exists():
@@ -106,21 +108,6 @@ def _folder_name(name: str) -> str:
     """A run's name as that of a folder."""
     plain = re.sub(r"[^\w.-]+", "-", name).strip("-.")
     return f"run-{plain}" if plain.isdigit() or not plain else plain
-
-
-def fit_read(
-    path: Path,
-    trajectory: Trajectory,
-    output: Path | None,
-    config_path: Path | None,
-    overrides: Sequence[str],
-    report: ReportWriter | None = None,
-    laws: Sequence[str] = (),
-    witness: StatedWitness | None = None,
-) -> int:
-    """The same of positions that were read before; `report` draws what was found, `laws` are compared."""
-    _fit(path, trajectory, output, config_path, overrides, report, laws, witness, alone=True)
-    return 0
 
 
 def _fit(

@@ -80,7 +80,7 @@ def video(
       rig video swing.mp4 -o runs/swing
       rig video swing.mp4 --pixel '0.142 mm'
     """
-    from rig.analysis import FilmAsked, film_trajectory, films_in, fit_read, fit_several
+    from rig.analysis import FilmAsked, film_trajectory, films_in, fit_several
 
     if set_ and config is None:
         raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
@@ -90,13 +90,10 @@ def video(
         raise ConfigurationError("--force-rate: needs --rate, the rate to enforce")
     asked = FilmAsked(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
     films = _chosen_films(film, films_in(film), run)
-    if len(films) == 1:
-        (film,) = films
-        read = film_trajectory(film, asked)
-        raise typer.Exit(fit_read(film, read, output, config, set_ or [], table_report, law or []))
-    from rig.presentation import print_line
+    if len(films) > 1:
+        from rig.presentation import print_line
 
-    print_line(f"{film}: {len(films)} films: {', '.join(each.name for each in films)}")
+        print_line(f"{film}: {len(films)} films: {', '.join(each.name for each in films)}")
     inputs = [(each.stem, each, partial(film_trajectory, each, asked)) for each in films]
     raise typer.Exit(fit_several(inputs, output, config, set_ or [], table_report, law or []))
 

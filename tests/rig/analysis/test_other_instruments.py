@@ -157,17 +157,6 @@ def test_report_of_a_turning_plane(tmp_path: Path) -> None:
     assert "the swing plane turns" in (folder / "report.html").read_text()
 
 
-def test_no_glass_is_said(tmp_path: Path) -> None:
-    text = (CONFIGS / "instruments" / "koenig.toml").read_text()
-    own = tmp_path / "own.toml"
-    own.write_text("\n".join(line for line in text.splitlines() if "reference_time_s" not in line))
-    assert simulate_record(load_configuration(own, FAST_DECAY), own, tmp_path / "o.mcap") == 0
-    assert fit_records([tmp_path / "o.mcap"], tmp_path / "without", []) == 0
-    series = json.loads((tmp_path / "without" / "results.json").read_text())["series"]["instrument"]
-    assert "no reference was measured" in series["problem"]
-    assert series["time_s"]["value"] > 0
-
-
 def decaying(
     tau_s: float,
     *,
