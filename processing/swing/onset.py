@@ -46,7 +46,7 @@ _SILENCE = 50
 _FASTEST, _SLOWEST = 0.7, 1.4
 """Range of the ratio of new to old half period that is accepted before that."""
 
-_OTHER, _OTHER_U = 0.2, 5.0
+_OTHER, _OTHER_U = 0.5, 5.0
 """Part of the predicted amplitude, and standard uncertainties, by which a half-cycle of the same decay cannot
 deviate from the prediction."""
 
