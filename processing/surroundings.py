@@ -1,5 +1,6 @@
 """What surrounded a run: the air, and how long the contact and its surfaces had been as they were."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from math import isfinite, nan
 from typing import Annotated
@@ -29,3 +30,41 @@ class Surroundings:
     def known(self) -> dict[str, float]:
         """What is known, by name."""
         return {name: value for name, value in asdict(self).items() if isfinite(value)}
+
+
+_IN_PERCENT = 1.0
+"""Humidity in per cent up to which a fraction may have been meant: air in a room is never as dry."""
+_OTHER_UNIT = 30.0
+"""Ratio to the others beyond which a value is probably in another unit: 100 for fractions, and for hPa."""
+
+
+def doubtful_humidity(percent: float) -> str:
+    """What is to be asked of a humidity as stated or read; empty: nothing."""
+    if not 0.0 < percent <= _IN_PERCENT:
+        return ""
+    return (
+        f"humidity_percent is {percent:g}, drier than air outside a dry box: if a fraction was meant, "
+        f"state humidity_percent = {100 * percent:g}"
+    )
+
+
+def in_other_unit(name: str, values: Mapping[str, float]) -> str:
+    """What is to be said of runs, by label, whose humidity or pressure is in another unit than others'."""
+    known = sorted(value for value in values.values() if isfinite(value) and value > 0)
+    if name not in ("humidity_percent", "pressure_pa") or len(known) < 3:
+        return ""
+    middle = known[len(known) // 2]
+    odd = {
+        label: value
+        for label, value in values.items()
+        if value > 0 and not middle / _OTHER_UNIT < value < middle * _OTHER_UNIT
+    }
+    rest = [value for label, value in values.items() if label not in odd and isfinite(value)]
+    if not odd or 2 * len(odd) >= len(known):
+        return ""
+    listed = ", ".join(f"{value:g} of {label}" for label, value in odd.items())
+    return (
+        f"{name} is {listed}, and {min(rest):g} to {max(rest):g} of the other runs: is it in another unit "
+        "(a fraction, hPa)? As it stands it stretches the span of all dependences on it; correct "
+        f"environment.{name} and fit that run again"
+    )

@@ -47,7 +47,7 @@ from processing.fit.series import (
 )
 from processing.fit.settling import FitOfSwings, fitted_twice, points_in_true_time, settlement
 from processing.fit.smoothing import super_smooth
-from processing.fit.uncertainty import Budget, budgets, standard_uncertainties
+from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties
 from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes
 from processing.fit.waveform import CONTRADICTED, predicted_harmonics, waveform_chances
 from processing.fit.without_law import fit_without_law

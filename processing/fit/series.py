@@ -326,7 +326,11 @@ def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """One parameter of two series: difference, its standard uncertainty, and the probability of a difference
-    at least as large if the series are equal (Welch's t-test)."""
+    at least as large if the series are equal (Welch's t-test).
+
+    The probability is NaN for two series of one run each: how runs scatter is then not known, and the
+    uncertainty is that of the swings alone.
+    """
 
     name: str
     first: str
@@ -340,7 +344,8 @@ def compare_series(series: Mapping[str, SeriesResult]) -> tuple[Comparison, ...]
     """Compare all pairs of series (samples, days, humidities), parameter by parameter.
 
     Type B uncertainties are not included, because errors of the rig's mass or radius shift all series
-    equally. What is known of the air counts as far as it shifts them differently.
+    equally. What is known of the air counts as far as it shifts them differently. A single run scatters as
+    those of the other series do.
     """
     rows = []
     for first, second in combinations(series, 2):
@@ -349,10 +354,20 @@ def compare_series(series: Mapping[str, SeriesResult]) -> tuple[Comparison, ...]
             if b is None:
                 continue
             difference = a.value - b.value
-            u_a, u_b = (_without(one.estimate, one.by_air).standard_uncertainty for one in (a, b))
-            u = sqrt(u_a**2 + u_b**2)
-            dof = u**4 / (u_a**4 / a.degrees_of_freedom + u_b**4 / b.degrees_of_freedom)
+            u, dof = _u_of_difference(a, b)
             u = hypot(u, a.by_air - b.by_air)
-            p_value = 2 * float(stdtr(dof, -abs(difference) / u))
+            p_value = 2 * float(stdtr(dof, -abs(difference) / u)) if dof > 0 else nan
             rows.append(Comparison(name, first, second, difference, u, p_value))
     return tuple(rows)
+
+
+def _u_of_difference(a: Combined, b: Combined) -> tuple[float, float]:
+    """Standard uncertainty of a difference and its degrees of freedom, none where no scatter is known."""
+    u_a, u_b = (_without(one.estimate, one.by_air).standard_uncertainty for one in (a, b))
+    several = [one for one in (a, b) if len(one.runs) > 1]
+    if len(several) == 1:
+        (known,) = several
+        return hypot(u_a, u_b, known.between_runs), float(known.degrees_of_freedom)
+    u = hypot(u_a, u_b)
+    dof = u**4 / (u_a**4 / a.degrees_of_freedom + u_b**4 / b.degrees_of_freedom) if several else 0.0
+    return u, dof

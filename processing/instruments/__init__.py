@@ -6,10 +6,10 @@ scipy.optimize would slow down the start of every command.
 
 from processing.instruments.circular import circular_error
 from processing.instruments.crossings import inferred_swings, joined_swings
-from processing.instruments.damping_fit import Damping, damping, over_places, ratio
+from processing.instruments.damping_fit import damping, over_places, ratio
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Check, Description, Limits, check
 from processing.instruments.friction_law import FrictionLaw, fit_friction_law, rolling_friction
 from processing.instruments.hardness import herbert_hardness
-from processing.instruments.plane import along_plane, swing_plane
-from processing.instruments.shared_uncertainty import with_drive, with_scale
+from processing.instruments.release import with_release
+from processing.instruments.shared_uncertainty import Reading, SharedError, with_drive, with_shared
 from processing.instruments.turning import refined

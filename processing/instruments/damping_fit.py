@@ -13,10 +13,12 @@ import numpy as np
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.instruments.descriptions import DEGREE_RAD
+from processing.instruments.shared_uncertainty import Reading
 from processing.swing import TurningPoints
 
 _EXTENSION = 0.03
 _SLOPE_POINTS = 10
+_NORMAL_95 = 1.959964
 
 
 class Passage(NamedTuple):
@@ -120,28 +122,34 @@ def damping(points: TurningPoints, start_rad: float, end_rad: float) -> Damping:
     )
 
 
-def ratio(measured: Estimate, reference: Estimate) -> Estimate:
-    """Relative hardness: sample over reference, of independent measurements. Raises DataError for zero."""
+def ratio(measured: Reading, reference: Reading) -> Estimate:
+    """Relative hardness: sample over reference. Errors that both share cancel as far as they act alike.
+
+    Raises DataError for a reference of zero.
+    """
     if not reference.value > 0:
         raise DataError(f"the reference is {reference.value:g}; it must be positive")
     value = measured.value / reference.value
-    relative = math.hypot(
-        measured.standard_uncertainty / measured.value, reference.standard_uncertainty / reference.value
-    )
-    return Estimate(value, abs(value) * relative)
+    relative = [
+        measured.shared.get(name, 0.0) / measured.value - reference.shared.get(name, 0.0) / reference.value
+        for name in {*measured.shared, *reference.shared}
+    ]
+    own = (measured.own / measured.value, reference.own / reference.value)
+    return Estimate(value, abs(value) * math.hypot(*own, *relative))
 
 
 class Places(NamedTuple):
-    """Values from several places of a sample: mean, its uncertainty, standard deviation, 95 % interval."""
+    """Values from several places of a sample: mean, standard deviation between them, 95 % interval."""
 
     number: int
-    mean: Estimate
+    mean: Reading
     spread: float
     expanded_95: float
 
 
-def over_places(values: Sequence[Estimate]) -> Places:
-    """Mean over places. Its uncertainty is the larger of that from the scatter and that from the stated ones.
+def over_places(values: Sequence[Reading]) -> Places:
+    """Mean over places. Its own uncertainty is the larger of that from the scatter and that from the stated
+    ones; what the places share is the mean's, too.
 
     The spread is the standard deviation between places, NaN for a single one. If the scatter is larger, the
     95 % interval uses Student's t with the number of places minus one. Raises DataError if there is no value.
@@ -150,15 +158,13 @@ def over_places(values: Sequence[Estimate]) -> Places:
 
     if not values:
         raise DataError("no place was measured")
+    number = len(values)
     value = np.array([item.value for item in values])
-    stated = float(np.sqrt(np.sum([item.standard_uncertainty**2 for item in values]))) / len(values)
-    mean = float(np.mean(value))
-    if len(values) == 1:
-        return Places(1, Estimate(mean, stated), math.nan, 1.959964 * stated)
-    spread = float(np.std(value, ddof=1))
-    scatter = spread / math.sqrt(len(values))
-    if scatter > stated:
-        return Places(
-            len(values), Estimate(mean, scatter), spread, scatter * float(stdtrit(len(values) - 1, 0.975))
-        )
-    return Places(len(values), Estimate(mean, stated), spread, 1.959964 * stated)
+    own, factor = math.hypot(*(item.own for item in values)) / number, _NORMAL_95
+    spread = float(np.std(value, ddof=1)) if number > 1 else math.nan
+    if spread / math.sqrt(number) > own:
+        own, factor = spread / math.sqrt(number), float(stdtrit(number - 1, 0.975))
+    names = dict.fromkeys(name for item in values for name in item.shared)
+    shared = {name: sum(item.shared.get(name, 0.0) for item in values) / number for name in names}
+    mean = Reading(float(np.mean(value)), own, shared)
+    return Places(number, mean, spread, math.hypot(factor * own, _NORMAL_95 * mean.u_shared))

@@ -1,11 +1,11 @@
 """Uncertainties of quantities that are evaluated from turning points, whatever law they decay by.
 
-Those of the angular scale, which all amplitudes of a record share, and of a ground that moves.
+Those of scale and clock, which all turning points of a record share, and of a ground that moves.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -24,59 +24,110 @@ _FEWEST = 12
 """Turning points in a row from which the drive is estimated."""
 
 
-def with_scale(
+class SharedError(NamedTuple):
+    """An error that the turning points of a run share; so do runs that name the same one.
+
+    `scale` and `clock` are relative standard uncertainties of all amplitudes and of all times,
+    `amplitude_rad` is what one standard uncertainty adds to the amplitudes. One without a name is the run's
+    own.
+    """
+
+    name: str
+    scale: float = 0.0
+    clock: float = 0.0
+    amplitude_rad: float | Floats = 0.0
+
+    def moved(self, points: TurningPoints, by: float) -> TurningPoints:
+        """The points with so many standard uncertainties of the error."""
+        scale, clock = 1 + by * self.scale, 1 + by * self.clock
+        return replace(
+            points,
+            amplitude=points.amplitude * scale + by * self.amplitude_rad,
+            u_amplitude=points.u_amplitude * scale,
+            time_s=points.time_s * clock,
+            u_time_s=points.u_time_s * clock,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A value with the standard uncertainty of its own, and by shared errors, by name.
+
+    `shared` holds the change of the value for one standard uncertainty of each error, with its sign: in a
+    mean it does not fall, in a ratio it cancels.
+    """
+
+    value: float
+    own: float
+    shared: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def u_shared(self) -> float:
+        return math.hypot(*self.shared.values())
+
+    @property
+    def estimate(self) -> Estimate:
+        return Estimate(self.value, math.hypot(self.own, self.u_shared))
+
+
+def with_shared(
     reduce: Callable[[TurningPoints], Found],
     points: TurningPoints,
-    u_relative: float,
+    errors: Sequence[SharedError],
     found: Found | None = None,
-) -> Found:
-    """Evaluate turning points and include the scale's uncertainty in every estimate.
+) -> tuple[Found, dict[str, Reading]]:
+    """Evaluate turning points and include errors that they share in every estimate.
 
-    An error of the scale is common to all amplitudes of a record and does not show in their scatter. The
-    evaluation is repeated with all amplitudes larger by one relative standard uncertainty, and the change
-    of each estimate is added in quadrature (JCGM 100, 5.1.3, note 2).
+    Such an error does not show in the scatter of a record. The evaluation is repeated with each of them at
+    one standard uncertainty, and the change of each estimate is added in quadrature (JCGM 100, 5.1.3,
+    note 2).
 
     Parameters
     ----------
     reduce
-        The evaluation; it returns a named tuple, of which the fields of type `Estimate` (or None in both
+        The evaluation; it returns a named tuple, of which the fields of type `Estimate` (or None in all
         evaluations) are modified and the others kept.
-    u_relative
-        Relative standard uncertainty of the scale; 0 if none is stated.
     found
         The evaluation of the points as given, if its uncertainties are to be enlarged and not those that
         `reduce` states.
 
+    Returns
+    -------
+    found, readings
+        The evaluation with whole uncertainties, and its estimates with the parts apart, by field.
+
     Raises
     ------
     DataError
-        Errors of `reduce` for the points as given. If it fails only for the enlarged amplitudes, it is
-        repeated with amplitudes smaller by as much; if that fails too, the estimates are not modified.
+        Errors of `reduce` for the points as given. If it fails only for the moved ones, it is repeated with
+        the opposite sign; if that fails too, the error is left out.
     """
     plain = reduce(points)
     found = plain if found is None else found
-    if not u_relative > 0:
-        return found
-    for factor in (1 + u_relative, 1 - u_relative):
-        try:
-            shifted = reduce(
-                replace(
-                    points,
-                    amplitude=points.amplitude * factor,
-                    u_amplitude=points.u_amplitude * factor,
-                )
-            )
-        except DataError:
-            continue
-        widened = [_widened(*three) for three in zip(found, plain, shifted, strict=True)]
-        return found._replace(**dict(zip(found._fields, widened, strict=True)))
-    return found
-
-
-def _widened(value: object, plain: object, shifted: object) -> object:
-    if isinstance(value, Estimate) and isinstance(plain, Estimate) and isinstance(shifted, Estimate):
-        return Estimate(value.value, math.hypot(value.standard_uncertainty, shifted.value - plain.value))
-    return value
+    shared: dict[str, dict[str, float]] = {
+        name: {} for name, value in found._asdict().items() if isinstance(value, Estimate)
+    }
+    own: dict[str, list[float]] = {name: [getattr(found, name).standard_uncertainty] for name in shared}
+    for error in errors:
+        for sign in (1.0, -1.0):
+            try:
+                shifted = reduce(error.moved(points, sign))
+            except DataError:
+                continue
+            for name, changes in shared.items():
+                before, after = getattr(plain, name), getattr(shifted, name)
+                if isinstance(before, Estimate) and isinstance(after, Estimate):
+                    change = sign * (after.value - before.value)
+                    if error.name:
+                        changes[error.name] = change
+                    else:
+                        own[name].append(change)
+            break
+    readings = {
+        name: Reading(getattr(found, name).value, math.hypot(*own[name]), changes)
+        for name, changes in shared.items()
+    }
+    return found._replace(**{name: one.estimate for name, one in readings.items()}), readings
 
 
 def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) -> Found:
@@ -89,7 +140,7 @@ def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) 
     Parameters
     ----------
     reduce
-        As for `with_scale`. The fields of type `Estimate` get the scatter of the draws as uncertainty, the
+        As for `with_shared`. The fields of type `Estimate` get the scatter of the draws as uncertainty, the
         others are kept.
 
     Raises

@@ -46,6 +46,10 @@ _SILENCE = 50
 _FASTEST, _SLOWEST = 0.7, 1.4
 """Range of the ratio of new to old half period that is accepted before that."""
 
+_OTHER, _OTHER_U = 0.5, 5.0
+"""Part of the predicted amplitude, and standard uncertainties, by which a half-cycle of the same decay cannot
+deviate from the prediction."""
+
 _SHAPELESS = 0.2
 """Largest accepted rms residual, as a fraction of the amplitude."""
 
@@ -242,7 +246,8 @@ def _measure_before(
 ) -> FirstHalfCycle | None:
     """Measure the half-cycle before the arc; None if its turning point was not recorded.
 
-    If it is disturbed, it contains the release and is flagged START.
+    If it is disturbed, it contains the release and is flagged START; so is one of another amplitude, as of a
+    pendulum that has not quite come to rest before a push.
     """
     x, covariance, reference_ns = state_before(arc, first.reference_ns)
     start, _, _ = window(x, arc.reference)
@@ -253,6 +258,8 @@ def _measure_before(
     found = _fit(arc, x, covariance, half, start, seconds(end_ns - reference_ns), noise_scale)
     if not turned(found.result, half):
         return None
-    if found.flags & SwingFlag.VIBRATION:
+    away = abs(found.result.amplitude - x[AMPLITUDE])
+    is_other = away > max(_OTHER * x[AMPLITUDE], _OTHER_U * found.result.u_amplitude)
+    if is_other or found.flags & SwingFlag.VIBRATION:
         return replace(found, flags=found.flags & ~SwingFlag.VIBRATION | SwingFlag.START)
     return found

@@ -52,6 +52,6 @@ from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import expected_drag, recorded_surroundings, stated_surroundings
 from rig.analysis.swings_fit import clock_rate_of
 from rig.analysis.table_fit import AnalysedTable, analyse_table, analyse_trajectory
-from rig.analysis.table_screen import fit_envelope_table, fit_read, fit_several, fit_trajectory
+from rig.analysis.table_screen import fit_envelope_table, fit_several, fit_trajectory
 from rig.analysis.waveform_results import waveform_table
 from rig.analysis.witness_file import StatedWitness

@@ -54,6 +54,16 @@ def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults
     return results
 
 
+def instrument_series(runs: Sequence[AnalysedRun], numbers: Sequence[int] = ()) -> Series | None:
+    """What runs of another instrument say together: places on the sample, the reference.
+
+    None where there is no such thing. `numbers` are as `reduce_series` has them.
+    """
+    reductions = [run.reduction for run in runs if run.reduction is not None]
+    found = reduce_series(reductions, numbers)
+    return None if found is None else Series(runs=len(reductions), instrument=found)
+
+
 def refuse_unread(runs: Sequence[AnalysedRun]) -> None:
     """Raise ConfigurationError for a changed key that the fits of none of the runs have used."""
     changed = [run.watched for run in runs if run.watched is not None]
@@ -63,14 +73,9 @@ def refuse_unread(runs: Sequence[AnalysedRun]) -> None:
 
 
 def _series(runs: Sequence[AnalysedRun]) -> Series | None:
-    """Parameters of a series; None for fewer than two fitted runs.
-
-    Of other instruments, what their runs say together: places on the sample, the reference.
-    """
-    reductions = [run.reduction for run in runs if run.reduction is not None]
-    if reductions:
-        found = reduce_series(reductions)
-        return None if found is None else Series(runs=len(reductions), instrument=found)
+    """Parameters of a series, None for fewer than two fitted runs; or that of other instruments."""
+    if any(run.reduction is not None for run in runs):
+        return instrument_series(runs)
     numbers = [number for number, run in enumerate(runs, start=1) if run.fits]
     fitted = [runs[number - 1] for number in numbers]
     pendulum = fitted[0].results.pendulum if fitted else None
@@ -82,6 +87,7 @@ def _series(runs: Sequence[AnalysedRun]) -> Series | None:
         pendulum,
         fitted[0].rig,
         printed_curvature=bool(fitted[0].results.settings.get("printed_055")),
+        of_runs=[run.results.budget for run in fitted],
     )
     apart = tuple(replace(each, run=numbers[each.run - 1]) for each in joint.disagreements)
     return replace(joint, combined_runs=tuple(numbers), disagreements=apart)

@@ -97,13 +97,14 @@ class InstrumentResults:
 
 @dataclass(frozen=True, slots=True)
 class OverPlaces:
-    """Mean over the places of a sample."""
+    """Mean over the places of a sample; `u_shared` is the part of its uncertainty that all places share."""
 
     value: Annotated[float, PART]
     standard_uncertainty: Annotated[float, PART]
     places: int
     spread: Annotated[float, PART]
     expanded_uncertainty_95: Annotated[float, PART]
+    u_shared: Annotated[float, PART] = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,36 +1,44 @@
 """One run of a pendulum that swings by degrees: turning points, report, conditions of the standard."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
-from processing.deflections import Deflections
+import numpy as np
+
+from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import DataError
 from processing.estimate import Estimate
+from processing.fit import points_in_true_time
 from processing.instruments import (
     DEGREE_RAD,
     INSTRUMENTS,
     Check,
-    Damping,
     Description,
     Limits,
-    along_plane,
+    Reading,
+    SharedError,
     check,
     inferred_swings,
     joined_swings,
     refined,
-    swing_plane,
+    with_release,
 )
-from processing.periods import mean_period
 from processing.surroundings import Surroundings
-from processing.swing import Swing, SwingFlag, TurningPoints, swings_of, turning_points
+from processing.swing import Swing, SwingFlag, TurningPoints
+from processing.ticks import seconds
 from rig.analysis.instrument_results import (
     InstrumentResults,
     SwingPlane,
 )
 from rig.analysis.reports_by_kind import range_and_period, report_of_kind
+from rig.analysis.turning_plane import FollowedPlane
 from rig.presentation import with_uncertainty
 from rig.settings import InstrumentSettings
+
+_FELT: Final = 0.01
+"""Error of an amplitude, in its uncertainties, below which it changes nothing that is reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +46,7 @@ class Reduction:
     """One run as its kind of pendulum is reported.
 
     `problem` is the one line that says what could not be had; `values` holds what could, its text in lines.
-    `points` were made of `swings`.
+    `points` were made of `swings`. `readings` are what a series compares, empty where there is none.
     """
 
     settings: InstrumentSettings
@@ -46,48 +54,50 @@ class Reduction:
     points: TurningPoints
     swings: Sequence[Swing]
     problem: str = ""
-    damping: Damping | None = None
-    air: Surroundings = field(default_factory=Surroundings)
+    readings: Mapping[str, Reading] = field(default_factory=dict)
 
 
 def reduce_run(
     settings: InstrumentSettings,
-    swings: Sequence[Swing],
-    deflections: Deflections | None,
+    followed: FollowedPlane,
     air: Surroundings,
-    u_scale_relative: float = 0.0,
+    errors: Sequence[SharedError] = (),
+    clock_rate: float = 1.0,
 ) -> Reduction:
     """Reduce the half-cycles of one run of a pendulum that swings by degrees.
 
     Parameters
     ----------
-    swings
-        Of the detector.
-    deflections
-        Those that they were detected in, in rad. With them the turning points are fitted again by a
-        waveform that holds at degrees, and a plane that turns is followed; None: swings as they are.
-    u_scale_relative
-        Relative standard uncertainty of the lever's scale, which all amplitudes share.
+    followed
+        Half-cycles of the detector, and the deflections that they were detected in, in rad, both in the plane
+        of swing. With deflections the turning points are fitted again by a waveform that holds at degrees.
+    errors
+        That all turning points of the run have alike, and other runs perhaps as well.
+    clock_rate
+        True seconds in one of the deflections' clock.
     """
     description = settings.description()
     values = InstrumentResults(kind=description.kind)
     lines = [f"{description.kind}: {description.sentence}"]
-    problems: list[str] = []
-    if deflections is not None and len(swings) > 1:
-        if description.turning_plane:
-            try:
-                swings, deflections, plane = _in_its_plane(swings, deflections, lines)
-                values = replace(values, swing_plane=plane)
-            except DataError as error:
-                problems.append(str(error))
-        swings = refined(deflections.times_ns, deflections.y, deflections.u_y, swings)
-    if deflections is not None:
+    problems = [followed.problem] if followed.problem else []
+    if description.turning_plane or followed.is_turned:
+        values = replace(values, swing_plane=_swing_plane(followed, lines))
+    swings = followed.swings
+    deflections = joined(followed.deflections, DeflectionUnit.RAD)
+    if len(deflections):
+        if len(swings) > 1:
+            swings = refined(deflections.times_ns, deflections.y, deflections.u_y, swings)
         swings, inferred = _with_inferred(swings, deflections, lines)
         values = replace(values, inferred_half_cycles=inferred)
-    points = turning_points(swings)
-    found: Damping | None = None
+        if description.report == "hardness":
+            swings = _from_the_release(swings, deflections, lines)
+    points = points_in_true_time(swings, clock_rate)
+    errors = [*errors, *_errors_of_plane(followed, points)]
+    readings: Mapping[str, Reading] = {}
     try:
-        values, found = report_of_kind(description, settings, points, values, lines, u_scale_relative)
+        if followed.problem:
+            raise DataError(followed.problem)
+        values, readings = report_of_kind(description, settings, points, values, lines, errors)
     except DataError as error:
         problems.append(str(error))
         values = range_and_period(points, values, lines)
@@ -95,7 +105,41 @@ def reduce_run(
     values = replace(
         values, environment=checks or None, apparatus=_check_mass(settings, lines), text=tuple(lines)
     )
-    return Reduction(settings, values, points, swings, "; ".join(problems), found, air)
+    return Reduction(settings, values, points, swings, "; ".join(dict.fromkeys(problems)), readings)
+
+
+def _swing_plane(followed: FollowedPlane, lines: list[str]) -> SwingPlane | None:
+    plane = followed.plane
+    if plane is None:
+        lines.append("the plane of swing is not known: too few periods were seen along both axes")
+        return None
+    rate = Estimate(plane.mean_rate(), plane.u_mean_rate())
+    per_minute, turned_deg = (
+        Estimate(*(factor / DEGREE_RAD * value for value in rate))
+        for factor in (60.0, seconds(followed.swings[-1].turn_time_ns - plane.start_ns))
+    )
+    lines.append(
+        f"the swing plane turns by {with_uncertainty(*per_minute)} degrees/min, "
+        f"{turned_deg.value:.3g} degrees in all"
+    )
+    angles = np.unwrap([one.line_angle_rad for one in followed.balances], period=math.pi)
+    times_ns = np.array([one.time_ns for one in followed.balances])
+    return SwingPlane(
+        angles / DEGREE_RAD,
+        seconds(times_ns - plane.start_ns),
+        per_minute,
+        turned_deg,
+        max(one.width_ratio for one in followed.balances),
+    )
+
+
+def _errors_of_plane(followed: FollowedPlane, points: TurningPoints) -> list[SharedError]:
+    """What is not known of the plane, which is each run's own."""
+    columns = followed.amplitude_errors(points)
+    if columns is None:
+        return []
+    felt = np.max(np.abs(columns) / points.u_amplitude[:, None], axis=0) > _FELT
+    return [SharedError("", amplitude_rad=column) for column in columns.T[felt]]
 
 
 def _with_inferred(
@@ -113,27 +157,22 @@ def _with_inferred(
     return [replace(swing, flags=swing.flags & ~int(SwingFlag.INFERRED)) for swing in joined], kept
 
 
-def _in_its_plane(
-    swings: Sequence[Swing], deflections: Deflections, lines: list[str]
-) -> tuple[Sequence[Swing], Deflections, SwingPlane]:
-    """Swings and deflections along the plane that turns."""
-    period_s = mean_period(turning_points(swings)) if len(turning_points(swings)) > 1 else math.nan
-    if not period_s > 0:
-        raise DataError("no period is known; the swing plane cannot be followed")
-    at = deflections
-    plane = swing_plane(at.times_ns, at.x, at.y, period_s)
-    y, u_y = along_plane(plane, at.times_ns, at.x, at.y, at.u_x, at.u_y)
-    found = swings_of(at.times_ns, y, u_y)
-    per_minute = Estimate(*(60 * value / DEGREE_RAD for value in plane.rate_rad_per_s))
-    turned_deg = Estimate(*(value / DEGREE_RAD for value in plane.turned_rad))
-    lines.append(
-        f"the swing plane turns by {with_uncertainty(*per_minute)} degrees/min, "
-        f"{turned_deg.value:.3g} degrees in all"
-    )
-    reported = SwingPlane(
-        plane.direction_rad / DEGREE_RAD, plane.time_s, per_minute, turned_deg, plane.width_ratio
-    )
-    return found, replace(deflections, y=y, u_y=u_y), reported
+def _from_the_release(swings: Sequence[Swing], deflections: Deflections, lines: list[str]) -> Sequence[Swing]:
+    """With the release as the first turning point, where it was recorded; that it was not is said."""
+    found = with_release(deflections.times_ns, deflections.y, deflections.u_y, swings)
+    if found is not None:
+        at_s, u_s = seconds(found[0].turn_time_ns - deflections.times_ns[0]), found[0].u_turn_time_s
+        angle = with_uncertainty(found[0].amplitude / DEGREE_RAD, found[0].u_amplitude / DEGREE_RAD)
+        lines.append(
+            f"released {with_uncertainty(float(at_s), u_s)} s after the first sample, at {angle} degrees"
+        )
+        return found
+    if any(swing.flags & SwingFlag.START for swing in swings):
+        lines.append(
+            "the release itself is disturbed or was not recorded: the first swing is that from the first "
+            "turning point seen"
+        )
+    return swings
 
 
 def _held_against_air(description: Description, air: Surroundings, lines: list[str]) -> tuple[Check, ...]:

@@ -1,6 +1,6 @@
 """What each kind of pendulum reports of its turning points: values for results.json and lines of text."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
@@ -8,16 +8,17 @@ from processing.contact import measured_losses
 from processing.estimate import Estimate
 from processing.instruments import (
     DEGREE_RAD,
-    Damping,
     Description,
     FrictionLaw,
+    Reading,
+    SharedError,
     circular_error,
     damping,
     fit_friction_law,
     herbert_hardness,
     rolling_friction,
     with_drive,
-    with_scale,
+    with_shared,
 )
 from processing.periods import mean_period
 from processing.swing import TurningPoints
@@ -40,21 +41,24 @@ def report_of_kind(
     points: TurningPoints,
     values: InstrumentResults,
     lines: list[str],
-    u_scale: float,
-) -> tuple[InstrumentResults, Damping | None]:
-    """The values with what this kind reports; lines are added. Raises DataError where it cannot be had."""
+    errors: Sequence[SharedError],
+) -> tuple[InstrumentResults, Mapping[str, Reading]]:
+    """The values with what this kind reports, and what a series takes of them; lines are added.
+
+    `errors` are those that runs may share. Raises DataError where a report cannot be had.
+    """
     if description.report == "hardness":
-        return _hardness(settings, points, values, lines, u_scale), None
+        return _hardness(settings, points, values, lines, errors), {}
     if description.report == "circular":
-        return _circular(points, values, lines, u_scale), None
+        return _circular(points, values, lines, errors), {}
     if description.report == "rolling":
-        return _rolling(description, settings, points, values, lines, u_scale), None
+        return _rolling(description, settings, points, values, lines, errors), {}
     if description.report == "decay":
         values = _decrements(points, values, lines)
-    found = _evaluated(
+    found, readings = _evaluated(
         lambda at: damping(at, description.start_amplitude_rad, description.end_amplitude_rad),
         points,
-        u_scale,
+        errors,
     )
     start_deg, end_deg = found.start_rad / DEGREE_RAD, found.end_rad / DEGREE_RAD
     lines.append(
@@ -62,12 +66,14 @@ def report_of_kind(
         f"{with_uncertainty(*found.time_s)} s, {with_uncertainty(*found.swings)} swings"
     )
     reported = DampingResults(start_deg, end_deg, found.time_s, found.swings, found.missing)
-    return replace(values, damping=reported), found
+    return replace(values, damping=reported), readings
 
 
-def _evaluated(reduce: Callable[[TurningPoints], Found], points: TurningPoints, u_scale: float) -> Found:
-    """With what the ground and the scale add to every uncertainty."""
-    return with_scale(reduce, points, u_scale, with_drive(reduce, points))
+def _evaluated(
+    reduce: Callable[[TurningPoints], Found], points: TurningPoints, errors: Sequence[SharedError]
+) -> tuple[Found, Mapping[str, Reading]]:
+    """With what the ground, the scale and the clock add to every uncertainty."""
+    return with_shared(reduce, points, errors, with_drive(reduce, points))
 
 
 def _hardness(
@@ -75,9 +81,9 @@ def _hardness(
     points: TurningPoints,
     values: InstrumentResults,
     lines: list[str],
-    u_scale: float,
+    errors: Sequence[SharedError],
 ) -> InstrumentResults:
-    hardness = _evaluated(lambda at: herbert_hardness(at, settings.scale_divisions), points, u_scale)
+    hardness, _ = _evaluated(lambda at: herbert_hardness(at, settings.scale_divisions), points, errors)
     if hardness.ten_swings_s is not None:
         lines.append(f"time hardness (ten single swings) {with_uncertainty(*hardness.ten_swings_s)} s")
     else:
@@ -97,9 +103,9 @@ def _hardness(
 
 
 def _circular(
-    points: TurningPoints, values: InstrumentResults, lines: list[str], u_scale: float
+    points: TurningPoints, values: InstrumentResults, lines: list[str], errors: Sequence[SharedError]
 ) -> InstrumentResults:
-    law = _evaluated(circular_error, points, u_scale)
+    law, _ = _evaluated(circular_error, points, errors)
     lines += [f"period at vanishing amplitude {with_uncertainty(*law.period0_s)} s", law.sentence]
     return replace(
         values,
@@ -118,13 +124,13 @@ def _rolling(
     points: TurningPoints,
     values: InstrumentResults,
     lines: list[str],
-    u_scale: float,
+    errors: Sequence[SharedError],
 ) -> InstrumentResults:
     lever = description.lever_m and Estimate(description.lever_m, settings.u_lever_m)
     radius = description.support_radius_m and Estimate(
         description.support_radius_m, settings.u_support_radius_m
     )
-    found = _evaluated(lambda at: rolling_friction(at, lever or None, radius or None), points, u_scale)
+    found, _ = _evaluated(lambda at: rolling_friction(at, lever or None, radius or None), points, errors)
     at = found.law.reference_rad / DEGREE_RAD
     lines.append(f"log decrement at {at:.4g} degrees {with_uncertainty(*found.decrement)}")
     problem = None

@@ -214,7 +214,8 @@ class TableResults(TableDecay):
     """results.json of a table of positions of any instrument.
 
     `decays` are all that were found, the values beside them those of the longest one. `understood` says in
-    lines what the file was taken for, and which of its rows were left out.
+    lines what the file was taken for, and which of its rows were left out. `series` compares decays of
+    another kind of pendulum with the reference.
     """
 
     schema: int = SCHEMA
@@ -222,6 +223,7 @@ class TableResults(TableDecay):
     unit: str
     understood: tuple[str, ...] = ()
     decays: tuple[TableDecay, ...] = ()
+    series: Annotated[Annotated[Series, Beside("fits")] | None, Section] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

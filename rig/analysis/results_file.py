@@ -98,7 +98,7 @@ def runs_of(results: SessionResults | TableResults) -> SessionResults:
     """Results of a table with every decay of it as a run."""
     if isinstance(results, SessionResults):
         return results
-    return SessionResults(schema=results.schema, runs=results.decays)
+    return SessionResults(schema=results.schema, runs=results.decays, series=results.series)
 
 
 def _decoded(tree: Any, path: Path) -> SessionResults | TableResults:

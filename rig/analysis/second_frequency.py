@@ -31,6 +31,9 @@ _FAR: Final = 2.0
 """Median residuals beyond which a frequency counts little."""
 _BY_CHANCE: Final = 20.0
 """Times what n frequencies of two positions have in common by chance, 1/n of what they have not."""
+_SIDELESS: Final = 12.0
+"""Of Kaiser's window: a swing's line is four bins wide, and its sides lie below 1e-4 of it: those of a few
+swings are no second oscillation."""
 _SEEN: Final = 3e-4
 """Of the swing's amplitude; below are the last digits of the table, and the sides of the swing's own line."""
 
@@ -154,7 +157,7 @@ def _spectrum(
         return None
     even_s = np.linspace(0.0, time_s[-1], len(time_s))
     even = np.interp(even_s, time_s, values)
-    rest = np.fft.rfft((even - even.mean()) * np.hanning(len(even)))
+    rest = np.fft.rfft((even - even.mean()) * np.kaiser(len(even), _SIDELESS))
     turns = float(even_s[-1]) / period_s
     swing = float(np.sum(np.abs(rest[_Spectrum.near(turns)]) ** 2))
     rest[: _LEAST_BINS + 1] = 0.0

@@ -12,7 +12,7 @@ from acquisition.record.topics import ENVIRONMENT, SPOT
 from acquisition.record.utc import utc
 from processing.air import humid_air
 from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_drag_s
-from processing.surroundings import Surroundings
+from processing.surroundings import Surroundings, doubtful_humidity
 from rig.settings import Configuration
 
 _AIR = ("temperature_c", "humidity_percent", "pressure_pa")
@@ -80,8 +80,9 @@ def _number(text: str) -> float:
 
 
 def doubts_of(found: Surroundings) -> list[str]:
-    """Times that the configuration states and that cannot be."""
-    return [
+    """Times that the configuration states and that cannot be, and a humidity that was hardly meant."""
+    said = [doubtful_humidity(found.humidity_percent)]
+    return [*filter(None, said)] + [
         f"session.{key} lies {-getattr(found, name):.0f} s after the run began: correct its date or offset"
         for name, key in _SINCE.items()
         if getattr(found, name) < 0

@@ -11,7 +11,7 @@ import numpy as np
 from acquisition.record import pixels_beside
 from acquisition.record.digest import known_sha256_of_any
 from calibration import Axes
-from processing.deflections import Deflections, DeflectionUnit, joined
+from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
 from processing.fit import (
     FitMethod,
@@ -20,6 +20,7 @@ from processing.fit import (
     delay_of_rows,
     points_in_true_time,
 )
+from processing.instruments import SharedError
 from processing.periods import mean_period
 from processing.surroundings import Surroundings
 from processing.swing import Swing, TurningPoints
@@ -68,10 +69,10 @@ def analyse_swings(
     standard uncertainty of an error that all amplitudes share. Where the plane of swing turns, half-cycles
     are those in it; `followed` is that plane where it is known.
     """
-    unit = deflections.unit
-    if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
-        return _reduced(path, swings, config, joined(deflections, unit), air)
-    followed = followed or follow_plane(swings, deflections, config.axes)
+    unit, kind = deflections.unit, config.instrument.description()
+    followed = followed or follow_plane(swings, deflections, config.axes, along_line=kind.turning_plane)
+    if kind.report != "contact" and unit is DeflectionUnit.RAD:
+        return _reduced(path, followed, config, air, _shared_errors(config, u_clock, u_common_rad))
     swings, deflections = followed.swings, followed.deflections
     pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
     drag, of_air = OPEN_DRAG, None
@@ -103,7 +104,6 @@ def analyse_swings(
     ratio = deflections.fast_ratio()
     across = why_no_half_cycles(path.name, ratio, len(points), config.axes)
     errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
-    u_second = u_clock if config.timebase is None else max(config.timebase.u_camera_rate, u_clock)
     results = replace(
         _head(path, points, unit),
         measured_again_on=settled.motion,
@@ -114,7 +114,7 @@ def analyse_swings(
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
         witness=decay.witness,
-        **values_of_points(points, unit.shown_size, u_second),
+        **values_of_points(points, unit.shown_size, _u_second(config, u_clock)),
     )
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
     rig = rig_quantities(config, ratio, rest_rad, u_clock)
@@ -157,20 +157,37 @@ def _witness_beside(swings: Sequence[Swing], witness: WitnessAt | None) -> Witne
 
 
 def _reduced(
-    path: Path, swings: Sequence[Swing], config: Configuration, deflections: Deflections, air: Surroundings
+    path: Path,
+    followed: FollowedPlane,
+    config: Configuration,
+    air: Surroundings,
+    errors: Sequence[SharedError],
 ) -> AnalysedRun:
     """A run of a pendulum that is not described by the contact's laws."""
-    u_scale = config.lever.u_scale_relative if config.lever is not None else 0.0
-    reduction = reduce_run(config.instrument, swings, deflections, air, u_scale)
-    points = reduction.points
+    clock_rate, unit = clock_rate_of(config), DeflectionUnit.RAD
+    reduction = reduce_run(config.instrument, followed, air, errors, clock_rate)
     results = replace(
-        _head(path, points, deflections.unit),
+        _head(path, reduction.points, unit),
         problem=reduction.problem,
         settings=config.instrument.model_dump(mode="json"),
         instrument=reduction.values,
-        turning_points=StoredTurningPoints.of(points, reduction.swings, deflections.unit, 1.0),
+        turning_points=StoredTurningPoints.of(reduction.points, reduction.swings, unit, clock_rate),
     )
-    return AnalysedRun(path, results, points, {}, reduction=reduction)
+    return AnalysedRun(path, results, reduction.points, {}, reduction=reduction, plane=followed.plane)
+
+
+def _shared_errors(config: Configuration, u_clock: float, u_common_rad: float) -> list[SharedError]:
+    """Errors of scale and clock. Runs whose configurations state the same arm were measured with one arm."""
+    found = [SharedError("compression", amplitude_rad=u_common_rad)]
+    if (lever := config.lever) is not None:
+        u_pitch = lever.u_pixel_pitch_m / lever.pixel_pitch_m
+        found += [
+            SharedError(f"arm {lever.arm_m!r} {lever.u_arm_m!r}", scale=lever.u_arm_m / lever.arm_m),
+            # of the binned pixels of one sensor, too
+            SharedError(f"pixel pitch {u_pitch:.6g}", scale=u_pitch),
+        ]
+    found.append(SharedError(f"clock {clock_rate_of(config)!r}", clock=_u_second(config, u_clock)))
+    return [error for error in found if error.scale or error.clock or np.any(error.amplitude_rad)]
 
 
 def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> RunResults:
@@ -203,6 +220,11 @@ def _sha256_if_readable(path: Path) -> str:
 def clock_rate_of(config: Configuration) -> float:
     """True seconds in one of the camera's clock, as its calibration has it."""
     return config.timebase.camera_rate if config.timebase is not None else 1.0
+
+
+def _u_second(config: Configuration, u_clock: float) -> float:
+    """Relative standard uncertainty of a second, as calibrated and as the run shows it."""
+    return u_clock if config.timebase is None else max(config.timebase.u_camera_rate, u_clock)
 
 
 def _fit_warnings(fits: Mapping[str, FitResult]) -> list[str]:

@@ -1,7 +1,7 @@
 """`rig fit` on a table: every decay in it, reported as a run of the rig is; or an envelope."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from math import hypot
 from pathlib import Path
@@ -23,12 +23,13 @@ from processing.fit import Witness
 from processing.swing import Swing, SwingFlag, estimate_noise, swings_of, swings_of_blocks, turning_points
 from processing.ticks import seconds
 from rig.analysis.amplitude_damping import amplitude_damping
+from rig.analysis.analysed_run import AnalysedRun, instrument_series
 from rig.analysis.compared_laws import laws_of
 from rig.analysis.decay_values import decay_values
 from rig.analysis.motion_direction import along_and_across, direction_warning
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.position_table import TableColumns
-from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
+from rig.analysis.results import EnvelopeResults, RunResults, Series, TableDecay, TableResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.second_frequency import fast_oscillation, fast_part, second_frequency
 from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
@@ -61,11 +62,14 @@ them grow."""
 
 @dataclass(frozen=True)
 class FoundDecay:
-    """One decay of a table: its half-cycles with their means, and its results."""
+    """One decay of a table: its half-cycles with their means, and its results; `fitted` where a pendulum is
+    described.
+    """
 
     swings: Sequence[Swing]
     summary: DecaySummary
     results: TableDecay
+    fitted: AnalysedRun | None = None
 
 
 @dataclass(frozen=True)
@@ -137,9 +141,37 @@ def analyse_trajectory(
         unit=trajectory.unit,
         understood=trajectory.understood,
         decays=tuple(decay.results for decay in decays),
+        series=_series(decays, trajectory.run),
     )
     passed_over = [part for part in parts if part not in usable]
     return AnalysedTable(trajectory, noise / scale, decays, passed_over, results)
+
+
+def _series(decays: Sequence[FoundDecay], run: str) -> Series | None:
+    """Decays of one run against each other, by their places; where the run has a number, all have that."""
+    fitted = [decay.fitted for decay in decays if decay.fitted is not None]
+    return instrument_series(fitted, [int(run)] * len(fitted) if run.isdecimal() else ())
+
+
+def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> TableResults | None:
+    """Results of several runs, by name, with what they say together; None where they say nothing.
+
+    `reference_runs` names runs by their numbers: their names where all are numbers, else their places.
+    """
+    names = list(tables)
+    by_name = all(name.isdecimal() for name in names)
+    runs: list[AnalysedRun] = []
+    numbers: list[int] = []
+    for place, (name, table) in enumerate(tables.items(), start=1):
+        found = [decay.fitted for decay in table.decays if decay.fitted is not None]
+        runs += found
+        numbers += [int(name) if by_name else place] * len(found)
+    series = instrument_series(runs, numbers)
+    if series is None:
+        return None
+    longest = max((table.results for table in tables.values()), key=lambda results: results.half_cycles)
+    decays = tuple(decay for table in tables.values() for decay in table.results.decays)
+    return replace(longest, trajectory=path.as_posix(), decays=decays, series=series)
 
 
 def analyse_envelope(
@@ -206,6 +238,7 @@ def _analyse(
     points = turning_points(swings)
     summary = summarise_decay(points)
     problem = why_no_laws(trajectory, config)
+    fitted: AnalysedRun | None = None
     run = RunResults(
         record=relative_record(path, Path.cwd()), sha256=known_sha256_of_any(path), problem=problem
     )
@@ -234,7 +267,11 @@ def _analyse(
         run = replace(run, witness=of_source(run.witness, witness))
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
-    oscillation = fast_oscillation(trajectory.times_ns[inside], deflection, summary.period_s.value)
+    # while the pendulum is held or pushed it does not swing
+    free = trajectory.times_ns[inside] >= next(swing.turn_time_ns for swing in swings if not swing.flags)
+    oscillation = fast_oscillation(
+        trajectory.times_ns[inside][free], deflection[free], summary.period_s.value
+    )
     values = (
         _values(run)
         | decay_values(points, summary, scale, u_common=trajectory.u_common_in_noises * noise)
@@ -252,7 +289,7 @@ def _analyse(
             ),
         }
     )
-    if followed.text and followed.text not in run.notes:
+    if followed.text and followed.text not in run.notes and run.instrument is None:
         values["notes"] = (*run.notes, followed.text)
     if run.turning_points is None:
         unit = TableUnit.OWN if trajectory.scale_rad is None else DeflectionUnit.RAD
@@ -275,7 +312,7 @@ def _analyse(
         ended_s=seconds(unflagged[-1]),
         run=trajectory.run,
     )
-    return FoundDecay(swings, summary, results)
+    return FoundDecay(swings, summary, results, fitted)
 
 
 def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:

@@ -14,10 +14,16 @@ from processing.ticks import seconds
 from rig.analysis.amplitude_damping import damping_lines
 from rig.analysis.compared_laws import chosen_laws
 from rig.analysis.position_table import TableColumns
-from rig.analysis.results import EnvelopeResults, TableResults
+from rig.analysis.results import EnvelopeResults, Series, TableResults
 from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
 from rig.analysis.screen import print_run
-from rig.analysis.table_fit import AnalysedTable, FoundDecay, analyse_envelope, analyse_trajectory
+from rig.analysis.table_fit import (
+    AnalysedTable,
+    FoundDecay,
+    analyse_envelope,
+    analyse_trajectory,
+    series_of_runs,
+)
 from rig.analysis.trajectory import Trajectory
 from rig.analysis.witness_file import StatedWitness
 from rig.instrument import fill_from_files
@@ -49,10 +55,7 @@ def fit_trajectory(
     witness: StatedWitness | None = None,
 ) -> int:
     """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
-    runs = columns.read_runs(path)
-    if len(runs) == 1:
-        return fit_read(path, runs[0], output, config_path, overrides, report, laws, witness)
-    inputs = [(run.run, path, lambda run=run: run) for run in runs]
+    inputs = [(run.run, path, lambda run=run: run) for run in columns.read_runs(path)]
     return fit_several(inputs, output, config_path, overrides, report, laws, witness)
 
 
@@ -65,25 +68,39 @@ def fit_several(
     laws: Sequence[str] = (),
     witness: StatedWitness | None = None,
 ) -> int:
-    """The same of several runs, each by its name, its file and what reads it; a folder for each.
+    """The same of runs, each by its name, its file and what reads it; of several, a folder for each.
 
-    One that cannot be analysed does not keep the others from it. Returns 1 if there was such a run.
+    `report` draws what was found, `laws` are compared. One run of several that cannot be analysed does not
+    keep the others from it; 1 is returned if there was such a run.
     """
+    if len(inputs) == 1:
+        ((_, path, read),) = inputs
+        _fit(path, read(), output, config_path, overrides, report, laws, witness, alone=True)
+        return 0
     folders = [None if output is None else output / _folder_name(name) for name, _, _ in inputs]
-    for folder in folders:
+    for folder in (output, *folders):
         if folder is not None and (folder / RESULTS_NAME).exists():
             raise ConfigurationError(
                 f"{folder / RESULTS_NAME}: exists already and is not overwritten; choose another folder"
             )
-    failed = 0
+    failed, tables = 0, dict[str, AnalysedTable]()
     for (name, path, read), folder in zip(inputs, folders, strict=True):
         print_line(f"--- run {name}")
         try:
-            fit_read(path, read(), folder, config_path, overrides, report, laws, witness)
+            tables[name] = _fit(path, read(), folder, config_path, overrides, report, laws, witness)
         except (DataError, DeviceError) as error:
             failed += 1
             answer(not_analysed=[{"run": name, "reason": str(error)}])
             print_line(f"not analysed: {error}")
+    together = series_of_runs(inputs[0][1], tables)
+    if together is not None:
+        print_line(f"--- runs {', '.join(tables)}")
+        _print_series(together.series)
+        answer(series=encoded(together)["series"])
+        if output is not None:
+            write_results(output / RESULTS_NAME, together)
+            answer(written=[output / RESULTS_NAME])
+            print(f"results      {output / RESULTS_NAME}")
     return int(failed > 0)
 
 
@@ -93,17 +110,19 @@ def _folder_name(name: str) -> str:
     return f"run-{plain}" if plain.isdigit() or not plain else plain
 
 
-def fit_read(
+def _fit(
     path: Path,
     trajectory: Trajectory,
     output: Path | None,
     config_path: Path | None,
     overrides: Sequence[str],
-    report: ReportWriter | None = None,
-    laws: Sequence[str] = (),
-    witness: StatedWitness | None = None,
-) -> int:
-    """The same of positions that were read before; `report` draws what was found, `laws` are compared."""
+    report: ReportWriter | None,
+    laws: Sequence[str],
+    witness: StatedWitness | None,
+    *,
+    alone: bool = False,
+) -> AnalysedTable:
+    """One run, printed and written; its series as well if it is `alone`."""
     ground = None if witness is None else witness.read()
     compared = chosen_laws(laws) if laws else ()
     if config_path:
@@ -116,13 +135,16 @@ def fit_read(
         table = analyse_trajectory(path, trajectory, None)
     if laws and table.results.problem:
         raise ConfigurationError(f"--law {laws[0]}: {table.results.problem}")
+    if not alone:
+        # what they say together is another result
+        table = replace(table, results=replace(table.results, series=None))
     _print(path, table)
     _write(path, output, table.results)
     if output is not None and report is not None:
         for name, made in report(table, output):
             answer(written=[made])
             print(f"{name:<12} {made}")
-    return 0
+    return table
 
 
 def fit_envelope_table(
@@ -186,6 +208,13 @@ def _print(path: Path, table: AnalysedTable) -> None:
         )
     for number, decay in enumerate(table.decays, start=1):
         _print_decay(number, decay)
+    _print_series(table.results.series)
+
+
+def _print_series(series: Series | None) -> None:
+    if series is not None and series.instrument is not None:
+        for line in series.instrument.text:
+            print_line(line)
 
 
 def _print_decay(number: int, decay: FoundDecay) -> None:

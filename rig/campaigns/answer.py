@@ -32,6 +32,7 @@ from processing.campaign import (
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
+from processing.surroundings import in_other_unit
 from rig.campaigns.contact_values import contact_values
 from rig.campaigns.likelihoods import FoundRun, compressed
 from rig.campaigns.results import (
@@ -234,9 +235,11 @@ def _findings(sampled: Sampled) -> SamplerFindings:
 
 
 def _unknown(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> list[str]:
-    """Covariates that some runs lack: an answer that rests on a guess says so."""
-    said = []
+    """Covariates that some runs lack, or have in another unit: an answer that rests on a guess says so."""
+    said: list[str] = []
     for covariate in sorted(stated.covariates - {"", ORDER}):
+        known = {run.label: run.covariates[covariate].value for run in runs if covariate in run.covariates}
+        said += filter(None, [in_other_unit(covariate, known)])
         without = [run.label for run in runs if covariate not in run.covariates]
         if without:
             listed = f"{', '.join(without[:3])}{' ...' if len(without) > 3 else ''}"

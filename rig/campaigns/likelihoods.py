@@ -20,7 +20,9 @@ from processing.fit import FitMethod
 from rig.analysis import Fit, ResultRow, RunResults
 from rig.campaigns.stated import SURROUNDING_COVARIATES
 
-_AIR, _MISFIT, _AGEING, _PERIOD_DRIFT = "air", "misfit", "ageing", "period_drift"
+_AIR, _MISFIT, _AGEING = "air", "misfit", "ageing"
+_OWN = ("period_drift", "plane_of_swing_rad")
+"""Sources that every run has for itself."""
 _MOST_SHARED = 0.9999
 """Of a variance: what is left is the run's own."""
 _WELL = 0.5
@@ -75,9 +77,10 @@ def compressed(
         share = float(part @ np.linalg.solve(own, part))
         part = part * min(1.0, (_MOST_SHARED / share) ** 0.5) if share > 0 else part
         shared[_AIR], own = part, own - np.outer(part, part)
-    drift = _relative_sources(run, names, at.by_parameters).get(_PERIOD_DRIFT)
-    if drift is not None:
-        own = own + np.outer(drift, drift)
+    moved = _relative_sources(run, names, at.by_parameters)
+    for source in _OWN:
+        if source in moved:
+            own = own + np.outer(moved[source], moved[source])
     return (
         CompressedRun(
             label=found.label,
@@ -161,9 +164,7 @@ def _shared(run: RunResults, names: Sequence[str], to: Floats) -> tuple[dict[str
     A budget corrects the values for an input: seen ones move the other way.
     """
     moved = _relative_sources(run, names, to)
-    shared = {
-        source: -by for source, by in moved.items() if source not in (_AGEING, _PERIOD_DRIFT) and np.any(by)
-    }
+    shared = {source: -by for source, by in moved.items() if source not in (_AGEING, *_OWN) and np.any(by)}
     u_ageing = next((u for name in names for key, u in _sources(run, name).u.items() if key == _AGEING), 0.0)
     by_growth = moved[_AGEING] / u_ageing if u_ageing > 0 else None
     if by_growth is not None:

@@ -80,7 +80,7 @@ def video(
       rig video swing.mp4 -o runs/swing
       rig video swing.mp4 --pixel '0.142 mm'
     """
-    from rig.analysis import FilmAsked, film_trajectory, films_in, fit_read, fit_several
+    from rig.analysis import FilmAsked, film_trajectory, films_in, fit_several
     from rig.presentation import TimeLeft, print_line
 
     if set_ and config is None:
@@ -91,11 +91,8 @@ def video(
         raise ConfigurationError("--force-rate: needs --rate, the rate to enforce")
     asked = FilmAsked(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
     films = _chosen_films(film, films_in(film), run)
-    if len(films) == 1:
-        (film,) = films
-        read = film_trajectory(film, asked, TimeLeft(f"{film}: frames"))
-        raise typer.Exit(fit_read(film, read, output, config, set_ or [], table_report, law or []))
-    print_line(f"{film}: {len(films)} films: {', '.join(each.name for each in films)}")
+    if len(films) > 1:
+        print_line(f"{film}: {len(films)} films: {', '.join(each.name for each in films)}")
     inputs = [
         (one.stem, one, partial(film_trajectory, one, asked, TimeLeft(f"{one}: frames"))) for one in films
     ]

@@ -12,7 +12,7 @@ from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
-from processing.surroundings import Surroundings
+from processing.surroundings import Surroundings, in_other_unit
 from rig.analysis import SessionResults
 from rig.presentation import Cell, Table, palette, plain, quantity
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, canvas
@@ -94,6 +94,8 @@ def against_table(runs: Sequence[Seen], name: str) -> Table:
     note += "chance: the probability of a slope this steep if there is no dependence."
     if not shown:
         note = f"{len(runs)} runs: too few, or all at the same value, for a line."
+    other = in_other_unit(name, {f"{run.series} {run.run}": run.at for run in runs})
+    note += f" {other}." if other else ""
     return Table(
         "against", f"Parameters against {over.name}", columns, rows,
         ("", "slope", "u", "unit", "chance"), shown, note,

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import nan
+from math import isfinite, nan
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +35,8 @@ from rig.report.session_report import save_figures, save_tables
 
 _OF_ANY_DECAY = {"mean_period_s": "period_s", "log_decrement": "log_decrement"}
 """What is compared where no run was fitted: names of quantities, and of fields of `RunResults`."""
+_FAR = 3.0
+"""Uncertainties of the swings, beyond which a difference of two single runs is shown."""
 DIFFERENT = 0.05
 """Chance, shared between all pairs and parameters, below which series are said to differ."""
 
@@ -123,8 +125,11 @@ def decays_of(session: SessionResults, folder: Path) -> SeriesResult:
     parameters = {}
     for name, field in _OF_ANY_DECAY.items():
         values = [getattr(run, field) for run in runs]
+        # one clock times all runs: it does not fall in their mean
+        by_clock = [0.0 if run.clock is None else run.clock.u_rate * run.period_s.value for run in runs]
+        shared = by_clock if name == "mean_period_s" else ()
         dof = max(runs[0].half_cycles - 2, 1)
-        parameters[name] = _alone(values[0], dof) if len(values) == 1 else combine(name, values)
+        parameters[name] = _alone(values[0], dof) if len(values) == 1 else combine(name, values, shared)
     return _series(parameters)
 
 
@@ -160,7 +165,7 @@ def _combined_of(session: SessionResults) -> Mapping[str, Combined]:
 
 
 def _single(run: RunResults) -> dict[str, Combined]:
-    """What one run determines, as a series of its own: what scatters between runs is not known of it."""
+    """What one run determines, as a series of its own: how runs scatter is not known, and no test is made."""
     dof = run.fits[FitMethod.EXACT].degrees_of_freedom
     return {
         name: _alone(Estimate(row.value, row.u), dof)
@@ -227,12 +232,16 @@ def _runs(found: SeriesResult) -> tuple[Estimate, ...]:
 
 
 def differences_table(comparisons: Sequence[Comparison]) -> Table:
-    """Every pair of series, parameter by parameter."""
-    limit = DIFFERENT / max(len(comparisons), 1)
+    """Every pair of series, parameter by parameter; of two single runs without a verdict."""
+    limit = DIFFERENT / max(sum(isfinite(item.p_value) for item in comparisons), 1)
+    untested = sum(not isfinite(item.p_value) for item in comparisons)
     rows: list[list[Cell]] = []
     shown = []
     for item in comparisons:
         verdict = "differ" if item.p_value < limit else "no difference seen"
+        if not isfinite(item.p_value):
+            far = abs(item.difference) > _FAR * item.standard_uncertainty
+            verdict = "not tested" if far else "not tested, within the swings' u"
         rows.append(
             [
                 item.first,
@@ -244,20 +253,33 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
                 verdict,
             ]
         )
-        if verdict != "differ":
+        if verdict not in ("differ", "not tested"):
             continue
         shown.append(
             [
                 f"{item.first} − {item.second}", quantity(item.name).label,
                 quantity(item.name).text(item.difference, item.standard_uncertainty),
-                plain(item.p_value, 2), verdict,
+                plain(item.p_value, 2) if isfinite(item.p_value) else "–", verdict,
             ]
         )  # fmt: skip
+    tested = len(rows) - untested
+    said = []
+    if tested:
+        said.append(
+            f"{sum(row[-1] == 'differ' for row in rows)} of {tested} comparisons differ; the others are in "
+            "the CSV. Welch's t test; chance: the probability of a difference at least as large between "
+            "identical series, the 5 % level being shared by all rows."
+        )
+    if untested:
+        said.append(
+            f"{untested} comparisons are of two single runs: their u is the swings' alone, and how runs of "
+            "one contact scatter, which may be many times more, is not known; measure series (rig fit A1 A2 "
+            "A3 combines runs, rig campaign --by-sample takes their scatter)."
+        )
+    said.append("Errors common to all series (mass, radius, scale) are left out.")
     return Table(
         "differences", "Differences",
         ("first", "second", "parameter", "difference", "standard_uncertainty", "p_value", "verdict"), rows,
         ("", "", "difference", "chance", "verdict"), shown,
-        f"{len(shown)} of {len(rows)} comparisons differ; the others are in the CSV. Welch's t test; "
-        "chance: the probability of a difference at least as large between identical series, the 5 % level "
-        "being shared by all rows. Errors common to all series (mass, radius, scale) are left out.",
+        " ".join(said),
     )  # fmt: skip

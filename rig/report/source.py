@@ -58,7 +58,7 @@ def read_source(source: Path | SessionResults) -> ReportSource:
         runs = [_read_run(folder, run, number) for number, run in numbered]
         return ReportSource(folder, name, results.series, runs)
     decays = [decay_of_table(folder, results, number) for number in range(1, len(results.decays) + 1)]
-    return ReportSource(folder, name, None, decays)
+    return ReportSource(folder, name, results.series, decays)
 
 
 def _read_run(folder: Path, results: RunResults, number: int) -> RunData:

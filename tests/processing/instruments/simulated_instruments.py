@@ -21,6 +21,7 @@ from acquisition.simulation.true_path import (
     true_path,
     true_turning_points,
 )
+from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.estimate import Estimate
 from processing.fit.exact import fit_exact
 from processing.instruments.circular import circular_error
@@ -28,9 +29,11 @@ from processing.instruments.damping_fit import damping, ratio
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS
 from processing.instruments.friction_law import fit_friction_law, rolling_friction
 from processing.instruments.hardness import herbert_hardness
-from processing.instruments.plane import along_plane, swing_plane
+from processing.instruments.shared_uncertainty import Reading
 from processing.instruments.turning import refined
 from processing.swing import TurningPoints, swings_of, turning_points
+from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.turning_plane import follow_plane
 from rig.instrument import complete, pendulum_on_ball
 from rig.settings import load_configuration
 
@@ -125,7 +128,9 @@ def _damped(kind: str, seed: int) -> Mapping[str, Recovered]:
         glass = simulation(f"{kind}-glass")
         plate = damping(points_of(glass, 0.9 * end, seed + 1000), start * DEGREE_RAD, end * DEGREE_RAD)
         glass_s = _damping_truth(glass, start, end)
-        recovered["ratio"] = Recovered(ratio(found.time_s, plate.time_s), truth_s / glass_s)
+        recovered["ratio"] = Recovered(
+            ratio(Reading(*found.time_s), Reading(*plate.time_s)), truth_s / glass_s
+        )
         recovered["glass_time_s"] = Recovered(plate.time_s, glass_s)
     return recovered
 
@@ -145,13 +150,19 @@ def _kuznetsov_one(seed: int) -> Mapping[str, Recovered]:
     settings = simulation("kuznetsov_one")
     start, end = _levels("kuznetsov_one")
     found = _turning(samples(settings, 0.9 * end, seed, NOISE_RAD), settings)
-    plane = swing_plane(found.times_ns, found.x_rad, found.y_rad, settings.contact.period0_s)
-    deflection, u = along_plane(plane, found.times_ns, found.x_rad, found.y_rad, found.u_rad, found.u_rad)
+    noise = found.u_rad
+    samples_of_run = Deflections(found.times_ns, found.x_rad, found.y_rad, noise, noise, DeflectionUnit.RAD)
+    passing = PassingDeflections([samples_of_run], DeflectionUnit.RAD)
+    followed = follow_plane(swings_of(found.times_ns, found.y_rad, noise), passing, None, along_line=True)
+    assert followed.plane is not None
     inside = damping(
-        detected(Samples(found.times_ns, found.x_rad, deflection, u)), start * DEGREE_RAD, end * DEGREE_RAD
+        detected(found._replace(y_rad=joined(followed.deflections, DeflectionUnit.RAD).y)),
+        start * DEGREE_RAD,
+        end * DEGREE_RAD,
     )
+    rate = Estimate(followed.plane.mean_rate(), followed.plane.u_mean_rate())
     return {
-        "rate_rad_per_s": Recovered(plane.rate_rad_per_s, settings.axes.spin_rad_per_s),
+        "rate_rad_per_s": Recovered(rate, settings.axes.spin_rad_per_s),
         "time_s": Recovered(inside.time_s, _damping_truth(settings, start, end)),
     }
 

@@ -18,7 +18,7 @@ from processing.instruments.damping_fit import damping, over_places, ratio
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Limits, check
 from processing.instruments.friction_law import fit_friction_law, rolling_friction
 from processing.instruments.hardness import herbert_hardness
-from processing.instruments.plane import swing_plane
+from processing.instruments.shared_uncertainty import Reading
 from processing.instruments.turning import refined
 from processing.swing import TurningPoints, swings_of
 from rig.settings import load_configuration
@@ -120,16 +120,35 @@ def test_a_missing_half_cycle_at_the_level_is_said() -> None:
 
 
 def test_places_and_ratio() -> None:
-    places = over_places([Estimate(100.0, 0.1), Estimate(104.0, 0.1), Estimate(102.0, 0.1)])
+    places = over_places([Reading(value, 0.1) for value in (100.0, 104.0, 102.0)])
     assert (places.number, places.mean.value, places.spread) == (3, 102.0, 2.0)
-    assert places.mean.standard_uncertainty == pytest.approx(2 / math.sqrt(3))
+    assert places.mean.own == pytest.approx(2 / math.sqrt(3))
     assert places.expanded_95 == pytest.approx(4.302653 * 2 / math.sqrt(3), rel=1e-6)
-    relative = ratio(places.mean, Estimate(250.0, 0.5))
+    relative = ratio(places.mean, Reading(250.0, 0.5))
     assert relative.standard_uncertainty / relative.value == pytest.approx(
         math.hypot(2 / math.sqrt(3) / 102, 0.5 / 250)
     )
     with pytest.raises(DataError, match="must be positive"):
-        ratio(places.mean, Estimate(0.0, 0.1))
+        ratio(places.mean, Reading(0.0, 0.1))
+
+
+def test_what_places_share_stays_in_their_mean_and_cancels_in_a_ratio() -> None:
+    """Three places of 36.74 s, u 0.115 s by the scale they share, apart by 0.00046 s: not 0.115/sqrt(3)."""
+    scale = {"arm": 0.115}
+    values = (36.7435, 36.7440, 36.7444)
+    places = over_places([Reading(value, 1e-4, scale) for value in values])
+    assert places.mean.estimate.standard_uncertainty == pytest.approx(0.115, rel=1e-4)
+    assert places.expanded_95 == pytest.approx(1.96 * 0.115, rel=1e-3)
+    relative = ratio(
+        over_places([Reading(value, 1e-4, scale) for value in values[1:]]).mean,
+        Reading(values[0], 1e-4, scale),
+    )
+    assert relative.standard_uncertainty < 3e-5
+    apart = over_places([Reading(36.74, 0.0, {f"arm {k}": 0.115}) for k in range(3)])
+    assert apart.mean.estimate.standard_uncertainty == pytest.approx(0.115 / math.sqrt(3))
+    # the longer of two times is moved more by the clock, in proportion: a ratio knows nothing of it
+    clock = ratio(Reading(80.0, 0.0, {"clock": 80e-4}), Reading(250.0, 0.0, {"clock": 250e-4}))
+    assert clock.standard_uncertainty == pytest.approx(0.0, abs=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -249,20 +268,6 @@ def test_herbert_with_a_short_record() -> None:
     assert found.scale_hardness.value == pytest.approx(50 * (1 + math.exp(-0.05)))
     with pytest.raises(DataError, match="first swing was not seen whole"):
         herbert_hardness(exponential(5.0, 0.05, 1))
-
-
-def test_a_plane_that_stands_still() -> None:
-    """A line at 30 degrees, both ways of reading it: no turning beyond its scatter."""
-    times_ns = np.arange(2000) * 10_000_000
-    swing = 0.05 * np.cos(2 * math.pi * times_ns * 1e-9 / 1.2)
-    rng = np.random.default_rng(5)
-    x = swing * 0.5 + 1e-5 * rng.standard_normal(2000)
-    y = swing * math.sqrt(0.75) + 1e-5 * rng.standard_normal(2000)
-    plane = swing_plane(times_ns, x, y, 1.2)
-    assert np.allclose(plane.direction_rad, math.pi / 6, atol=1e-3)
-    assert abs(plane.rate_rad_per_s.value) < 4 * plane.rate_rad_per_s.standard_uncertainty
-    with pytest.raises(DataError, match="at least 3"):
-        swing_plane(times_ns[:200], x[:200], y[:200], 1.2)
 
 
 def test_turning_points_of_large_swings_are_true() -> None:

@@ -11,9 +11,11 @@ from processing.instruments.circular import circular_error
 from processing.instruments.damping_fit import Damping, damping
 from processing.instruments.descriptions import DEGREE_RAD
 from processing.instruments.friction_law import rolling_friction
-from processing.instruments.shared_uncertainty import with_scale
+from processing.instruments.shared_uncertainty import SharedError, with_shared
 from processing.swing import TurningPoints
 from tests.processing.instruments.test_instruments import decay, exponential
+
+SCALE = SharedError("arm", scale=0.01)
 
 
 def falling_evenly() -> TurningPoints:
@@ -28,7 +30,7 @@ def scaled(points: TurningPoints, factor: float) -> TurningPoints:
 def test_damping_of_an_exponential_decay_does_not_depend_on_the_scale() -> None:
     points = exponential(7.0, 0.01, 200)
     plain = damping(points, 6 * DEGREE_RAD, 3 * DEGREE_RAD)
-    found = with_scale(lambda at: damping(at, 6 * DEGREE_RAD, 3 * DEGREE_RAD), points, 0.01)
+    found = with_shared(lambda at: damping(at, 6 * DEGREE_RAD, 3 * DEGREE_RAD), points, [SCALE])[0]
     assert found.time_s.value == plain.time_s.value
     assert found.time_s.standard_uncertainty == pytest.approx(plain.time_s.standard_uncertainty, rel=1e-6)
 
@@ -44,20 +46,20 @@ def test_damping_time_scatters_as_claimed_where_friction_is_constant() -> None:
         reduce(scaled(falling_evenly(), 1 + u_scale * error)).time_s.value
         for error in random.normal(size=400)
     ]
-    claimed = with_scale(reduce, falling_evenly(), u_scale).time_s
+    claimed = with_shared(reduce, falling_evenly(), [SharedError("arm", scale=u_scale)])[0].time_s
     # the standard deviation of 400 values is known to 1/sqrt(800) = 3.5 %
     assert np.std(times_s, ddof=1) == pytest.approx(claimed.standard_uncertainty, rel=0.11)
 
 
 def test_a_moment_and_a_circular_factor_go_with_the_scale() -> None:
     points = falling_evenly()
-    found = with_scale(
-        lambda at: rolling_friction(at, Estimate(0.02, 0.0), Estimate(0.002, 0.0)), points, 0.01
-    )
+    found = with_shared(
+        lambda at: rolling_friction(at, Estimate(0.02, 0.0), Estimate(0.002, 0.0)), points, [SCALE]
+    )[0]
     assert found.coefficient is not None
     # the loss goes as 1 - cos of the amplitudes over their path: by the first power of the scale
     assert found.coefficient.standard_uncertainty / found.coefficient.value == pytest.approx(0.01, rel=0.05)
-    plain, wide = circular_error(points), with_scale(circular_error, points, 0.01)
+    plain, wide = circular_error(points), with_shared(circular_error, points, [SCALE])[0]
     added = np.sqrt(wide.factor.standard_uncertainty**2 - plain.factor.standard_uncertainty**2)
     assert added == pytest.approx(0.02 * abs(plain.factor.value), rel=0.05)
 
@@ -70,6 +72,7 @@ def test_amplitudes_that_only_just_suffice() -> None:
     def reduce(at: TurningPoints) -> Damping:
         return damping(at, 6 * DEGREE_RAD, 3 * DEGREE_RAD)
 
-    assert with_scale(reduce, points, 0.02).time_s.value == reduce(points).time_s.value
+    wide = SharedError("arm", scale=0.02)
+    assert with_shared(reduce, points, [wide])[0].time_s.value == reduce(points).time_s.value
     with pytest.raises(DataError, match="never reaches"):
-        with_scale(reduce, scaled(points, 1.02), 0.02)
+        with_shared(reduce, scaled(points, 1.02), [wide])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
-from processing.swing import Swing, SwingDetector, SwingFlag
+from processing.swing import Swing, SwingDetector, SwingFlag, swings_of
 from tests.processing.swing.truth import Record, contact_decay, damped_sinusoid, detect, errors, rms
 
 
@@ -124,6 +124,19 @@ def test_kick_out_of_rest() -> None:
     swings = detect(record)
     assert all(s.flags for s in swings if s.turn_time_ns * 1e-9 < start)
     assert_none_wrong(record, [s for s in swings if s.turn_time_ns * 1e-9 > start], fewest=47)
+
+
+@pytest.mark.parametrize(("phase", "rest_s"), [(0.0, 3.0), (0.5, 2.6), (1.5, 2.1), (6.0, 3.3)])
+def test_a_faint_swing_before_a_push_is_not_the_first_half_cycle(phase: float, rest_s: float) -> None:
+    """At rest it still swings by 0.03 arcsec, ten times its noise: smooth, and no part of the decay."""
+    time_s = np.arange(0, 40, 0.01)
+    since_s = time_s - rest_s
+    pushed = 124.0 * np.exp(-0.005 * since_s) * np.sin(0.5 * math.pi * since_s)
+    noise = 0.0026 * np.random.default_rng(1).standard_normal(len(time_s))
+    y = np.where(since_s < 0, 0.0, pushed) + 0.03 * np.cos(0.5 * math.pi * time_s + phase) + noise
+    swings = swings_of(np.round(1e9 * time_s).astype(np.int64), y, np.full(len(y), 0.0026))
+    assert min(swing.amplitude for swing in swings if not swing.flags) > 90
+    assert swings[0].flags & SwingFlag.START
 
 
 @pytest.mark.parametrize(("factor", "phase"), [(2.0, 0.3), (0.5, 2.0), (0.4, 0.1), (1.0, 0.02)])

@@ -2,14 +2,17 @@
 
 import json
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from processing.errors import ConfigurationError
 from processing.instruments.descriptions import INSTRUMENTS
+from rig.analysis import TableColumns, fit_trajectory, read_results
 from rig.cli import app
 from rig.commands.fitting import fit_records
 from rig.measure.session import measure_session, simulate_record
@@ -155,15 +158,124 @@ def test_report_of_a_turning_plane(tmp_path: Path) -> None:
     assert "the swing plane turns" in (folder / "report.html").read_text()
 
 
-def test_no_glass_is_said(tmp_path: Path) -> None:
-    text = (CONFIGS / "instruments" / "koenig.toml").read_text()
-    own = tmp_path / "own.toml"
-    own.write_text("\n".join(line for line in text.splitlines() if "reference_time_s" not in line))
-    assert simulate_record(load_configuration(own, FAST_DECAY), own, tmp_path / "o.mcap") == 0
-    assert fit_records([tmp_path / "o.mcap"], tmp_path / "without", []) == 0
-    series = json.loads((tmp_path / "without" / "results.json").read_text())["series"]["instrument"]
-    assert "no reference was measured" in series["problem"]
-    assert series["time_s"]["value"] > 0
+def decaying(
+    tau_s: float,
+    *,
+    turning_rad_per_s: float = 0.0,
+    name: str = "",
+    envelope: Callable[[Any], Any] | None = None,
+    seed: int = 0,
+) -> list[str]:
+    """Rows of a table in deg: from 6.9 degrees down to 2.6; the time from 6 to 3 is ln 2 times `tau_s`."""
+    time_s = np.arange(0.0, tau_s * math.log(6.9 / 2.6), 0.02)
+    rng = np.random.default_rng([round(10 * tau_s), seed])
+    falling = 6.9 * np.exp(-time_s / tau_s) if envelope is None else envelope(time_s)
+    swing = falling * np.cos(2.0 * math.pi * time_s / 1.4)
+    angle = 0.3 + turning_rad_per_s * time_s
+    x, y = (swing * part + 1e-3 * rng.standard_normal(len(swing)) for part in (np.sin(angle), np.cos(angle)))
+    if turning_rad_per_s == 0.0:
+        y /= math.cos(0.3)
+    columns = (time_s, y) if turning_rad_per_s == 0.0 else (time_s, x, y)
+    rows = np.column_stack(columns)
+    return [",".join([*filter(None, [name]), *(f"{value:.6f}" for value in row)]) for row in rows]
+
+
+def fitted(folder: Path, table: str, config: str, *positions: str) -> Any:
+    """results.json of a table."""
+    (folder / "table.csv").write_text(table)
+    (folder / "kind.toml").write_text(f"[instrument]\n{config}\n")
+    columns = TableColumns(positions=positions)
+    assert fit_trajectory(folder / "table.csv", folder / "out", folder / "kind.toml", columns, []) == 0
+    return json.loads((folder / "out" / "results.json").read_text())
+
+
+def places(names: Sequence[str]) -> str:
+    rows = [
+        row
+        for name, tau_s in zip(names, (90.0, 40.0, 42.0), strict=True)
+        for row in decaying(tau_s, name=name)
+    ]
+    return "\n".join(["run,time_s,phi_deg", *rows])
+
+
+@pytest.mark.parametrize(
+    ("names", "reference"), [(("1", "2", "3"), 1), (("4", "7", "9"), 4), (("glass", "a", "b"), 1)]
+)
+def test_places_in_one_table_against_its_glass(
+    tmp_path: Path, names: Sequence[str], reference: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each run of a table had its damping time, and nothing was said of mean, ratio and acceptance."""
+    found = fitted(tmp_path, places(names), f'kind = "koenig"\nreference_runs = [{reference}]')
+    series = found["series"]["instrument"]
+    assert series["ratio"]["value"] == pytest.approx(41.0 / 90.0, abs=5 * 2e-4)
+    assert series["ratio"]["standard_uncertainty"] == pytest.approx(1.0 / 90.0, rel=0.05)
+    assert series["time_s"]["places"] == 2
+    assert series["time_s"]["value"] == pytest.approx(41.0 * math.log(2), rel=1e-3)
+    assert [item["verdict"] for item in series["acceptance"]] == ["within", "outside"]
+    assert "ratio of damping times, sample to reference: 0.45" in capsys.readouterr().out
+    assert len(read_results(tmp_path / "out").runs) == 3
+
+
+def test_the_scale_that_places_share_is_in_their_mean_and_not_in_their_ratio(tmp_path: Path) -> None:
+    """Constant friction: times go with the scale, known to 1 %. The mean of n places had 1 % over sqrt(n)."""
+    rows = [
+        f"{run},{row}"
+        for run in (1, 2, 3)
+        for row in decaying(60.0, envelope=lambda time_s: 6.9 - 0.07 * time_s, seed=run)
+    ]
+    lever = "[lever]\narm_m = 1.0\nu_arm_m = 0.01\npixel_pitch_m = 5e-6"
+    levels = "start_amplitude_deg = 6\nend_amplitude_deg = 3"
+    config = f'kind = "kuznetsov_two"\nreference_runs = [1]\n{levels}\n{lever}'
+    series = fitted(tmp_path, "\n".join(["run,time_s,phi_deg", *rows]), config)["series"]["instrument"]
+    assert series["time_s"]["standard_uncertainty"] == pytest.approx(0.01 * 3 / 0.07, rel=0.05)
+    assert series["time_s"]["u_shared"] == pytest.approx(0.01 * 3 / 0.07, rel=0.05)
+    assert series["ratio"]["value"] == pytest.approx(1.0, abs=5e-3)
+    assert series["ratio"]["standard_uncertainty"] < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("stated", "words"),
+    [
+        ("reference_runs = [7]", "there is no run 7, only 1, 2, 3"),
+        ("reference_runs = [1]\nstart_amplitude_deg = 8.0", "run 1 has no damping time"),
+        ("", "no reference was measured"),
+    ],
+)
+def test_a_ratio_that_cannot_be_had_is_said(
+    tmp_path: Path, stated: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = fitted(tmp_path, places(("1", "2", "3")), f'kind = "koenig"\n{stated}')
+    assert words in found["series"]["instrument"]["problem"]
+    assert words in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_reference_measured_elsewhere_and_a_clock_that_is_wrong(tmp_path: Path) -> None:
+    """The clock's rate was left out, and its u of every time; the reference has another clock."""
+    table = "\n".join(["time_s,phi_deg", *decaying(110.0)])
+    clock = "[timebase]\ncamera_rate = 1.01\nu_camera_rate = 2e-3"
+    config = f'kind = "koenig"\nreference_time_s = 250\nu_reference_time_s = 0.5\n{clock}'
+    found = fitted(tmp_path, table, config)
+    true_s = 1.01 * 110.0 * math.log(2)
+    value, u = found["instrument"]["damping"]["time_s"].values()
+    assert value == pytest.approx(true_s, rel=1e-3)
+    assert u == pytest.approx(2e-3 * true_s, rel=0.05)
+    ratio = found["series"]["instrument"]["ratio"]
+    assert ratio["value"] == pytest.approx(true_s / 250.0, rel=1e-3)
+    assert ratio["standard_uncertainty"] == pytest.approx(math.hypot(2e-3, 2e-3) * true_s / 250.0, rel=0.05)
+
+
+@pytest.mark.parametrize("kind", ["kuznetsov_one", "koenig"])
+@pytest.mark.parametrize("rate_rad_per_s", [2e-3, -4e-3])
+def test_a_plane_that_turns_in_a_table_of_two_axes(tmp_path: Path, kind: str, rate_rad_per_s: float) -> None:
+    """Times along the direction of all positions were up to nine uncertainties too short."""
+    table = "\n".join(["time_s,x_deg,y_deg", *decaying(60.0, turning_rad_per_s=rate_rad_per_s)])
+    config = f'kind = "{kind}"\nstart_amplitude_deg = 6.0\nend_amplitude_deg = 3.0\nreference_time_s = 40'
+    found = fitted(tmp_path, table, config, "x_deg", "y_deg")
+    value, u = found["instrument"]["damping"]["time_s"].values()
+    assert abs(value - 60.0 * math.log(2)) < 4 * u < 0.1
+    rate = found["instrument"]["swing_plane"]["rate_deg_per_min"]
+    away = abs(rate["value"]) - math.degrees(60 * abs(rate_rad_per_s))
+    assert abs(away) < 4 * rate["standard_uncertainty"]
 
 
 @pytest.mark.parametrize(

@@ -83,3 +83,14 @@ def test_noise_a_drift_overtones_and_gaps_are_no_fast_mode(tmp_path: Path) -> No
     with_gap[400:460] = np.nan
     assert not _warnings(tmp_path / "gap.csv", with_gap, 0.3 * bent + NOISE[1])
     assert not _warnings(tmp_path / "digits.csv", np.round(SWING, 3), np.round(0.3 * SWING, 3))
+
+
+def test_a_few_slow_swings_from_a_hold_are_one_oscillation(tmp_path: Path) -> None:
+    """Herbert's pendulum, held for 2 s: the sides of its nine periods were a second line."""
+    t_s = np.arange(0.0, 62.0, 0.01)
+    swing = 90.0 * np.exp(-0.014 * (t_s - 2.0)) * np.cos(2 * np.pi * (t_s - 2.0) / 6.1)
+    held = np.where(t_s < 2.0, 90.0, swing) + 0.02 * np.random.default_rng(3).standard_normal(len(t_s))
+    table = tmp_path / "held.csv"
+    np.savetxt(table, np.column_stack([t_s, held]), delimiter=",", fmt="%.6f", header="t_s,y", comments="")
+    found = analyse_table(table, None, TableColumns("t_s", ("y",), "mrad"))
+    assert not [line for line in found.results.warnings if "second oscillation" in line]

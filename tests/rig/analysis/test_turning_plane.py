@@ -11,6 +11,7 @@ import pytest
 
 from processing.balance import balance_of_run
 from processing.deflections import DeflectionUnit
+from rig.analysis import session_results
 from rig.analysis.results import RunResults
 from rig.instrument import balance_failures, balance_verdicts
 from tests.rig.analysis.spinning import (
@@ -25,6 +26,7 @@ from tests.rig.analysis.spinning import (
 from tests.rig.command_line import rig, set_words
 
 FAST = 5e-4  # rad/s, 1.72 deg/min
+PLANE = "plane_of_swing_rad"
 DISTURBED = {"leakage": 0.03, "fast_arcsec": 6.0, "rest_arcsec": (-30.0, 15.0)}
 
 
@@ -76,6 +78,29 @@ def test_an_angle_between_the_axes_that_is_not_known_is_a_line_of_the_budget(tmp
     off = analysed(askew, config, tmp_path / "run-1.mcap").results.budget["c"]
     moved = abs(off.value - run.results.budget["c"].value)
     assert moved == pytest.approx(line.contribution, rel=0.2)
+
+
+@pytest.mark.parametrize(("u_axes", "power"), [(0.0, 2), (2e-3, 1)], ids=["own", "common"])
+def test_the_mean_of_a_series_has_a_line_for_the_plane(u_axes: float, power: int, tmp_path: Path) -> None:
+    """The first run does not turn. What is not known of a plane falls in the mean, the axes do not."""
+    runs = [
+        analysed(
+            positions(Spin(rate), seed=seed),
+            configuration(f"axes.u_non_orthogonality_rad={u_axes}"),
+            tmp_path / f"run-{seed}.mcap",
+        )
+        for seed, rate in ((3, 0.0), (4, FAST), (5, FAST))
+    ]
+    series = session_results(runs, tmp_path).series
+    assert series is not None
+    for name in ("b", "c"):
+        of_runs = [
+            sum(one.contribution for one in run.results.budget[name].sources if one.source == PLANE)
+            for run in runs
+        ]
+        (line,) = [one for one in series.budget[name].sources if one.source == PLANE]
+        expected = sum(one**power for one in of_runs) ** (1 / power) / 3
+        assert line.contribution == pytest.approx(expected, rel=1e-3)
 
 
 def test_without_a_rotation_nothing_is_turned(tmp_path: Path) -> None:

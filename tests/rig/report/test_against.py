@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from processing.errors import ConfigurationError, RecordError
+from processing.surroundings import Surroundings
+from rig.analysis.surroundings import doubts_of
 from rig.report.comparison import compare
 from tests.rig.report.test_compare import session
 
@@ -44,6 +46,17 @@ def test_what_depends_on_the_humidity_is_seen(tmp_path: Path) -> None:
     assert values.name == "values"
     assert table.shown == []
     assert "too few" in table.note
+
+
+def test_a_humidity_stated_as_a_fraction_is_said(tmp_path: Path) -> None:
+    table = compare([at_humidities(tmp_path / "a", [41.0, 0.45, 50.0, 58.0])], None, "humidity")[-1]
+    assert "humidity_percent is 0.45 of a run-2.mcap, and 41 to 58 of the other runs" in table.note
+    assert (
+        "another unit"
+        not in compare([at_humidities(tmp_path / "b", [5.0, 45, 58])], None, "humidity")[-1].note
+    )
+    (doubt,) = doubts_of(Surroundings(humidity_percent=0.45))
+    assert doubt.endswith("state humidity_percent = 45")
 
 
 def test_what_is_not_known_is_said(tmp_path: Path) -> None:

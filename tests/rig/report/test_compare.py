@@ -1,11 +1,13 @@
 """`rig compare`: comparison of series."""
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
 
 import pytest
+from scipy import stats
 
 from processing.errors import ConfigurationError, RecordError
 from processing.fit import Combined
@@ -45,6 +47,41 @@ def test_only_what_differs_is_said_to_differ(tmp_path: Path) -> None:
     assert set(verdicts.values()) == {"no difference seen"}
     row = next(row for row in differences.rows if row[2] == "gamma_pa")
     assert float(row[3]) == pytest.approx(-80e-3 * 2.9e7)
+
+
+def single(folder: Path, c: float) -> Path:
+    """A session of one run, whose swings know c to one per cent."""
+    names = {"b": 3.7e-3, "p": 0.94, "c": c, "n": 0.092, "period0_s": 4.071, "gamma_pa": 2.9e7}
+    exact = {name: {"value": value, "standard_uncertainty": 0.01 * value} for name, value in names.items()}
+    run = {"record": "run-1.mcap", "fits": {"exact": exact | {"degrees_of_freedom": 500}}}
+    folder.mkdir()
+    (folder / "results.json").write_text(json.dumps({"schema": 1, "runs": [run]}))
+    return folder
+
+
+def test_two_single_runs_are_not_tested(tmp_path: Path) -> None:
+    """Runs of one contact, 9 uncertainties of their swings apart, differed with a chance of 4e-17."""
+    folders = [single(tmp_path / name, c) for name, c in (("a", 1.9e-7), ("b", 2.1e-7), ("c", 1.9e-7))]
+    differences = compare(folders, None)[1]
+    assert all(math.isnan(float(row[5])) for row in differences.rows)
+    assert [row[0] for row in differences.shown] == ["a − b", "b − c"]
+    assert all(row[3:] == ["–", "not tested"] for row in differences.shown)
+    assert "18 comparisons are of two single runs" in differences.note
+    assert "Welch" not in differences.note
+
+
+def test_a_single_run_scatters_as_those_of_the_series_it_is_compared_with(tmp_path: Path) -> None:
+    """Between runs of the series c scatters by 3 %: a run 5 % away, with u 1 %, is no other contact."""
+    many = session(tmp_path / "many")
+    tree = json.loads((many / "results.json").read_text())
+    tree["series"]["exact"]["c"] |= {"between_runs": 0.03 * 1.05e-8, "standard_uncertainty": 0.018 * 1.05e-8}
+    (many / "results.json").write_text(json.dumps(tree))
+    row = next(
+        row for row in compare([many, single(tmp_path / "one", 1.1e-8)], None)[1].rows if row[2] == "c"
+    )
+    u = math.hypot(0.03, 0.018) * 1.05e-8
+    assert float(row[4]) == pytest.approx(math.hypot(u, 0.01 * 1.1e-8), rel=1e-6)
+    assert float(row[5]) == pytest.approx(2 * stats.t.sf(0.05e-8 / float(row[4]), 2), rel=1e-6)
 
 
 def test_table_and_plot_of_three_series(tmp_path: Path) -> None:

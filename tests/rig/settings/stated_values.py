@@ -10,7 +10,7 @@ from acquisition.frame import Frame
 from processing.balance import Balance, find_faults
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
-from processing.instruments import DEGREE_RAD
+from processing.instruments import DEGREE_RAD, SharedError
 from processing.spot import Spot
 from processing.surroundings import Surroundings
 from processing.swing import Swing
@@ -20,6 +20,8 @@ from rig.analysis.contact_verdicts import rig_quantities
 from rig.analysis.drifts import believed_drifts
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.other_instruments_series import reduce_series
+from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.turning_plane import FollowedPlane
 from rig.instrument import (
     height_of,
     nominal_effects,
@@ -30,6 +32,7 @@ from rig.instrument import (
 from rig.measure.preflight import device_checks
 from rig.settings import Configuration, InstrumentSettings
 
+RAD = DeflectionUnit.RAD
 _SHAPE = (640, 160)
 _FRAME = Frame(np.zeros(_SHAPE, np.uint8), 0, 0, 0)
 _INFO = CameraInfo("", "", "", "", 160, 640, 255, True)
@@ -90,14 +93,13 @@ def balance(config: Configuration) -> Any:
 def instrument(config: Configuration) -> Any:
     """Results of three runs of one decay, as several kinds of pendulum report it."""
     stated: InstrumentSettings = config.instrument
+    air, error = Surroundings(temperature_c=22.0, humidity_percent=48.0), SharedError("arm", scale=1e-3)
     found: list[Any] = [stated.kind, repr(stated.description().kind)]
     for kind in ("koenig", "herbert", "tomlinson"):
         for references in (stated.reference_runs, ()):
             settings = stated.model_copy(update={"kind": kind, "reference_runs": references})
             runs = [
-                reduce_run(
-                    settings, _decay(b), None, Surroundings(temperature_c=22.0, humidity_percent=48.0), 1e-3
-                )
+                reduce_run(settings, FollowedPlane(_decay(b), PassingDeflections([], RAD)), air, [error])
                 for b in (0.01, 0.02, 0.03)
             ]
             found.append([run.values for run in runs])

@@ -1,0 +1,114 @@
+"""The release of a pendulum that was held: the turning point at which its first swing begins.
+
+Before it the deflection stands still; after it, in the time tau since the release, it falls by even powers of
+tau, and by tau^3 as far as a drag takes the energy: a part of the loss between none and all of it. Time and
+angle of the release are fitted to the samples on either side.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from processing.arrays import Floats, Ints
+from processing.swing import Swing
+from processing.ticks import nanoseconds, seconds
+
+_REACH = 0.32
+"""Fitted on either side, in half periods: with the powers below a cosine is met to 2e-5 of the amplitude."""
+_POWERS = np.array([3, 2, 4, 6])
+_U_PART = 1 / math.sqrt(12)
+"""Standard uncertainty of the drag's part in the loss, about one half."""
+_FEWEST_HELD = 5
+_ITERATIONS = 12
+_UNLIKE = 4.0
+"""Chi-square per degree of freedom above which the pendulum was not held still and then let go."""
+_FARTHER = 1.5
+"""Ratio of the angle of release to the next turning point's: no pendulum loses more in a single swing."""
+
+
+def with_release(
+    times_ns: Ints, deflection_rad: Floats, u_deflection_rad: Floats, swings: Sequence[Swing]
+) -> list[Swing] | None:
+    """Half-cycles with the release as the first; None where the samples do not show one.
+
+    Parameters
+    ----------
+    times_ns, deflection_rad, u_deflection_rad
+        (n,) samples in which the swings were detected; NaN where the spot was lost.
+    swings
+        Half-cycles with their rest position. Flagged ones before the first that is not are left out.
+    """
+    good = [swing for swing in swings if not swing.flags]
+    if len(good) < 2 or good[1].index - good[0].index != 1:
+        return None
+    first, half_s = good[0], float(seconds(good[1].turn_time_ns - good[0].turn_time_ns))
+    zero_ns = first.turn_time_ns - nanoseconds(half_s)
+    time_s = seconds(times_ns - zero_ns)
+    near = np.isfinite(deflection_rad) & (u_deflection_rad > 0) & (np.abs(time_s) < 2 * _REACH * half_s)
+    side = -first.side
+    loss = math.log(first.amplitude / good[1].amplitude)
+    if not loss > 0:
+        return None
+    cubic = loss * first.amplitude * math.pi**2 * _REACH**3 / 3
+    fitted = _fit(
+        time_s[near], side * (deflection_rad[near] - first.centre), u_deflection_rad[near], half_s, cubic
+    )
+    if fitted is None:
+        return None
+    (angle, release_s), (u_angle, u_release_s) = fitted
+    if not first.amplitude < angle < _FARTHER * first.amplitude:
+        return None
+    release = replace(
+        first,
+        index=first.index - 1,
+        turn_time_ns=zero_ns + nanoseconds(release_s),
+        u_turn_time_s=u_release_s,
+        amplitude=angle,
+        u_amplitude=u_angle,
+        half_period_s=math.nan,
+        u_half_period_s=math.nan,
+        side=side,
+    )
+    lasts_s = float(seconds(first.turn_time_ns - release.turn_time_ns))
+    first = replace(
+        first, half_period_s=lasts_s, u_half_period_s=math.hypot(u_release_s, first.u_turn_time_s)
+    )
+    return [release, first, *(swing for swing in swings if swing.index > first.index)]
+
+
+def _fit(
+    time_s: Floats, values: Floats, u_values: Floats, half_s: float, cubic: float
+) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Angle and time of the release, and their uncertainties; None where nothing is held and let go.
+
+    `cubic` is the coefficient of tau^3 for a loss by drag alone.
+    """
+    known = np.zeros((1, len(_POWERS) + 2))
+    known[0, 1] = 1 / (_U_PART * cubic)
+    release_s, scale_s = 0.0, _REACH * half_s
+    for _ in range(_ITERATIONS):
+        tau = (time_s - release_s) / scale_s
+        used = np.abs(tau) < 1
+        held = used & (tau < 0)
+        if np.count_nonzero(held) < _FEWEST_HELD or np.count_nonzero(used & ~held) < 2 * len(_POWERS):
+            return None
+        since = np.maximum(tau[used], 0.0)[:, None]
+        design = np.column_stack([np.ones(len(since)), since**_POWERS]) / u_values[used, None]
+        design = np.vstack([design, known[:, :-1]])
+        seen = np.append(values[used] / u_values[used], 0.5 * cubic * known[0, 1])
+        solution = np.linalg.lstsq(design, seen, rcond=None)[0]
+        slope = -(_POWERS * since ** (_POWERS - 1)) @ solution[1:] / u_values[used]
+        whole = np.column_stack([design, np.append(slope, 0.0)])
+        steps, chi2, *_ = np.linalg.lstsq(whole, seen - design @ solution, rcond=None)
+        step_s = float(np.clip(steps[-1], -0.5, 0.5)) * scale_s
+        release_s += step_s
+        if abs(release_s) > scale_s:
+            return None
+    dof = len(seen) - len(steps)
+    chi2_per_dof = float(chi2[0]) / dof if len(chi2) else math.inf
+    if chi2_per_dof > _UNLIKE or not solution[0] > 0:
+        return None
+    u = np.sqrt(np.diag(np.linalg.inv(whole.T @ whole)) * max(1.0, chi2_per_dof))
+    return (float(solution[0]), release_s), (float(u[0]), float(u[-1]) * scale_s)
