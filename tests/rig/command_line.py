@@ -37,8 +37,16 @@ class Done:
     stderr: str
 
 
-def rig(*words: str | Path, cwd: Path | None = None, figures: bool = False, typed: str = "") -> Done:
+def rig(
+    *words: str | Path,
+    cwd: Path | None = None,
+    figures: bool = False,
+    typed: str = "",
+    captured: bool = True,
+) -> Done:
     """Run a command in this process, with `typed` as its input, which is no terminal.
+
+    Where nothing is `captured`, it uses the streams that are there.
 
     What belongs to a process of its own (signals, a terminal, the environment) is tested with `rig_process`.
 
@@ -48,9 +56,7 @@ def rig(*words: str | Path, cwd: Path | None = None, figures: bool = False, type
     out, errors = io.StringIO(), io.StringIO()
     with (
         patch.object(sys, "argv", ["rig", *map(str, words)]),
-        patch.object(sys, "stdin", io.StringIO(typed)),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(errors),
+        _streams(typed, out, errors) if captured else contextlib.nullcontext(),
         contextlib.chdir(cwd or Path.cwd()),
         _logging_of_its_own(),
         contextlib.nullcontext() if figures else figures_are_not_drawn(),
@@ -83,6 +89,16 @@ def figures_are_not_drawn() -> Iterator[None]:
     with (
         patch("rig.report.session_report.svg", return_value=b"<svg/>"),
         patch("rig.report.session_report.png", return_value=b""),
+    ):
+        yield
+
+
+@contextlib.contextmanager
+def _streams(typed: str, out: io.StringIO, errors: io.StringIO) -> Iterator[None]:
+    with (
+        patch.object(sys, "stdin", io.StringIO(typed)),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(errors),
     ):
         yield
 
