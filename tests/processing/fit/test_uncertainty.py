@@ -188,11 +188,11 @@ def test_the_budget_of_a_sum_holds_where_the_supplement_says_so(last: InputQuant
     for scale in (1.0, 0.3, 0.7):
         budget = budget_of("", 0.0, [("sum", "B", scale * u, 1.0, scale * u)])
         verdicts = []
-        for seed in range(40):
+        for seed in range(12):
             rng = np.random.default_rng([101, seed])
             drawn = sum(quantity.draw(rng, 10_000) for quantity in (shape, shape, shape, last))
             verdicts.append(propagated(scale * np.asarray(drawn), budget).gum_holds)
-        assert verdicts.count(holds) >= 39, (scale, verdicts.count(holds))
+        assert verdicts.count(holds) >= 11, (scale, verdicts.count(holds))
 
 
 def test_monte_carlo_agrees_where_all_is_linear(found: FittedContact) -> None:

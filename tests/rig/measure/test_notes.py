@@ -14,15 +14,15 @@ from rig.channel import Line, NoSession
 from rig.measure.notes import NOTES_NAME, Notes
 from rig.report.source import read_source
 from rig.view.recorded import write_rrd
-from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 from tests.rig.view.rrd_contents import column
 
 LIVE = {
-    **SMALL,
+    **QUICK,
     "start.way": '"at once"',
     "preflight.when": '"never"',
     "simulation.release.way": '"let go"',
-    "session.max_duration_s": "14",
+    "session.max_duration_s": "8",
     "session.operator": '"Ada"',
 }
 
