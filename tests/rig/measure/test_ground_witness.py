@@ -136,8 +136,7 @@ def test_a_serial_witness_is_recorded_beside_frames_that_come_in_real_time(tmp_p
     writing = threading.Thread(target=write)
     writing.start()
     wanted = (
-        *(f"{key}={value}" for key, value in QUICK.items()),
-        "session.max_duration_s=8",
+        *(f"{key}={value}" for key, value in {**QUICK, "session.max_duration_s": "8"}.items()),
         "simulation.real_time=true",
         "preflight.when='never'",
         "witness.kind='serial'",
