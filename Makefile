@@ -17,12 +17,10 @@ demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(if $(wildcard runs/first/*),,-o runs/first) $(ARGS)
 
 # tests/conftest.py says how many workers `auto` is, and what runs in which.
-test: $(VENV)/.installed-test
-	$(BIN)/python -m tests.compile_kernels
+test: $(VENV)/.kernels
 	$(BIN)/python -m pytest -n auto --no-loadscope-reorder -m "not bench and not kernel" $(ARGS)
 
-test-quick: $(VENV)/.installed-test
-	$(BIN)/python -m tests.compile_kernels
+test-quick: $(VENV)/.kernels
 	$(BIN)/python -m pytest -n auto --no-loadscope-reorder -m "not slow and not realtime and not bench and not kernel" $(ARGS)
 
 test-kernel: $(VENV)/.installed-test
@@ -93,6 +91,11 @@ $(VENV)/.installed: pyproject.toml constraints.txt | $(VENV)/bin/python
 
 $(VENV)/.installed-test: $(VENV)/.installed constraints-test.txt
 	$(INSTALL) --requirement constraints-test.txt
+	@touch $@
+
+# Compiled before the tests, and again when a module has changed that may hold one.
+$(VENV)/.kernels: $(VENV)/.installed-test tests/compile_kernels.py $(shell find acquisition calibration processing -name '*.py')
+	$(BIN)/python -m tests.compile_kernels
 	@touch $@
 
 # Pins are renewed by hand, with pip-tools in the environment, when a range in pyproject.toml changes.

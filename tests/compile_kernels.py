@@ -1,5 +1,7 @@
 """Compiles the kernels before the tests begin, in two processes, so that no test's limit of time counts it.
 
+A third one looks for the tests: their assertions are rewritten and kept once, instead of by every worker.
+
 A short session compiles what a run and its fit need for pixels of 8 bits; the other process compiles the
 tracker for 12 bits. What both need is compiled by the one that comes first.
 """
@@ -19,7 +21,7 @@ compile_tracker(SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=4
 
 
 def main() -> None:
-    """Both processes, of which each must succeed."""
+    """All processes, of which each must succeed."""
     with tempfile.TemporaryDirectory() as folder:
         words = set_words({**SMALL, "session.max_duration_s": "70"})
         session = [
@@ -32,7 +34,8 @@ def main() -> None:
             f"{folder}/out",
             *words,
         ]
-        programs = [session, [sys.executable, "-c", TWELVE_BITS]]
+        tests = [sys.executable, "-m", "pytest", "--collect-only", "-qq", "-m", ""]
+        programs = [session, [sys.executable, "-c", TWELVE_BITS], tests]
         log = Path(folder) / "log"
         with log.open("wb") as said:
             running = [subprocess.Popen(program, stdout=said, stderr=said) for program in programs]

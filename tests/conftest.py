@@ -36,13 +36,13 @@ LONGER_S = {"kernel": 1500, "slow": 300, "realtime": 300}
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Two workers more than processors (`-n auto`): the three with what measures real time mostly wait."""
+    """Three workers more than processors (`-n auto`): the four with what measures real time mostly wait."""
     waits = "not realtime" not in config.option.markexpr
-    return (os.cpu_count() or 1) + 2 * waits
+    return (os.cpu_count() or 1) + 3 * waits
 
 
 class FileByFile(LoadScopeScheduling):
-    """A file's tests run in one worker, since they share fixtures; what measures real time, in three."""
+    """A file's tests run in one worker, since they share fixtures; what measures real time, in four."""
 
     def _split_scope(self, nodeid: str) -> str:
         path = nodeid.partition("::")[0]
@@ -52,7 +52,13 @@ class FileByFile(LoadScopeScheduling):
         return f"{next(groups, 'sessions')} in real time"
 
 
-REAL_TIME_GROUPS = {"acquisition": "cameras", "rig/control": "devices", "rig/devices": "devices"}
+REAL_TIME_GROUPS = {
+    "acquisition": "cameras",
+    "rig/control": "devices",
+    "rig/devices": "devices",
+    "rig/desk": "pages",
+    "rig/view": "pages",
+}
 """What waits together, by folder; the others are sessions."""
 WHOLE_SESSIONS = {"measured_series", "short_session"}
 """Fixtures for which the first test that wants them may wait as long as a slow one."""

@@ -1,4 +1,4 @@
-"""What runs in which worker of pytest-xdist: a file in one, all that measures real time in three."""
+"""What runs in which worker of pytest-xdist: a file in one, all that measures real time in four."""
 
 import os
 import shutil

@@ -51,7 +51,7 @@ def judged(
 
 @pytest.fixture(scope="module")
 def minutes() -> tuple[Floats, Floats, Floats]:
-    return shaken(60.0, 60)
+    return shaken(60.0, 30)
 
 
 @pytest.mark.slow

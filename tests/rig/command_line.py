@@ -21,6 +21,8 @@ SMALL: dict[str, str] = {
     "view.file": "false",
 }
 """A fifth of the demonstration's work a second, the same swing."""
+QUICK: dict[str, str] = {**SMALL, "instrument.kind": '"tomlinson"', "session.max_duration_s": "24"}
+"""A whole session, from frames to results and report, without the fit of a contact: an eighth of its work."""
 
 
 def set_words(values: dict[str, str]) -> list[str]:
@@ -37,20 +39,26 @@ class Done:
     stderr: str
 
 
-def rig(*words: str | Path, cwd: Path | None = None, figures: bool = False, typed: str = "") -> Done:
+def rig(
+    *words: str | Path,
+    cwd: Path | None = None,
+    figures: bool = False,
+    typed: str = "",
+    captured: bool = True,
+) -> Done:
     """Run a command in this process, with `typed` as its input, which is no terminal.
+
+    Where nothing is `captured`, it uses the streams that are there.
 
     What belongs to a process of its own (signals, a terminal, the environment) is tested with `rig_process`.
 
-    Without `figures` those of the report are made, but not drawn: that takes most of a short session's time,
-    and the report has tests of its own.
+    Without `figures` the report has none: they take most of a short session's time, and are tested in a room
+    of their own.
     """
     out, errors = io.StringIO(), io.StringIO()
     with (
         patch.object(sys, "argv", ["rig", *map(str, words)]),
-        patch.object(sys, "stdin", io.StringIO(typed)),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(errors),
+        _streams(typed, out, errors) if captured else contextlib.nullcontext(),
         contextlib.chdir(cwd or Path.cwd()),
         _logging_of_its_own(),
         contextlib.nullcontext() if figures else figures_are_not_drawn(),
@@ -79,10 +87,21 @@ def rig_process(*words: str | Path, cwd: Path | None = None) -> Done:
 
 @contextlib.contextmanager
 def figures_are_not_drawn() -> Iterator[None]:
-    """A report is made with everything but the drawing of its figures."""
+    """A report is made with everything but its figures."""
     with (
+        patch("rig.report.session_report._drawings", return_value=[]),
         patch("rig.report.session_report.svg", return_value=b"<svg/>"),
         patch("rig.report.session_report.png", return_value=b""),
+    ):
+        yield
+
+
+@contextlib.contextmanager
+def _streams(typed: str, out: io.StringIO, errors: io.StringIO) -> Iterator[None]:
+    with (
+        patch.object(sys, "stdin", io.StringIO(typed)),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(errors),
     ):
         yield
 

@@ -10,9 +10,12 @@ import struct
 import subprocess
 import sys
 import termios
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+
+from tests.rig.command_line import Done, rig
 
 LIMIT_S = 180.0
 
@@ -90,3 +93,48 @@ class Terminal:
         with contextlib.suppress(OSError):
             if select.select([self.master], [], [], wait_s)[0]:
                 self.screen += os.read(self.master, 65536).decode(errors="replace")
+
+
+def rig_at_terminal(*words: str | Path, cwd: Path, columns: int) -> Done:
+    """Run a command in this process, whose standard streams are a terminal meanwhile; all is its output."""
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
+    shown: list[bytes] = []
+
+    def read() -> None:
+        # the terminal's end is an error
+        with contextlib.suppress(OSError):
+            while data := os.read(master, 65536):
+                shown.append(data)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    try:
+        with _streams_at(slave):
+            status = rig(*words, cwd=cwd, captured=False).returncode
+    finally:
+        os.close(slave)
+        reader.join()
+        os.close(master)
+    return Done(status, b"".join(shown).decode(errors="replace"), "")
+
+
+@contextlib.contextmanager
+def _streams_at(terminal: int) -> Iterator[None]:
+    kept = [os.dup(number) for number in range(3)]
+    before = sys.stdin, sys.stdout, sys.stderr
+    for number in range(3):
+        os.dup2(terminal, number)
+    try:
+        with (
+            open(0, closefd=False) as typed,
+            open(1, "w", closefd=False) as said,
+            open(2, "w", buffering=1, closefd=False) as errors,
+        ):
+            sys.stdin, sys.stdout, sys.stderr = typed, said, errors
+            yield
+    finally:
+        sys.stdin, sys.stdout, sys.stderr = before
+        for number, copy in enumerate(kept):
+            os.dup2(copy, number)
+            os.close(copy)

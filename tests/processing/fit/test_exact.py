@@ -91,7 +91,7 @@ def random_contact(seed: int) -> tuple[ContactParameters, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(5))
 def test_exact_fit_converges_from_any_reasonable_decay(seed: int) -> None:
     parameters, noise = random_contact(seed)
     _, pendulum = paper_pair("silicon")
@@ -221,35 +221,26 @@ def test_printed_curvature_is_an_option() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["asymptotic", "exact"])
 def test_stated_uncertainties_are_the_scatter(kind: str) -> None:
-    """Thirty seeded runs: their scatter against the mean of what they state."""
+    """Ten seeded runs; the full count, and what intervals hold, are rows of docs/validation.md."""
     parameters, pendulum = paper_pair("glass_k8")
     fit = fit_exact if kind == "exact" else fit_asymptotic
     results = [
         fit(decay(parameters, pendulum, noise_arcsec=0.02, seed=100 + seed, last_arcsec=5), pendulum)
-        for seed in range(30)
+        for seed in range(10)
     ]
     scatter = np.std([result.values[:6] for result in results], axis=0, ddof=1)
     stated = np.mean([result.standard_uncertainty[:6] for result in results], axis=0)
-    # a standard deviation from 30 is known to 13 %; six of them within three of those
-    np.testing.assert_allclose(stated, scatter, rtol=0.45)
-
-
-@pytest.mark.slow
-def test_short_coverage_of_the_intervals() -> None:
-    """Forty seeds by six parameters; the full count is the benchmark's."""
-    parameters, pendulum = paper_pair("glass_k8")
-    inside = {0.6827: 0, 0.95: 0}
-    seeds = 40
-    for seed in range(seeds):
-        result = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=500 + seed), pendulum)
-        for coverage in inside:
-            for name in PAPER.names():
-                low, high = result.interval(name, coverage)
-                inside[coverage] += low <= getattr(parameters, name) <= high
+    # a standard deviation from 10 is known to 24 %
+    np.testing.assert_allclose(scatter, stated, rtol=3 * 0.24)
+    inside = [
+        low <= getattr(parameters, name) <= high
+        for result in results
+        for name in PAPER.names()
+        for low, high in [result.interval(name, 0.6827)]
+    ]
     # b and p, gamma, n and T0 nearly share one random number each: three independent ones a seed
-    for coverage, count in inside.items():
-        tolerance = 3.5 * np.sqrt(coverage * (1 - coverage) / (3 * seeds))
-        assert abs(count / (6 * seeds) - coverage) < tolerance
+    if kind == "exact":
+        assert np.mean(inside) == pytest.approx(0.68, abs=3.5 * 0.47 / np.sqrt(30))
 
 
 def test_drag_appears_in_the_result() -> None:

@@ -52,10 +52,10 @@ def test_drag_of_a_fifth_of_the_loss_spoils_b_and_c_but_not_the_relative_errors(
 @pytest.mark.slow
 def test_false_alarms_of_the_verdict_are_as_rare_as_stated() -> None:
     parameters, pendulum = paper_pair("silicon")
-    decays = [decay(parameters, pendulum, noise_arcsec=0.005, seed=70 + k, last_arcsec=5) for k in range(12)]
+    decays = [decay(parameters, pendulum, noise_arcsec=0.005, seed=70 + k, last_arcsec=5) for k in range(5)]
     chances = [drag_verdict(points, pendulum, fit_exact(points, pendulum)).p_value for points in decays]
-    # uniform chances: their mean over 12 is 0.5 +- 0.083
-    assert np.mean(chances) == pytest.approx(0.5, abs=3.5 * 0.083)
+    # uniform chances: their mean over 5 is 0.5 +- 0.129
+    assert np.mean(chances) == pytest.approx(0.5, abs=3.5 * 0.129)
     assert np.min(chances) > 0.0005
 
 
@@ -260,14 +260,10 @@ def test_a_bound_lies_where_the_parameter_can_be() -> None:
     """Where the best fit has a negative c, the profile used to end below zero: "c below -5.5e-09"."""
     parameters, pendulum = paper_pair("glass_k8")
     none = replace(parameters, c=1e-12)
-    for seed in range(40):
-        points = decay(none, pendulum, noise_arcsec=0.3, seed=seed, last_arcsec=8)
-        result = fit_exact(points, pendulum)
-        value, u = result.estimate("c")
-        if value < -1.5 * u:
-            break
-    else:
-        pytest.fail("no seed has a c this far below zero")
+    points = decay(none, pendulum, noise_arcsec=0.3, seed=33, last_arcsec=8)
+    result = fit_exact(points, pendulum)
+    value, u = result.estimate("c")
+    assert value < -1.5 * u
     profile = profile_likelihood(points, pendulum, result, "c")
     assert np.isnan(profile.lower)
     assert profile.upper > 0

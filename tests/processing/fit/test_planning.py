@@ -25,13 +25,13 @@ def test_a_step_and_its_density_are_inverse() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("q", [0.0, 3e-8])
 def test_a_plan_says_what_runs_scatter(q: float) -> None:
-    """Twelve runs of an equation of motion of the tests' own; their scatter is known to 20 %."""
+    """Eight runs of an equation of motion of the tests' own; their scatter is known to 27 %."""
     parameters, pendulum = paper_pair("glass_k8")
     names = LAWS["paper"].names()
     values = dict(zip(names, truth(parameters, names), strict=True))
     planned = planned_run(values, pendulum, conditions(q), 124 * ARCSEC, 30 * ARCSEC)
     found = []
-    for seed in range(12):
+    for seed in range(8):
         if q:
             points = driven_decay(parameters, pendulum, q=q, noise_arcsec=NOISE_ARCSEC, seed=700 + seed)
             points = points.first(planned.half_cycles)
@@ -41,7 +41,7 @@ def test_a_plan_says_what_runs_scatter(q: float) -> None:
         assert points.time_s[-1] - points.time_s[0] == pytest.approx(planned.duration_s, rel=0.02)
         found.append(fit_exact(points, pendulum, averaged=bool(not q)).values[: len(names)])
     for name, scatter in zip(names, np.std(found, axis=0, ddof=1), strict=True):
-        assert 0.5 < scatter / planned.u[name] < 1.7, name
+        assert 0.35 < scatter / planned.u[name] < 1.9, name
 
 
 def test_a_higher_start_and_a_lower_end_tell_more() -> None:

@@ -1,8 +1,6 @@
 """Kinds of pendulum: table, values against known truths, coverage, bad input."""
 
 import math
-from collections.abc import Mapping
-from functools import cache
 
 import numpy as np
 import pytest
@@ -25,7 +23,6 @@ from rig.settings import load_configuration
 from tests.processing.instruments.simulated_instruments import (
     CONFIGS,
     MEASUREMENTS,
-    Recovered,
     points_of,
     simulation,
     truth_points,
@@ -298,30 +295,13 @@ def test_swings_without_samples_about_them_are_flagged() -> None:
         refined(times_ns, deflection, u, swings[:1])
 
 
-@cache
-def measured(kind: str, seed: int) -> Mapping[str, Recovered]:
-    return MEASUREMENTS[kind](seed)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", sorted(INSTRUMENTS))
 def test_truth_is_recovered(kind: str) -> None:
-    """Mean pull of each quantity over four runs within four of its standard uncertainties."""
-    rows = [measured(kind, seed) for seed in range(4)]
+    """Mean pull of each quantity over two runs within four of its standard uncertainties.
+
+    What their intervals hold is a row of docs/validation.md: fifty runs of each kind.
+    """
+    rows = [MEASUREMENTS[kind](seed) for seed in range(2)]
     for name in rows[0]:
         assert abs(np.mean([row[name].pull for row in rows])) < 4 / math.sqrt(len(rows)), name
-
-
-@pytest.mark.slow
-def test_coverage() -> None:
-    """Within one standard uncertainty lie 68 % of the results, within two 95 %, over all kinds.
-
-    Eight runs of each of the ten kinds, whose first quantities are independent of each other: 80 pulls, whose
-    fractions have standard deviations of 5 and 2.4 %, of which 3.5 are allowed. The benchmark has 50 runs,
-    and shows each kind by itself.
-    """
-    pulls = np.array(
-        [next(iter(measured(kind, seed).values())).pull for kind in INSTRUMENTS for seed in range(8)]
-    )
-    assert abs(np.mean(np.abs(pulls) < 1) - 0.683) < 3.5 * 0.052
-    assert abs(np.mean(np.abs(pulls) < 2) - 0.954) < 3.5 * 0.023

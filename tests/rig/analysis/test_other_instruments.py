@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +19,17 @@ from rig.commands.fitting import fit_records
 from rig.measure.session import measure_session, simulate_record
 from rig.presentation import with_uncertainty
 from rig.settings import load_configuration
+from tests.rig.command_line import figures_are_not_drawn
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 FAST_DECAY = ["simulation.contact.b=0.04", "view.mode=none", "view.file=false"]
 """A soft coating: 17 half-cycles from 6 to 3 degrees."""
 
 
-def measure(name: str, folder: Path, *overrides: str) -> tuple[int, dict[str, Any]]:
+def measure(name: str, folder: Path, *overrides: str, figures: bool = False) -> tuple[int, dict[str, Any]]:
     source = CONFIGS / "instruments" / f"{name}.toml"
-    status = measure_session(load_configuration(source, overrides), source, folder)
+    with nullcontext() if figures else figures_are_not_drawn():
+        status = measure_session(load_configuration(source, overrides), source, folder)
     return status, json.loads((folder / "results.json").read_text())
 
 
@@ -47,7 +50,7 @@ def test_every_kind_is_listed_with_a_sentence() -> None:
 @pytest.mark.slow
 def test_koenig_from_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Damping of |phi| friction b: a half-swing takes about b off ln A, ln 2/b in all."""
-    status, results = measure("koenig", tmp_path / "koenig", *FAST_DECAY)
+    status, results = measure("koenig", tmp_path / "koenig", *FAST_DECAY, figures=True)
     assert status == 0
     found = results["runs"][0]["instrument"]
     swings = found["damping"]["swings"]
@@ -148,7 +151,9 @@ def test_amplitudes_that_are_not_reached(tmp_path: Path, overrides: list[str], w
 def test_report_of_a_turning_plane(tmp_path: Path) -> None:
     """The truth's 2 mrad/s within four uncertainties, and the figures that go with it."""
     folder = tmp_path / "one"
-    status, results = measure("kuznetsov_one", folder, "simulation.contact.b=0.03", "view.file=false")
+    status, results = measure(
+        "kuznetsov_one", folder, "simulation.contact.b=0.03", "view.file=false", figures=True
+    )
     assert status == 0
     rate = results["runs"][0]["instrument"]["swing_plane"]["rate_deg_per_min"]
     expected = math.degrees(2e-3) * 60

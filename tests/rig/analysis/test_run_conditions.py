@@ -10,7 +10,7 @@ from processing.fit import Ground
 from rig.analysis.beam import Beam
 from rig.analysis.run_conditions import run_conditions
 from rig.settings import PreflightSettings
-from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 
 
 @pytest.mark.parametrize(
@@ -43,10 +43,10 @@ def test_spots_at_full_scale_are_warned_of(measured_series: Path) -> None:
 @pytest.mark.slow
 def test_a_run_that_loses_spots_says_so_and_fails(tmp_path: Path) -> None:
     fading = {
-        **SMALL,
-        "session.max_duration_s": "100",
-        "faults.laser_fades_at_s": "30",
-        "faults.laser_fade_duration_s": "10",
+        **QUICK,
+        "session.max_duration_s": "30",
+        "faults.laser_fades_at_s": "10",
+        "faults.laser_fade_duration_s": "5",
     }
     done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *set_words(fading))
     assert done.returncode == 1

@@ -1,17 +1,17 @@
 """`rig archive refit`: sessions fitted again, each with a new results file, whatever a record does."""
 
 import json
-import os
 import shutil
-import signal
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from rig.archive import add_folders, refit_runs, selected
 from rig.archive.refitting import Task, Work, _in_processes
 from rig.replay import analyse_replayed
+from tests.rig.archive.deadly import Deadly, outcome_of
 from tests.rig.command_line import rig
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
@@ -82,22 +82,12 @@ def test_what_cannot_be_done_is_said_and_not_written(archive: Path, monkeypatch:
     assert not list(record.parent.glob("results-*.json"))
 
 
-def deadly(task: Task) -> str:
-    """Ends its process as a fault in a library does, once or each time, or raises."""
-    kind, marker = task.folder.name, task.folder.parent / "once"
-    if kind == "poison" or (kind == "once" and not marker.exists()):
-        marker.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    if kind == "fault":
-        raise ValueError("of this one alone")
-    return ""
-
-
 @pytest.mark.slow
 def test_a_session_that_ends_its_process_costs_no_other(tmp_path: Path) -> None:
     names = ("a", "poison", "b", "once", "fault", "c")
-    tasks = [Task(tmp_path / name, (), "swings", (), ()) for name in names]
-    said = {task.folder.name: outcome for task, outcome in _in_processes(deadly, tasks, 2)}
+    tasks: Any = [Deadly(tmp_path / name) for name in names]
+    work: Any = outcome_of
+    said = {task.folder.name: outcome for task, outcome in _in_processes(work, tasks, 2)}
     assert said == {
         **dict.fromkeys(("a", "b", "c", "once"), ""),
         "poison": "its process was ended, also when it ran alone",

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from rig.presentation import Table, Verdict, print_line, print_tables, print_verdicts
 from tests.rig.command_line import CONFIGS, SMALL, set_words
-from tests.rig.pseudo_terminal import Terminal
+from tests.rig.pseudo_terminal import Terminal, rig_at_terminal
 
 WIDTH = 80
 DEMO = CONFIGS / "demo.toml"
@@ -103,6 +103,10 @@ def test_no_line_ends_within_a_number(
 
 def shown(words: list[str], folder: Path) -> str:
     """What a command writes on a terminal of 80 columns."""
+    if words[0] != "run":
+        done = rig_at_terminal(*words, cwd=folder, columns=WIDTH)
+        assert done.returncode in (0, 1), done.stdout
+        return done.stdout
     terminal = Terminal(*words, cwd=folder, on_screen=True, columns=WIDTH)
     try:
         terminal.wait_for_end()

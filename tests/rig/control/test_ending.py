@@ -49,6 +49,7 @@ def command(folder: Path, board: FirmwareBoard, **changes: str) -> list[str]:
         "camera.frame_rate_hz": "50",
         "preflight.when": '"never"',
         "view.file": "false",
+        "instrument.kind": '"tomlinson"',
         **{key.replace("__", "."): value for key, value in changes.items()},
     }
     words = [word for key, value in values.items() for word in ("--set", f"{key}={value}")]

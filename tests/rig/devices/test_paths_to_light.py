@@ -28,7 +28,7 @@ from rig.measure import measure_session, preflight_rig, record_plainly, resume_s
 from rig.measure.notes import Notes
 from rig.measure.session_orders import orders
 from rig.settings import Configuration, load_configuration
-from tests.rig.command_line import CONFIGS, SMALL
+from tests.rig.command_line import CONFIGS, QUICK, figures_are_not_drawn
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.devices.test_laser import configuration
 
@@ -97,7 +97,7 @@ def test_the_command_that_lights_is_in_one_place() -> None:
 @pytest.fixture
 def config(tmp_path: Path) -> Configuration:
     quiet = {
-        **SMALL,
+        **QUICK,
         "start.way": '"at once"',
         "preflight.when": '"never"',
         "simulation.release.way": '"let go"',
@@ -143,7 +143,8 @@ def tripped(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def run(config: Configuration, folder: Path) -> None:
-    measure_session(config, LIVE, folder / "session")
+    with figures_are_not_drawn():
+        measure_session(config, LIVE, folder / "session")
 
 
 def resume(config: Configuration, folder: Path) -> None:

@@ -14,7 +14,7 @@ from rig.measure import measure_session
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.session import simulate_record
 from rig.settings import load_configuration
-from tests.rig.command_line import CONFIGS, SMALL
+from tests.rig.command_line import CONFIGS, QUICK
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 DAY_NS = 86_400_000_000_000
@@ -22,12 +22,12 @@ DAY_NS = 86_400_000_000_000
 
 def test_wrong_times_steps_and_a_short_counter_cost_one_frame(tmp_path: Path) -> None:
     words = {
-        **SMALL,
+        **QUICK,
         "simulation.real_time": "true",
-        "session.max_duration_s": "18",
+        "session.max_duration_s": "12",
         "preflight.when": '"never"',
-        "faults.clock_zero_at_s": "6",
-        "faults.clock_steps_at_s": "11",
+        "faults.clock_zero_at_s": "5",
+        "faults.clock_steps_at_s": "8",
         "faults.clock_bits": "32",
     }
     config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in words.items()])
@@ -68,7 +68,7 @@ def test_a_record_has_the_time_of_day_at_which_it_begins(
         check(phases, resting)
 
     monkeypatch.setattr(PhasesBeforeRecord, "_check", set_back)
-    words = {**SMALL, "simulation.real_time": "true", "session.max_duration_s": "1"}
+    words = {**QUICK, "simulation.real_time": "true", "session.max_duration_s": "1"}
     config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in words.items()])
     # fits and report are of no interest here
     record = tmp_path / "run-1.mcap"

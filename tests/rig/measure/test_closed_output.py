@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.rig.command_line import CONFIGS, SMALL, set_words
+from tests.rig.command_line import CONFIGS, QUICK, set_words
 
 NOHUP = (
     "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); "
@@ -19,7 +19,7 @@ NOHUP = (
 @pytest.mark.slow
 def test_a_session_without_anybody_to_read_its_output_is_complete(tmp_path: Path) -> None:
     out, into = os.pipe()
-    words = set_words({**SMALL, "session.max_duration_s": "12"})
+    words = set_words(QUICK)
     process = subprocess.Popen(
         [
             sys.executable,

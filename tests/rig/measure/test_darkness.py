@@ -18,34 +18,36 @@ from acquisition.record.writer import RecordWriter
 from acquisition.simulation.inputs import RigInputs
 from processing.errors import RigError
 from rig.channel import Line, NoSession
-from rig.control import SafetyState, Stage
-from rig.control.light_permit import LONGEST_PAUSE_S
+from rig.control import SafetyState, Stage, light_permit
 from rig.control.simulated import SimulatedBoard
+from rig.devices import lit_devices
 from rig.devices.audit import check_log
-from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(120)]
 
 LIVE = {
-    **SMALL,
+    **QUICK,
     "start.way": '"at once"',
     "preflight.when": '"never"',
     "simulation.release.way": '"let go"',
-    "session.max_duration_s": "10",
+    "session.max_duration_s": "5",
+    "controller.watchdog_s": "5",
 }
 
 
 class Apparatus:
     """The simulated laser as the tests see it, and the moment at which the record has begun.
 
-    `lit` and `dark` are set when the laser's light has come and gone during the run. `write` is called
-    before each block of spots that the record's thread writes.
+    `dark` is set when the laser's light has gone during the run, `recording` `begun_after` so many blocks of
+    spots; `write` is called before each block that the record's thread writes.
     """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.recording = threading.Event()
         self.dark = threading.Event()
         self.power_w = 0.0
+        self.begun_after = 5
         self.write: Callable[[], None] = lambda: None
         blocks = 0
         usual_write, usual_laser = RecordWriter.write_spots, RigInputs.laser
@@ -53,7 +55,7 @@ class Apparatus:
         def write_spots(writer: RecordWriter, *values: Any) -> None:
             nonlocal blocks
             blocks += 1
-            if blocks == 20:
+            if blocks == self.begun_after:
                 self.recording.set()
             self.write()
             usual_write(writer, *values)
@@ -64,6 +66,11 @@ class Apparatus:
                 self.dark.set()
             usual_laser(inputs, power_w)
 
+        # what is tested here are states: on a busy machine frames and answers may come seconds late
+        monkeypatch.setattr(lit_devices, "_BOARD_CONFIRMS_WITHIN_S", 30.0)
+        monkeypatch.setattr(light_permit, "_UNHEARD_S", 30.0)
+        for stage in Stage:
+            monkeypatch.setitem(light_permit.LONGEST_PAUSE_S, stage, 30.0)
         monkeypatch.setattr(RecordWriter, "write_spots", write_spots)
         monkeypatch.setattr(RigInputs, "laser", laser)
 
@@ -89,6 +96,7 @@ def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
     tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SimulatedBoard, "unplugged", lambda _: apparatus.recording.is_set())
+    monkeypatch.setattr(lit_devices, "_BOARD_CONFIRMS_WITHIN_S", 0.5)
     tell = f"import sys; open({str(tmp_path / 'told')!r}, 'a').write(sys.argv[1] + ' ')"
     told = {"session.notify_command": json.dumps([sys.executable, "-c", tell])}
     done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words({**LIVE, **told}))
@@ -120,7 +128,7 @@ def test_a_run_that_waits_in_the_dark_is_lit_by_who_asks_and_by_nothing_else(
         return apparatus.recording.is_set() and not apparatus.dark.is_set()
 
     monkeypatch.setattr(SimulatedBoard, "unplugged", unplugged)
-    waiting = {**LIVE, "laser.when_dark": '"wait"', "session.max_duration_s": "12"}
+    waiting = {**LIVE, "laser.when_dark": '"wait"', "session.max_duration_s": "8"}
     out = tmp_path / "out"
     with acting(lambda: watch_in_the_dark(out, asked)):
         done = rig("run", CONFIGS / "live.toml", "-o", out, *set_words(waiting))
@@ -202,6 +210,7 @@ def test_a_laser_that_stays_lit_is_seen_and_latched(
             usual(inputs, power_w)
 
     monkeypatch.setattr(RigInputs, "laser", stuck)
+    monkeypatch.setattr(lit_devices, "_LOOKS_FOR_S", 30.0)
     done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(LIVE))
     assert "confirmed" not in done.stderr
     assert "THE LASER MAY BE LIT: trip 1 (OUTPUT): the laser was commanded off, but the camera" in done.stderr
@@ -210,7 +219,10 @@ def test_a_laser_that_stays_lit_is_seen_and_latched(
 
 
 @pytest.mark.slow
-def test_a_laser_that_is_off_is_seen_to_be(tmp_path: Path, apparatus: Apparatus) -> None:
+def test_a_laser_that_is_off_is_seen_to_be(
+    tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lit_devices, "_LOOKS_FOR_S", 30.0)
     done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(LIVE))
     assert "laser off, confirmed by the controller and the camera\n" in done.stderr
 
@@ -225,9 +237,8 @@ def test_a_disk_that_hangs_darkens_the_laser_and_two_interrupts_end_the_program(
     def hang() -> None:
         if apparatus.recording.is_set():
             lit_when_it_hung.append(apparatus.power_w > 0)
-            # only now: before, a busy machine may pause for a second
             for stage in Stage:
-                monkeypatch.setitem(LONGEST_PAUSE_S, stage, 1.0)
+                monkeypatch.setitem(light_permit.LONGEST_PAUSE_S, stage, 1.0)
             released.wait()
 
     def operator() -> None:
@@ -235,7 +246,7 @@ def test_a_disk_that_hangs_darkens_the_laser_and_two_interrupts_end_the_program(
         while not released.wait(0.5):
             _thread.interrupt_main()
 
-    apparatus.write = hang
+    apparatus.write, apparatus.begun_after = hang, 20
     acting = threading.Thread(target=operator)
     acting.start()
     # of a slow machine's large blocks the twentieth may come only after ten seconds

@@ -10,12 +10,12 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.swing import SwingFlag
-from tests.rig.command_line import CONFIGS, SMALL, Done, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, Done, rig, set_words
 
 
 def run_with(folder: Path, **faults: str) -> Done:
     values = {key.replace("__", "."): value for key, value in faults.items()}
-    words = set_words({**SMALL, "session.max_duration_s": "60", **values})
+    words = set_words({**QUICK, "session.max_duration_s": "60", **values})
     return rig("run", CONFIGS / "demo.toml", "-o", folder, *words)
 
 
@@ -93,7 +93,7 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
     # a limit on the size of files stands for the disk's end
     script = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (4_500_000, 4_500_000)); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000)); "
         "from rig.cli import main; main()"
     )
     folder = tmp_path / "out"
@@ -107,7 +107,7 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
             "-o",
             str(folder),
             "--json",
-            *set_words(SMALL),
+            *set_words({**QUICK, "session.max_duration_s": "1e5", "session.final_amplitude_arcsec": "0.01"}),
         ],
         capture_output=True,
         text=True,

@@ -1,23 +1,17 @@
-"""Live runs in real time from their start to their end, with the display on a terminal, and with faults.
+"""A live run in real time from its start to its end, with the display on a terminal.
 
 What runs on demand is processed as fast as it goes; only here do watchers, forecasts and late frames meet a
-clock. Processor time is what counts on a busy machine: the sensors are small, and the runs, which wait for
-frames, are made at once.
+clock. That with faults is in `test_in_real_time.py`.
 """
 
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import pytest
 
-from acquisition.record.events import EventKind, end_of
-from acquisition.record.reader import RecordReader
 from tests.rig.command_line import CONFIGS, rig, set_words
 from tests.rig.pseudo_terminal import Terminal
 
@@ -31,46 +25,22 @@ pytestmark = [
 LIVE = {
     "simulation.real_time": "true",
     "simulation.sensor.width_px": "96",
-    "simulation.sensor.height_px": "160",
+    "simulation.sensor.height_px": "320",
     "simulation.optics.arm_m": "0.5",
     "camera.frame_rate_hz": "25",
     "start.way": '"at once"',
     "preflight.when": '"never"',
     "view.file": "false",
-}
-FROM_7_ARCSEC = {
-    "session.initial_amplitude_arcsec": "7",
-    "simulation.release.amplitude_arcsec": "7",
-    # friction and air of a pendulum that is done in a minute
-    "simulation.contact.b": "0.05",
+    # of a pendulum that loses half its swing in half a minute, as the twin does
+    "simulation.contact.b": "0.02",
+    "session.final_amplitude_arcsec": "52",
     "session.max_duration_s": "100",
-}
-LASTING_20_S = {"session.max_duration_s": "20"}
-FAULTS = {
-    "faults.camera_unplugged_at_s": "4",
-    "faults.camera_replugged_at_s": "7",
-    "faults.laser_fades_at_s": "10",
-    "faults.laser_fade_duration_s": "1",
-    "faults.draught_at_s": "14",
-}
-DRIFT_PPM = 80.0
-"""Of a camera's clock that nobody has calibrated."""
-FAST_CLOCK = {
-    "session.max_duration_s": "40",
-    "simulation.sensor.height_px": "320",
     "simulation.ground.model": '"none"',
     "simulation.disturbances.air_arcsec": "0",
     "simulation.disturbances.pointing_walk_px_per_sqrt_s": "0",
 }
-RUNS: Mapping[str, dict[str, str]] = {
-    "from 7 arcsec": LIVE | FROM_7_ARCSEC,
-    "10/s": LIVE | LASTING_20_S | {"camera.frame_rate_hz": "10"},
-    "200/s": LIVE | LASTING_20_S | {"camera.frame_rate_hz": "200"},
-    "faults": LIVE | LASTING_20_S | FAULTS,
-    "clock": LIVE | LASTING_20_S | {"faults.clock_zero_at_s": "5", "faults.clock_steps_at_s": "10"},
-    "fast clock": LIVE | FAST_CLOCK | {"simulation.clock.drift_ppm": f"{DRIFT_PPM:g}"},
-    "32 bits": LIVE | LASTING_20_S | {"faults.clock_bits": "32"},
-}
+DRIFT_PPM = 80.0
+"""Of a camera's clock that nobody has calibrated."""
 
 
 class Live(NamedTuple):
@@ -102,81 +72,14 @@ def at_a_terminal(folder: Path, values: dict[str, str]) -> Live:
         terminal.close()
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Future[Live]]]:
-    """All runs, which are being made."""
-    folder = tmp_path_factory.mktemp("live")
-    with ThreadPoolExecutor(len(RUNS)) as together:
-        yield {
-            name: together.submit(at_a_terminal, folder / str(number), values)
-            for number, (name, values) in enumerate(RUNS.items())
-        }
-
-
-Made = dict[str, Future[Live]]
-
-
-def test_a_run_in_the_basement_from_7_arcsec_comes_to_its_end_on_a_terminal(made: Made) -> None:
-    run = made["from 7 arcsec"].result()
+def test_a_run_comes_to_its_end_on_a_terminal_and_says_what_an_uncalibrated_clock_does(
+    tmp_path: Path,
+) -> None:
+    """The same swing by a true clock, made on demand, says what the period is."""
+    run = at_a_terminal(tmp_path / "live", LIVE | {"simulation.clock.drift_ppm": f"{DRIFT_PPM:g}"})
     assert "Traceback" not in run.screen
     assert run.state == ("complete", "final amplitude reached")
-    (results,) = json.loads((run.folder / "results.json").read_text())["runs"]
-    assert results["fits"], results["problem"]
-
-
-@pytest.mark.parametrize("rate_hz", [10, 200])
-def test_runs_of_other_rates_end_and_count_every_frame(rate_hz: int, made: Made) -> None:
-    run = made[f"{rate_hz}/s"].result()
-    assert "Traceback" not in run.screen
-    assert run.state == ("complete", "time limit of 20 s reached")
-    with RecordReader(run.record) as reader:
-        sequences, losses = reader.spots()["sequence"], reader.losses()
-    # the run ends with a block of frames, which are many where they had to wait
-    assert 20 * rate_hz - 2 <= sequences[-1] < 20 * rate_hz + 64
-    # a busy machine may lose some, after the last one too; none is missing without being counted
-    lost = 0 if losses is None else losses.total
-    assert 0 <= sequences[-1] + 1 - len(sequences) <= lost
-    assert len(sequences) > rate_hz
-
-
-def test_faults_are_survived_or_named(made: Made) -> None:
-    run = made["faults"].result()
-    assert "Traceback" not in run.screen
-    assert run.state == ("complete", "time limit of 20 s reached")
-    with RecordReader(run.record) as reader:
-        events = reader.events()
-        losses = reader.losses()
-    kinds = [event.kind for event in events]
-    found = {EventKind.CAMERA_LOST, EventKind.CAMERA_BACK, EventKind.SPOT_LOST, EventKind.SPOT_FOUND}
-    assert found <= {*kinds}
-    assert losses is not None
-    assert losses.while_unplugged > 50
-    end = end_of(events)
-    assert end is not None
-    assert end.kind == EventKind.STOP
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [("clock", ["time 0 ns", "stepped by +0.1"]), ("32 bits", ["begins again every 4.295 s"])],
-)
-def test_a_faulty_clock_is_named_and_its_times_go_on(name: str, said: list[str], made: Made) -> None:
-    run = made[name].result()
-    assert "Traceback" not in run.screen
-    assert run.state == ("complete", "time limit of 20 s reached")
-    with RecordReader(run.record) as reader:
-        spots, events = reader.spots(), reader.events()
-    told = " ".join(event.text for event in events if event.kind == EventKind.CAMERA_CLOCK)
-    assert all(words in told for words in said), told
-    # no step is left in the times: between frames lie 40 ms each
-    frame_times_s = np.diff(spots["time_ns"]) / np.diff(spots["sequence"]) * 1e-9
-    assert np.all(np.abs(frame_times_s - 0.04) < 0.02)
-
-
-def test_what_an_uncalibrated_clock_does_is_said_and_in_the_budget(made: Made, tmp_path: Path) -> None:
-    """The same swing by a true clock, made on demand, says what the period is."""
-    run = made["fast clock"].result()
-    twin = LIVE | FAST_CLOCK | {"simulation.real_time": "false"}
+    twin = LIVE | {"simulation.real_time": "false"}
     done = rig("run", CONFIGS / "basement.toml", "-o", tmp_path / "twin", *set_words(twin))
     assert "Traceback" not in done.stderr
     (found,), (true,) = (

@@ -26,7 +26,7 @@ from rig.measure.run_parts import RunOutcome
 from rig.measure.run_setup import RunPlan
 from rig.settings import load_configuration, load_plan
 from rig.terminal import Terminated
-from tests.rig.command_line import CONFIGS, SMALL, figures_are_not_drawn, rig
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, figures_are_not_drawn, rig
 from tests.rig.measure.test_preparation import BY_HAND
 
 ROOT = CONFIGS.parent
@@ -94,7 +94,7 @@ def test_the_plan_that_is_shown_waits_repeats_and_leaves_out(
 ) -> None:
     (tmp_path / "night.toml").write_text(shown_plan().replace("runs = 5", "runs = 1"))
     sensor = {"environment_sensor.kind": '"serial"', "environment_sensor.port": f'"{night.port}"'}
-    steel = {**SMALL, **sensor, "session.max_duration_s": "8", "faults.laser_fades_at_s": "4"}
+    steel = {**QUICK, **sensor, "session.max_duration_s": "8", "faults.laser_fades_at_s": "4"}
     written(tmp_path / "steel.toml", steel)
     # a pendulum that always trembles by more than the plan allows
     trembling = "[{ frequency_hz = 11.0, amplitude_px = 0.5 }]"
@@ -136,7 +136,7 @@ def test_a_failure_ends_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[s
 @pytest.mark.slow
 def test_a_night_that_goes_on_judges_what_was_made_before(tmp_path: Path) -> None:
     """One that was ended before it repeated a bad run repeats it, once; then it is still not as planned."""
-    written(tmp_path / "a.toml", SMALL | {"session.max_duration_s": "8", "faults.laser_fades_at_s": "4"})
+    written(tmp_path / "a.toml", QUICK | {"session.max_duration_s": "8", "faults.laser_fades_at_s": "4"})
     series = '[[series]]\nname = "{}"\nconfig = "a.toml"\npause_s = 60\n'
     plan, out, paused = tmp_path / "plan.toml", tmp_path / "out", list[float]()
     plan.write_text(series.format("one"))
@@ -158,7 +158,7 @@ def test_a_run_that_was_made_after_the_last_results_is_fitted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The program was killed while it fitted; results of other runs were there from before."""
-    written(tmp_path / "a.toml", SMALL | {"session.max_duration_s": "8", "session.runs": "2"})
+    written(tmp_path / "a.toml", QUICK | {"session.max_duration_s": "8", "session.runs": "2"})
     out = tmp_path / "out"
     with figures_are_not_drawn():
         measure_session(load_configuration(tmp_path / "a.toml"), tmp_path / "a.toml", out)
@@ -174,7 +174,7 @@ def test_a_run_that_was_made_after_the_last_results_is_fitted(
 
 
 def test_series_of_the_simulated_rig_are_different_runs(tmp_path: Path) -> None:
-    written(tmp_path / "a.toml", SMALL | {"session.max_duration_s": "3"})
+    written(tmp_path / "a.toml", QUICK | {"session.max_duration_s": "3"})
     series = '[[series]]\nname = "{}"\nconfig = "a.toml"\n'
     (tmp_path / "plan.toml").write_text(series.format("one") + series.format("two"))
     with figures_are_not_drawn():
@@ -227,7 +227,7 @@ def test_a_plan_that_is_resumed_tells_no_end_twice(tmp_path: Path) -> None:
     tell, told, out = tmp_path / "tell.py", tmp_path / "told", tmp_path / "out"
     tell.write_text(f"import sys\nopen({str(told)!r}, 'a').write(sys.argv[1] + ' ')\n")
     command = json.dumps([sys.executable, str(tell)])
-    written(tmp_path / "a.toml", SMALL | {"session.max_duration_s": "36", "session.notify_command": command})
+    written(tmp_path / "a.toml", QUICK | {"session.notify_command": command})
     plan = tmp_path / "plan.toml"
     plan.write_text('[[series]]\nname = "one"\nconfig = "a.toml"\n')
     with figures_are_not_drawn():
@@ -247,7 +247,7 @@ def test_a_plan_that_is_ended_before_a_run_has_begun_says_so_of_that_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The terminal is closed between two runs: nothing was killed, and the night goes on from there."""
-    written(tmp_path / "a.toml", SMALL | {"session.max_duration_s": "4"})
+    written(tmp_path / "a.toml", QUICK | {"session.max_duration_s": "4"})
     plan, out = tmp_path / "plan.toml", tmp_path / "out"
     plan.write_text('[[series]]\nname = "one"\nconfig = "a.toml"\nruns = 2\n')
     measure_run = session_module.measure_run

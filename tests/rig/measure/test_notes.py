@@ -14,21 +14,21 @@ from rig.channel import Line, NoSession
 from rig.measure.notes import NOTES_NAME, Notes
 from rig.report.source import read_source
 from rig.view.recorded import write_rrd
-from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 from tests.rig.view.rrd_contents import column
 
 LIVE = {
-    **SMALL,
+    **QUICK,
     "start.way": '"at once"',
     "preflight.when": '"never"',
     "simulation.release.way": '"let go"',
-    "session.max_duration_s": "14",
+    "session.max_duration_s": "600",
     "session.operator": '"Ada"',
 }
 
 
 def note_when_measuring(folder: Path, said: list[str]) -> None:
-    """As a desk: note two lines once the record has begun."""
+    """As a desk: note two lines once the record has begun, and end the run."""
     deadline_s = time.monotonic() + 55.0
     while not said and time.monotonic() < deadline_s:
         with suppress(NoSession), Line(folder) as line:
@@ -39,6 +39,7 @@ def note_when_measuring(folder: Path, said: list[str]) -> None:
                     said.append(line.order("note and off"))
                     with pytest.raises(RigError, match="an empty note"):
                         line.order("note  ")
+                    line.order("stop")
                 time.sleep(0.05)
         time.sleep(0.05)
 

@@ -9,7 +9,7 @@ import pytest
 from rig.measure import notices
 from rig.measure.notices import Notices
 from rig.settings import SessionSettings
-from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
 
 WAIT_S = 60.0
 KEEP = "json.dumps(sys.argv[1:]) + '\\n'"
@@ -74,7 +74,7 @@ def test_an_end_that_reached_nobody_is_told_again(tmp_path: Path) -> None:
     failing = program(tmp_path, KEEP, "sys.exit(1)")
     told = {"session.notify_command": json.dumps(failing)}
     out = tmp_path / "out"
-    rig("run", CONFIGS / "demo.toml", "-o", out, *set_words({**SMALL, **told, "session.max_duration_s": "8"}))
+    rig("run", CONFIGS / "demo.toml", "-o", out, *set_words({**QUICK, **told, "session.max_duration_s": "8"}))
     program(tmp_path, KEEP)
     for _ in range(2):
         rig("run", "--resume", out)

@@ -13,7 +13,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
-from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
 
 BY_HAND = {
     **SMALL,
@@ -138,7 +138,7 @@ def test_a_series_that_was_killed_goes_on(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     command = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(folder)]
     process = subprocess.Popen(
-        [*command, "--runs", "3", *set_words({**SMALL, "session.max_duration_s": "90"})],
+        [*command, "--runs", "3", *set_words({**QUICK, "session.max_duration_s": "40"})],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -28,8 +28,10 @@ from rig.instrument import (
 )
 from rig.measure import measure_session
 from rig.measure.recent_frames import RecentFrames
+from rig.measure.session import simulate_record
 from rig.replay import analyse_replayed
 from rig.settings import Configuration, ReferenceSettings, load_configuration
+from tests.rig.command_line import figures_are_not_drawn
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
 
 ROW = 646
@@ -58,7 +60,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, source = tmp_path_factory.mktemp("reference") / "run", CONFIGS / "demo.toml"
     small = SMALL | {"simulation.sensor.height_px": "720"}
     wanted = (*(f"{key}={value}" for key, value in small.items()), *APPARATUS, *AIRY)
-    assert measure_session(load_configuration(source, wanted), source, folder) == 0
+    with figures_are_not_drawn():
+        assert measure_session(load_configuration(source, wanted), source, folder) == 0
     return folder / "run-1.mcap"
 
 
@@ -261,7 +264,7 @@ def test_it_takes_off_the_creep_of_the_camera_which_an_analysis_without_it_shows
     )
     source, folder = CONFIGS / "demo.toml", tmp_path / "run"
     config = load_configuration(source, wanted)
-    measure_session(config, source, folder)
+    simulate_record(config, source, folder / "run-1.mcap")
     truth = true_path(config.simulation, 25.0)
     with RecordReader(folder / "run-1.mcap") as reader:
         less = less_beam_motion(reader, recorded_configuration(reader))

@@ -19,7 +19,7 @@ from acquisition.simulation.true_path import true_turning_points
 from rig.instrument.provenance import frame_shape, recorded_configuration
 from rig.replay.replay import Replay
 from rig.settings import load_configuration
-from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
 from tests.rig.view.rrd_contents import column
 
 TRUTH = {
@@ -270,3 +270,17 @@ def test_a_slow_camera_ends_at_the_time_limit(tmp_path: Path, real_time: bool) -
     with RecordReader(record) as reader:
         assert reader.events()[-1].text == f"time limit of {limit_s} s reached"
         assert sum(map(len, reader.spot_blocks())) == rate_hz * limit_s + 1
+
+
+@pytest.mark.parametrize("rate_hz", [10, 200])
+def test_runs_of_other_rates_end_and_count_every_frame(rate_hz: int, tmp_path: Path) -> None:
+    words = set_words({**QUICK, "camera.frame_rate_hz": str(rate_hz)})
+    done = rig("run", CONFIGS / "basement.toml", "-o", tmp_path / "out", *words)
+    assert done.returncode == 0, done.stderr
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        assert reader.events()[-1].text == "time limit of 24 s reached"
+        sequences, losses = reader.spots()["sequence"].tolist(), reader.losses()
+    # the run ends with a block of frames
+    assert 24 * rate_hz <= len(sequences) <= 24 * rate_hz + 64
+    assert losses is None or losses.total == 0
+    assert sequences == list(range(len(sequences)))

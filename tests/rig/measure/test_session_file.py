@@ -16,7 +16,7 @@ from rig.measure.run_parts import RunOutcome
 from rig.measure.run_setup import RunPlan
 from rig.measure.session_file import RunState, SessionFile, read_session
 from tests.disk_without_locks import NO_LOCKS, without_locks
-from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
 
 
 def test_no_file_elsewhere_is_reached_through_a_symbolic_link(tmp_path: Path) -> None:
@@ -46,7 +46,7 @@ def test_a_session_that_is_there_is_not_written_over(tmp_path: Path) -> None:
 def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session whose program ended after the record was closed and before anything else was noted."""
     folder = tmp_path_factory.mktemp("ended") / "out"
-    short = set_words({**SMALL, "session.max_duration_s": "90"})
+    short = set_words(QUICK)
     assert rig("run", CONFIGS / "demo.toml", "-o", folder, *short).returncode == 0
     state = json.loads((folder / "session.json").read_text())
     state["entries"][-1]["state"] = "recording"
@@ -125,10 +125,10 @@ def test_ctrl_c_between_the_end_of_a_run_and_its_note_leaves_no_run_that_records
         raise KeyboardInterrupt
 
     monkeypatch.setattr(session, "measure_run", interrupted)
-    short = set_words({**SMALL, "session.max_duration_s": "90"})
+    short = set_words(QUICK)
     assert rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *short).returncode != 0
     (entry,) = read_session(tmp_path / "out").entries
-    assert (entry.state, entry.reason) == (RunState.COMPLETE, "time limit of 90 s reached")
+    assert (entry.state, entry.reason) == (RunState.COMPLETE, "time limit of 24 s reached")
     done = rig("run", "--resume", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     assert "no run is missing" in done.stderr

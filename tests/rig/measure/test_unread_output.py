@@ -19,7 +19,7 @@ from acquisition.record.reader import RecordReader
 from rig.devices import FrameStream
 from rig.measure import preflight_alone
 from rig.terminal.interruption import _may_block
-from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="pipes and signals of POSIX")]
 WITHIN_S = 120.0
@@ -37,7 +37,7 @@ def waiting(out: int) -> int:
 
 def test_a_second_signal_ends_a_session_whose_output_nobody_reads(tmp_path: Path) -> None:
     out, into = unread_pipe()
-    words = set_words({**SMALL, "session.max_duration_s": "1e6", "session.final_amplitude_arcsec": "0.001"})
+    words = set_words({**QUICK, "session.max_duration_s": "1e6", "session.final_amplitude_arcsec": "0.001"})
     command = [sys.executable, "-m", "rig", "run", CONFIGS / "demo.toml", "-o", tmp_path / "out", "--json"]
     process = subprocess.Popen([*command, *words], stdout=into, stdin=subprocess.DEVNULL)
     record = tmp_path / "out" / "run-1.mcap"

@@ -266,10 +266,10 @@ def test_changes_of_parameters_are_counted_in_recorded_uncertainties() -> None:
 
 
 def test_a_cut_record_is_replayed_and_the_remedy_named(
-    record: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut = tmp_path / "cut.mcap"
-    data = record.read_bytes()
+    data = make_record(tmp_path / "run-1.mcap", 30.0).read_bytes()
     cut.write_bytes(data[: len(data) // 2])
     assert replay_record(cut, None, retrack=False, overrides=[]) in (0, 1)
     said = capsys.readouterr()

@@ -1,8 +1,6 @@
 """`rig replay` controlled by keys on a pseudo-terminal, and without a terminal."""
 
 import os
-import subprocess
-import sys
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.acquisition.cameras.usb3vision.backend import wait_until
+from tests.rig.command_line import rig
 from tests.rig.replay.replay_record import make_record
 from tests.rig.view.rrd_contents import measured, scalars
 
@@ -84,14 +83,7 @@ def test_ctrl_c_leaves_the_terminal_as_it_was(terminal: Terminal) -> None:
 @pytest.mark.slow
 def test_without_a_terminal_there_are_no_keys(record: Path, tmp_path: Path) -> None:
     rrd = tmp_path / "replay.rrd"
-    done = subprocess.run(
-        [sys.executable, "-m", "rig", "replay", str(record), "--rrd", str(rrd)],
-        input="q g 5 \n",
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
+    done = rig("replay", record, "--rrd", rrd, typed="q g 5 \n")
     assert done.returncode == 0, done.stderr
     assert "equal bit for bit" in done.stdout
     assert "keys:" not in done.stderr

@@ -8,16 +8,17 @@ import pytest
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import REFERENCE
 from rig.view import show_records
-from tests.rig.command_line import rig
+from tests.rig.command_line import rig, set_words
 from tests.rig.view.rrd_contents import entities, scalars
 
+SHORT = {"session.max_duration_s": "12", "instrument.kind": '"tomlinson"'}
 VAULT = Path(__file__).parents[3] / "configs" / "vault.toml"
 
 
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("vault")
-    done = rig("run", VAULT, "-o", "out", "--set", "session.max_duration_s=25", cwd=folder)
+    done = rig("run", VAULT, "-o", "out", *set_words(SHORT), cwd=folder)
     assert (folder / "out" / "run-1.rrd").exists(), done.stderr
     return folder / "out"
 
@@ -39,5 +40,5 @@ def test_live_and_recorded_curves_are_the_positions_of_the_record(measured: Path
 
 def test_a_rig_without_one_has_no_such_curve(tmp_path: Path) -> None:
     demo = VAULT.with_name("demo.toml")
-    rig("run", demo, "-o", "out", "--set", "session.max_duration_s=5", cwd=tmp_path)
+    rig("run", demo, "-o", "out", *set_words(SHORT), cwd=tmp_path)
     assert not [path for path in entities(tmp_path / "out" / "run-1.rrd") if "reference" in path]

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 import urllib.parse
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from rig.presentation import palette
 from rig.rerun.ports import LOOPBACK, free_port
 from rig.view.viewer import Viewer
 from tests.rig.view import scene as view_scene
-from tests.rig.view.headless_browser import headless_browser, wait_for_picture
+from tests.rig.view.headless_browser import HeadlessBrowser, headless_browser, wait_for_picture
 from tests.rig.view.headless_viewer import pixels_of
 
 pytestmark = pytest.mark.slow
@@ -23,11 +24,14 @@ pytestmark = pytest.mark.slow
 WANTED = (palette.TRAJECTORY_COLOUR, palette.X_COLOUR, palette.Y_COLOUR, palette.PERIOD_COLOUR)
 
 
-def test_the_page_draws_the_run(tmp_path: Path) -> None:
-    with (
-        headless_browser(webgl=True) as browser,
-        Viewer(None, "web", port=free_port(0), web_port=free_port(0)) as viewer,
-    ):
+@pytest.fixture(scope="module")
+def browser() -> Iterator[HeadlessBrowser]:
+    with headless_browser(webgl=True) as started:
+        yield started
+
+
+def test_the_page_draws_the_run(browser: HeadlessBrowser, tmp_path: Path) -> None:
+    with Viewer(None, "web", port=free_port(0), web_port=free_port(0)) as viewer:
         view_scene.play(viewer)
         deadline = time.monotonic() + 30.0
         while not viewer.counts.notes:
@@ -44,21 +48,18 @@ def test_the_page_draws_the_run(tmp_path: Path) -> None:
         assert hosts - {None} == {LOOPBACK}
 
 
-def test_a_rerun_file_is_shown_as_a_page(tmp_path: Path) -> None:
+def test_a_rerun_file_is_shown_as_a_page(browser: HeadlessBrowser, tmp_path: Path) -> None:
     rrd = tmp_path / "scene.rrd"
     with Viewer(rrd) as viewer:
         view_scene.play(viewer)
     command = "import sys; from pathlib import Path; from rig.view.viewer_program import show_rrd; "
     command += "show_rrd([Path(sys.argv[1])], 'web')"
-    with (
-        headless_browser(webgl=True) as browser,
-        subprocess.Popen(
-            [sys.executable, "-c", command, str(rrd)],
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        ) as shown,
-    ):
+    with subprocess.Popen(
+        [sys.executable, "-c", command, str(rrd)],
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as shown:
         try:
             assert shown.stdout is not None
             browser.open(shown.stdout.readline().split()[4])

@@ -269,7 +269,7 @@ def test_from_images_to_a_configuration_with_which_all_that_is_named_runs(tmp_pa
     commands = commands_of(done.stderr)
     assert [words[0] for words in commands] == ["video", "video", "run"]
     for words in commands:
-        ran = rig(*words, cwd=tmp_path, figures=True)
+        ran = rig(*words, cwd=tmp_path)
         assert ran.returncode == 0, ran.stderr
         (run,) = read_results(tmp_path / words[words.index("-o") + 1]).runs
         assert abs(run.period_s.value - PERIOD_S) < 4 * run.period_s.standard_uncertainty < 0.01
@@ -293,7 +293,7 @@ def test_a_table_needs_the_pendulum_alone(tmp_path: Path) -> None:
     done = rig("init", "mine.toml", cwd=tmp_path, typed="table\ndecay.csv\n406 g\n6.05 mm\n\n\n")
     assert done.returncode == 0, done.stderr
     (words,) = commands_of(done.stderr)
-    ran = rig(*words, cwd=tmp_path, figures=True)
+    ran = rig(*words, cwd=tmp_path)
     assert ran.returncode == 0, ran.stderr
     assert "exact" in read_results(tmp_path / "runs" / "mine").runs[0].fits
 
