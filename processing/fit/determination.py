@@ -114,6 +114,8 @@ class _Held:
         """Estimate of the free columns at another value of the held parameter (one Gauss-Newton step)."""
         here, jacobian = self.at(before)(free)
         step = 1e-3 * (after - before)
+        if before + step == before:
+            return free
         change = (self.at(before + step)(free)[0] - here) * ((after - before) / step)
         if not np.all(np.isfinite(change)):
             return free
