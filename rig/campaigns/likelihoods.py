@@ -20,7 +20,11 @@ from processing.fit import Determination, FitMethod
 from rig.analysis import Fit, RunResults
 from rig.campaigns.stated import SURROUNDING_COVARIATES
 
-_AIR, _MISFIT, _AGEING, _PERIOD_DRIFT = "air", "misfit", "ageing", "period_drift"
+_AIR, _MISFIT = "air", "misfit"
+_GROWN = ("ageing", "adhesion_ageing")
+"""Of the contact as a whole, which an effect on b and c alike describes."""
+_OF_TEMPERATURE = ("period_drift", "drag_drift")
+"""Drifts that are each run's own."""
 _MOST_SHARED = 0.9999
 """Of a variance: what is left is the run's own."""
 _WELL = 0.5
@@ -75,8 +79,8 @@ def compressed(
         share = float(part @ np.linalg.solve(own, part))
         part = part * min(1.0, (_MOST_SHARED / share) ** 0.5) if share > 0 else part
         shared[_AIR], own = part, own - np.outer(part, part)
-    drift = _relative_sources(run, names, at.by_parameters).get(_PERIOD_DRIFT)
-    if drift is not None:
+    moved = _relative_sources(run, names, at.by_parameters)
+    for drift in (moved[name] for name in _OF_TEMPERATURE if name in moved):
         own = own + np.outer(drift, drift)
     return (
         CompressedRun(
@@ -162,12 +166,12 @@ def _shared(run: RunResults, names: Sequence[str], to: Floats) -> tuple[dict[str
     """
     moved = _relative_sources(run, names, to)
     shared = {
-        source: -by for source, by in moved.items() if source not in (_AGEING, _PERIOD_DRIFT) and np.any(by)
+        source: -by for source, by in moved.items() if source not in _GROWN + _OF_TEMPERATURE and np.any(by)
     }
-    u_ageing = next((u for name in names for key, u in _sources(run, name).u.items() if key == _AGEING), 0.0)
-    by_growth = moved[_AGEING] / u_ageing if u_ageing > 0 else None
-    if by_growth is not None:
-        shared[_AGEING] = moved[_AGEING]
+    u = {key: u for name in names for key, u in _sources(run, name).u.items()}
+    grown = [key for key in _GROWN if u.get(key, 0.0) > 0]
+    by_growth = sum((moved[key] / u[key] for key in grown), np.zeros(len(names))) if grown else None
+    shared |= {key: moved[key] for key in grown}
     fit, budget = run.fits[FitMethod.EXACT], run.budget.get(DRAG.key)
     of_air = 0.0
     if budget is not None:

@@ -139,7 +139,7 @@ def test_no_drift_moves_nothing_where_points_scatter_more_than_stated(
     louder = replace(points, u_amplitude=points.u_amplitude / 8, u_time_s=points.u_time_s / 8)
     known = Estimate(DRAG_S + 8e-5, 2e-5)
     fit = fit_exact(louder, PENDULUM, drag=True, evidence=Evidence(waveform(harmonics), known))
-    still = with_drifts(louder, PENDULUM, fit, 0.0, 0.0)
+    still = with_drifts(louder, PENDULUM, fit, {})
     assert np.all(np.abs(still.values - fit.values) < 0.03 * fit.standard_uncertainty)
 
 
