@@ -7,7 +7,7 @@ from processing.contact import DRAG
 from processing.estimate import Determinacy, Estimate
 from processing.fit import WAVEFORM, BaseMotion, Determination, Drag, DragFinding, FitMethod, Ground
 from rig.analysis.determined import bound_text
-from rig.analysis.headline import drag_headline, headline, shifts_by_drag
+from rig.analysis.headline import drag_headline, headline, is_withheld, shifts_by_drag
 from rig.analysis.limits import whole_result
 from rig.analysis.results import RunResults
 from rig.analysis.witnessed_fits import witness_sentences
@@ -33,9 +33,9 @@ def remarks(run: RunResults) -> list[str]:
     lines += [] if run.clock is None else [f"Camera's clock: {run.clock.text}."]
     lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
     lines += [] if run.witness is None else witness_sentences(run.witness)
-    lines += (
-        [_drag_sentence(run.drag, shifts_by_drag(run.drag, run.verdicts()))] if run.drag is not None else []
-    )
+    verdicts = run.verdicts()
+    if run.drag is not None and not (run.drag.significant and is_withheld(DRAG.key, verdicts)):
+        lines.append(_drag_sentence(run.drag, shifts_by_drag(run.drag, verdicts)))
     lines += [] if exact is None else list(filter(None, [_worth_sentence(exact.worth)]))
     if run.strong_correlations:
         pairs = run.strong_correlations

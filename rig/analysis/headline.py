@@ -39,9 +39,16 @@ def drag_headline(drag: Drag | None, verdicts: Mapping[str, Determination], *, f
         return f"{text}."
     if drag is None or not drag.significant:
         return ""
-    seen = f"The drag of the air is seen, {shown.text(*drag.drag_s)} s"
+    seen = "The drag of the air is seen"
+    if not is_withheld("drag_s", verdicts):
+        seen += f", {shown.text(*drag.drag_s)} s"
     shifts = shifts_by_drag(drag, verdicts)
     return f"{seen}; without it b would differ by {shifts['b']}." if "b" in shifts else f"{seen}."
+
+
+def is_withheld(name: str, verdicts: Mapping[str, Determination]) -> bool:
+    """Whether nothing is stated of a parameter."""
+    return name in verdicts and verdicts[name].verdict is Determinacy.UNDETERMINED
 
 
 def shifts_by_drag(drag: Drag, verdicts: Mapping[str, Determination]) -> dict[str, str]:
