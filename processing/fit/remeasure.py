@@ -161,11 +161,12 @@ def describes_as_well(second: FitResult, first: FitResult) -> bool:
 
     A waveform that is not the motion's shifts turning points by what the law does not follow. Errors that the
     first measurement shares among half-cycles make its likelihood look better by chance; four deviations of
-    chi2 are allowed for it.
+    chi2 are allowed for it, and what its chi2 is smaller by than the uncertainties say: points that follow
+    one another too closely are none that are known better.
     """
     assert first.ground is not None
     assert second.ground is not None
-    allowed = 4.0 * math.sqrt(2.0 * first.dof)
+    allowed = 4.0 * math.sqrt(2.0 * first.dof) + first.dof * max(0.0, 1.0 - first.chi2_per_dof)
     return second.ground.deviance <= first.ground.deviance + allowed
 
 
