@@ -26,7 +26,11 @@ _MOST = 0.95
 
 
 def known_motion(
-    parameters: ContactParameters, pendulum: PendulumOnBall, reference_rad: float, clock: float = 1.0
+    parameters: ContactParameters,
+    pendulum: PendulumOnBall,
+    reference_rad: float,
+    clock: float = 1.0,
+    drive_rad: float = 0.0,
 ) -> KnownMotion:
     """Frequency and waveform of the half-swing for contact parameters and deflections in rad.
 
@@ -36,6 +40,8 @@ def known_motion(
         Reference amplitude of the waveform; any within the decay.
     clock
         True seconds (the unit of the parameters) per second of the samples' clock.
+    drive_rad
+        Step of the ground's drive, see `KnownMotion`.
 
     Raises
     ------
@@ -66,6 +72,7 @@ def known_motion(
         stiff=of_n + of_next,
         n=contact.n,
         bend=of_next + (of_n + of_next) * contact.n,
+        drive=drive_rad,
     )
 
 
@@ -161,12 +168,11 @@ def describes_as_well(second: FitResult, first: FitResult) -> bool:
 
     A waveform that is not the motion's shifts turning points by what the law does not follow. Errors that the
     first measurement shares among half-cycles make its likelihood look better by chance; four deviations of
-    chi2 are allowed for it, and what its chi2 is smaller by than the uncertainties say: points that follow
-    one another too closely are none that are known better.
+    chi2 are allowed for it.
     """
     assert first.ground is not None
     assert second.ground is not None
-    allowed = 4.0 * math.sqrt(2.0 * first.dof) + first.dof * max(0.0, 1.0 - first.chi2_per_dof)
+    allowed = 4.0 * math.sqrt(2.0 * first.dof)
     return second.ground.deviance <= first.ground.deviance + allowed
 
 

@@ -175,7 +175,8 @@ def estimate_noise(times_ns: ArrayLike, deflection: ArrayLike) -> float:
         )
     rounding = float(steps[steps > 0].min()) / np.sqrt(12.0)
     noise = robust_scatter(_differences(times, values)[0], middle=0.0)
-    return max(noise, float(rounding))
+    # the smallest step of values that are not rounded is that of a turning point
+    return max(noise, float(rounding)) if np.any(steps == 0) else noise
 
 
 def _usable(times_ns: ArrayLike, deflection: ArrayLike) -> tuple[Ints, Floats, Ints]:
