@@ -9,7 +9,7 @@ time constant at an amplitude. A = x/y solves it with x' = -g x/2 - c y, y' = q 
 squared is (g^2/4 - q c) times the unit matrix.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import exp, inf, log, nan, sqrt
@@ -47,8 +47,8 @@ class Damping:
     Uncertainties and `covariance` (of the three in order) are grown where `chi2_per_dof` is above 1. `floor`
     is the noise floor of the amplitude, added in power, where the end shows one, else NaN; `first` and `last`
     are the fitted amplitudes at both ends, without the floor. `exponential` is the time constant of the
-    linear part alone, s. The probability of a part weighs all combinations of parts by their likelihood
-    (Schwarz).
+    linear part alone, s; its uncertainty holds by how much the time constant may differ over the fall. The
+    probability of a part weighs all combinations of parts by their likelihood (Schwarz).
     """
 
     samples: int
@@ -132,12 +132,22 @@ def fit_damping(
     Raises
     ------
     DataError
-        Fewer than 12 values, or values that do not fall.
+        Fewer than 12 values, uncertainties or amplitudes that are not positive, or values that do not fall.
     """
     good = np.isfinite(values) & np.isfinite(u_values)
     t, y, u = times_s[good] - times_s[good][:1], values[good], u_values[good]
     if len(y) < _FEWEST:
         raise DataError(f"the decay has {len(y)} amplitudes; at least {_FEWEST} are needed")
+    if not np.min(u) > 0:
+        raise DataError(
+            f"the standard uncertainty of an amplitude is {np.min(u):g}: it must be positive; state the noise"
+        )
+    lowest = float(np.min(y[: len(y) // 2]))  # noise may take the end of a decay below zero
+    if not decibel and not lowest > 0:
+        raise DataError(
+            f"amplitudes are positive, but one is {lowest:g}: are they the deflection itself "
+            "(fit it without --envelope), or a power in dB (--envelope power)?"
+        )
     scale = 1.0 if decibel else float(np.max(np.abs(y)))
     span_s = float(t[-1])
     level_db = float(np.max(y)) if decibel else 0.0
@@ -181,6 +191,7 @@ def fit_damping(
     if not rate > 3.0 * u_rate:
         raise DataError("the amplitude does not fall: this is not a ring-down, or too short a part of one")
     tau_s = span_s / rate
+    u_tau_s = sqrt((tau_s * u_rate / rate) ** 2 + _spread2(alone, chances, ends, rate) * span_s**2)
     return Damping(
         samples=len(y),
         constant=parts[0],
@@ -191,9 +202,29 @@ def fit_damping(
         last=float(ends[1] * unit),
         floor=level * unit,
         chi2_per_dof=chi2_per_dof,
-        exponential=Estimate(tau_s, tau_s * u_rate / rate),
+        exponential=Estimate(tau_s, u_tau_s),
         exponential_chi2_per_dof=single_chi2,
     )
+
+
+def _spread2(
+    alone: Mapping[tuple[str, ...], _Found],
+    chances: Mapping[tuple[str, ...], float],
+    ends: Floats,
+    rate: float,
+) -> float:
+    """Variance of the time constant over the fall, the mean over all combinations of parts.
+
+    From a quarter to three quarters of the fall, in its logarithm, is half of it. `rate` is that of the
+    linear part alone: an eighth of it is as slow as a combination may say that the fall becomes.
+    """
+    quarters = np.geomspace(ends[0], max(ends[1], 0.02 * ends[0]), 5)[[1, 3]]
+    powers = np.stack([1.0 / quarters, np.ones(2), quarters])
+    weighted = [
+        chances[kept] * np.ptp(1.0 / np.maximum(found.values[1:] @ powers, rate / 8)) ** 2
+        for kept, found in alone.items()
+    ]
+    return float(sum(weighted)) / sum(chances.values()) / 3.0
 
 
 class _Fit:

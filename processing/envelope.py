@@ -4,19 +4,16 @@ power(t) = A(t)^2 + floor^2, where A falls by `processing.damping`
 """
 
 from dataclasses import dataclass
-from math import log10, nan, pi, sqrt
+from math import log10, nan, pi
 
 import numpy as np
 
 from processing.arrays import Floats
 from processing.damping import Damping, fit_damping
-from processing.errors import DataError
 from processing.swing import estimate_noise
 from processing.ticks import nanoseconds
 
-_FEWEST = 12
-"""Eight degrees of freedom beside four parameters."""
-_NO_FALL = "the envelope does not fall: this is not a ring-down, or too short a part of one"
+_ROUNDING = 1e-9
 _NOT_DESCRIBED = 2.0
 """Chi-square per degree of freedom at which the model is wrong by as much as the noise. In noise alone it is
 above this once in 30 envelopes of twelve values and once in 90,000 of sixty."""
@@ -29,8 +26,8 @@ class EnvelopeDecay:
     `initial` and `floor` are the amplitude at the first sample and of the noise floor (NaN where the end
     shows none), in the samples' unit, `noise` is their own scatter. `tau_s` is the time constant of one
     exponential. `first_s` and `last_s` are those at the amplitudes a quarter and three quarters down the fall
-    (in its logarithm); where the time constant `changes`, `u_tau_s` holds the spread over the fall. `damping`
-    says how it depends on the amplitude.
+    (in its logarithm); `u_tau_s` holds what it may spread over the fall. `damping` says how it depends on the
+    amplitude.
     """
 
     samples: int
@@ -74,24 +71,11 @@ def fit_envelope(times_s: Floats, values: Floats, *, decibel: bool) -> EnvelopeD
     """
     good = np.isfinite(values)
     t, y = times_s[good] - times_s[0], values[good]
-    if len(y) < _FEWEST:
-        raise DataError(f"the envelope has {len(y)} values; at least {_FEWEST} are needed")
-    if not decibel and not y[: len(y) // 2].min() > 0:
-        raise DataError(
-            f"an envelope's amplitudes are positive, this one holds {y.min():g}: is it the deflection itself "
-            "(fit it without --envelope), or a power in dB (--envelope power)?"
-        )
-    noise = estimate_noise(nanoseconds(t), y)
-    try:
-        damping = fit_damping(t, y, np.full(len(y), noise), decibel=decibel, floor=True)
-    except DataError:
-        raise DataError(_NO_FALL) from None
-    tau_s, u_tau_s = damping.exponential
+    # computed values have none: their scatter about the fit then takes its place
+    noise = max(estimate_noise(nanoseconds(t), y), _ROUNDING * float(np.max(np.abs(y), initial=0.0)))
+    damping = fit_damping(t, y, np.full(len(y), noise), decibel=decibel, floor=True)
     quarters = damping.amplitudes(5)
     ends_s = damping.time_constant_s(quarters[[1, 3]])[0]
-    if not damping.is_exponential:
-        # from a quarter to three quarters is half of the fall
-        u_tau_s = float(np.hypot(u_tau_s, 2.0 * abs(ends_s[1] - ends_s[0]) / sqrt(12.0)))
 
     def shown(amplitude: float) -> float:
         if not amplitude > 0:
@@ -103,8 +87,8 @@ def fit_envelope(times_s: Floats, values: Floats, *, decibel: bool) -> EnvelopeD
         noise=noise,
         initial=shown(damping.first),
         floor=shown(damping.floor),
-        tau_s=tau_s,
-        u_tau_s=u_tau_s,
+        tau_s=damping.exponential.value,
+        u_tau_s=damping.exponential.standard_uncertainty,
         chi2_per_dof=damping.exponential_chi2_per_dof,
         first_s=float(ends_s[0]),
         last_s=float(ends_s[1]),

@@ -17,7 +17,7 @@ _VAGUE = 100.0
 """A level of which nothing is known lies within so many usual sizes of the data's middle."""
 _WIDENED = 30.0
 """A prior is none where it is this much wider than stated."""
-GROWTH = "ageing"
+GROWTH = ("ageing", "adhesion_ageing")
 """The shared input that a friction growing within every run is, where no effect describes it."""
 _FAR = 0.2
 """Share of the sub-likelihood on the long side of an uneven one."""
@@ -180,7 +180,7 @@ def design_of(runs: Sequence[CompressedRun], model: CampaignModel) -> Design:
         add(Level("effect", effect.label), column, 0.0, model.size(effect.parameter) / span)
     grows = any(effect.bends_decays for effect in model.effects)
     for source in dict.fromkeys(source for run in runs for source in run.shared):
-        if grows and source == GROWTH:
+        if grows and source in GROWTH:
             continue  # what an effect describes is no input of which little is known
         column = np.zeros((count, len(names)))
         for row, run in enumerate(runs):

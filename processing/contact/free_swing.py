@@ -110,7 +110,7 @@ def law_harmonics(
     Raises
     ------
     DataError
-        The pendulum does not swing for so long.
+        The pendulum does not swing for so long, or large swings fall below small ones.
     """
     # here, because it would slow down every command
     from scipy.interpolate import CubicSpline
@@ -120,6 +120,8 @@ def law_harmonics(
     swing, projection = free_swing(law, values, pendulum, first, HALVES), _projection()
     at = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     middle, harmonics = SwingTerms.harmonics(_path(swing, swing.end[:, None] * at) @ projection)
+    if not (middle[0] > 0 and np.all(np.diff(middle) > 0)):
+        raise DataError("larger swings would end below smaller ones: this is no free decay")
     relative = CubicSpline(np.log(middle), harmonics / middle[:, None])(np.log(amplitudes_rad))
     return np.asarray(relative * amplitudes_rad[:, None], dtype=np.complex128)
 

@@ -5,7 +5,7 @@ from processing.fit.ageing_plan import PlannedSeries, planned_series
 from processing.fit.apparatus import InputQuantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.boundary_layer import steeper_drag, with_steeper_drag
-from processing.fit.changes import Drifts, changes_of, drifts_of, warnings_of, with_drifts
+from processing.fit.changes import DRIFTS, changes_of, drifts_of, with_changes, with_drifts
 from processing.fit.determination import Determination, identifiability, strong_correlations
 from processing.fit.domain import domain_warnings
 from processing.fit.drag import Drag, DragFinding, drag_verdict

@@ -108,7 +108,9 @@ def by_shared_and_ageing(prepared: Sequence[PreparedRun], waiting_s: float) -> F
         # the age of the run's middle makes all of its friction larger, a drift within it comes in addition
         later_s = end_s - 0.5 * run.duration_s - 0.5 * float(ends_s[-1])
         friction = [names.index(name) for name in ("b", "c")]
-        row[:, ageing] = run.duration_s * drifts[:, 0] + later_s * by_value[:, friction].sum(axis=1)
+        row[:, ageing] = run.duration_s * drifts[:, :2].sum(axis=1) + later_s * by_value[:, friction].sum(
+            axis=1
+        )
         own_columns = slice(ageing + 1 + width * place, ageing + 1 + width * (place + 1))
         row[:, own_columns] = by_value[:, [k for k in range(len(names)) if k not in shared]]
         rows.append(row)

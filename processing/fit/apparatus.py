@@ -40,12 +40,12 @@ class RigQuantities:
     mode contributes to the slow deflection. `skew` is that of the lever: a wrong one changes the scale where
     the pendulum rests, at the tilt `rest_rad` from the lever's reference. `balls` is the number of balls that
     carry the weight, 1 or 2. `row_time_s` is that of a rolling shutter, 0 if it is not one.
-    `ageing` is the relative growth of the contact's friction over a run, `period_drift` that of the period,
-    both nought as the fit has it. `common_amplitude_rad` is what all amplitudes are too small by, nought as
-    well: the compression of a film takes as much from each. `plane_of_swing_rad` is the error of the angle by
-    which a decay was turned back whose plane of swing turned, nought as well.
-    `contact_radius_m` is a stated radius of the contact in the place of Hertz's:
-    the materials are then not used, and the load does not change it.
+    `ageing`, `adhesion_ageing`, `drag_drift` and `period_drift` are the relative growth over a run of the
+    friction b, of c, of the drag and of the period, all nought as the fit has it. `common_amplitude_rad` is
+    what all amplitudes are too small by, nought as well: the compression of a film takes as much from each.
+    `plane_of_swing_rad` is the error of the angle by which a decay was turned back whose plane of swing
+    turned, nought as well. `contact_radius_m` is a stated radius of the contact in the place of Hertz's: the
+    materials are then not used, and the load does not change it.
     """
 
     mass_kg: InputQuantity
@@ -65,6 +65,8 @@ class RigQuantities:
     balls: int = 1
     row_time_s: InputQuantity = InputQuantity(0.0)
     ageing: InputQuantity = InputQuantity(0.0)
+    adhesion_ageing: InputQuantity = InputQuantity(0.0)
+    drag_drift: InputQuantity = InputQuantity(0.0)
     period_drift: InputQuantity = InputQuantity(0.0)
     common_amplitude_rad: InputQuantity = InputQuantity(0.0)
     plane_of_swing_rad: InputQuantity = InputQuantity(0.0)
@@ -101,6 +103,8 @@ class RigQuantities:
         found["period_drift"] = self.period_drift
         found["common_amplitude_rad"] = self.common_amplitude_rad
         found["plane_of_swing_rad"] = self.plane_of_swing_rad
+        found["adhesion_ageing"] = self.adhesion_ageing
+        found["drag_drift"] = self.drag_drift
         return found
 
     def skewed_scale(self, skew: Floats) -> Floats:

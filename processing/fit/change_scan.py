@@ -17,25 +17,33 @@ _CHUNK = 64
 EDGE = 5
 """Half-cycles at both ends at which no change is looked for."""
 _RELATIVE = 1e-9
+_STEP = 0.2
+"""Chance of a step of the friction in a run, before its data are seen."""
 
 
-class _Share:
-    """The contact's part of the loss of a half-swing, by the amplitude in units of the reference."""
+class Share:
+    """A part of the loss of a half-swing, by the amplitude in units of the reference."""
 
-    def __init__(self, of_air: float, amplitude: Floats, loss: Floats) -> None:
-        share = np.clip(1.0 - of_air * amplitude / loss, 0.0, 1.0)
-        self._log_amplitude, self._share = np.log(amplitude[::-1]), share[::-1]
+    def __init__(self, amplitude: Floats, share: Floats) -> None:
+        self._log_amplitude, self._share = np.log(amplitude[::-1]), np.clip(share, 0.0, 1.0)[::-1]
 
     def __call__(self, amplitude: Floats) -> Floats:
         return np.interp(np.log(amplitude), self._log_amplitude, self._share)
 
 
-def contact_share(model: ExactModel, columns: Floats) -> _Share:
+def contact_share(model: ExactModel, columns: Floats) -> Share:
     """What remains of the loss without the drag, which takes ``A w0 drag pi / 2`` in a half-swing."""
     values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
     of_air = pi**2 * values.get(DRAG.key, 0.0) / values["period0_s"]
     amplitude, loss = model.losses(columns)
-    return _Share(of_air, amplitude, loss)
+    return Share(amplitude, 1.0 - of_air * amplitude / loss)
+
+
+def adhesion_share(model: ExactModel, columns: Floats) -> Share:
+    """What the friction takes that does not depend on the amplitude, ``2 c`` in a half-swing."""
+    values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
+    amplitude, loss = model.losses(columns)
+    return Share(amplitude, 2.0 * values.get("c", 0.0) / model.reference / loss)
 
 
 class Best(NamedTuple):
@@ -72,11 +80,12 @@ class Scan:
         residuals = np.concatenate([found.residuals / self._scale, beside])
         norm = np.linalg.norm(jacobian, axis=0)
         norm[norm == 0] = 1.0
-        directions, spread, _ = np.linalg.svd(jacobian / norm, full_matrices=False)
+        directions, spread, turned = np.linalg.svd(jacobian / norm, full_matrices=False)
         kept = spread > _RELATIVE * spread[0]
         self._constant = found.log_det + 2 * len(found.residuals) * log(self._scale)
         self._constant += 2 * float(np.sum(np.log(spread[kept]))) + 2 * float(np.sum(np.log(norm)))
         self._directions = directions[:, kept]
+        self._to_columns = (turned[kept].T / spread[kept]) / norm[:, None]
         self._left = residuals - self._directions @ (self._directions.T @ residuals)
 
     @classmethod
@@ -86,8 +95,33 @@ class Scan:
             return None
         return cls(model, columns, noise)
 
-    def _changes(self, first: int, count: int) -> Floats:
-        """What the kinds of change (4) do at some places to the rows that nothing explains yet.
+    def hidden_friction(self, u_size: float, explained: float) -> Floats:
+        """Covariance of the columns by a step of the friction that may be there and that nothing takes off.
+
+        Its size is believed to be nought with the standard uncertainty `u_size`, its time to be any, and
+        there to be one with the chance `_STEP`; the data say how much of it they want, less what is
+        `explained` otherwise.
+        """
+        sizes, chances, moved = [], [], []
+        for first in range(0, len(self._at_s), _CHUNK):
+            raw = self._changes(first, _CHUNK, whole=True)[:, 1]
+            along = self._directions.T @ raw
+            changes = raw - self._directions @ along
+            power = np.einsum("rp,rp->p", changes, changes) + 1e-30
+            told = 1.0 / (1.0 / u_size**2 + power)
+            size = -told * (self._left @ changes)
+            gain = np.maximum(size**2 / told - explained, 0.0)
+            sizes.append(size**2 + told)
+            chances.append(np.exp(np.minimum(0.5 * gain, 300.0)) * np.sqrt(told) / u_size)
+            moved.append(self._to_columns @ along[: self._to_columns.shape[1]])
+        chance = np.concatenate(chances) * _STEP / len(self._at_s)
+        weight = np.concatenate(sizes) * chance / (np.sum(chance) + 1.0 - _STEP)
+        by = np.concatenate(moved, axis=1)
+        return np.asarray((by * weight) @ by.T)
+
+    def _changes(self, first: int, count: int, *, whole: bool = False) -> Floats:
+        """What the kinds of change (4) do at some places to the rows that nothing explains yet; `whole`: to
+        the rows.
 
         Shape (rows, 4, places).
         """
@@ -107,7 +141,8 @@ class Scan:
         by_errors = found.jacobian[:, len(self._columns) :]
         changes = np.zeros((len(self._left), by_errors.shape[1]))
         np.divide(by_errors, self._scale, out=changes[: len(by_errors)])
-        changes -= self._directions @ (self._directions.T @ changes)
+        if not whole:
+            changes -= self._directions @ (self._directions.T @ changes)
         return changes.reshape(len(changes), 4, -1)
 
     def deviance(self) -> float:

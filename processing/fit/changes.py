@@ -8,21 +8,19 @@ A friction that ages evenly is not seen: amplitude and time fall together, and a
 age does. What such drifts do to the parameters follows from the map, for a budget.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import log
-from typing import NamedTuple
 
 import numpy as np
 
 from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
-from processing.fit.change_scan import EDGE, Best, Scan, contact_share
+from processing.fit.change_scan import EDGE, Best, Scan, adhesion_share, contact_share
 from processing.fit.exact_model import Errors, ExactModel
 from processing.fit.ground import Noise
 from processing.fit.law_errors import Change, ChangeKind
-from processing.fit.misfit import by_harmonics
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
 from processing.least_squares import covariance_of, propagate
@@ -33,23 +31,21 @@ _DRIVES = (1.0, 0.3, 0.1, 0.03, 0.0)
 _CERTAIN = 20.0
 """Gain in -2 ln L that a change must have beyond that of choosing among all half-cycles."""
 _MOST = 3
+_GROWN = 1e-3
+"""Relative growth of a friction by which the derivatives of its harmonics are taken."""
 
 
-class Drifts(NamedTuple):
-    """Derivatives (parameters,) of the fitted contact parameters by what drifts evenly over the run.
+DRIFTS = ("ageing", "adhesion_ageing", "drag_drift", "period_drift")
+"""What may drift evenly over a run, by the names of `RigQuantities`: the growth of the friction b, of the
+constant friction c, of the drag and of the period from the first turning point to the last, relative.
 
-    `by_ageing` is by the relative growth of the contact's friction from the first turning point to the last,
-    `by_period` by that of the period; parameters are those of the middle of the run.
-    """
-
-    by_ageing: Floats
-    by_period: Floats
+They have different causes, and one that is alone moves what their sum leaves where it is."""
 
 
-def drifts_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Drifts:
-    """What drifts do to the contact parameters of an exact fit of these points.
+def drifts_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> dict[str, Floats]:
+    """Derivatives (parameters,) of the contact parameters of an exact fit of these points by `DRIFTS`.
 
-    Raises DataError for another method.
+    Parameters are those of the middle of the run. Raises DataError for another method.
     """
     model, columns = _model(points, pendulum, fit)
     jacobian, drifts = _by_drifts(model, columns, fit)
@@ -57,7 +53,7 @@ def drifts_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitRe
     norm[norm == 0] = 1.0
     moved = np.linalg.lstsq(jacobian / norm, drifts, rcond=1e-10)[0] / norm[:, None]
     by = (model.columns.physical(columns)[1] @ moved)[: len(fit.contact_names)]
-    return Drifts(by[:, 0], by[:, 1])
+    return dict(zip(DRIFTS, by.T, strict=True))
 
 
 def _scale(fit: FitResult) -> float:
@@ -65,54 +61,62 @@ def _scale(fit: FitResult) -> float:
 
 
 def _by_drifts(model: ExactModel, columns: Floats, fit: FitResult) -> tuple[Floats, Floats]:
-    """Derivatives of the residuals by the columns, and by both drifts."""
+    """Derivatives of the residuals by the columns, and by `DRIFTS`."""
     return by_drifts(model, columns, model.noise_of(fit), _scale(fit))
 
 
 def by_drifts(model: ExactModel, columns: Floats, noise: Noise, scale: float) -> tuple[Floats, Floats]:
-    """Derivatives of the residuals by the columns, and by both drifts of `Drifts`; `scale` is that of the
-    stated uncertainties."""
-    contact = contact_share(model, columns)
+    """Derivatives of the residuals by the columns, and by `DRIFTS`; `scale` is that of the stated
+    uncertainties."""
+    values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
+    contact, adhesion = contact_share(model, columns), adhesion_share(model, columns)
     lasting_s = float(model.points.time_s[-1] - model.points.time_s[0])
 
-    def ageing(amplitude: Floats, time_s: Floats) -> Floats:
-        return (contact(amplitude) * (time_s / lasting_s - 0.5))[:, None]
+    def of_loss(amplitude: Floats, time_s: Floats) -> Floats:
+        of_contact, of_adhesion = contact(amplitude), adhesion(amplitude)
+        parts = np.column_stack([of_contact - of_adhesion, of_adhesion, 1.0 - of_contact])
+        return np.asarray(parts * _since_middle(time_s, lasting_s)[:, None])
 
     def slower(_: Floats, time_s: Floats) -> Floats:
-        return (time_s / lasting_s - 0.5)[:, None]
+        return _since_middle(time_s, lasting_s)[:, None]
 
-    found = model.filtered(columns, noise, errors=Errors(ageing, slower))
+    found = model.filtered(columns, noise, errors=Errors(of_loss, slower))
     beside = model.beside(columns)[1]
-    waveform, shapes = model.evidence.waveform, None
-    if waveform is not None:
+    of_waveform = np.zeros((len(beside), len(DRIFTS)))
+    waveform = model.evidence.waveform
+    if waveform is not None and model.pendulum is not None:
         amplitude = waveform.amplitude_rad / model.reference
-        passed = np.interp(-amplitude, -model.points.amplitude / model.reference, model.points.time_s)
-        shapes = ageing(amplitude, passed - model.points.time_s[0])
-    of_waveform = np.column_stack([by_harmonics(model, columns, shapes, 1), np.zeros(len(beside))])
+        passed_s = np.interp(-amplitude, -model.points.amplitude / model.reference, model.points.time_s)
+        since = _since_middle(passed_s - model.points.time_s[0], lasting_s)[:, None]
+        here = waveform.predicted_rad(model.law, values, model.pendulum)
+        for column, name in enumerate(("b", "c")):
+            grown = values | {name: (1 + _GROWN) * values.get(name, 0.0)}
+            moved = (waveform.predicted_rad(model.law, grown, model.pendulum) - here) / _GROWN
+            reduced = waveform.reduced(since * moved)
+            of_waveform[: len(reduced), column] = reduced
     law = len(columns)
     jacobian = np.concatenate([found.jacobian[:, :law] / scale, beside])
     return jacobian, np.concatenate([found.jacobian[:, law:] / scale, of_waveform])
 
 
+def _since_middle(time_s: Floats, lasting_s: float) -> Floats:
+    """From -1/2 to 1/2."""
+    return time_s / lasting_s - 0.5
+
+
 def with_drifts(
-    points: TurningPoints,
-    pendulum: PendulumOnBall | None,
-    fit: FitResult,
-    u_ageing: float,
-    u_period: float,
+    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, u_drifts: Mapping[str, float]
 ) -> FitResult:
-    """The fit with both drifts among its parameters, each about nought with its standard uncertainty.
+    """The fit with `DRIFTS` among its parameters, each about nought with its standard uncertainty.
 
     What the data say of them is used: parameters move by it, linearly, and are as uncertain as the drifts
     leave them.
     """
     model, columns = _model(points, pendulum, fit)
     jacobian, drifts = _by_drifts(model, columns, fit)
-    residuals = np.concatenate([model(columns)[0], np.zeros(2)])
-    residuals[: 2 * len(model.points)] /= _scale(fit)
-    kept = np.array([u_ageing, u_period]) > 0
-    size = np.where(kept, [u_ageing, u_period], 1e-12)
-    known = np.column_stack([np.zeros((2, len(columns))), np.diag(1 / size)])
+    size = np.array([u_drifts.get(name, 0.0) or 1e-12 for name in DRIFTS])
+    residuals = np.concatenate([model(columns)[0] / _scale(fit), np.zeros(len(size))])
+    known = np.column_stack([np.zeros((len(size), len(columns))), np.diag(1 / size)])
     both = np.vstack([np.column_stack([jacobian, drifts]), known])
     norm = np.linalg.norm(both, axis=0)
     norm[norm == 0] = 1.0
@@ -127,33 +131,68 @@ def with_drifts(
     return replace(fit, values=values, covariance=fit.covariance + added, widened=before * factor)
 
 
-def changes_of(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, explained: float = 0.0
-) -> tuple[Change, ...]:
-    """Changes during a decay, the clearest first; none where smooth errors of the law explain it better.
+def with_changes(
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    fit: FitResult,
+    u_step: float,
+    explained: float = 0.0,
+) -> FitResult:
+    """The fit with the changes during its decay, and with the uncertainty that a step of the friction leaves.
+
+    A step too small to be found moves the parameters all the same. It is in their uncertainties by as much
+    as the data speak for one, wherever it is: nothing leaps where one is found.
 
     Parameters
     ----------
+    u_step
+        Standard uncertainty of the relative size of a step, if there is one.
     explained
         By how much -2 ln L is smaller with smooth errors of the law (`Misfit.against_law`).
     """
     if fit.loss != "linear":
-        return ()
+        return fit
     model, columns = _model(points, pendulum, fit)
+    scans = _scans(model, columns, fit)
+    if not scans:
+        return fit
+    added = np.zeros_like(fit.covariance)
+    if u_step > 0:
+        to_physical = model.columns.physical(columns)[1]
+        added = propagate(to_physical, scans[0].hidden_friction(u_step, explained))
+    changes = _found(model, scans, explained)
+    known = np.isfinite(np.diag(fit.covariance))
+    before = np.ones(len(known)) if fit.widened is None else fit.widened
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.nan_to_num(np.sqrt(1 + np.diag(added) / fit.standard_uncertainty**2), nan=1.0)
+    return replace(
+        fit,
+        changes=changes,
+        covariance=fit.covariance + np.where(np.outer(known, known), added, 0.0),
+        widened=before * factor,
+        change_covariance=added,
+        warnings=(*fit.warnings, *warnings_of(changes)),
+    )
+
+
+def changes_of(
+    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, explained: float = 0.0
+) -> tuple[Change, ...]:
+    """Changes during a decay, the clearest first; none where smooth errors of the law explain it better."""
+    return with_changes(points, pendulum, fit, 0.0, explained).changes
+
+
+def _scans(model: ExactModel, columns: Floats, fit: FitResult) -> list[Scan]:
     own = model.noise_of(fit)
     step = own.step if own.step > 0 else 1e-3 * float(np.median(model.u_amplitude))
-    scans = []
-    for share in _DRIVES:
-        noise = Noise(step=share * step, averaged=own.averaged, limit=own.limit)
-        scan = Scan.of(model, columns, noise)
-        if scan is not None:
-            scans.append(scan)
-    if not scans:
-        return ()
-    lowest = min(scan.deviance() for scan in scans)
+    noises = [Noise(step=share * step, averaged=own.averaged, limit=own.limit) for share in _DRIVES]
+    return [scan for scan in (Scan.of(model, columns, noise) for noise in noises) if scan is not None]
+
+
+def _found(model: ExactModel, scans: Sequence[Scan], explained: float) -> tuple[Change, ...]:
     chance = 2 * log(3 * len(model.points))
     found: list[Change] = []
-    before = lowest
+    before = min(scan.deviance() for scan in scans)
     for _ in range(_MOST):
         best = min((scan.best() for scan in scans), key=lambda one: one.deviance)
         gain = before - best.deviance

@@ -18,6 +18,7 @@ from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED, Determinacy
+from processing.fit.domain import impossible
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
@@ -114,6 +115,8 @@ class _Held:
         """Estimate of the free columns at another value of the held parameter (one Gauss-Newton step)."""
         here, jacobian = self.at(before)(free)
         step = 1e-3 * (after - before)
+        if before + step == before:
+            return free
         change = (self.at(before + step)(free)[0] - here) * ((after - before) / step)
         if not np.all(np.isfinite(change)):
             return free
@@ -292,8 +295,39 @@ def _refitted(
 def identifiability(
     points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult
 ) -> tuple[Determination, ...]:
-    """Results for every parameter of an exact fit; for poorly determined ones by the profile likelihood."""
-    return tuple(_determination(points, pendulum, result, name) for name in result.contact_names)
+    """Results for every parameter of an exact fit; for poorly determined ones by the profile likelihood.
+
+    A parameter far below a zero that it cannot pass shows that the law is not that of the motion. Others that
+    would move by more than their uncertainty, were it brought back, are not determined.
+    """
+    correlation = np.abs(result.correlation)
+    withheld: dict[str, str] = {}
+    for cause, below in impossible(result).items():
+        moved = below * correlation[result.names.index(cause)]
+        withheld |= {
+            name: cause
+            for name in result.contact_names
+            if name != cause and moved[result.names.index(name)] > 1.0
+        }
+    return tuple(
+        _withheld(result, name, withheld[name])
+        if name in withheld
+        else _determination(points, pendulum, result, name)
+        for name in result.contact_names
+    )
+
+
+def _withheld(result: FitResult, name: str, cause: str) -> Determination:
+    value, u = result.estimate(name)
+    return Determination(
+        name=name,
+        verdict=Determinacy.UNDETERMINED,
+        value=value,
+        standard_uncertainty=u,
+        lower_95=nan,
+        upper_95=nan,
+        text=f"{name} is withheld: {cause}, with which it goes, is negative, which it cannot be",
+    )
 
 
 def _determination(

@@ -36,11 +36,19 @@ def domain_warnings(
             f"the period by {plain(first_rad**2 / 16, 1)} there, which the laws neglect; start below "
             f"{_SMALL_RAD:g} rad"
         )
+    for name, below in impossible(fit).items():
+        found.append(
+            f"{name} = {plain(fit.estimate(name).value, 3)} is negative by {plain(below, 2)} u, which it "
+            "cannot be: the law is not that of this motion"
+        )
+    return tuple(found)
+
+
+def impossible(fit: FitResult) -> dict[str, float]:
+    """By how many standard uncertainties parameters lie below zero that cannot, where it is no chance."""
+    found = {}
     for name in fit.contact_names:
         value, u = fit.estimate(name)
         if fit.law.parameter(name).lower == 0 and value < -_SIGNIFICANT * u:
-            found.append(
-                f"{name} = {plain(value, 3)} is negative by {plain(-value / u, 2)} u, which it cannot be: "
-                "the law is not that of this motion"
-            )
-    return tuple(found)
+            found[name] = -value / u
+    return found

@@ -31,6 +31,8 @@ _STATED = 10.0
 """How many pieces the stated uncertainties of the samples count for in the covariance of the harmonics."""
 _KEPT = 32
 """Predictions that a waveform keeps: a fit, and whoever judges it, ask for those at the same values again."""
+_SINGULAR = 1e-9
+"""Part of the largest singular value below which a direction of the harmonics is rounding."""
 _GATE = 5.0
 """Standard deviations beyond which a harmonic is one of a disturbed piece."""
 
@@ -68,15 +70,18 @@ class Waveform:
 
     @cached_property
     def _reduction(self) -> Floats:
-        """Matrix (m, 4 n) that reduces the pieces to m independent numbers of unit variance."""
-        count, orders = self.sine_rad.shape
-        weighted = np.einsum("ij,iab->jaib", self._hats, np.linalg.inv(self.covariance))
-        weighted = weighted.reshape(-1, count * orders)
-        columns = np.einsum("ij,ab->iajb", self._hats, np.eye(orders)).reshape(count * orders, -1)
-        normal = weighted @ columns
-        norm = np.sqrt(np.diag(normal))
-        root = np.linalg.cholesky(normal / np.outer(norm, norm) + 1e-12 * np.eye(len(norm)))
-        return np.asarray(np.linalg.solve(root, weighted / norm[:, None]))
+        """Matrix (m, 4 n) that reduces the pieces to m independent numbers of unit variance.
+
+        Nodes with no piece about them, and what rounding leaves of orders that scatter alike, give none.
+        """
+        whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
+        nodes, orders = self._hats.shape[1], self.sine_rad.shape[1]
+        columns = np.einsum("ij,iab->iajb", self._hats, whitening).reshape(-1, nodes * orders)
+        norm = np.linalg.norm(columns, axis=0)
+        columns = columns[:, norm > 0] / norm[norm > 0]
+        directions, spread, _ = np.linalg.svd(columns, full_matrices=False)
+        kept = directions[:, spread > _SINGULAR * spread[0]].T.reshape(-1, len(whitening), orders)
+        return np.asarray(np.einsum("kia,iab->kib", kept, whitening).reshape(len(kept), -1))
 
     @cached_property
     def _predictions(self) -> dict[tuple[object, ...], tuple[Law, Floats]]:

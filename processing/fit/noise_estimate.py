@@ -30,6 +30,9 @@ _WELL_KNOWN = 0.15
 """Relative uncertainty of the step below which it is taken as known."""
 _ONE_SIDED = 2.706
 """Rise of -2 ln L at a bound of 95 %: the square of the normal quantile 1.645."""
+_AS_STATED = 25.0
+"""How many numbers the stated uncertainties count for against a scatter that is larger. In a short run the
+scale of the one noise and the drive replace each other, and the drive is what parameters suffer from."""
 _SAME_SCALE = 1e-3
 _LEAST_SHARE = 1e-13
 """Rounding of sums over thousands of half-cycles, relative to a diagonal of ones: smaller eigenvalues are
@@ -180,10 +183,10 @@ class NoiseSearch:
             for part in (of_points, slice(len(found.residuals), None))
         )
         count = len(found.residuals)
-        scale2 = max(1.0, chi2 / (count - len(self._columns))) if linear else 1.0
+        scale2 = max(1.0, chi2 / (count - len(self._columns) + _AS_STATED)) if linear else 1.0
         log_information = float(np.sum(np.log(share)) + 2 * np.sum(np.log(norm)))
         unrestricted = chi2 / scale2 + of_evidence / weight + count * np.log(scale2) + found.log_det
-        deviance = unrestricted - len(self._columns) * np.log(scale2) + log_information
+        deviance = unrestricted - (len(self._columns) - _AS_STATED) * np.log(scale2) + log_information
         scale = float(np.sqrt(scale2))
         noise = replace(self._kind, step=ratio * scale, scale=scale)
         covariance = scale2 * ((vectors / share) @ vectors.T) / np.outer(norm, norm)

@@ -41,7 +41,8 @@ class FittedContact:
     `names` are the six contact parameters and, if fitted, the drag. `dof` is the number of degrees of
     freedom of the covariance. `reading_covariance` is the part of it that remains on ground at rest,
     `place_covariance` the part of both that errors of position leave, `misfit_covariance` the part of it that
-    the distance between law and data leaves; None where they are not known.
+    the distance between law and data leaves, `change_covariance` that of a step during the run; None where
+    they are not known.
     `by_air` is the change of the values for one standard uncertainty of what is known of the air, None where
     nothing is. `by_row_time` and `by_common_amplitude` are derivatives by the shutter's row time and by an
     error of all amplitudes; None where they are not known or not needed; `by_drifts` those by what drifts
@@ -58,6 +59,7 @@ class FittedContact:
     by_row_time: Floats | None = None
     place_covariance: Floats | None = None
     misfit_covariance: Floats | None = None
+    change_covariance: Floats | None = None
     by_drifts: Mapping[str, Floats] = field(default_factory=dict)
     by_air: Floats | None = None
     by_common_amplitude: Floats | None = None
@@ -82,6 +84,7 @@ def fitted_contact(result: FitResult) -> FittedContact:
         None if result.reading_covariance is None else result.reading_covariance[within],
         place_covariance=None if result.place_covariance is None else result.place_covariance[within],
         misfit_covariance=None if result.misfit_covariance is None else result.misfit_covariance[within],
+        change_covariance=None if result.change_covariance is None else result.change_covariance[within],
         by_air=None if result.by_air is None else result.by_air[at],
     )
 

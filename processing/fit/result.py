@@ -110,6 +110,8 @@ class FitResult(FitQuality):
         leave; None where none were found.
     misfit_covariance
         Part of the covariance that the distance between law and data leaves; None where none is seen.
+    change_covariance
+        Part of it that a step of the friction during the run may leave; None where none was looked for.
     evidence
         What restrained the fit beside the turning points.
     by_air
@@ -132,6 +134,7 @@ class FitResult(FitQuality):
     widened: Floats | None = None
     place_covariance: Floats | None = None
     misfit_covariance: Floats | None = None
+    change_covariance: Floats | None = None
     evidence: Evidence = NO_EVIDENCE
     by_air: Floats | None = None
 

@@ -22,6 +22,8 @@ MISFIT = "misfit"
 """Name of that part which the distance between the law and the decay leaves."""
 PLACE = "position_errors"
 """Name of that part which errors of position that are fixed on the sensor leave after their correction."""
+STEP = "friction_step"
+"""Name of that part which a step of the friction during the run may leave."""
 AIR_DRAG = "air"
 """Name of that part of it which is due to what is known of the air's drag beside the decay."""
 
@@ -202,14 +204,22 @@ def _budget(
         own = found.names.index(name) if name in found.names else None
         u_own = sqrt(found.covariance[own, own]) if own is not None else float("nan")
         misfit = min(_of(found.misfit_covariance, by_value), type_a) if isfinite(type_a) else 0.0
-        described = sqrt(type_a**2 - misfit**2) if misfit else type_a
+        step = min(_of(found.change_covariance, by_value), sqrt(max(type_a**2 - misfit**2, 0.0)))
+        step = step if isfinite(type_a) else 0.0
+        described = sqrt(max(type_a**2 - misfit**2 - step**2, 0.0)) if misfit or step else type_a
         reading = _reading(found, by_value, described)
         ground = sqrt(described**2 - reading**2) if isfinite(type_a) else 0.0
         place = min(_of(found.place_covariance, by_value), reading) if isfinite(type_a) else 0.0
         own_reading = sqrt(reading**2 - place**2) if place else reading
         air = 0.0 if found.by_air is None else min(abs(float(by_value @ found.by_air)), described)
         of_data = sqrt(1 - (air / type_a) ** 2) if isfinite(type_a) else 1.0
-        for source, part in ((FIT, own_reading), (GROUND, ground), (PLACE, place), (MISFIT, misfit)):
+        for source, part in (
+            (FIT, own_reading),
+            (GROUND, ground),
+            (PLACE, place),
+            (MISFIT, misfit),
+            (STEP, step),
+        ):
             if part * of_data > 0:
                 share = part * of_data / type_a if isfinite(type_a) else 1.0
                 parts.append((source, "A", u_own * share, float("nan"), part * of_data))

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.robust import robust_scatter
 from processing.swing.half_cycle_fit import HalfCycleFit
@@ -85,8 +86,62 @@ class SampleNoise:
         return colour, amplitude / colour, power
 
 
+_BINS = 8
+"""Of speeds, over which the scatter is compared."""
+_FEWEST = 24
+"""Differences in a bin."""
 _ORDER = 5
 """Order of the differences; of a sinusoid sampled 20 times per period they leave less than 1e-3."""
+
+
+class SampleScatter(NamedTuple):
+    """What no smooth motion explains: noise of the position, and jitter of the times (0: none is seen).
+
+    `u_deflection` (n,) holds both: a time that is off by d moves a sample by d times its speed.
+    """
+
+    noise: float
+    jitter_s: float
+    u_deflection: Floats
+
+
+def estimate_scatter(times_ns: ArrayLike, deflection: ArrayLike) -> SampleScatter:
+    """Noise of the samples, and how far their times are off, as stamps of a busy host are.
+
+    The fifth differences of `estimate_noise` scatter more where the motion is fast if times jitter. Those of
+    a motion with few samples a period are larger there, too, but neighbours do not alternate then as those of
+    noise do. Raises as `estimate_noise` does.
+    """
+    noise = estimate_noise(times_ns, deflection)
+    times, values, good = _usable(times_ns, deflection)
+    left, speed = _differences(times, values)
+    order = np.argsort(speed)
+    bins = [part for part in np.array_split(order, _BINS) if len(part) >= _FEWEST]
+    none = SampleScatter(noise, 0.0, np.full(len(good), noise))
+    if len(bins) < _BINS:
+        return none
+    fast = np.sort(order[len(order) // 2 :])
+    fast = fast[fast + 1 < len(left)]
+    alternates = float(np.median(np.sign(left[fast] * left[fast + 1])))
+    found2 = np.array([robust_scatter(left[part], middle=0.0) ** 2 for part in bins])
+    speed2 = np.array([np.mean(speed[part] ** 2) for part in bins])
+    size = np.array([len(part) for part in bins])
+    terms = np.column_stack([np.ones(_BINS), speed2 / speed2[-1]])
+    expected = found2
+    for _ in range(3):
+        # of neighbouring differences one in six is new
+        weight = np.sqrt(size / 6.0 / 2.0) / expected
+        covariance = np.linalg.inv((terms * weight[:, None]).T @ (terms * weight[:, None]))
+        line = covariance @ (terms.T @ (weight**2 * found2))
+        expected = np.maximum(terms @ line, 1e-3 * found2)
+    steady2, moving2 = float(max(line[0], 0.0)), float(line[1])
+    if alternates > 0 or not moving2 > _SIGNIFICANT * float(np.sqrt(covariance[1, 1])):
+        return none
+    jitter_s = float(np.sqrt(moving2 / speed2[-1]))
+    every = np.interp(
+        np.asarray(times_ns, dtype=np.float64), times[: len(speed)] + 0.5 * (times[_ORDER] - times[0]), speed
+    )
+    return SampleScatter(noise, jitter_s, np.sqrt(steady2 + (jitter_s * every) ** 2))
 
 
 def estimate_noise(times_ns: ArrayLike, deflection: ArrayLike) -> float:
@@ -107,14 +162,7 @@ def estimate_noise(times_ns: ArrayLike, deflection: ArrayLike) -> float:
     DataError
         Lengths differ, there are fewer than seven samples with different times, or all values are equal.
     """
-    times = np.asarray(times_ns, dtype=np.int64)
-    values = np.asarray(deflection, dtype=np.float64)
-    if times.shape != values.shape or times.ndim != 1:
-        raise DataError(f"times and deflections must be of one length: got {times.shape} and {values.shape}")
-    good = np.isfinite(values)
-    times, values = times[good], values[good]
-    fresh = np.append(True, np.diff(times) > 0) if len(times) else good[:0]
-    times, values = times[fresh], values[fresh]
+    times, values, _ = _usable(times_ns, deflection)
     if len(values) < _ORDER + 2:
         raise DataError(
             f"{len(values)} samples with a deflection and times of their own are too few to estimate noise: "
@@ -126,11 +174,30 @@ def estimate_noise(times_ns: ArrayLike, deflection: ArrayLike) -> float:
             f"all {len(values)} samples are {values[0]:g}: nothing moves, and there is no noise either"
         )
     rounding = float(steps[steps > 0].min()) / np.sqrt(12.0)
+    noise = robust_scatter(_differences(times, values)[0], middle=0.0)
+    # the smallest step of values that are not rounded is that of a turning point
+    return max(noise, float(rounding)) if np.any(steps == 0) else noise
+
+
+def _usable(times_ns: ArrayLike, deflection: ArrayLike) -> tuple[Ints, Floats, Ints]:
+    """Times and values that are there, at times of their own, and all times."""
+    times = np.asarray(times_ns, dtype=np.int64)
+    values = np.asarray(deflection, dtype=np.float64)
+    if times.shape != values.shape or times.ndim != 1:
+        raise DataError(f"times and deflections must be of one length: got {times.shape} and {values.shape}")
+    good = np.isfinite(values)
+    kept, values = times[good], values[good]
+    fresh = np.append(True, np.diff(kept) > 0) if len(kept) else good[:0]
+    return kept[fresh], values[fresh], times
+
+
+def _differences(times: Ints, values: Floats) -> tuple[Floats, Floats]:
+    """Divided differences as single samples scatter, and the speeds there per second."""
     windows = np.lib.stride_tricks.sliding_window_view
     t = windows(seconds(times - times[0]), _ORDER + 1)
     y = windows(values, _ORDER + 1)
     apart = t[:, :, None] - t[:, None, :] + np.eye(_ORDER + 1)
     weights = 1.0 / (apart / np.abs(apart).max(axis=(1, 2), keepdims=True)).prod(axis=2)
     left = (weights * y).sum(axis=1) / np.sqrt((weights**2).sum(axis=1))
-    noise = robust_scatter(left, middle=0.0)
-    return max(noise, float(rounding))
+    middle = t - t.mean(axis=1, keepdims=True)
+    return left, np.abs((middle * y).sum(axis=1) / (middle**2).sum(axis=1))

@@ -12,12 +12,11 @@ from processing.fit import (
     FitResult,
     WitnessUse,
     alternation_of,
-    changes_of,
     domain_warnings,
     fit_asymptotic,
     fit_exact,
     steeper_drag,
-    warnings_of,
+    with_changes,
     with_drifts,
     with_misfit,
     with_misfit_of,
@@ -26,7 +25,6 @@ from processing.fit import (
     without_alternation,
 )
 from processing.swing import TurningPoints
-from rig.analysis.drifts import BelievedDrifts
 from rig.analysis.settled import loss_of
 from rig.analysis.witnessed_fits import WitnessedWith
 from rig.settings import FitSettings
@@ -54,7 +52,7 @@ def fit_decay(
     *,
     drag: bool = True,
     evidence: Evidence = NO_EVIDENCE,
-    drifts: BelievedDrifts | None = None,
+    drifts: Mapping[str, float] | None = None,
     witness: WitnessedWith | None = None,
 ) -> DecayFits:
     """Asymptotic and exact fit of turning points; a decay that cannot be fitted is said, not raised.
@@ -84,8 +82,8 @@ def fit_decay(
         if witness is not None:
             exact, use = witness.fit(points, pendulum, exact)
         if drifts is not None:
-            exact = with_drifts(points, pendulum, exact, drifts.ageing.u, drifts.period.u)
-        exact = _judged(points, pendulum, exact)
+            exact = with_drifts(points, pendulum, exact, drifts)
+        exact = _judged(points, pendulum, exact, settings)
         if steeper is not None:
             exact = with_steeper_drag(exact, steeper)
     except DataError as error:
@@ -113,10 +111,11 @@ def _of_one_moment(
     return replace(fit, warnings=(*fit.warnings, found.taken_off_text)), at_once, True
 
 
-def _judged(points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult) -> FitResult:
+def _judged(
+    points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult, settings: FitSettings
+) -> FitResult:
     """The fit with what it does not describe: errors of the law, and changes during the run."""
     described = with_misfit(points, pendulum, exact)
     explained = 0.0 if described.misfit is None else described.misfit.against_law
-    changes = changes_of(points, pendulum, exact, explained)
-    said = (*warnings_of(changes), *domain_warnings(points, pendulum, described))
-    return replace(described, changes=changes, warnings=(*described.warnings, *said))
+    found = with_changes(points, pendulum, described, settings.u_ageing, explained)
+    return replace(found, warnings=(*found.warnings, *domain_warnings(points, pendulum, found)))

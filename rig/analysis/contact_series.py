@@ -10,6 +10,7 @@ from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.fit import (
+    DRIFTS,
     Budget,
     BudgetSource,
     FitMethod,
@@ -140,7 +141,4 @@ def _by_drifts(
 ) -> dict[str, Floats]:
     """What drifts that every run has alike do to the mean."""
     found = [drifts_of(one, pendulum, fit) for one, fit in zip(points, fits, strict=True)]
-    return {
-        "ageing": np.mean([drifts.by_ageing for drifts in found], axis=0),
-        "period_drift": np.mean([drifts.by_period for drifts in found], axis=0),
-    }
+    return {name: np.mean([drifts[name] for drifts in found], axis=0) for name in DRIFTS}

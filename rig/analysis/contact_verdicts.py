@@ -44,7 +44,7 @@ from processing.fit import (
 from processing.swing import TurningPoints
 from rig.analysis.base_acceleration import base_motion
 from rig.analysis.contact_results import Adhesion, AdhesiveSpot, Correlation, Fit
-from rig.analysis.drifts import BelievedDrifts, limit_sentence
+from rig.analysis.drifts import limit_sentence
 from rig.analysis.result_rows import result_rows, withheld
 from rig.analysis.results import RunResults
 from rig.instrument import balls, material, shutter_of
@@ -150,14 +150,16 @@ def evaluate(
             by_common = None
             notes.append(f"the budget has no line for an error of all amplitudes: {error}")
         drifts = drifts_of(points, pendulum, exact)
-        by_drifts = {"ageing": drifts.by_ageing, "period_drift": drifts.by_period}
+        by_drifts = dict(drifts)
         if plane_errors is not None and rig.plane_of_swing_rad.u > 0:
             by_plane = by_amplitude_errors(points, pendulum, exact, plane_errors)
             by_drifts["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u
         contact = replace(
             fitted_contact(exact), by_row_time=by_row, by_common_amplitude=by_common, by_drifts=by_drifts
         )
-        notes += filter(None, [limit_sentence(drifts, BelievedDrifts(rig.ageing, rig.period_drift), exact)])
+        notes += filter(
+            None, [limit_sentence(drifts, {name: rig.inputs()[name].u for name in drifts}, exact)]
+        )
         tables = budgets(contact, rig)
         if all(quantity.u == 0 for quantity in rig.inputs().values()):
             notes.append(

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from math import isfinite
 
 from processing.contact import DRAG
-from processing.estimate import Estimate
+from processing.estimate import Determinacy, Estimate
 from processing.fit import WAVEFORM, BaseMotion, Drag, DragFinding, FitMethod, Ground
 from rig.analysis.headline import drag_headline, headline, shifts_by_drag
 from rig.analysis.limits import whole_result
@@ -33,7 +33,10 @@ def remarks(run: RunResults) -> list[str]:
     lines += [] if run.clock is None else [f"Camera's clock: {run.clock.text}."]
     lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
     lines += [] if run.witness is None else witness_sentences(run.witness)
-    lines += [_drag_sentence(run.drag, run.rows)] if run.drag is not None else []
+    row = run.rows.get(DRAG.key)
+    is_withheld = row is not None and row.verdict is Determinacy.UNDETERMINED
+    if run.drag is not None and not (run.drag.significant and is_withheld):
+        lines.append(_drag_sentence(run.drag, run.rows))
     lines += [] if exact is None else list(filter(None, [_worth_sentence(exact.worth)]))
     if run.strong_correlations:
         pairs = run.strong_correlations

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from processing.estimate import Determinacy
 from processing.fit import Budget, Drag
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
 from rig.presentation import SOURCES, quantity, signed_percent
@@ -32,8 +33,9 @@ def drag_headline(drag: Drag | None, rows: Mapping[str, ResultRow], *, fitted: b
         return f"{text}."
     if drag is None or not drag.significant:
         return ""
-    row = rows.get("drag_s")
-    seen = f"The drag of the air is seen, {shown.text(*drag.drag_s) if row is None else row.text} s"
+    row, seen = rows.get("drag_s"), "The drag of the air is seen"
+    if row is None or row.verdict is not Determinacy.UNDETERMINED:
+        seen += f", {shown.text(*drag.drag_s) if row is None else row.text} s"
     shifts = shifts_by_drag(drag, rows)
     return f"{seen}; without it b would differ by {shifts['b']}." if "b" in shifts else f"{seen}."
 

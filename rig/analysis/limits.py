@@ -16,7 +16,10 @@ _DO: Final[Mapping[str, str]] = {
     "ground": "measure while the ground is quieter, or record it beside the run (rig fit --witness)",
     "misfit": "see in the report where the law misses the decay, and compare laws (rig fit --law all)",
     "position_errors": "correct the sensor's errors of position",
+    "friction_step": "fit the parts of the decay on their own, or make more runs",
     "ageing": "wait until the contact has settled, or state its history",
+    "adhesion_ageing": "wait until the contact has settled, or state its history",
+    "drag_drift": "let the air and its temperature settle, or measure in vacuum",
     "plane_of_swing_rad": "let the pendulum settle before the release, and calibrate the axes",
     "period_drift": "let the temperature settle before the next run",
 }
@@ -50,7 +53,8 @@ class WholeResult(NamedTuple):
     def next_steps(self) -> list[str]:
         """What to do about each of the sources that make most of the uncertainty."""
         large = [one for one in self.limits if one.share >= _LIMITS_FROM]
-        return [_DO.get(one.source, f"determine {one.name} more accurately") for one in large]
+        steps = [_DO.get(one.source, f"determine {one.name} more accurately") for one in large]
+        return list(dict.fromkeys(steps))
 
 
 def whole_result(run: RunResults, series: Series | None = None) -> WholeResult:

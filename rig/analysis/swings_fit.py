@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -79,13 +79,13 @@ def analyse_swings(
     detected = points_in_true_time(swings, clock_rate)
     if pendulum is not None and len(detected) > 1:
         drag, of_air = known_drag(config, air, pendulum, mean_period(detected))
+    believed = believed_drifts(config, air)
     settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
     points = points_in_true_time(settled.swings, clock_rate)
     if followed.problem:
         decay = DecayFits({}, followed.problem)
     elif unit is DeflectionUnit.RAD:
         evidence = evidence_of(drag, settled.harmonics)
-        believed = believed_drifts(config, air) if config.fit.drifts else None
         decay = fit_decay(
             points,
             pendulum,
@@ -93,7 +93,7 @@ def analyse_swings(
             settled.exact,
             drag=drag.fitted,
             evidence=evidence,
-            drifts=believed,
+            drifts={name: one.u for name, one in believed.items()} if config.fit.drifts else None,
             witness=_witness_beside(settled.swings, witness),
         )
         points = points if decay.points is None else decay.points
@@ -118,12 +118,11 @@ def analyse_swings(
     )
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
     rig = rig_quantities(config, ratio, rest_rad, u_clock)
-    believed = believed_drifts(config, air)
     if rig is not None:
         rig = replace(rig, common_amplitude_rad=InputQuantity(0.0, u_common_rad))
         rig = replace(rig, plane_of_swing_rad=InputQuantity(0.0, followed.u_rad))
     if rig is not None and not config.fit.drifts:
-        rig = replace(rig, ageing=believed.ageing, period_drift=believed.period)
+        rig = replace(rig, **dict[str, Any](believed))
     if decay.fits and pendulum is not None:
         exact = decay.fits[FitMethod.EXACT]
         results = evaluate(

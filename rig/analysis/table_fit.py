@@ -20,7 +20,16 @@ from processing.envelope import EnvelopeDecay, fit_envelope
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Witness
-from processing.swing import Swing, SwingFlag, estimate_noise, swings_of, swings_of_blocks, turning_points
+from processing.swing import (
+    SampleScatter,
+    Swing,
+    SwingFlag,
+    estimate_noise,
+    estimate_scatter,
+    swings_of,
+    swings_of_blocks,
+    turning_points,
+)
 from processing.ticks import seconds
 from rig.analysis.amplitude_damping import amplitude_damping
 from rig.analysis.analysed_run import AnalysedRun, instrument_series
@@ -112,8 +121,9 @@ def analyse_trajectory(
     judge_sign(path, trajectory)
     scale = trajectory.scale_rad or 1.0
     deflection, across = (one * scale for one in along_and_across(trajectory.positions))
-    noise = estimate_noise(trajectory.times_ns, deflection)
-    swings = swings_of(trajectory.times_ns, deflection, np.full(len(deflection), noise))
+    scatter = estimate_scatter(trajectory.times_ns, deflection)
+    noise = scatter.noise
+    swings = swings_of(trajectory.times_ns, deflection, scatter.u_deflection)
     parts = separate_decays(swings)
     usable = [part for part in parts if len(turning_points(part)) >= _USABLE]
     if not usable:
@@ -132,8 +142,8 @@ def analyse_trajectory(
             f"flagged or of other decays), at least {_USABLE} are needed: {reason}"
         )
     judge_time_unit(path, trajectory, usable)
-    both = _in_both(trajectory.times_ns, across, deflection, noise)
-    decays = [_analyse(path, part, trajectory, both, noise, config, laws, witness) for part in usable]
+    both = _in_both(trajectory.times_ns, across, deflection, scatter)
+    decays = [_analyse(path, part, trajectory, both, scatter, config, laws, witness) for part in usable]
     longest = max(decays, key=lambda decay: decay.summary.half_cycles)
     results = TableResults(
         **_values(longest.results),
@@ -220,12 +230,13 @@ def _analyse(
     swings: Sequence[Swing],
     trajectory: Trajectory,
     deflections: Deflections,
-    noise: float,
+    scatter: SampleScatter,
     config: Configuration | None,
     laws: Sequence[Law | StatedLaw],
     witness: WitnessRecord | None,
 ) -> FoundDecay:
     """One decay, by the same path as a record's."""
+    u_common = trajectory.u_common_in_noises * scatter.noise
     edge_ns = _EDGE * 0.5e9 * summarise_decay(turning_points(swings)).period_s.value
     inside = (trajectory.times_ns > swings[0].turn_time_ns - edge_ns) & (
         trajectory.times_ns < swings[-1].turn_time_ns + edge_ns
@@ -251,7 +262,6 @@ def _analyse(
             return witness.beside(Begin(in_file_ns, in_file_ns if absolute else None))
 
         at = None if witness is None else beside
-        u_common = trajectory.u_common_in_noises * noise
         air = stated_surroundings(config)
         fitted = analyse_swings(
             path,
@@ -274,7 +284,7 @@ def _analyse(
     )
     values = (
         _values(run)
-        | decay_values(points, summary, scale, u_common=trajectory.u_common_in_noises * noise)
+        | decay_values(points, summary, scale, u_common=u_common)
         | {
             "frames": int(np.count_nonzero(inside)),
             "half_cycles": run.half_cycles or summary.half_cycles,
@@ -289,8 +299,13 @@ def _analyse(
             ),
         }
     )
-    if followed.text and followed.text not in run.notes and run.instrument is None:
-        values["notes"] = (*run.notes, followed.text)
+    notes = [followed.text if followed.text not in run.notes and run.instrument is None else ""]
+    if scatter.jitter_s > 0:
+        notes.append(
+            f"the times jitter by {1e3 * scatter.jitter_s:.2g} ms, as stamps of a host do: what that moves "
+            "the samples by is in their uncertainties"
+        )
+    values["notes"] = (*run.notes, *filter(None, notes))
     if run.turning_points is None:
         unit = TableUnit.OWN if trajectory.scale_rad is None else DeflectionUnit.RAD
         values["turning_points"] = StoredTurningPoints.of(points, swings, unit, 1.0)
@@ -331,13 +346,13 @@ def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
 
 
 def _in_both(
-    times_ns: NDArray[np.int64], x: NDArray[np.float64], y: NDArray[np.float64], noise: float
+    times_ns: NDArray[np.int64], x: NDArray[np.float64], y: NDArray[np.float64], scatter: SampleScatter
 ) -> Deflections:
     """Deflections along the motion, y, and across it; NaN across where a table has one position alone."""
-    samples = slow_deflections(times_ns, y, noise)
+    samples = slow_deflections(times_ns, y, scatter.u_deflection)
     if not np.isfinite(x).any():
         return samples
-    u_x = np.full(len(x), max(noise, estimate_noise(times_ns, x)))
+    u_x = np.full(len(x), max(scatter.noise, estimate_noise(times_ns, x)))
     return replace(samples, x=x, u_x=u_x)
 
 

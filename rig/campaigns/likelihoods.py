@@ -20,8 +20,10 @@ from processing.fit import FitMethod
 from rig.analysis import Fit, ResultRow, RunResults
 from rig.campaigns.stated import SURROUNDING_COVARIATES
 
-_AIR, _MISFIT, _AGEING = "air", "misfit", "ageing"
-_OWN = ("period_drift", "plane_of_swing_rad")
+_AIR, _MISFIT = "air", "misfit"
+_GROWN = ("ageing", "adhesion_ageing")
+"""Of the contact as a whole, which an effect on b and c alike describes."""
+_OWN = ("period_drift", "drag_drift", "plane_of_swing_rad")
 """Sources that every run has for itself."""
 _MOST_SHARED = 0.9999
 """Of a variance: what is left is the run's own."""
@@ -164,11 +166,11 @@ def _shared(run: RunResults, names: Sequence[str], to: Floats) -> tuple[dict[str
     A budget corrects the values for an input: seen ones move the other way.
     """
     moved = _relative_sources(run, names, to)
-    shared = {source: -by for source, by in moved.items() if source not in (_AGEING, *_OWN) and np.any(by)}
-    u_ageing = next((u for name in names for key, u in _sources(run, name).u.items() if key == _AGEING), 0.0)
-    by_growth = moved[_AGEING] / u_ageing if u_ageing > 0 else None
-    if by_growth is not None:
-        shared[_AGEING] = moved[_AGEING]
+    shared = {source: -by for source, by in moved.items() if source not in _GROWN + _OWN and np.any(by)}
+    u = {key: u for name in names for key, u in _sources(run, name).u.items()}
+    grown = [key for key in _GROWN if u.get(key, 0.0) > 0]
+    by_growth = sum((moved[key] / u[key] for key in grown), np.zeros(len(names))) if grown else None
+    shared |= {key: moved[key] for key in grown}
     fit, budget = run.fits[FitMethod.EXACT], run.budget.get(DRAG.key)
     of_air = 0.0
     if budget is not None:

@@ -177,12 +177,18 @@ class FitSettings(Section, frozen=True):
         lt=1,
         description="by how much the contact's friction may change over a run, as a fraction of it",
     )
+    u_adhesion_ageing: float | None = Field(
+        default=None, ge=0, lt=1, description="the same of c, the part of adhesion; as u_ageing if not stated"
+    )
+    u_drag_drift: float | None = Field(
+        default=None, ge=0, lt=1, description="the same of the air's drag; by its temperature if not stated"
+    )
     u_temperature_change_k: float = Field(
         default=1.0, ge=0, lt=100, description="over a run, where no sensor has read it"
     )
     drifts: bool = Field(
         default=False,
-        description="fit drifts of friction and period; otherwise the budget includes them",
+        description="fit drifts of friction, drag and period; otherwise the budget includes them",
     )
 
     @property

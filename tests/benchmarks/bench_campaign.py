@@ -246,7 +246,7 @@ def compressed_fit(one: _Aged, label: str, age_s: float) -> CompressedRun:
         covariance=own - np.outer(air, air),
         shared={"air": air},
         covariates={"age_s": Estimate(age_s, 0.0)},
-        by_growth=to @ drifts_of(one.points, pendulum, fit).by_ageing[at],
+        by_growth=to @ drifts_of(one.points, pendulum, fit)["ageing"][at],
         duration_s=float(one.points.time_s[-1] - one.points.time_s[0]),
     )
 

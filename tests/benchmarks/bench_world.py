@@ -93,10 +93,8 @@ class Outcome(NamedTuple):
 def outcome(found: Fitted) -> Outcome:
     b, u = found.fit.estimate("b")
     drifts = drifts_of(found.points, PENDULUM, found.fit)
-    settings = FitSettings()
-    wide = np.sqrt(
-        u**2 + (settings.u_ageing * drifts.by_ageing[0]) ** 2 + (U_PERIOD * drifts.by_period[0]) ** 2
-    )
+    u_drifts = {"ageing": FitSettings().u_ageing, "period_drift": U_PERIOD}
+    wide = np.sqrt(u**2 + sum((size * drifts[name][0]) ** 2 for name, size in u_drifts.items()))
     named = [change.kind.value for change in found.fit.changes]
     if found.fit.misfit is not None and found.fit.misfit.seen:
         named.append("misfit")

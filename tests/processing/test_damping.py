@@ -86,6 +86,35 @@ def test_powers_in_decibel_give_the_same_parts() -> None:
     assert found.first == pytest.approx(100.0, rel=0.01)
 
 
+def test_the_time_constant_of_a_fall_is_as_uncertain_where_its_change_is_hardly_seen() -> None:
+    """Two of ten envelopes said 0.55 s and lay 3 u off, the other eight 9 s."""
+    found = []
+    c, g, q = 0.002, 0.02, 0.0
+    t = np.linspace(0.0, 60.0, 200)
+    truth = amplitude_at(t, 1.0, c, g, q)
+    over_fall_s = float(np.mean(1.0 / (c / np.geomspace(1.0, truth[-1], 400) + g)))
+    for seed in range(20):
+        noise = 0.01 * np.random.default_rng(seed).standard_normal(len(t))
+        found.append(fit_envelope(t, truth + noise, decibel=False))
+    assert 3 < sum(one.changes for one in found) < 17
+    assert max(abs(one.tau_s - over_fall_s) / one.u_tau_s for one in found) < 1.5
+    u_s = [one.u_tau_s for one in found]
+    assert max(u_s) < 3 * min(u_s)
+
+
+def test_what_cannot_be_an_amplitude_or_its_uncertainty_is_named() -> None:
+    truth = true_amplitude(KINDS["viscous"])
+    with pytest.raises(DataError, match="uncertainty of an amplitude is 0: it must be positive"):
+        fit_damping(T, truth, np.append(np.full(len(T) - 1, NOISE), 0.0))
+    for deflections in (-truth, truth * np.cos(5 * T)):
+        with pytest.raises(DataError, match="amplitudes are positive, but one is -"):
+            fit_damping(T, deflections, np.full(len(T), NOISE))
+    # values that were computed have no noise
+    assert fit_envelope(T, np.exp(-T / 10), decibel=False).tau_s == pytest.approx(10.0)
+    steps = np.repeat(np.exp(-np.arange(0.0, 30.0, 3.0) / 10), 30)
+    assert fit_envelope(T, steps, decibel=False).tau_s == pytest.approx(10.0, rel=0.1)
+
+
 def test_values_that_do_not_fall_are_no_decay() -> None:
     rising = 1.0 + 0.01 * T + NOISE * np.random.default_rng(1).standard_normal(len(T))
     with pytest.raises(DataError, match="does not fall"):

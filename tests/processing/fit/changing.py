@@ -26,7 +26,8 @@ class World(NamedTuple):
 
     `drag32` (s^1.5) is a moment that grows with the 3/2 power of the velocity. `b2`, `p2` are a second power
     of the angle in the friction. b grows by `ageing` from the first turning point to the last of a run of
-    `lasting_s`, evenly, and is the stated one in the middle; the period grows likewise by `slower`. At
+    `lasting_s`, evenly, and is the stated one in the middle; period and drag grow likewise by `slower` and
+    `drag_drift`. At
     `event_s` b grows by the factor 1 + `slip`, the period by 1 + `shifted`, and the velocity by
     `knock_rad_per_s`. `loss_angle` is that of an elastic after-effect, the same at every frequency, in a part
     of the stiffness that relaxes with the logarithm of time.
@@ -43,6 +44,7 @@ class World(NamedTuple):
     shifted: float = 0.0
     knock_rad_per_s: float = 0.0
     loss_angle: float = 0.0
+    drag_drift: float = 0.0
 
 
 @njit(cache=True)
@@ -57,7 +59,7 @@ def _derivative(y: Floats, t: float, direction: float, law: Floats, world: Float
         b *= 1.0 + world[6]
         w2 *= 1.0 - 2.0 * world[7]
     elastic = law[5] * size ** (law[4] + 1.0) * (0.5 * math.pi - law[6] * size)
-    air = (law[7] + law[8] * math.sqrt(abs(v))) * v
+    air = (law[7] * (1.0 + law[9] * aged) + law[8] * math.sqrt(abs(v))) * v
     friction = law[3] + b * size ** law[2]
     if world[0] != 0.0:
         friction += world[0] * size ** world[1]
@@ -181,6 +183,7 @@ def changing_path(
             (2 * np.pi / parameters.period0_s) ** 2, parameters.b, parameters.p, parameters.c, parameters.n,
             2 * parameters.gamma_pa * pendulum.contact_radius_m**2 / weight,
             pendulum.ball_radius_m / pendulum.contact_radius_m, parameters.drag_s, world.drag32,
+            world.drag_drift,
         ]
     )  # fmt: skip
     elements = len(RELAXATIONS_S) if world.loss_angle else 0

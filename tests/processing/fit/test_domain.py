@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from processing.fit import domain_warnings, fit_exact
+from processing.estimate import Determinacy
+from processing.fit import domain_warnings, fit_exact, identifiability
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_decay
 
@@ -41,6 +42,14 @@ def test_a_sign_that_cannot_be_is_named() -> None:
     assert "gamma_pa" in said
     assert "negative by 10 u" in said
     assert "e+" not in said
+    # what goes with it is not stated, and what does not is
+    correlated = fit.correlation[at]
+    text = {one.name: one for one in identifiability(points, PENDULUM, replace(fit, values=values))}
+    assert text["b"].verdict is Determinacy.DETERMINED
+    for name in fit.contact_names:
+        if name != "gamma_pa" and abs(correlated[fit.names.index(name)]) > 0.2:
+            assert text[name].verdict is Determinacy.UNDETERMINED
+            assert "withheld: gamma_pa" in text[name].text
     # within its uncertainty a quantity that is nought may come out below
     values[at] = -2 * fit.standard_uncertainty[at]
     assert domain_warnings(points, PENDULUM, replace(fit, values=values)) == ()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from processing.estimate import Estimate
-from processing.fit import Evidence, fit_exact, waveform_of
+from processing.fit import Evidence, fit_exact, waveform_of, with_drifts
 from processing.fit.evidence import Waveform
 from processing.swing import SwingHarmonics, TurningPoints
 from tests.processing.fit.changing import World, changing_path
@@ -96,6 +96,18 @@ def test_disturbed_pieces_that_hide_each_other_are_left_out_one_after_the_other(
     assert len(found.amplitude_rad) == len(found.covariance) == count - 4
 
 
+def test_a_stretch_without_pieces_leaves_the_others_as_they_are() -> None:
+    """As where a reflection disturbs all pieces of some amplitudes."""
+    amplitude = ARCSEC * np.array([120.0, 110.0, 100.0, 9.0, 8.0, 7.0])
+    covariance = np.tile(U**2 * (np.eye(4) + 0.5), (6, 1, 1))
+    sine = 2 * U * np.random.default_rng(4).standard_normal((6, 4))
+    parts = [Waveform(amplitude[at], sine[at], covariance[at], 1.0) for at in np.split(np.arange(6), 2)]
+    both = Waveform(amplitude, sine, covariance, 1.0).reduced(sine)
+    apart = np.concatenate([one.reduced(one.sine_rad) for one in parts])
+    assert len(both) == len(apart)
+    assert np.sum(both**2) == pytest.approx(np.sum(apart**2))
+
+
 def test_few_pieces_are_no_waveform(basement: tuple[TurningPoints, SwingHarmonics]) -> None:
     _, whole = basement
     assert (
@@ -117,6 +129,18 @@ def test_what_is_known_of_the_air_enters_as_it_is_known(
     b, u_b = fit.estimate("b")
     assert abs(b - PARAMETERS.b) < 3 * u_b
     assert u_b > 0.02 * PARAMETERS.b
+
+
+def test_no_drift_moves_nothing_where_points_scatter_more_than_stated(
+    basement: tuple[TurningPoints, SwingHarmonics],
+) -> None:
+    """What is known of the air, four u off, counted once more for every unit of scale: b moved by 0.7 u."""
+    points, harmonics = basement
+    louder = replace(points, u_amplitude=points.u_amplitude / 8, u_time_s=points.u_time_s / 8)
+    known = Estimate(DRAG_S + 8e-5, 2e-5)
+    fit = fit_exact(louder, PENDULUM, drag=True, evidence=Evidence(waveform(harmonics), known))
+    still = with_drifts(louder, PENDULUM, fit, {})
+    assert np.all(np.abs(still.values - fit.values) < 0.03 * fit.standard_uncertainty)
 
 
 def test_a_law_that_is_wrong_is_fitted_where_the_waveform_says() -> None:

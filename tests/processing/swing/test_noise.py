@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
-from processing.swing import estimate_noise
+from processing.swing import estimate_noise, estimate_scatter
 from tests.processing.swing.truth import damped_sinusoid
 
 
@@ -21,6 +21,24 @@ def test_noise_of_a_decay(frames_per_s: float, missing: float) -> None:
     assert estimate_noise(kept.times_ns, kept.deflection) == pytest.approx(
         0.02, rel=0.02 + 8 * 1.17 / math.sqrt(n)
     )
+
+
+@pytest.mark.parametrize(("frames_per_s", "jitter_s"), [(5.0, 0.0), (25.0, 0.0), (25.0, 1e-3)])
+def test_jitter_of_the_times(frames_per_s: float, jitter_s: float) -> None:
+    """Seen where fast samples scatter more than slow ones; few samples a period are none of it."""
+    rng = np.random.default_rng(3)
+    time_s = np.arange(0.0, 300.0, 1.0 / frames_per_s)
+    position = 124 * np.exp(-time_s / 250) * np.cos(1.54 * time_s) + 0.005 * rng.standard_normal(len(time_s))
+    position[100:110] = math.nan
+    times_ns = np.rint(1e9 * (time_s + jitter_s * rng.standard_normal(len(time_s)))).astype(np.int64)
+    found = estimate_scatter(times_ns, position)
+    assert found.jitter_s == pytest.approx(jitter_s, rel=0.1)
+    if frames_per_s > 20:
+        speed = np.gradient(124 * np.exp(-time_s / 250) * np.cos(1.54 * time_s), time_s)
+        true2 = 0.005**2 + (jitter_s * speed) ** 2
+        # without jitter the smallest step, at a turning point, passed for rounding: 0.018
+        assert np.mean(found.u_deflection**2) == pytest.approx(np.mean(true2), rel=0.2)
+        assert len(found.u_deflection) == len(times_ns)
 
 
 def test_bursts_and_lost_spots_do_no_harm() -> None:

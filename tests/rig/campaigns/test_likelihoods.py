@@ -31,7 +31,8 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     there = to_coordinates(names, fit.values[at], REFERENCE_RAD)
     np.testing.assert_allclose(found.values, there.values)
     # ageing: the budget's signed slope is the fit's own
-    by = there.by_parameters @ drifts_of(run.points, pendulum, fit).by_ageing[at]
+    drifts = drifts_of(run.points, pendulum, fit)
+    by = there.by_parameters @ (drifts["ageing"] + drifts["adhesion_ageing"])[at]
     assert found.by_growth is not None
     np.testing.assert_allclose(found.by_growth, by, rtol=0.02, atol=1e-6)
     # the run's own part and what it shares are the fit's covariance again
