@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("rig", "acquisition", "calibration", "processing")
@@ -119,10 +119,10 @@ def test_what_implies_an_encoding_is_found() -> None:
 def test_files_are_written_where_there_are_no_locks_and_no_file_is_known_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(whole_file, "_fcntl", None)
+    monkeypatch.setattr(atomic_write, "_fcntl", None)
     monkeypatch.setattr(os.path, "samestat", lambda one, other: False)
-    whole_file.write_new(tmp_path / "new", b"1")
-    with whole_file.being_written(tmp_path / "made") as beside:
+    atomic_write.write_new(tmp_path / "new", b"1")
+    with atomic_write.being_written(tmp_path / "made") as beside:
         beside.write_bytes(b"2")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["made", "new"]
 
@@ -152,11 +152,11 @@ def test_a_full_disk_leaves_nothing_where_no_open_file_can_be_removed(
     def full(number: int, data: bytes) -> int:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(whole_file, "_fcntl", None)
+    monkeypatch.setattr(atomic_write, "_fcntl", None)
     monkeypatch.setattr(os, "open", open_)
     monkeypatch.setattr(os, "close", close)
     monkeypatch.setattr(os, "write", full)
     monkeypatch.setattr(Path, "unlink", unlink)
     with pytest.raises(OSError, match="No space left"):
-        whole_file.replace(tmp_path / "file", b"data")
+        atomic_write.replace(tmp_path / "file", b"data")
     assert not list(tmp_path.iterdir())

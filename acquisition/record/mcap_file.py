@@ -16,9 +16,9 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Footer
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
+from acquisition.atomic_write import sync_folder
 from acquisition.record.file_lock import lock_for_writing
 from acquisition.record.topics import LIBRARY
-from acquisition.record.whole_file import sync_folder
 from processing.errors import RecordError
 
 _CHUNK_BYTES = 1024 * 1024

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from acquisition.atomic_write import being_written
 from acquisition.record import is_pixels, pixels_beside
 from acquisition.record.digest import sha256_of
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.read_file import ChunkDamage, Damage, ReadFile, messages_in
 from acquisition.record.reader import RecordReader
-from acquisition.record.whole_file import being_written
 from acquisition.record.writer import number_schemas, pixel_schemas, write_metadata
 from processing.errors import RecordError
 

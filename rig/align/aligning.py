@@ -12,9 +12,9 @@ from rich.live import Live
 from rich.style import Style
 from rich.text import Text
 
+from acquisition import atomic_write
 from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.frame_queue import FrameQueue
-from acquisition.record import whole_file
 from processing.errors import ConfigurationError, DeviceError
 from processing.spot import SpotTracker
 from rig.align.annotated_picture import annotated_picture
@@ -194,5 +194,5 @@ def _save(look: AlignmentFrame, folder: Path, zoom: float) -> Path:
     done, png = cv2.imencode(".png", annotated_picture(look, *_PICTURE_PX, zoom)[..., ::-1])
     if not done:
         raise ConfigurationError(f"{path}: can't be written as PNG")
-    whole_file.write_new(path, png.tobytes())
+    atomic_write.write_new(path, png.tobytes())
     return path

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import RecordError
 from rig.analysis.trajectory import Trajectory
 
@@ -23,7 +23,7 @@ def write_positions(trajectory: Trajectory, folder: Path) -> Path:
         time_s = f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
         writer.writerow((time_s, *(f"{value:.10g}" for value in place)))
     try:
-        whole_file.replace(target, rows.getvalue().encode())
+        atomic_write.replace(target, rows.getvalue().encode())
     except OSError as error:
         raise RecordError(f"{target}: cannot be written: {error.strerror or error}") from None
     return target

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import RecordError, require_schema
 from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults, TableResults
@@ -36,7 +36,7 @@ def write_results(path: str | Path, results: SessionResults | TableResults | Env
     """Write results.json; never over an existing one. Raises RecordError."""
     path = Path(path)
     try:
-        whole_file.write_new(path, (_text(encoded(results)) + "\n").encode())
+        atomic_write.write_new(path, (_text(encoded(results)) + "\n").encode())
     except FileExistsError:
         raise RecordError(f"{path}: exists already and is not overwritten; choose another folder") from None
     except OSError as error:

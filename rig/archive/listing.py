@@ -8,7 +8,7 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Determinacy
 from rig.analysis import ResultRow
@@ -75,7 +75,7 @@ def list_runs(
         print_tables([replace(table, note=f"{table.note}{more}")])
         return
     try:
-        whole_file.write_new(output, f"{table.csv().rstrip()}\n".encode())
+        atomic_write.write_new(output, f"{table.csv().rstrip()}\n".encode())
     except FileExistsError:
         raise RecordError(f"{output}: exists already and is not overwritten; choose another name") from None
     except OSError as error:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from acquisition.record.digest import sha256_of
 from calibration import CalibrationFile, Kind, Source, write_calibration
 from processing.errors import ConfigurationError
@@ -68,7 +68,7 @@ def file_calibration(
         values=dict(values),
         details=dict(details),
     )
-    return write_calibration(filing.folder, calibration, whole_file.write_new)
+    return write_calibration(filing.folder, calibration, atomic_write.write_new)
 
 
 def details_of(found: Any, *left_out: str) -> dict[str, Any]:

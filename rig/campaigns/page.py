@@ -5,7 +5,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Final
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from acquisition.record.digest import sha256_of
 from processing.errors import RecordError
 from processing.estimate import Estimate
@@ -39,13 +39,13 @@ def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
     try:
         files.mkdir(parents=True, exist_ok=True)
         text = json.dumps(plain_values(encoded(campaign.results)), indent=1, allow_nan=False) + "\n"
-        whole_file.write_new(path, text.encode())
+        atomic_write.write_new(path, text.encode())
         tables = campaign_tables(campaign)
         save_tables(tables, files)
-        whole_file.replace(files / "contacts.tex", latex_table(campaign.results).encode())
+        atomic_write.replace(files / "contacts.tex", latex_table(campaign.results).encode())
         with styled():
             figures = save_figures(figures_of(campaign), files)
-        whole_file.write_new(target, _page(campaign, tables, figures, sha256_of(path)).encode())
+        atomic_write.write_new(target, _page(campaign, tables, figures, sha256_of(path)).encode())
     except FileExistsError as error:
         raise RecordError(
             f"{error.filename or path}: exists already and is not overwritten; choose another folder"

@@ -33,7 +33,7 @@ def snap(
     """
     import cv2
 
-    from acquisition.record import whole_file
+    from acquisition import atomic_write
     from processing.errors import ConfigurationError, RecordError
     from rig.align import SeenReference
     from rig.devices import picture as camera_picture
@@ -54,8 +54,8 @@ def snap(
         if not done:
             raise ConfigurationError(f"{output}: can't be written as PNG")
         try:
-            whole_file.take_away_leftovers(output.parent, output.name)
-            whole_file.write_new(output, png.tobytes())
+            atomic_write.take_away_leftovers(output.parent, output.name)
+            atomic_write.write_new(output, png.tobytes())
         except OSError as error:
             raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
         print_line("pixels in each range of grey values (bars: logarithmic)")

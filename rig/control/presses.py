@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import DeviceError
 
 _READ_BYTES = 4096
@@ -44,7 +44,7 @@ class Presses:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
             pressed = _Pressed(number=self._number() + 1, who=who, utc=now)
-            whole_file.replace(self.path, pressed.model_dump_json().encode())
+            atomic_write.replace(self.path, pressed.model_dump_json().encode())
         except OSError as error:
             try:
                 self.touch()
@@ -55,7 +55,7 @@ class Presses:
         """A press of which nothing but its time is noted; raises OSError where that cannot be."""
         self.path.touch()
         with suppress(OSError):
-            whole_file.sync_folder(self.path.parent)
+            atomic_write.sync_folder(self.path.parent)
 
     def newest(self) -> Press:
         """Raises DeviceError for a file that cannot be read: then nobody knows whether one was pressed."""

@@ -11,7 +11,7 @@ from typing import IO, Self
 
 from pydantic import BaseModel, ValidationError
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import DeviceError
 from rig.control.lasers import LaserSettings
 from rig.control.presses import Presses
@@ -299,7 +299,7 @@ class SafetyState:
                 try:
                     # somebody may have tidied up
                     self.path.parent.mkdir(parents=True, exist_ok=True)
-                    whole_file.replace(self.path, stored.model_dump_json(indent=1).encode())
+                    atomic_write.replace(self.path, stored.model_dump_json(indent=1).encode())
                 except OSError as error:
                     why = error.strerror or error
                     self.problem = f"{self.path}: the rig's state cannot be written: {why}"

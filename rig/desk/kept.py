@@ -9,7 +9,7 @@ from typing import IO
 
 from pydantic import BaseModel, Field, ValidationError
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import ConfigurationError
 from rig.control import state_folder
 
@@ -117,7 +117,7 @@ class Kept:
     def _write(self, name: str, data: bytes) -> None:
         if self._lock is not None:
             with contextlib.suppress(OSError):
-                whole_file.replace(self._folder / name, data)
+                atomic_write.replace(self._folder / name, data)
 
 
 def _locked(held: IO[str]) -> str | None:

@@ -7,8 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from acquisition import atomic_write
 from acquisition.cameras.usb3vision.link import UDEV_RULE
-from acquisition.record import whole_file
 from processing.errors import ConfigurationError, DeviceError
 from rig.control import udev_board, udev_matches
 
@@ -62,7 +62,7 @@ def install_rules(folder: Path = RULES_FOLDER) -> tuple[Path, str]:
         raise ConfigurationError(f"{folder}: no such folder; this system has no udev, and needs no rules")
     path = folder / _FILE
     try:
-        whole_file.replace(path, udev_rules().encode(), mode=0o644)
+        atomic_write.replace(path, udev_rules().encode(), mode=0o644)
     except PermissionError:
         raise DeviceError(f"{path}: only root may write it: {as_root()}") from None
     except OSError as error:

@@ -11,7 +11,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from acquisition.record.whole_file import write_new
+from acquisition.atomic_write import write_new
 from processing.errors import MissingPackage
 from processing.units import in_ascii
 from rig.export.run import ExportedResults, ExportedRun, columns_of

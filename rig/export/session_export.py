@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from acquisition.record.whole_file import write_new
+from acquisition.atomic_write import write_new
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import TableDecay
 from rig.export.nexus import item_name, write_nexus

@@ -8,7 +8,7 @@ from typing import Any, Final, get_type_hints
 import pyarrow as pa
 from pyarrow import csv, parquet
 
-from acquisition.record.whole_file import being_written
+from acquisition.atomic_write import being_written
 from rig.analysis import ResultRow
 from rig.export.run import ExportedResults, ExportedRun, columns_of, flat_results
 from rig.presentation import harmless_line, harmless_text

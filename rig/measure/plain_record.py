@@ -4,7 +4,7 @@ from pathlib import Path
 
 import cv2
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import ConfigurationError, DataError, RecordError
 from rig.channel import SessionNews, light_told
 from rig.devices import Devices, ask_leave
@@ -68,7 +68,7 @@ def take_frames(config: Configuration, folder: Path, count: int) -> Path:
         raise DataError(f"the camera gave {len(images)} frames, {count} were asked for")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file.folder_being_written(folder) as beside:
+        with atomic_write.folder_being_written(folder) as beside:
             for number, image in enumerate(images):
                 done, png = cv2.imencode(".png", image)
                 if not done:

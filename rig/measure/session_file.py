@@ -13,7 +13,7 @@ from typing import IO, Any, Self
 
 from pydantic import BaseModel
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import ConfigurationError, RecordError, RigError, require_schema
 
 try:
@@ -191,7 +191,7 @@ class SessionFile:
         """Replace the file atomically, so that a power failure leaves either the old or the new file."""
         path = self.folder / STATE_NAME
         try:
-            whole_file.replace(path, json.dumps(state.model_dump(mode="json"), indent=1).encode())
+            atomic_write.replace(path, json.dumps(state.model_dump(mode="json"), indent=1).encode())
         except OSError as error:
             raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
         self.state = state

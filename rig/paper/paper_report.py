@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import RecordError
 from processing.fit import FitMethod
 from rig.analysis import curves_of
@@ -79,8 +79,8 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
             with styled():
                 body += save_figures(_drawings(series), folder)
         page = html.page(f"Tables and figures of {SOURCE}", "made again", body)
-        whole_file.take_away_leftovers(target.parent, target.name)
-        whole_file.write_new(target, page.encode())
+        atomic_write.take_away_leftovers(target.parent, target.name)
+        atomic_write.write_new(target, page.encode())
     except OSError as error:
         raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
     return target

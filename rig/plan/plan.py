@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.angle import ARCSEC_RAD
 from processing.contact import DRAG, PendulumOnBall
 from processing.errors import DataError
@@ -167,6 +167,6 @@ def save_plan(plan: Plan, folder: Path, ageing: Table | None = None) -> None:
         made[".ageing.csv"] = ageing.csv().encode()
     for suffix, content in made.items():
         path = folder / f"plan{suffix}"
-        whole_file.write_new(path, content)
+        atomic_write.write_new(path, content)
         answer(written=[path])
         print(f"{'plan':<12} {path}")

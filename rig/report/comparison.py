@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
@@ -79,8 +79,8 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
                 figures = save_figures(drawings, files)
             body = [*figures, *(html.table(content) for content in tables)]
             page = html.page("Series compared", ", ".join(series), body)
-            whole_file.take_away_leftovers(output.parent, output.name)
-            whole_file.write_new(output, page.encode())
+            atomic_write.take_away_leftovers(output.parent, output.name)
+            atomic_write.write_new(output, page.encode())
         except OSError as error:
             raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
     return tables

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import RecordError
 from processing.fit import FitMethod
 from rig.analysis import (
@@ -50,7 +50,7 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     files = target.parent / target.stem
     try:
         files.mkdir(parents=True, exist_ok=True)
-        whole_file.take_away_leftovers(target.parent, target.name)
+        atomic_write.take_away_leftovers(target.parent, target.name)
         series = [] if source.series is None else _series(source, source.series, files)
         alone = len(source.runs) == 1
         runs = [_run(run, files / f"run-{k}", alone=alone) for k, run in enumerate(source.runs, start=1)]
@@ -60,7 +60,7 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
             body += each.values()
         body += _provenance(source)
         title, subtitle = title_of(source)
-        whole_file.replace(
+        atomic_write.replace(
             target, html.page(title, subtitle, body, results_sha256=source.results[1]).encode()
         )
     except OSError as error:
@@ -217,12 +217,12 @@ def _pictures(drawings: Sequence[ReportFigure], files: Path) -> list[tuple[Repor
 
     A frame is pixels, and goes into the page as PNG; everything else is lines, as SVG.
     """
-    whole_file.take_away_leftovers(files)
+    atomic_write.take_away_leftovers(files)
     found = []
     for drawing in drawings:
         vector, pixels = svg(drawing), png(drawing)
-        whole_file.replace(files / f"{drawing.name}.svg", vector)
-        whole_file.replace(files / f"{drawing.name}.png", pixels)
+        atomic_write.replace(files / f"{drawing.name}.svg", vector)
+        atomic_write.replace(files / f"{drawing.name}.png", pixels)
         inside = (pixels, "image/png") if drawing.name.endswith("frame") else (vector, "image/svg+xml")
         found.append((drawing, html.picture(drawing, *inside)))
     return found
@@ -235,9 +235,9 @@ def save_figures(drawings: Sequence[ReportFigure], files: Path) -> list[str]:
 
 def save_tables(tables: Sequence[Table], files: Path) -> None:
     """Write every table as CSV."""
-    whole_file.take_away_leftovers(files)
+    atomic_write.take_away_leftovers(files)
     for table in tables:
-        whole_file.replace(files / f"{table.name}.csv", table.csv().encode())
+        atomic_write.replace(files / f"{table.name}.csv", table.csv().encode())
 
 
 def _provenance(source: ReportSource) -> list[str]:

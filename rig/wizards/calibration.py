@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from acquisition.record import records_of, whole_file
+from acquisition import atomic_write
+from acquisition.record import records_of
 from calibration import CalibrationFile, read_calibration, toml_value
 from processing.errors import ConfigurationError, RecordError
 from rig.calibrate import Filing, Residuals, calibration_residuals, calibration_tables
@@ -69,7 +70,7 @@ def write_table(folder: Path, stem: str, tree: Mapping[str, Any]) -> Path:
         while True:
             path = folder / f"{stem}-{number:03d}.toml"
             try:
-                whole_file.write_new(path, text.encode())
+                atomic_write.write_new(path, text.encode())
             except FileExistsError:
                 number += 1
             else:

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from acquisition import atomic_write
 from acquisition.cameras.drivers import DRIVERS
-from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 from rig.settings import (
     SCHEMA,
@@ -65,7 +65,7 @@ def write_configuration(path: Path, stated: Keys) -> Configuration:
     refuse_existing(path)
     text = configuration_text(stated, datetime.datetime.now().astimezone())
     try:
-        with whole_file.being_written(path) as beside:
+        with atomic_write.being_written(path) as beside:
             beside.write_text(text, encoding="utf-8")
             try:
                 return load_configuration(beside, needs_camera="camera.driver" in stated)
@@ -108,7 +108,7 @@ def copy_shipped(name: str, path: Path) -> list[Path]:
     missing = {target: text for target, text in texts.items() if not _holds(target, text)}
     for target, text in missing.items():
         try:
-            whole_file.write_new(target, text)
+            atomic_write.write_new(target, text)
         except OSError as error:
             raise RecordError(f"{target}: cannot be written: {error.strerror or error}") from None
     return list(missing)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import ConfigurationError, RecordError, RigError
 from rig.wizards.question import Question, Wizard
 
@@ -87,7 +87,7 @@ def keep_draft(path: Path, draft: Draft) -> None:
     """Write the draft; raises RecordError if that is not possible."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        whole_file.replace(path, json.dumps(draft.answers, ensure_ascii=False, indent=1).encode())
+        atomic_write.replace(path, json.dumps(draft.answers, ensure_ascii=False, indent=1).encode())
     except OSError as error:
         raise RecordError(f"{path}: the answers cannot be kept: {error.strerror or error}") from None
 

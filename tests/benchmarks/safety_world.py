@@ -16,7 +16,7 @@ from unittest.mock import patch
 
 import pytest
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import DeviceError
 from rig.control import Controller, ControlService, LaserService, LightPermit, Stage, light_permit, make_laser
 from rig.control.firmware.core import VERSION
@@ -86,7 +86,7 @@ class World:
         self.opened_s = 0.0
         self.line = SpoiledLine(self.board)
         self.slow = self.full = False
-        self._write = whole_file.replace
+        self._write = atomic_write.replace
         self.story: list[str] = []
         self.found: list[str] = []
         self.counts: Counter[str] = Counter()
@@ -269,7 +269,7 @@ def stepped_world(seed: int, folder: Path, kind: str = "", wired: bool | None = 
         for port in ("stepped", "instrument"):
             known(port)
         monkeypatch.setattr(serial_laser, "SerialPort", world.open_laser)
-        monkeypatch.setattr(whole_file, "replace", world.replace)
+        monkeypatch.setattr(atomic_write, "replace", world.replace)
         # a full disk is no news here
         monkeypatch.setattr(light_permit._log, "disabled", True)
         for module in ("laser", "light_watch", "lit_devices"):

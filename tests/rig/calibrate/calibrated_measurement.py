@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.record.whole_file import write_new
+from acquisition.atomic_write import write_new
 from acquisition.simulation.settings import AxesTruth, ContactTruth, FastModeTruth, ReleaseTruth
 from acquisition.simulation.true_path import true_path
 from calibration.axes import deflections

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from acquisition.atomic_write import write_new
 from acquisition.record.reader import RecordReader
-from acquisition.record.whole_file import write_new
 from calibration import relate_clocks
 from calibration.store import read_calibration, write_calibration
 from processing.errors import ConfigurationError, RigError

@@ -9,7 +9,7 @@ from threading import Event, Thread
 
 import pytest
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 from processing.errors import DeviceError
 from rig.control import LightRefused, TripCause, light_permit
 from rig.control.presses import Presses
@@ -136,7 +136,7 @@ def test_where_the_state_cannot_be_written_nothing_is_lit(
     with Devices(config) as devices:
         devices.wait_until_heard()
         with monkeypatch.context() as disk:
-            disk.setattr(whole_file, "replace", full)
+            disk.setattr(atomic_write, "replace", full)
             with pytest.raises(LightRefused, match="the rig's state cannot be written: No space left"):
                 devices.light()
             assert "cannot be written" in devices.safety().refusal
@@ -145,7 +145,7 @@ def test_where_the_state_cannot_be_written_nothing_is_lit(
         assert instrument.on
         # a trip that only this program knows
         with monkeypatch.context() as disk:
-            disk.setattr(whole_file, "replace", full)
+            disk.setattr(atomic_write, "replace", full)
             devices.permit.trip(TripCause.OUTPUT, "it stays lit")
             until(lambda: not instrument.on)
             devices.state._held.close()  # type: ignore[union-attr]

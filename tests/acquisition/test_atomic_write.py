@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.record import whole_file
+from acquisition import atomic_write
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="rights and symbolic links of POSIX")
 
 
 def test_it_has_the_rights_of_any_new_file(tmp_path: Path) -> None:
     (tmp_path / "usual").write_bytes(b"")
-    whole_file.replace(tmp_path / "new", b"data")
+    atomic_write.replace(tmp_path / "new", b"data")
     assert (tmp_path / "new").stat().st_mode == (tmp_path / "usual").stat().st_mode
     assert (tmp_path / "new").read_bytes() == b"data"
 
@@ -21,7 +21,7 @@ def test_it_has_the_rights_of_any_new_file(tmp_path: Path) -> None:
 def test_a_link_is_replaced_and_what_it_leads_to_stays(tmp_path: Path) -> None:
     (tmp_path / "elsewhere").write_bytes(b"old")
     (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
-    whole_file.replace(tmp_path / "link", b"new")
+    atomic_write.replace(tmp_path / "link", b"new")
     assert not (tmp_path / "link").is_symlink()
     assert (tmp_path / "link").read_bytes() == b"new"
     assert (tmp_path / "elsewhere").read_bytes() == b"old"
@@ -36,13 +36,13 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_beside_it(
     (tmp_path / "file").write_bytes(b"old")
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="No space"):
-        whole_file.replace(tmp_path / "file", b"new")
+        atomic_write.replace(tmp_path / "file", b"new")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     assert (tmp_path / "file").read_bytes() == b"old"
 
 
 def test_what_is_not_finished_takes_no_name(tmp_path: Path) -> None:
-    writing = whole_file.being_written(tmp_path / "file")
+    writing = atomic_write.being_written(tmp_path / "file")
     writing.__enter__().write_bytes(b"data")
     assert not writing.__exit__(ValueError, ValueError("no"), None)
     assert list(tmp_path.iterdir()) == []
@@ -54,20 +54,20 @@ def test_a_disk_that_gives_back_something_else_is_an_error(
     read = os.read
     monkeypatch.setattr(os, "read", lambda number, count: read(number, count)[:-1])
     with pytest.raises(OSError, match="read again it is not what was written"):
-        whole_file.write_new(tmp_path / "file", b"data")
+        atomic_write.write_new(tmp_path / "file", b"data")
     monkeypatch.undo()
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_that_somebody_else_writes(tmp_path: Path) -> None:
     path = tmp_path / "file"
-    with whole_file.being_written(path) as beside:
+    with atomic_write.being_written(path) as beside:
         beside.write_bytes(b"mine")
         # he is alive: nothing of his is taken away
-        assert whole_file.take_away_leftovers(tmp_path) == []
+        assert atomic_write.take_away_leftovers(tmp_path) == []
         path.write_bytes(b"other")
         with pytest.raises(FileExistsError):
-            whole_file.being_written(path).__enter__()
+            atomic_write.being_written(path).__enter__()
         path.unlink()
     assert path.read_bytes() == b"mine"
 
@@ -75,9 +75,9 @@ def test_a_file_that_somebody_else_writes(tmp_path: Path) -> None:
 def test_what_the_dead_left_is_taken_away_and_nothing_else(tmp_path: Path) -> None:
     for name in (".run-1.mcap.0123abcd", ".run-1.mcap.0123abcd.claim", ".run-2.mcap.89abcdef", ".hidden"):
         (tmp_path / name).write_bytes(b"half")
-    assert whole_file.take_away_leftovers(tmp_path, "run-1.mcap") == [tmp_path / "run-1.mcap"]
+    assert atomic_write.take_away_leftovers(tmp_path, "run-1.mcap") == [tmp_path / "run-1.mcap"]
     assert sorted(path.name for path in tmp_path.iterdir()) == [".hidden", ".run-2.mcap.89abcdef"]
-    assert whole_file.take_away_leftovers(tmp_path) == [tmp_path / "run-2.mcap"]
+    assert atomic_write.take_away_leftovers(tmp_path) == [tmp_path / "run-2.mcap"]
     assert [path.name for path in tmp_path.iterdir()] == [".hidden"]
 
 
@@ -85,7 +85,7 @@ def test_a_folder_appears_whole_and_what_a_kill_left_of_it_is_taken_away(tmp_pat
     path = tmp_path / "crate"
 
     def killed() -> None:
-        with whole_file.folder_being_written(path) as beside:
+        with atomic_write.folder_being_written(path) as beside:
             (beside / "inner").mkdir()
             (beside / "inner" / "file").write_bytes(b"half")
             os._exit(9)
@@ -97,15 +97,15 @@ def test_a_folder_appears_whole_and_what_a_kill_left_of_it_is_taken_away(tmp_pat
     left = [entry.name for entry in tmp_path.iterdir()]
     assert len(left) == 2
     assert not path.exists()
-    with whole_file.folder_being_written(path) as beside:
+    with atomic_write.folder_being_written(path) as beside:
         # of who writes at the same time nothing is taken away
-        whole_file.take_away_leftovers(tmp_path)
+        atomic_write.take_away_leftovers(tmp_path)
         (beside / "file").write_bytes(b"whole")
         assert not path.exists()
     assert [entry.name for entry in tmp_path.iterdir()] == ["crate"]
     assert (path / "file").read_bytes() == b"whole"
-    with pytest.raises(FileExistsError), whole_file.folder_being_written(path):
+    with pytest.raises(FileExistsError), atomic_write.folder_being_written(path):
         pass
-    with pytest.raises(ValueError, match="not good"), whole_file.folder_being_written(tmp_path / "other"):
+    with pytest.raises(ValueError, match="not good"), atomic_write.folder_being_written(tmp_path / "other"):
         raise ValueError("not good")
     assert [entry.name for entry in tmp_path.iterdir()] == ["crate"]
