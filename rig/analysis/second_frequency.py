@@ -1,7 +1,7 @@
 """A second oscillation in a table: why no half-cycle is usable, or why every uncertainty is wide."""
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +27,6 @@ _FAST: Final = 1.5
 _LAST_OVERTONE: Final = 5
 _MOST_OF_THE_REST: Final = 0.5
 """Of the power beside the swing; of white noise a line's width holds a fifth at most."""
-_ROUNDS: Final = 10
-_FAR: Final = 2.0
-"""Median residuals beyond which a frequency counts little."""
-_BY_CHANCE: Final = 20.0
-"""Times what n frequencies of two positions have in common by chance, 1/n of what they have not."""
 _SEEN: Final = 3e-4
 """Of the swing's amplitude; below are the last digits of the table, and the sides of the swing's own line."""
 
@@ -96,61 +91,16 @@ def fast_oscillation(
     )
 
 
-def fast_part(
-    times_ns: NDArray[np.int64], along: NDArray[np.float64], across: NDArray[np.float64], period_s: float
-) -> float:
-    """The fast mode along the swing over that across it, where its directions are not at a right angle.
-
-    So many times the positions across, taken off those along, leave the swing alone. 0 where no fast mode
-    across is seen beside the noise, or where what is along has nothing in common with it.
+def _beside_the_swing(
+    times_ns: NDArray[np.int64], deflection: NDArray[np.float64], period_s: float, at_hz: float | None = None
+) -> tuple[float, float, float, float] | None:
+    """Of the strongest line beside swing, overtones and drift, or that at `at_hz`: frequency, share of all
+    that is left, amplitude over the swing's, and amplitude; None where there are too few samples.
     """
-    good = np.isfinite(along) & np.isfinite(across)
-    # across the swing there are no overtones of it, but a fast mode may lie beside one
-    found = [_spectrum(times_ns[good], one[good], period_s, overtones=1) for one in (along, across)]
-    if found[0] is None or found[1] is None:
-        return 0.0
-    power = np.abs(found[1].rest) ** 2
-    line = found[1].near(int(np.argmax(power)))
-    x, y = found[1].rest[line], found[0].rest[line]
-    if not float(power[line].sum()) > _MOST_OF_THE_REST * float(power.sum()):
-        return 0.0
-    weight, part, common = np.ones(len(x)), 0.0, 0.0
-    for _ in range(_ROUNDS):
-        both, of_x, of_y = (
-            float(np.sum(weight * one)) for one in ((x.conj() * y).real, np.abs(x) ** 2, np.abs(y) ** 2)
-        )
-        part, common = both / of_x, both**2 / (of_x * of_y)
-        left = np.abs(y - part * x)
-        # an overtone of the swing may lie beside the line: a frequency that is far off says little
-        weight = 1.0 / (1.0 + (left / (_FAR * float(np.median(left)))) ** 2)
-    return part if len(x) * common > _BY_CHANCE * (1.0 - common) else 0.0
-
-
-class _Spectrum(NamedTuple):
-    """Of the longest stretch without a gap: its length, the swing's power, and what is beside the swing."""
-
-    span_s: float
-    swing: float
-    rest: NDArray[np.complex128]
-
-    @staticmethod
-    def near(k: float) -> slice:
-        """What belongs to the line at the k-th frequency."""
-        width = max(_LEAST_BINS, round(_HALF_WIDTH * k))
-        return slice(max(round(k) - width, 0), round(k) + width + 1)
-
-
-def _spectrum(
-    times_ns: NDArray[np.int64],
-    deflection: NDArray[np.float64],
-    period_s: float,
-    overtones: int = _LAST_OVERTONE,
-) -> _Spectrum | None:
-    """None where there are too few samples; the swing goes with so many overtones, itself the first."""
     good = np.isfinite(deflection)
-    if np.count_nonzero(good) < _FEWEST:
-        return None
     time_s, values = seconds(times_ns[good] - times_ns[0]), deflection[good]
+    if len(time_s) < _FEWEST:
+        return None
     # across a gap a straight line would stand for the swing, and have lines of its own
     steps_s = np.diff(time_s)
     borders = np.flatnonzero(steps_s > _GAP * float(np.median(steps_s))) + 1
@@ -160,28 +110,23 @@ def _spectrum(
         return None
     even_s = np.linspace(0.0, time_s[-1], len(time_s))
     even = np.interp(even_s, time_s, values)
-    rest = np.fft.rfft((even - even.mean()) * np.hanning(len(even)))
-    turns = float(even_s[-1]) / period_s
-    swing = float(np.sum(np.abs(rest[_Spectrum.near(turns)]) ** 2))
-    rest[: _LEAST_BINS + 1] = 0.0
-    for overtone in range(1, overtones + 1):
-        rest[_Spectrum.near(overtone * turns)] = 0.0
+    power = np.abs(np.fft.rfft((even - even.mean()) * np.hanning(len(even)))) ** 2
+    span_s = float(even_s[-1])
+    turns = span_s / period_s
+
+    def near(k: float) -> slice:
+        width = max(_LEAST_BINS, round(_HALF_WIDTH * k))
+        return slice(max(round(k) - width, 0), round(k) + width + 1)
+
+    swing = float(power[near(turns)].sum())
+    power[: _LEAST_BINS + 1] = 0.0
+    for overtone in range(1, _LAST_OVERTONE + 1):
+        power[near(overtone * turns)] = 0.0
     # what is slower is the ground or the rest position, which the fits know of, or a side of the swing's line
-    rest[: round(_FAST * turns)] = 0.0
-    return _Spectrum(float(even_s[-1]), swing, rest)
-
-
-def _beside_the_swing(
-    times_ns: NDArray[np.int64], deflection: NDArray[np.float64], period_s: float, at_hz: float | None = None
-) -> tuple[float, float, float, float] | None:
-    """Of the strongest line beside swing, overtones and drift, or that at `at_hz`: frequency, share of all
-    that is left, amplitude over the swing's, and amplitude; None where there are too few samples.
-    """
-    found = _spectrum(times_ns, deflection, period_s)
-    power = np.zeros(0) if found is None else np.abs(found.rest) ** 2
+    power[: round(_FAST * turns)] = 0.0
     rest = float(power.sum())
-    if found is None or not rest > 0 or not found.swing > 0:
+    if not rest > 0 or not swing > 0:
         return None
-    k = int(np.argmax(power)) if at_hz is None else round(at_hz * found.span_s)
-    line = float(power[found.near(k)].sum())
-    return k / found.span_s, line / rest, (line / found.swing) ** 0.5, line**0.5
+    k = int(np.argmax(power)) if at_hz is None else round(at_hz * span_s)
+    line = float(power[near(k)].sum())
+    return k / span_s, line / rest, (line / swing) ** 0.5, line**0.5

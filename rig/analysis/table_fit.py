@@ -15,7 +15,7 @@ from acquisition.record.digest import known_sha256_of_any
 from processing.contact import StatedLaw
 from processing.contact.laws import Law
 from processing.decay_summary import DecaySummary, summarise_decay
-from processing.deflections import Deflections, DeflectionUnit, joined, slow_deflections
+from processing.deflections import Deflections, DeflectionUnit, slow_deflections
 from processing.envelope import EnvelopeDecay, fit_envelope
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
@@ -27,7 +27,6 @@ from processing.swing import (
     estimate_noise,
     estimate_scatter,
     swings_of,
-    swings_of_blocks,
     turning_points,
 )
 from processing.ticks import seconds
@@ -39,7 +38,7 @@ from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.position_table import TableColumns
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
 from rig.analysis.results_file import relative_record
-from rig.analysis.second_frequency import fast_oscillation, fast_part, second_frequency
+from rig.analysis.second_frequency import fast_oscillation, second_frequency
 from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
 from rig.analysis.surroundings import stated_surroundings
 from rig.analysis.swings_fit import analyse_swings
@@ -196,7 +195,6 @@ def _analyse(
     )
     passing = PassingDeflections([deflections[inside]], DeflectionUnit.RAD)
     followed = follow_plane(swings, passing, None, along_line=True)
-    followed = _without_fast_mode(followed)
     as_detected, swings = swings, followed.swings
     deflection = np.concatenate([block.y for block in followed.deflections])
     points = turning_points(swings)
@@ -275,21 +273,6 @@ def _analyse(
         run=trajectory.run,
     )
     return FoundDecay(swings, summary, results)
-
-
-def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
-    """The same with what the positions along the swing have of a fast mode across taken off.
-
-    The axes of a table are stated nowhere, and the line of the swing is at no right angle to the fast mode.
-    """
-    period_s = summarise_decay(turning_points(followed.swings)).period_s.value
-    seen = joined(followed.deflections, DeflectionUnit.RAD)
-    part = fast_part(seen.times_ns, seen.y, seen.x, period_s)
-    if not part:
-        return followed
-    alone = replace(seen, y=seen.y - part * seen.x, u_y=np.hypot(seen.u_y, part * seen.u_x))
-    passing = PassingDeflections([alone], DeflectionUnit.RAD)
-    return replace(followed, swings=swings_of_blocks(passing), deflections=passing)
 
 
 def _in_both(
