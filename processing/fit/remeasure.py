@@ -26,11 +26,7 @@ _MOST = 0.95
 
 
 def known_motion(
-    parameters: ContactParameters,
-    pendulum: PendulumOnBall,
-    reference_rad: float,
-    clock: float = 1.0,
-    drive_rad: float = 0.0,
+    parameters: ContactParameters, pendulum: PendulumOnBall, reference_rad: float, clock: float = 1.0
 ) -> KnownMotion:
     """Frequency and waveform of the half-swing for contact parameters and deflections in rad.
 
@@ -40,8 +36,6 @@ def known_motion(
         Reference amplitude of the waveform; any within the decay.
     clock
         True seconds (the unit of the parameters) per second of the samples' clock.
-    drive_rad
-        Step of the ground's drive, see `KnownMotion`.
 
     Raises
     ------
@@ -72,7 +66,6 @@ def known_motion(
         stiff=of_n + of_next,
         n=contact.n,
         bend=of_next + (of_n + of_next) * contact.n,
-        drive=drive_rad,
     )
 
 

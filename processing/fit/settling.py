@@ -48,8 +48,7 @@ class FitOfSwings(NamedTuple):
     def motion(self, fit: FitResult, swings: Sequence[Swing]) -> KnownMotion:
         """The motion that a fit of half-cycles found, about their first amplitude."""
         reference_rad = next(swing.amplitude for swing in swings if not swing.flags)
-        drive_rad = fit.ground.noise.step if fit.ground is not None and fit.ground.seen else 0.0
-        return known_motion(fit.parameters, self.pendulum, reference_rad, self.clock_rate, drive_rad)
+        return known_motion(fit.parameters, self.pendulum, reference_rad, self.clock_rate)
 
 
 class Settlement(NamedTuple):

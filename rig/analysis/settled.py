@@ -13,6 +13,7 @@ from processing.fit import (
     FitResult,
     PlaceErrors,
     describes_as_well,
+    known_motion,
     measured_again,
     place_errors,
     settlement,
@@ -136,7 +137,7 @@ def _without_position_errors(
                 return None
             exact = fit.of(again, exact)
             if step < 2:
-                motion = fit.motion(exact, again)
+                motion = known_motion(exact.parameters, fit.pendulum, motion.reference, fit.clock_rate)
         if not describes_as_well(exact, before):
             return None
         left = _place_errors(found, again, exact, fit).of_parameters
