@@ -24,7 +24,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, Header, Statistics
+from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, Header, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
 
@@ -65,6 +65,7 @@ _BLOCK_BYTES = 256 * 1024
 _CRC_BYTES = 4
 _CLASSES: Mapping[int, Any] = {
     Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
     Opcode.STATISTICS: Statistics,
     Opcode.ATTACHMENT: Attachment,
@@ -135,9 +136,9 @@ class Contents:
 
     `whole` is False for a file without an ending; `readable_bytes` is the end of its last complete record.
     `indexed` is True if the chunks come from a summary with a correct checksum, so that their channels are
-    reliable. `counts` are the numbers of messages by channel. `attachments` are the sizes of attached files,
-    `attachment_places` where their copies are. `damage` describes parts of the structure that could not be
-    read.
+    reliable. `schemas` describe the topics, where a summary does. `counts` are the numbers of messages by
+    channel. `attachments` are the sizes of attached files, `attachment_places` where their copies are.
+    `damage` describes parts of the structure that could not be read.
     """
 
     size: int = 0
@@ -146,6 +147,7 @@ class Contents:
     indexed: bool = False
     readable_bytes: int = len(MAGIC)
     channels: dict[int, str] = field(default_factory=dict)
+    schemas: dict[str, Schema] = field(default_factory=dict)
     attachments: dict[str, int] = field(default_factory=dict)
     attachment_places: dict[str, list[int]] = field(default_factory=dict)
     chunks: ChunkPlaces = field(default_factory=ChunkPlaces)
@@ -463,13 +465,18 @@ def _read_summary(file: IO[bytes], contents: Contents) -> bool:
     if crc != zlib.crc32(data[: _FOOTER.size - _CRC_BYTES], zlib.crc32(summary)):
         contents.damage.append("the summary's checksum does not match: bytes have changed")
         return False
-    place = 0
+    place, schemas = 0, dict[int, Schema]()
     while place < len(summary):
         opcode, length = _HEAD.unpack_from(summary, place)
         place += _HEAD.size
         # of a sound summary every record can be read
         if opcode in _CLASSES:
-            _list_summarised(contents, _parse(opcode, summary[place : place + length]))
+            record = _parse(opcode, summary[place : place + length])
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel) and record.schema_id in schemas:
+                contents.schemas[record.topic] = schemas[record.schema_id]
+            _list_summarised(contents, record)
         place += length
     contents.data_end = start - _DATA_END.size
     *_, contents.data_crc = _DATA_END.unpack(_read_at(file, contents.data_end, _DATA_END.size))

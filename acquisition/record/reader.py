@@ -29,7 +29,7 @@ from acquisition.record.read_file import (
     messages_in,
     packed_messages,
 )
-from acquisition.record.schemas import MessageType
+from acquisition.record.schemas import MessageType, parse_message_type
 from acquisition.record.spots_and_swings import balances_of, deflections_of, swings_of
 from acquisition.record.topics import (
     BALANCE,
@@ -251,6 +251,14 @@ class RecordReader:
                 if known == topic:
                     yield from file.by_chunk(take, number, from_ns)
 
+    def _kind(self, topic: str) -> MessageType:
+        """The type of a topic's messages: as the file describes it, else as this version writes it."""
+        described = self.contents.schemas.get(topic)
+        own = self._kinds[topic]
+        if described is None or described.data == own.descriptor:
+            return own
+        return parse_message_type(described.name, topic, described.data)
+
     def has(self, topic: str) -> bool:
         """Whether the record has any message of a topic."""
         return topic in self.counts
@@ -260,13 +268,13 @@ class RecordReader:
 
         The names of the fields are those in the file, with units.
         """
-        kind = self._kinds[topic]
+        kind = self._kind(topic)
         parts = list(self._tables(kind))
         return np.concatenate(parts) if parts else np.empty(0, dtype=kind.table_dtype)
 
     def values(self, topic: str, value_class: type[_Value]) -> list[_Value]:
         """All messages of a topic as values of the dataclass or NamedTuple with which they were written."""
-        kind = self._kinds[topic]
+        kind = self._kind(topic)
         return [
             value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
             for message in self.messages(topic)
@@ -278,7 +286,10 @@ class RecordReader:
         Without a lever (`deflection_unit` is px) the fields are those of `topics.SPOT_UNCALIBRATED`. NaN
         where the spot was lost.
         """
-        return self.table(SPOT.topic)
+        spots = self.table(SPOT.topic)
+        if not set(self._kinds[SPOT.topic].names) <= set(spots.dtype.names or ()):
+            raise RecordError(f"{self.path}: {SPOT.topic} has other fields than this version writes")
+        return spots
 
     def deflections(self, spots: NDArray[Any] | None = None) -> Deflections:
         """Deflections in rows returned by `spots` or `spot_blocks`; without any, those of the whole
@@ -295,7 +306,7 @@ class RecordReader:
         not read. With `fields`, only these fields (and `time_ns`) are decoded, which is faster.
         """
         wanted = None if fields is None else {"time_ns", *fields}
-        for table in self._tables(self._kinds[SPOT.topic], start_ns, wanted):
+        for table in self._tables(self._kind(SPOT.topic), start_ns, wanted):
             if start_ns is not None:
                 table = table[table["time_ns"] >= start_ns]
             if len(table):
@@ -350,6 +361,8 @@ class RecordReader:
         held: list[NDArray[np.void]] = []
         count = 0
         for part in self._by_chunk(packed_messages, kind.topic, self._from_ns(start_ns)):
+            if part.dtype.itemsize != kind.wire_dtype.itemsize:
+                raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
             held.append(part)
             count += len(part)
             if count >= _ROWS_AT_ONCE:

@@ -83,9 +83,7 @@ class ResultRow:
     @property
     def equation(self) -> str:
         """``b = (3.73 ± 0.02) × 10⁻³ rad⁻ᵖ``, ``c < 1.4 × 10⁻⁸ (95 %)``."""
-        sign = "" if self.text.startswith(("<", ">")) else "= " if self.determined else "in "
-        if self.text == "not determined":
-            sign = ""
+        sign = {Determinacy.DETERMINED: "= ", Determinacy.INTERVAL: "in "}.get(self.verdict, "")
         return f"{self.shown.symbol} {sign}{self.text} {self.shown.unit}".rstrip()
 
     def __str__(self) -> str:

@@ -25,12 +25,16 @@ def print_info(path: Path) -> None:
     amplitude = f"{clean[0]:.2f} to {clean[-1]:.2f} {unit.shown}" if clean else "none"
     half_cycles = f"{len(swings)}, {len(swings) - len(clean)} of them flagged"
     result = _result(path)
+    sizes = []
     for file in files:
         held = file.contents
         state = "whole" if held.whole else f"cut short after {_size(held.readable_bytes)} (see rig recover)"
-        print_line(f"{file.path}: {_size(held.size)}, {state}")
+        sizes.append(f"{file.path}: {_size(held.size)}, {state}")
+    print_line(sizes[0])
     for name, text in (("amplitude", amplitude), ("half-cycles", half_cycles), ("result", result)):
         print_line(f"{name:<12} {text}")
+    for line in sizes[1:]:
+        print_line(line)
     print_line(f"schema {int(metadata['record']['schema_version'])}, written by {contents.library}")
     if contents.start_ns:
         when = " of simulated time" if RecordedCamera.of(metadata).simulated else ""

@@ -258,6 +258,11 @@ class Configuration(Section, frozen=True):
             raise ValueError(f"session.stop_when: {error}") from None
         return self
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Configuration) and all(
+            getattr(self, name) == getattr(other, name) for name in Configuration.model_fields
+        )
+
     @property
     def named(self) -> str:
         """As a command for the same rig takes it: its file, with what --set states of the devices."""

@@ -30,7 +30,6 @@ class Frame:
         (Frame(), "not a Frame"),
         ([], "source: is empty; name at least one"),
         ([np.arange(3.0)], "source: a path is needed, not a ndarray; save what is in memory first"),
-        (SAMPLES / "first", r"is a folder; rig.open_session\(folder\) opens a session"),
         ([RECORD, rig.open_record(RECORD)], "is the same run as .*, which counts once in a series"),
     ],
 )

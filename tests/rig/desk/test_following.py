@@ -136,7 +136,7 @@ def test_a_press_of_light_off_that_comes_by_two_ways_darkens_once(tmp_path: Path
     with Channel(folder, told, {"dark": lambda by: dark.append(by) or "dark"}):  # type: ignore[func-returns-value]
         desk.following.start()
         for press in ("one", "one", "two"):
-            assert desk.lighting.off(press) == []
+            assert desk.lighting.off(press) == ["no laser is switched by this program: turn its key"]
         until(lambda: len(dark) == 2)
         desk.lighting.off("one")
         desk.lighting.off("three")

@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
-from acquisition.record.reader import RecordReader
+from acquisition.record.read_file import ReadFile
 from tests.acquisition.record.samples import write_sample
 from tests.rig.replay.replay_record import make_record
 from tests.validation.row import Found
@@ -68,9 +68,10 @@ def _faults(path: Path) -> tuple[list[str], int]:
         wrong.append("a channel without a description")
     if any(c.schema_id and c.schema_id not in summary.schemas for c in summary.channels.values()):
         wrong.append("a channel without its schema")
-    with RecordReader(path) as ours:
-        if sum(ours.counts.values()) != len(times):
-            wrong.append("our reader sees another number of messages")
+    ours = ReadFile(path)
+    ours.close()
+    if ours.contents.counts.total() != len(times):
+        wrong.append("our reader sees another number of messages")
     return wrong, len(times)
 
 
