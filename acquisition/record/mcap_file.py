@@ -14,7 +14,7 @@ from pathlib import Path
 
 from mcap.data_stream import RecordBuilder
 from mcap.records import Footer
-from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC, Writer
 
 from acquisition.atomic_write import sync_folder
 from acquisition.record.file_lock import lock_for_writing
@@ -232,8 +232,7 @@ class McapFile:
     """Creates one MCAP file and appends to it; it can be read up to its last whole chunk at any time.
 
     The `topics` (by name: the schema's name and descriptor) have the channels 1, 2, ... in their order. Every
-    chunk has a checksum, and the data section too. `compressed` chunks are for numbers; pixels come
-    compressed.
+    chunk has a checksum, and the data section too.
 
     `waiting` is the number of messages in the open chunk, which are lost where the file is `broken`.
 
@@ -244,9 +243,7 @@ class McapFile:
         OSError where it cannot be written (disk full after the release of the reserve, drive removed).
     """
 
-    def __init__(
-        self, path: Path, topics: Mapping[str, tuple[str, bytes]], reserve_bytes: int, *, compressed: bool
-    ) -> None:
+    def __init__(self, path: Path, topics: Mapping[str, tuple[str, bytes]], reserve_bytes: int) -> None:
         try:
             self._disk = _Disk(path, reserve_bytes)
         except FileExistsError:
@@ -263,7 +260,6 @@ class McapFile:
         self._writer = Writer(
             self._disk,  # type: ignore[arg-type]
             chunk_size=_CHUNK_BYTES,
-            compression=CompressionType.ZSTD if compressed else CompressionType.NONE,
             enable_data_crcs=True,
         )
         self.channels: dict[str, int] = {}

@@ -12,6 +12,8 @@ from processing.spot import Spot
 _ZSTD_LEVEL = 1
 _HURRIED_ZSTD_LEVEL = -10
 """Takes a quarter of the time for frames of 12 bits, and saves almost nothing of their size."""
+_LARGE_BYTES = 64 * 1024
+"""From here on a message is compressed by itself, faster than the file compresses a chunk of small ones."""
 _NO_MODEL = IntegerGaussian(0, 0, 0, 0, 0, 0)
 
 
@@ -32,17 +34,18 @@ class PixelEncoder:
         bytes.
         """
         height, width = image.shape
-        head = (sequence, time_ns, x0_px, y0_px, width, height, image.itemsize)
-        compress = (self._fast if self.hurried else self._usual).compress
+        large = image.nbytes >= _LARGE_BYTES
+        head = (sequence, time_ns, x0_px, y0_px, width, height, image.itemsize, int(large))
+        zstd = self._fast if self.hurried else self._usual
         model = None if spot is None else spot_model(spot, x0_px, y0_px, (height, width))
         if model is not None:
             count, planes = to_planes(image, model)
             if count < 8 * image.itemsize:
-                return WINDOW.encode(*head, *model, count, compress(planes))
+                return WINDOW.encode(*head, *model, count, zstd.compress(planes) if large else planes)
         pixels = np.ascontiguousarray(image, dtype=f"<u{image.itemsize}").view(np.uint8)
         # high bytes vary little from pixel to pixel: stored apart from the low bytes they compress well
         planes = pixels.reshape(-1, image.itemsize).T.tobytes()
-        return WINDOW.encode(*head, *_NO_MODEL, 0, compress(planes))
+        return WINDOW.encode(*head, *_NO_MODEL, 0, zstd.compress(planes) if large else planes)
 
 
 def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:
@@ -53,9 +56,11 @@ def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:
     expected = (
         field["bit_planes"] * ((shape[0] * shape[1] + 7) // 8) if modelled else shape[0] * shape[1] * size
     )
-    if zstandard.get_frame_parameters(field["pixels"]).content_size != expected:
+    pixels = field["pixels"]
+    held = zstandard.get_frame_parameters(pixels).content_size if field["compressed"] else len(pixels)
+    if held != expected:
         raise ValueError(f"{kind.full_name}: its pixels are not {shape[1]} x {shape[0]}")
-    pixels = zstandard.decompress(field["pixels"])
+    pixels = zstandard.decompress(pixels) if field["compressed"] else pixels
     image: Image
     if modelled:
         model = IntegerGaussian(*(field[f"model_{name}"] for name in IntegerGaussian._fields))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from acquisition.atomic_write import being_written
-from acquisition.record import is_pixels, pixels_beside
+from acquisition.record import pixels_beside
 from acquisition.record.digest import sha256_of
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.read_file import ChunkDamage, Damage, ReadFile, messages_in
@@ -59,7 +59,7 @@ def recover(source: Path, path: Path) -> Recovery:
             counts: Counter[str] = Counter()
             copies: list[McapFile] = []
             for file, name, described in zip(reader.files, names, schemas, strict=False):
-                copy = McapFile(name, described, _RESERVE_BYTES, compressed=not is_pixels(file.path))
+                copy = McapFile(name, described, _RESERVE_BYTES)
                 # before it is removed, for which it must be closed on Windows
                 stack.callback(copy.abandon)
                 counts += _copied(file, copy)

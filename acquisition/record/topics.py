@@ -244,11 +244,11 @@ BALANCE = _message("Balance", "/balance", *_balance(DeflectionUnit.RAD))
 BALANCE_UNCALIBRATED = _message("UncalibratedBalance", "/balance", *_balance(DeflectionUnit.PX))
 """The same in px, except the angle of the line."""
 _PIXELS = (
-    *_ints("sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel"),
+    *_ints("sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "compressed"),
     *_ints(*(f"model_{name}" for name in IntegerGaussian._fields), "bit_planes"),
 )
 WINDOW = _message("Window", "/window", *_PIXELS, tail=(("pixels", "bytes"),))
-"""Pixels row by row, compressed with zstd: first the low bytes of all pixels, then their high bytes.
+"""Pixels row by row: first the low bytes of all, then their high bytes; in a zstd frame if `compressed`.
 
 If `model_inverse_x` is not 0, `pixels` are the bit planes of the pixels minus a model of the spot; see
 `acquisition.record.window_residual`.

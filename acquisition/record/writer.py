@@ -128,7 +128,7 @@ class RecordWriter:
             raise RecordError(
                 f"{pixels_beside(path)}: exists already and is never overwritten; choose another name"
             )
-        self._numbers = McapFile(path, number_schemas(self._unit), reserve_bytes, compressed=True)
+        self._numbers = McapFile(path, number_schemas(self._unit), reserve_bytes)
         self._pixels: McapFile | None = None
         self._guarded(lambda: self._write_head({**(metadata or {}), "record": self._own}, attachments or {}))
 
@@ -199,7 +199,7 @@ class RecordWriter:
         if self._pixels is None:
             path = pixels_beside(self.path)
             try:
-                self._pixels = pixels = McapFile(path, pixel_schemas(), self._reserve_bytes, compressed=False)
+                self._pixels = pixels = McapFile(path, pixel_schemas(), self._reserve_bytes)
             except RecordError as error:
                 raise self._end_after(str(error)) from error
             self._guarded(lambda: write_metadata(pixels, {"record": self._own}, time.time_ns()))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
+from acquisition.record import pixels_beside
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import CAMERA_STEP, WINDOW, RecordedClockStep, RecordedWindow
 from processing.deflections import Deflections
@@ -94,6 +95,8 @@ class Replay:
         self._config = config if retrack else config.model_copy(update={"sensor": recorded.sensor})
         if retrack and not reader.counts.get(WINDOW.topic):
             why = "" if recorded.record.windows else " (it was made with record.windows = false)"
+            if recorded.record.windows and len(reader.files) == 1:
+                why = f" ({pixels_beside(reader.path).name} is not beside it)"
             raise RecordError(
                 f"{reader.path}: contains no windows of raw pixels{why}, the spot cannot be tracked again; "
                 "replay it without --retrack"

@@ -242,7 +242,7 @@ def _a_day(folder: Path, chunks: int) -> dict[str, Any]:
     """A record with as many chunks as 24 h have: how long `info` takes, whole and cut."""
     path = folder / "day.mcap"
     own = {"schema_version": "1", "epoch_offset_ns": "0", "deflection_unit": "rad"}
-    file = McapFile(path, number_schemas(DeflectionUnit.RAD), 0, compressed=True)
+    file = McapFile(path, number_schemas(DeflectionUnit.RAD), 0)
     write_metadata(file, {"record": own}, 0)
     spot, swing = SPOT.encode(*[0] * len(SPOT.numbers)), SWING.encode(*[0] * len(SWING.numbers))
     for place in range(chunks):

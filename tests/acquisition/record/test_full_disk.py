@@ -168,7 +168,7 @@ writer.close()
 def test_a_piece_written_in_parts_is_whole(tmp_path: Path) -> None:
     """Raw files may take less than they are given."""
     path = tmp_path / "run.mcap"
-    file = McapFile(path, {}, 4096, compressed=True)
+    file = McapFile(path, {}, 4096)
     taken: list[int] = []
     raw = file._disk._file
 
