@@ -1,7 +1,7 @@
-"""Records held against the MCAP format: read by the mcap package, which shares nothing with our writer.
+"""Records held against the MCAP format: read by the reader of the mcap package, not by ours.
 
-The project's writer makes chunks of its own (decision 6), and its reader skips what is damaged; the package
-has the specification's reader, which checks every sum and believes no index.
+The writer stands on the package's own, above a stream that cuts failed writes off (decision 37), and our reader
+skips what is damaged; the package's checks every sum and believes no index.
 """
 
 import struct
