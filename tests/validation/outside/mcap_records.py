@@ -1,6 +1,6 @@
 """Records held against the MCAP format: read by the reader of the mcap package, not by ours.
 
-The writer stands on the package's own, above a stream that cuts failed writes off (decision 37), and our reader
+The writer stands on the package's own, above a stream that cuts failed writes off (decision 37); our reader
 skips what is damaged; the package's checks every sum and believes no index.
 """
 
