@@ -74,7 +74,7 @@ def combined_series(
             measured = replace(measured, by_drifts=_by_drifts(points, pendulum, fits[FitMethod.EXACT]))
         except DataError as error:
             problems.append(f"the budget has no lines for drifts: {error}")
-    if measured is not None and rig is not None and all(of_runs):
+    if measured is not None and rig is not None and of_runs and all(of_runs):
         measured, rig = _with_lines_of(of_runs, measured, rig)
     budget = budgets(measured, rig) if measured and rig else {}
     table = () if default is None else series_rows(default.parameters, budget, pendulum)

@@ -24,6 +24,8 @@ _GAP: Final = 3.0
 _FAST: Final = 1.5
 """Times the swing's frequency."""
 _LAST_OVERTONE: Final = 5
+_AN_OVERTONE: Final = 2.0
+"""Of a spectrum's steps: a line so near to an overtone cannot be told from it."""
 _MOST_OF_THE_REST: Final = 0.5
 """Of the power beside the swing; of white noise a line's width holds a fifth at most."""
 _ROUNDS: Final = 10
@@ -82,12 +84,14 @@ def fast_oscillation(times_ns: NDArray[np.int64], deflection: NDArray[np.float64
     if found is None or not rest > 0 or not found.swing > 0:
         return ""
     k = int(np.argmax(power))
-    line = float(power[found.near(k)].sum())
+    near = found.near(k)
+    line = float(power[near].sum())
     size = (line / found.swing) ** 0.5
     if line < _MOST_OF_THE_REST * rest or size < _SEEN:
         return ""
+    middle = float(np.average(np.arange(len(power))[near], weights=power[near]))
     return (
-        f"the samples hold a second oscillation at {k / found.span_s:.3g} Hz, {size:.2g} times as large as "
+        f"the samples hold a second oscillation at {middle / found.span_s:.3g} Hz, {size:.2g} times as large as "
         "the swing: it counts as noise of the samples and widens every uncertainty; filter or damp it, "
         "or choose a position that does not see it (--position)"
     )
@@ -99,7 +103,8 @@ def fast_part(
     """The fast mode along the swing over that across it, where its directions are not at a right angle.
 
     So many times the positions across, taken off those along, leave the swing alone. 0 where no fast mode
-    across is seen beside the noise, or where what is along has nothing in common with it.
+    across is seen beside the noise, where what is along has nothing in common with it, or where it is an
+    overtone of the swing: a swing in no plane has them in both positions.
     """
     good = np.isfinite(along) & np.isfinite(across)
     # across the swing there are no overtones of it, but a fast mode may lie beside one
@@ -107,7 +112,11 @@ def fast_part(
     if found[0] is None or found[1] is None:
         return 0.0
     power = np.abs(found[1].rest) ** 2
-    line = found[1].near(int(np.argmax(power)))
+    k = int(np.argmax(power))
+    turns = found[1].span_s / period_s
+    if abs(k - max(round(k / turns), 1) * turns) < _AN_OVERTONE:
+        return 0.0
+    line = found[1].near(k)
     x, y = found[1].rest[line], found[0].rest[line]
     if not float(power[line].sum()) > _MOST_OF_THE_REST * float(power.sum()):
         return 0.0

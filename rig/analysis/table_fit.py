@@ -334,7 +334,10 @@ def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
     """The same with what the positions along the swing have of a fast mode across taken off.
 
     The axes of a table are stated nowhere, and the line of the swing is at no right angle to the fast mode.
+    Where that line is not known at all times, nothing is across it.
     """
+    if followed.problem:
+        return followed
     period_s = summarise_decay(turning_points(followed.swings)).period_s.value
     seen = joined(followed.deflections, DeflectionUnit.RAD)
     part = fast_part(seen.times_ns, seen.y, seen.x, period_s)
