@@ -78,14 +78,20 @@ def fit_decay(
             printed_curvature=printed_curvature,
             exact=exact,
         )
-        use = None
+
+        def judged(fit: FitResult) -> FitResult:
+            if drifts is not None:
+                fit = with_drifts(points, pendulum, fit, drifts)
+            fit = _judged(points, pendulum, fit, settings)
+            return fit if steeper is None else with_steeper_drag(fit, steeper)
+
+        use, alone = None, exact
         if witness is not None:
             exact, use = witness.fit(points, pendulum, exact)
-        if drifts is not None:
-            exact = with_drifts(points, pendulum, exact, drifts)
-        exact = _judged(points, pendulum, exact, settings)
-        if steeper is not None:
-            exact = with_steeper_drag(exact, steeper)
+        exact = judged(exact)
+        if use is not None and use.used:
+            # of the uncertainties as they are reported
+            use = use.beside(judged(alone), exact)
     except DataError as error:
         return DecayFits({}, str(error))
     if exact.place_covariance is not None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import exp, floor, hypot, isfinite, log, log10, nan
+from math import exp, floor, hypot, inf, isfinite, log, log10, nan
 from typing import Annotated, Final
 
 from processing.contact import DRAG, PendulumOnBall, surface_energy
@@ -21,6 +21,9 @@ _SHORT_NAMES: Final = {
     "drag": DRAG.key,
     "a": "contact_radius_m",
 }
+_TANGENT: Final = 3.0
+"""Times the value of a parameter, up to which what the apparatus moves it by is taken as a part of its
+logarithm: of a value near zero that would be any number."""
 _OWN = Quantity("", "", unit=OF + "quantity")
 
 
@@ -191,15 +194,14 @@ def _whole(row: ResultRow, item: Budget | None) -> ResultRow:
     value, expanded = row.value, item.coverage_factor_95 * part
     low, high = value - row.lower, row.upper - value
     parameter = law_parameters().get(row.quantity)
-    if parameter is not None and parameter.logarithmic and value > 0 and row.lower > 0:
+    relative = expanded / value if value > 0 else inf
+    if parameter is not None and parameter.logarithmic and row.lower > 0 and relative < _TANGENT:
         # their units hold an exponent: the interval is symmetric in the logarithm
-        low, high = (
-            _wider(side, expanded / value) for side in (log(value / row.lower), log(row.upper / value))
-        )
+        low, high = (_wider(side, relative) for side in (log(value / row.lower), log(row.upper / value)))
         lower, upper = value * exp(-low), value * exp(high)
     else:
         lower, upper = value - _wider(low, expanded), value + _wider(high, expanded)
-        if row.lower == 0:
+        if row.lower == 0 or (parameter is not None and parameter.logarithmic and row.lower > 0 > lower):
             # a limit by physics, which no apparatus moves
             lower = 0.0
     return replace(row, u_total=hypot(row.u, part), lower=lower, upper=upper)

@@ -111,6 +111,8 @@ def series_of(session: SessionResults, folder: Path) -> SeriesResult:
         if not fitted:
             raise RecordError(f"{folder}: no run of it was fitted ({session.runs[0].problem})")
         parameters = _single(fitted[0])
+        if not parameters:
+            raise RecordError(f"{folder}: its run determines no parameter of the contact")
     return _series(parameters)
 
 

@@ -87,6 +87,13 @@ class WitnessUse:
     def used(self) -> bool:
         return self.verdict is WitnessVerdict.USED
 
+    def beside(self, alone: FitResult, fit: FitResult) -> "WitnessUse":
+        """The same with what the witness saved of the uncertainties of a fit, beside those of one without it."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = alone.standard_uncertainty / fit.standard_uncertainty
+        saved = dict(zip(fit.names, ratio.tolist(), strict=True))
+        return replace(self, saved={name: saved[name] for name in fit.contact_names})
+
 
 def use_of(
     use: WitnessUse,
@@ -121,14 +128,10 @@ def use_of(
     left = fit.ground.density_rad_per_s2_rthz
     known = float(np.mean((drive.steps[0][~drive.missing] @ drive.gains) ** 2))
     step = fit.ground.noise.step
-    u, u_alone = fit.standard_uncertainty, alone.standard_uncertainty
-    with np.errstate(divide="ignore", invalid="ignore"):
-        saved = dict(zip(fit.names, (u_alone / u).tolist(), strict=True))
     return replace(
-        use,
+        use.beside(alone, fit),
         verdict=WitnessVerdict.USED,
         explained=float(known / (known + step**2)),
         ground_left_rad_per_s2_rthz=left,
         responses=tuple(responses),
-        saved={name: saved[name] for name in fit.contact_names},
     )

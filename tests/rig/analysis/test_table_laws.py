@@ -8,15 +8,16 @@ import pytest
 
 from rig.analysis.table_fit import _taken_as_exact
 from rig.settings import load_configuration
+from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.driven import driven_path
 from tests.rig.command_line import rig
 
 
 def swings(path: Path) -> Path:
-    """A decay of 40 half-cycles by friction that is nearly constant, with noise, in arcsec."""
-    rng = np.random.default_rng(1)
-    t = np.arange(0.0, 80.0, 0.05)
-    amplitude = 124.0 * np.exp(-0.002 * t) - 0.2 * t
-    phi = amplitude * np.cos(2.0 * np.pi * t / 4.0) + 0.02 * rng.standard_normal(len(t))
+    """The paper's pendulum on glass down to 60 arcsec, with noise, in arcsec."""
+    _, _, path_rad = driven_path(*paper_pair("glass_k8"), q=0.0, seed=0, last_arcsec=60.0, frames_per_s=20.0)
+    t = np.arange(len(path_rad)) / 20.0
+    phi = path_rad / ARCSEC + 0.02 * np.random.default_rng(1).standard_normal(len(t))
     path.write_text(
         "t [s],phi [arcsec]\n" + "".join(f"{a:.2f},{b:.4f}\n" for a, b in zip(t, phi, strict=True))
     )

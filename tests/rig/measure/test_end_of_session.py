@@ -16,7 +16,7 @@ def test_a_result_with_what_limits_it_and_what_to_do() -> None:
     assert found.ended is RunState.COMPLETE
     assert found.headline.startswith("b = 0.0300 ± 0.0042")
     assert found.of == "the whole budget, swings and apparatus"
-    assert [one.name for one in found.limits] == ["ageing of the contact", "swings (fit)"]
+    assert [one.name for one in found.limits] == ["ageing of the friction", "swings (fit)"]
     assert sum(one.share for one in found.limits) == pytest.approx(1.0, abs=0.05)
     assert found.next_steps == ["wait until the contact has settled, or state its history"]
     assert any("dropped frames" in one for one in found.remarks)

@@ -53,7 +53,11 @@ def single(folder: Path, c: float) -> Path:
     """A session of one run, whose swings know c to one per cent."""
     names = {"b": 3.7e-3, "p": 0.94, "c": c, "n": 0.092, "period0_s": 4.071, "gamma_pa": 2.9e7}
     exact = {name: {"value": value, "standard_uncertainty": 0.01 * value} for name, value in names.items()}
-    run = {"record": "run-1.mcap", "fits": {"exact": exact | {"degrees_of_freedom": 500}}}
+    rows = [
+        {"quantity": name, "value": item["value"], "u": item["standard_uncertainty"], "verdict": "determined"}
+        for name, item in exact.items()
+    ]
+    run = {"record": "run-1.mcap", "table": rows, "fits": {"exact": exact | {"degrees_of_freedom": 500}}}
     folder.mkdir()
     (folder / "results.json").write_text(json.dumps({"schema": 1, "runs": [run]}))
     return folder
