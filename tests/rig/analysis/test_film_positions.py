@@ -17,6 +17,8 @@ from rig.analysis.film_positions import inverted, looks_dark
 from rig.analysis.table_fit import analyse_trajectory
 from rig.presentation import TimeLeft
 from tests.acquisition.cameras.made_films import NX, NY, Film, write_film
+from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.driven import driven_path
 from tests.rig.command_line import rig
 
 PERIOD_S, TAU_S, RATE_HZ = 1.7, 6.0, 30
@@ -42,7 +44,7 @@ def swing(dark: bool = False, count: int = 450) -> list[np.ndarray]:
 
 def test_from_a_film_to_a_report_with_one_command(tmp_path: Path) -> None:
     film = write_film(tmp_path / "swing.mkv", swing(), Film())
-    done = rig("video", film, "-o", tmp_path / "out")
+    done = rig("video", film, "-o", tmp_path / "out", figures=True)
     assert done.returncode == 0, done.stderr
     assert "450 frames in 14.9667 s, 30 frames/s, ffv1, gray" in done.stdout
     assert "followed: a bright spot; 0 frames without one" in done.stdout
@@ -248,20 +250,20 @@ def test_compression_is_a_line_in_the_budget_of_a_films_laws(
     rng = np.random.default_rng(3)
     y, x = np.mgrid[:NY, :NX]
     pictures = []
-    for k in range(600):
-        t = k / 10
-        at = 80.3 + (60.0 * np.exp(-0.004 * t) - 0.2 * t) * np.cos(2.0 * np.pi * t / 4.0)
+    _, _, path_rad = driven_path(*paper_pair("glass_k8"), q=0.0, seed=0, last_arcsec=40.0, frames_per_s=5.0)
+    for deflection_rad in path_rad:
+        at = 80.3 + 0.5 * deflection_rad / ARCSEC
         light = 180.0 * np.exp(-((x - at) ** 2 + (y - 47.8) ** 2) / 50.0) + 20.0
         pictures.append(
             np.clip(np.rint(light + 1.5 * rng.standard_normal(light.shape)), 0, 255).astype(np.uint8)
         )
-    film = Film(codec=codec, ending=ending, pixels="yuv420p", rate_hz=Fraction(10))
+    film = Film(codec=codec, ending=ending, pixels="yuv420p", rate_hz=Fraction(5))
     path = write_film(tmp_path / f"swing.{ending}", pictures, film)
     config = tmp_path / "mine.toml"
     config.write_text("[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n")
     done = rig("video", path, "--pixel", "2 arcsec", "--config", config, "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
-    budget = json.loads((tmp_path / "out" / "results.json").read_text())["budget"]["b"]["sources"]
+    budget = json.loads((tmp_path / "out" / "results.json").read_text())["budget"]["n"]["sources"]
     lines = [line for line in budget if line["source"] == "common_amplitude_rad"]
     assert bool(lines) == has_line
     assert all(line["contribution"] > 0.0 for line in lines)

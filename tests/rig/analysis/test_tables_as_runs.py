@@ -131,9 +131,10 @@ def test_a_fitted_table_gives_the_report_and_the_plan_of_a_run(tmp_path: Path) -
     lines = (tmp_path / "plan" / "plan.csv").read_text().splitlines()
     row = dict(zip(lines[0].split(","), lines[1].split(","), strict=True))
     (run,) = read_results(tmp_path / "out").runs
-    u_b = float(row["u_b"])
+    # b rests on the waveform of the swings, which results do not hold; n does not
+    assert "without the waveform" in planned.stdout + planned.stderr
     # the run that was made goes to an amplitude of 60 arcsec; one to 30 tells more
-    assert 0.0 < u_b < run.fits["exact"].parameters["b"].standard_uncertainty
+    assert 0.0 < float(row["u_n"]) < run.fits["exact"].parameters["n"].standard_uncertainty
     rows = session_rows(tmp_path / "out").rows
     assert rows[0]["b"] > 0
     assert rows[0]["law"] == "paper"
