@@ -91,8 +91,8 @@ def fast_oscillation(times_ns: NDArray[np.int64], deflection: NDArray[np.float64
         return ""
     middle = float(np.average(np.arange(len(power))[near], weights=power[near]))
     return (
-        f"the samples hold a second oscillation at {middle / found.span_s:.3g} Hz, {size:.2g} times as large as "
-        "the swing: it counts as noise of the samples and widens every uncertainty; filter or damp it, "
+        f"the samples hold a second oscillation at {middle / found.span_s:.3g} Hz, {size:.2g} times as large "
+        "as the swing: it counts as noise of the samples and widens every uncertainty; filter or damp it, "
         "or choose a position that does not see it (--position)"
     )
 

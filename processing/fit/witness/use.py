@@ -88,7 +88,7 @@ class WitnessUse:
         return self.verdict is WitnessVerdict.USED
 
     def beside(self, alone: FitResult, fit: FitResult) -> "WitnessUse":
-        """The same with what the witness saved of the uncertainties of a fit, beside those of one without it."""
+        """The same with what the witness saved of a fit's uncertainties, beside those of one without it."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = alone.standard_uncertainty / fit.standard_uncertainty
         saved = dict(zip(fit.names, ratio.tolist(), strict=True))
