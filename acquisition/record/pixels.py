@@ -10,20 +10,16 @@ from acquisition.record.window_residual import IntegerGaussian, from_planes, spo
 from processing.spot import Spot
 
 _ZSTD_LEVEL = 1
-_HURRIED_ZSTD_LEVEL = -10
-"""Takes a quarter of the time for frames of 12 bits, and saves almost nothing of their size."""
 _LARGE_BYTES = 64 * 1024
 """From here on a message is compressed by itself, faster than the file compresses a chunk of small ones."""
 _NO_MODEL = IntegerGaussian(0, 0, 0, 0, 0, 0)
 
 
 class PixelEncoder:
-    """Makes messages of pixels; `hurried` compresses less, in less time."""
+    """Makes messages of pixels."""
 
     def __init__(self) -> None:
-        self.hurried = False
-        self._usual = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
-        self._fast = zstandard.ZstdCompressor(level=_HURRIED_ZSTD_LEVEL)
+        self._zstd = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
 
     def encode(
         self, sequence: int, time_ns: int, image: Image, x0_px: int, y0_px: int, spot: Spot | None = None
@@ -36,16 +32,15 @@ class PixelEncoder:
         height, width = image.shape
         large = image.nbytes >= _LARGE_BYTES
         head = (sequence, time_ns, x0_px, y0_px, width, height, image.itemsize, int(large))
-        zstd = self._fast if self.hurried else self._usual
         model = None if spot is None else spot_model(spot, x0_px, y0_px, (height, width))
         if model is not None:
             count, planes = to_planes(image, model)
             if count < 8 * image.itemsize:
-                return WINDOW.encode(*head, *model, count, zstd.compress(planes) if large else planes)
+                return WINDOW.encode(*head, *model, count, self._zstd.compress(planes) if large else planes)
         pixels = np.ascontiguousarray(image, dtype=f"<u{image.itemsize}").view(np.uint8)
         # high bytes vary little from pixel to pixel: stored apart from the low bytes they compress well
         planes = pixels.reshape(-1, image.itemsize).T.tobytes()
-        return WINDOW.encode(*head, *_NO_MODEL, 0, zstd.compress(planes) if large else planes)
+        return WINDOW.encode(*head, *_NO_MODEL, 0, self._zstd.compress(planes) if large else planes)
 
 
 def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:

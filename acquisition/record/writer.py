@@ -132,15 +132,6 @@ class RecordWriter:
         self._pixels: McapFile | None = None
         self._guarded(lambda: self._write_head({**(metadata or {}), "record": self._own}, attachments or {}))
 
-    @property
-    def hurried(self) -> bool:
-        """Compress pixels less, in less time; for an owner who sees that data come faster than they go."""
-        return self._encoder.hurried
-
-    @hurried.setter
-    def hurried(self, hurried: bool) -> None:
-        self._encoder.hurried = hurried
-
     def __enter__(self) -> Self:
         return self
 

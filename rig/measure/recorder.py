@@ -42,7 +42,6 @@ MOST_WAITING_BYTES = 256 * 1024 * 1024
 """What waits for a slow disk: half a minute of 800 frames/s with windows of 100 x 100 pixels."""
 _FRAME_BYTES = 1024
 _FREE_SPACE_INTERVAL_S = 1.0
-_HURRIED_BYTES = MOST_WAITING_BYTES // 16
 SLOW_S = 2.0
 """A write that takes longer is an event; usual disks pause for less."""
 
@@ -111,10 +110,9 @@ class Recorder:
     """Writes entries in order, flushes regularly, keeps the first error.
 
     Entries wait in memory while the disk is slow or hangs; once they take `most_waiting_bytes`, `put`
-    waits, too, so that what is lost then is lost, and counted, before it was processed. One that `hurries`
-    compresses less while much waits, so that a slow processor loses no frame; the file's size then depends
-    on its pace. After an error (a full disk, a removed drive) further entries are discarded; the session
-    has to check `error`. `permit` learns that the writing goes on, on which the light of a laser depends.
+    waits, too, so that what is lost then is lost, and counted, before it was processed. After an error (a
+    full disk, a removed drive) further entries are discarded; the session has to check `error`. `permit`
+    learns that the writing goes on, on which the light of a laser depends.
     """
 
     def __init__(
@@ -122,12 +120,9 @@ class Recorder:
         writer: RecordWriter,
         most_waiting_bytes: int = MOST_WAITING_BYTES,
         permit: LightPermit | None = None,
-        *,
-        hurries: bool = True,
     ) -> None:
         self._writer = writer
         self._permit = permit or LightPermit()
-        self._hurried_bytes = _HURRIED_BYTES if hurries else math.inf
         self._entries = _EntryQueue(most_waiting_bytes)
         self._writing_since_s = math.inf
         self._pauses_s: queue.SimpleQueue[float] = queue.SimpleQueue()
@@ -205,7 +200,6 @@ class Recorder:
 
     def _write_timed(self, entry: Entry) -> None:
         began_s = self._writing_since_s = time.monotonic()
-        self._writer.hurried = self.waiting_bytes > self._hurried_bytes
         try:
             self._write(entry)
             self._writer.flush_if_due()

@@ -205,7 +205,6 @@ class Run:
             # frames made on demand wait for the disk, and no memory has to hold them
             MOST_WAITING_BYTES // 16 if self._stream.policy == "wait" else MOST_WAITING_BYTES,
             permit=self._stream.permit,
-            hurries=self._stream.policy != "wait",
         )
         rejected = ""
         try:

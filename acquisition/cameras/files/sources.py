@@ -144,7 +144,7 @@ class _TiffImages(_Images):
         with _quiet():
             self._decoded = int(cv2.imcount(str(path), cv2.IMREAD_UNCHANGED))
         self.count = max(self._decoded + head.cut_off, 1)
-        shape = [head.tags.get(tag, [0])[0] for tag in (HEIGHT, WIDTH)]
+        shape = [(head.tags.get(tag) or [0])[0] for tag in (HEIGHT, WIDTH)]
         noted = _noted(path, head.note, shape)
         self._pixels_at, self._shape = -1, shape
         if noted <= self.count:
