@@ -48,6 +48,7 @@ def test_a_magnet_holds_and_lets_go(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     done = rig("run", CONFIGS / "live.toml", "-o", folder, *set_words(MAGNET))
     assert "Traceback" not in done.stderr
+    assert (folder / "run-1.mcap").exists(), done.stderr
     with RecordReader(folder / "run-1.mcap") as reader:
         swings = [swing for swing in reader.swings() if swing.flags == 0]
     events = events_of(folder / "run-1.mcap")
