@@ -100,7 +100,7 @@ ROWS: tuple[Row, ...] = (
         pooled("ground", "one_u", seeds=40, only=("q=", "basement", "recorded")), "number", "%", limit_of_share(356), share=True),
     Row("coverage-air", _COVERAGE, "Contact and air apart", "decays with drag of which nothing is known beforehand, 20 seeds a case; by parameter, cases together",
         pooled("air", "one_u", seeds=20, only=("drag",)), "number", "%", limit_of_share(400), share=True),
-    Row("coverage-spin", _COVERAGE, "Fits of a pendulum whose plane of swing turns", "decays turned by 0, 0.2, 1 and 3 deg/min either way, as records and as tables, also with a fast mode of 6 arcsec and 3 % leakage, 20 seeds a case; by parameter, cases together",
+    Row("coverage-spin", _COVERAGE, "Fits of a pendulum whose plane of swing turns", "decays turned by 0, 0.2, 1 and 3 deg/min either way, as records and as tables, also with a fast mode of 6 arcsec and 3 % leakage, 3 to 4 seeds a case so far; by parameter, cases together",
         pooled("spin", "one_u", seeds=20, only=("turning",)), "number", "%", Limit(62, 85), share=True),
     Row("coverage-witness", _COVERAGE, "Fits with a witness of the ground",
         "decays driven by one real seismometer, seen by another, or by white noise, 40 seeds a case; by parameter, cases together; short are n and gamma: with a witness that has no error at all, intervals are twice too wide",
