@@ -1,4 +1,4 @@
-"""Fits of a contact law to a decay, uncertainties of the results, and series of runs."""
+"""Fits of a contact law to a decay, and uncertainties of the results."""
 
 from processing.derived import Derived
 from processing.fit.ageing_plan import PlannedSeries, planned_series
@@ -35,16 +35,6 @@ from processing.fit.reported import (
 )
 from processing.fit.result import FitQuality, FitResult
 from processing.fit.row_times import alternation_of, delay_of_rows, without_alternation
-from processing.fit.series import (
-    Combined,
-    Comparison,
-    Disagreement,
-    SeriesResult,
-    average_curves,
-    combine,
-    combine_runs,
-    compare_series,
-)
 from processing.fit.settling import FitOfSwings, fitted_twice, points_in_true_time, settlement
 from processing.fit.smoothing import super_smooth
 from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties

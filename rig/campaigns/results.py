@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from math import nan
 from typing import Annotated
 
-from processing.campaign import ChangePoint, CompressedRun
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.quantity import PART
+from processing.series import ChangePoint, CompressedRun
 from rig.analysis import JsonObject
 
 SCHEMA = 1
