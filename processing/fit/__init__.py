@@ -1,7 +1,6 @@
 """Fits of a contact law to a decay, and uncertainties of the results."""
 
 from processing.derived import Derived
-from processing.fit.ageing_plan import PlannedSeries, planned_series
 from processing.fit.apparatus import InputQuantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.boundary_layer import steeper_drag, with_steeper_drag
@@ -24,7 +23,7 @@ from processing.fit.known_drive import Signals
 from processing.fit.law_comparison import LawComparison, compare_laws
 from processing.fit.law_errors import Change, ChangeKind, Misfit
 from processing.fit.misfit import with_misfit, with_misfit_of
-from processing.fit.planning import Conditions, PlannedRun, planned_run
+from processing.fit.planning import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of
 from processing.fit.reported import (
     FittedContact,
