@@ -9,7 +9,7 @@ from scipy.special import logsumexp
 from processing.arrays import Floats
 from processing.errors import DataError
 from processing.series.density import likeliest
-from processing.series.model import Level, SeriesModel, design_of
+from processing.series.model import SeriesModel, design_of
 from processing.series.posterior import SeriesPosterior
 from processing.series.runs import ORDER, CompressedRun, Effect, Form
 
@@ -76,7 +76,8 @@ def find_change(runs: Sequence[CompressedRun], model: SeriesModel, parameter: st
     )  # fmt: skip
 
 
-def chance(found: SeriesPosterior, level: Level) -> float:
-    """Two-sided chance of an effect as large where there is none; at least that of one draw."""
-    positive = 1 - found.below(found.draws(level), 0.0)
+def chance(found: SeriesPosterior, draws: Floats) -> float:
+    """Two-sided chance of an effect or a difference as large where there is none; at least that of one
+    draw."""
+    positive = 1 - found.below(draws, 0.0)
     return float(max(2 * min(positive, 1 - positive), 1 / found.effective))

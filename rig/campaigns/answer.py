@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from math import isfinite, nan, sqrt
 
 import numpy as np
@@ -31,6 +32,7 @@ from processing.surroundings import in_other_unit
 from rig.analysis import SURFACE_ENERGY, RunResults
 from rig.campaigns.likelihoods import FoundRun, compressed
 from rig.campaigns.results import (
+    CampaignDifference,
     CampaignEffect,
     CampaignResults,
     CampaignRun,
@@ -122,6 +124,7 @@ def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
         reference_arcsec=stated.reference_arcsec,
         runs=_runs(entered, posterior, reference_rad),
         contacts=contacts,
+        differences=_differences(posterior, list(contacts)),
         between_runs=_estimates(posterior, posterior.hyper, "between runs"),
         between_contacts=_estimates(posterior, posterior.hyper, "between contacts"),
         effects=effects,
@@ -156,7 +159,7 @@ def _effect(
     draws, span = found.draws(level), effect.span(found.runs)
     low, high = found.quantiles(draws, (0.025, 0.975))
     value, u = found.moments(draws)
-    by_chance, tried = chance(found, level), len(stated.effect) + len(stated.candidate)
+    by_chance, tried = chance(found, draws), len(stated.effect) + len(stated.candidate)
     return CampaignEffect(
         label=effect.label,
         parameter=effect.parameter,
@@ -175,6 +178,25 @@ def _effect(
         margin=one.margin,
         equivalent=nan if one.margin is None else found.below(np.abs(draws * span), one.margin),
     )
+
+
+def _differences(found: SeriesPosterior, contacts: Sequence[str]) -> tuple[CampaignDifference, ...]:
+    """Every contact less every later one, coordinate by coordinate."""
+    names, out = found.model.names, []
+    pairs = list(combinations(contacts, 2))
+    levels = {contact: found.level_draws(contact) for contact in contacts}
+    for first, second in pairs:
+        for name, draws in zip(names, (levels[first] - levels[second]).T, strict=True):
+            low, high = found.quantiles(draws, (0.025, 0.975))
+            by_chance = chance(found, draws)
+            out.append(
+                CampaignDifference(
+                    first=first, second=second, parameter=name, difference=found.moments(draws),
+                    lower_95=low, upper_95=high, chance=by_chance,
+                    seen=by_chance * len(pairs) * len(names) < SEEN,
+                )
+            )  # fmt: skip
+    return tuple(out)
 
 
 def _contact(

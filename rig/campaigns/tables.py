@@ -71,6 +71,34 @@ def contacts_table(results: CampaignResults) -> Table:
     )  # fmt: skip
 
 
+def _differences_table(results: CampaignResults) -> Table | None:
+    """Pairs of contacts that differ; all of them in the file. None for a single contact."""
+    if not results.differences:
+        return None
+    rows = []
+    for one in results.differences:
+        label, factor = scaled(one.parameter)
+        rows.append(
+            _Row(
+                [
+                    one.first, one.second, one.parameter, *one.difference, one.lower_95, one.upper_95,
+                    one.chance, "differ" if one.seen else "no difference seen",
+                ],
+                [f"{one.first} − {one.second}", label, _text(one.difference, factor), plain(one.chance, 2)]
+                if one.seen
+                else (),
+            )
+        )  # fmt: skip
+    seen = sum(one.seen for one in results.differences)
+    return _table(
+        "differences", "Differences of contacts",
+        "first second quantity difference u lower_95 upper_95 chance verdict",
+        ("", "", "difference", "chance"), rows,
+        f"{seen} of {len(rows)} differ, the others are in the CSV; the 5 % level is shared by all. What runs "
+        f"share cancels. b and γ at {results.reference_arcsec:g} arcsec.",
+    )  # fmt: skip
+
+
 def effects_table(results: CampaignResults) -> Table | None:
     """One row an effect or a form that was tried; None where there is none."""
     both = [*((one, "model") for one in results.effects), *((one, "tried") for one in results.candidates)]
@@ -240,7 +268,8 @@ def _priors_table(results: CampaignResults, model: SeriesModel, stated: dict[str
 def tables_of(results: CampaignResults, model: SeriesModel, stated: dict[str, StatedLevel]) -> list[Table]:
     """All of them, in the page's order."""
     found = [
-        contacts_table(results), effects_table(results), _changes_table(results), _scatter_table(results),
+        contacts_table(results), _differences_table(results), effects_table(results),
+        _changes_table(results), _scatter_table(results),
         _budget_table(results), _runs_table(results), _priors_table(results, model, stated),
     ]  # fmt: skip
     return [one for one in found if one is not None]
