@@ -1,4 +1,4 @@
-"""What the paper prints, and its contact pairs, simulated from the equations of motion to fits, on ground that
+"""What the paper prints, and its contact pairs simulated from the equations of motion to fits, on ground that
 stands still or moves.
 
 "Phenomenological Laws of Single Point Contact: Pre-Rolling Contact Resistance through Pendulum", Lubricants
