@@ -111,7 +111,7 @@ def kinds() -> dict[str, CalibrationKind]:
         "air": CalibrationKind(
             "Drag of the air: vanes on the pendulum, or several pressures",
             "Make two runs without vanes, two with the smaller and two with the larger ones, in turn, from "
-            "one start, without lifting the ball off its place. rig calibrate air --config says which to cut.",
+            "one start, without lifting the ball off its place. rig calibrate air says which to cut.",
             lambda path, filing, _: calibrate_air(path, filing),
             1500.0,
             '[[run]]\nrecord = "records/air-001.mcap"\narea_m2 = 0.0\n\n'
