@@ -31,6 +31,9 @@ def init(
             show_default=False,
         ),
     ] = None,
+    instruments: Annotated[
+        bool, typer.Option("--instruments", help="List the kinds of pendulum, for instrument.kind, and end.")
+    ] = False,
 ) -> None:
     """Write a configuration for your rig.
 
@@ -43,6 +46,9 @@ def init(
       rig init my-rig.toml
       rig init --example basement
     """
+    if instruments:
+        _list_instruments()
+        return
     if example is not None:
         _write_example(example, file)
         return
@@ -64,6 +70,15 @@ def init(
     lit = config.laser.kind != "none"
     for line in ("next:", *(f"  {step}" for step in _next_steps(file, stated, lit=lit))):
         say(line)
+
+
+def _list_instruments() -> None:
+    from processing.instruments import INSTRUMENTS
+    from rig.presentation import answer, print_line
+
+    answer(instruments={each.kind: each.sentence for each in INSTRUMENTS.values()})
+    for description in INSTRUMENTS.values():
+        print_line(f"{description.kind:<15} {description.sentence}")
 
 
 def _write_example(name: str, file: Path | None) -> None:
