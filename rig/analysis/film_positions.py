@@ -220,7 +220,7 @@ def _follow(
 
 
 def is_filmed(path: Path) -> bool:
-    """Whether a file is a film, images or a stack of them, or a folder holds some: by names and dimensions."""
+    """Whether a file is a film, images or a stack of them, or a folder holds some: by their names."""
     if path.is_dir():
         return bool(images_in([each.name for each in path.iterdir()])) or bool(films_in(path))
     if path.suffix.lower() == ".npy":

@@ -153,6 +153,10 @@ def fit(
         _refuse("on a film", columns, {"--witness": witness})
         asked = FilmAsked(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
         raise typer.Exit(fit_film(files[0], asked, output, config, run, set_ or [], law or []))
+    if files[0].suffix.lower() in (".json", ".toml"):
+        raise ConfigurationError(
+            f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
+        )
     from rig.analysis import TableColumns, fit_envelope_table, fit_trajectory
 
     _refuse("on a table", of_films)

@@ -73,7 +73,7 @@ def kind_of(path: Path) -> Literal["records", "table", "film"]:
     A folder without records, images or films counts as one of records, of which none is there.
     """
     suffix = path.suffix.lower()
-    if suffix in (".mcap", ".csv", ".txt"):
+    if suffix in (".mcap", ".csv", ".txt", ".toml", ".json"):
         return "records" if suffix == ".mcap" else "table"
     if path.is_dir() and (records_of(path) or any(path.glob("results*.json"))):
         return "records"
