@@ -11,7 +11,7 @@ from processing.errors import ConfigurationError
 from rig.commands.arguments import MODES, JsonLines, Record, ResultsFolder, Set, View
 from rig.commands.inputs import configuration, one_record, recorded, there
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import folder_without, new_file, output_option
+from rig.commands.outputs import folder_or_record, folder_without, new_file, output_option
 
 Rrd = Annotated[
     Path | None,
@@ -19,7 +19,9 @@ Rrd = Annotated[
 ]
 RunsFolder = Annotated[
     Path | None,
-    output_option("Folder for the files written; must not hold a run yet."),
+    output_option(
+        "Folder for the files written; must not hold a run yet.", folder_without("run-*.mcap", "results.json")
+    ),
 ]
 
 
@@ -56,7 +58,12 @@ def run(
         Path | None,
         typer.Argument(help="Configuration (TOML file).", show_default=False, callback=configuration),
     ] = None,
-    output: RunsFolder = None,
+    output: Annotated[
+        Path | None,
+        output_option(
+            "Folder for the files written, without a run yet; or one new record.", folder_or_record
+        ),
+    ] = None,
     runs: Annotated[int | None, typer.Option(help="Number of runs; default: session.runs.", min=1)] = None,
     set_: Set = None,
     view: View = None,
@@ -102,8 +109,8 @@ def run(
     """
     if record_only:
         _refuse_all_but_a_record(config, output, runs, resume, plan, view)
-    elif output is not None:
-        folder_without("run-*.mcap", "results.json")(output)
+    elif output is not None and output.suffix.lower() == ".mcap":
+        raise ConfigurationError(f"{output}: one record is written with --record-only; else name a folder")
     if instead is not None and resume is None:
         raise typer.BadParameter("--config goes with --resume DIR; else name the file as CONFIG")
     if config is None and resume is None and plan is None:
@@ -153,7 +160,8 @@ def _refuse_all_but_a_record(
         raise typer.BadParameter(
             "--record-only takes CONFIG, -o NAME.mcap and --set alone: it records one run"
         )
-    new_file(".mcap", makes_folders=True)(output)
+    if output.suffix.lower() != ".mcap":
+        raise ConfigurationError(f"{output}: name a file that ends in .mcap")
 
 
 def replay(
