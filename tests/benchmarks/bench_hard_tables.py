@@ -2,7 +2,7 @@
 
 Run as ``python -m tests.benchmarks hard_tables [--quick] [--seeds N] [CASE...]``. Decays come from an
 integration of the tests' own (`tests.processing.fit.changing`), on quiet ground and in air, seen 25 times a
-second with 0.005 arcsec, written as a table and fitted as `rig fit TABLE` does. Counted are the values and 95 %
+second with 0.005 arcsec, written as a table and fitted as `rig fit TABLE` does. Counted are values and 95 %
 intervals that are shown; a parameter that is only bounded counts where its interval holds the truth.
 """
 
