@@ -6,17 +6,24 @@ import time
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, CameraStatus, FrameTimeout
 from acquisition.frame import Frame
-from acquisition.frame_losses import FrameLosses
-from acquisition.frame_queue import FrameQueue, Policy
+from acquisition.frames.guard import (
+    ClockWatch,
+    Counts,
+    Delivered,
+    HangingRead,
+    asking,
+    awaited,
+    beside,
+    ended,
+)
+from acquisition.frames.line import FrameLine
+from acquisition.frames.losses import FrameLosses
+from acquisition.frames.queue import Backlog, FrameQueue, Policy, most_waiting
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError, RigError, in_one_line
 from rig.control import LightPermit, Stage
-from rig.devices.delivered import Counts, Delivered, asking, ended
-from rig.devices.frame_clock import FrameClock, Seen
-from rig.devices.frame_line import FrameLine
-from rig.devices.hanging_read import HangingRead, awaited, beside
-from rig.devices.host_clock import ClockWatch, wait_for_network_clock
+from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.standstill import Standstill
 from rig.instrument import setting_differences, with_read_back
 
@@ -60,7 +67,6 @@ class FrameStream:
         self._backlog: Backlog | None = None
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
         self._clock = ClockWatch()
-        self._times = FrameClock()
         self._delivered = Delivered(in_real_time=policy != "wait")
         self._counts = Counts(lambda: camera.status)
         self._thread: threading.Thread | None = None
@@ -164,7 +170,7 @@ class FrameStream:
             status,
             unqueued=unqueued,
             while_unplugged=self._line.missing,
-            wrong_time=self._times.rejected + self._times.waiting,
+            wrong_time=self._line.rejected + self._line.waiting,
         )
 
     def __len__(self) -> int:
@@ -230,7 +236,6 @@ class FrameStream:
                     self._reconnect(lost)
                     line.begin_again()
                     self._clock.begin_again()
-                    self._times.begin_again()
                     self._delivered.begin_again()
                     silent_s = 0.0
                     continue
@@ -263,21 +268,11 @@ class FrameStream:
             queue.close()
 
     def _joined(self, frame: Frame) -> list[Frame]:
-        """The frames whose times are sure with this one, in the line; those made on demand have their own."""
-        seen = Seen([frame]) if self.policy == "wait" else self._times.take(frame)
-        if seen.note:
-            self._events.append((EventKind.CAMERA_CLOCK, seen.note))
-        joined = []
-        for place, sure in enumerate(seen.frames):
-            frame, note = self._line.join(sure)
-            if note:
-                self._events.append((EventKind.CAMERA_BACK, note))
-            for known in (seen.step if place == seen.after_step else None, self._line.take_step()):
-                # a counter's new round is known exactly, and no step of the clock
-                if known is not None and known.u_ns:
-                    self._steps.append(RecordedClockStep(frame.time_ns, known.step_ns, known.u_ns))
-            joined.append(frame)
-        return joined
+        """The frames whose numbers and times are sure with this one."""
+        passed = self._line.take(frame)
+        self._events.extend(passed.notes)
+        self._steps.extend(passed.steps)
+        return passed.frames
 
     def _said_with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
         """The same, with the frames that came and could not be used: the trigger is no cause of those."""
@@ -334,55 +329,3 @@ class FrameStream:
         if self.failure is None:
             self.failure = error
             self.ended = reason
-
-
-MOST_BYTES = 256 * 1024 * 1024
-"""What waits for a processor that is late: 1.7 s of 500 frames/s of 640 x 480."""
-_OWN_BYTES = 1024
-"""What a frame takes beside its pixels, about."""
-_FEWEST = 8
-_FEWEST_ON_DEMAND = 64
-_LATE = 0.125
-"""Part of the memory from which on it is said."""
-
-
-def most_waiting(frame: Frame, policy: Policy) -> int:
-    """Number of frames for a bounded amount of memory, a few at least.
-
-    Frames on demand are not lost while the queue is full; a short one keeps them in the processor's cache.
-    """
-    most = max(_FEWEST, MOST_BYTES // (frame.image.nbytes + _OWN_BYTES))
-    return min(_FEWEST_ON_DEMAND, most) if policy == "wait" else most
-
-
-class Backlog:
-    """Notices when many frames wait, and when they no longer do.
-
-    Parameters
-    ----------
-    capacity
-        Number of frames for which there is memory.
-    frame_bytes
-        Size of one of them.
-    """
-
-    def __init__(self, capacity: int, frame_bytes: int) -> None:
-        self._capacity = capacity
-        self._frame_mb = frame_bytes / 1e6
-        self._most = 0
-
-    def see(self, waiting: int) -> str:
-        """What is to be said of so many waiting frames; nothing as long as they are few, or still many."""
-        if waiting > max(_LATE * self._capacity, self._most):
-            begins, self._most = not self._most, waiting
-            if begins:
-                memory_mb = self._capacity * self._frame_mb
-                return (
-                    f"{waiting} frames wait for the processor, {waiting * self._frame_mb:.0f} of "
-                    f"{memory_mb:.0f} MB; once full, frames are lost and counted: close other programs, or "
-                    "set a lower camera.frame_rate_hz or a smaller region"
-                )
-        elif self._most and waiting <= 0.1 * _LATE * self._capacity:
-            most, self._most = self._most, 0
-            return f"caught up; at most {most} frames waited, {most * self._frame_mb:.0f} MB"
-        return ""

@@ -18,7 +18,7 @@ from acquisition.cameras.v4l2.opencv import OpenCvSource
 from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.cameras.v4l2.source import FrameDevice, RawFrame
 from acquisition.frame import Frame
-from acquisition.frame_queue import FrameQueue
+from acquisition.frames.queue import FrameQueue
 from processing.errors import DeviceError
 
 if TYPE_CHECKING:
