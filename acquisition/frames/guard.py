@@ -1,14 +1,12 @@
 """Checks what a driver delivers and does, which may be somebody's own, before anything is made of it."""
 
 import logging
-import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, wait
 from contextlib import contextmanager
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,20 +27,18 @@ _ENDS_S: Final = 10.0
 HANGS_S: Final = 10.0
 """Longer than it was asked to wait: a `read` that has not returned then is not waited for."""
 _ELSEWHERE: Final = -1
-_LOOK_S: Final = 0.05
 _LATEST_NS: Final = 1_000_000_000
 """A frame that arrived later than so long from now has the time of another clock, that of the day."""
 NO_TIME_NS: Final = 1 << 62
 """Later than any clock, 146 years; sums of times no longer fit."""
 MOST_PPM: Final = 1000.0
 """A quartz is right within 100 ppm: a clock that runs otherwise counts in another unit than was believed."""
-_WINDOW_NS: Final = 3_000_000_000
-"""Between the middles of its first and last third are 2 s: a delay of 2 ms, kept up, makes `MOST_PPM`."""
+_STRETCH_NS: Final = 2_000_000_000
+"""A delay of 2 ms, kept up from one stretch to the next, makes `MOST_PPM`."""
 _FEWEST: Final = 60
 _IN_A_ROW: Final = 3
 _SPREAD: Final = 0.2
 """A wrong unit shows the same each time; a busy computer's delays do not within a fifth of themselves."""
-T = TypeVar("T")
 
 
 class _Seen(NamedTuple):
@@ -248,63 +244,45 @@ class HangingRead:
         )
 
 
-def beside(do: Callable[[], T]) -> tuple[threading.Thread, Future[T]]:
-    """Begin to do it in a thread of its own, whose result is still to come."""
-    coming: Future[T] = Future()
-
-    def run() -> None:
-        try:
-            coming.set_result(do())
-        except Exception as error:
-            coming.set_exception(error)
-
-    thread = threading.Thread(target=run, name="camera, first frame", daemon=True)
-    thread.start()
-    return thread, coming
-
-
-def awaited(coming: Future[T], waited: Callable[[float], None], stop: threading.Event) -> T | None:
-    """What comes, returned or raised; None after `stop`.
-
-    `waited` is told each time how long it took again, and raises where that is too long.
-    """
-    while not stop.is_set():
-        if wait([coming], _LOOK_S).done:
-            return coming.result()
-        waited(_LOOK_S)
-    return None
-
-
 class ClockWatch:
     """Compares the clocks over the first seconds of frames, whatever the driver.
 
-    A wrong unit shows in any stretch of frames, each time as much. Frames that a busy computer takes late,
-    and then catches up with, can look like one in a single stretch: the clock is refused only if three in a
-    row show the same.
+    A wrong unit shows in any stretch of frames, each time as much. Of each stretch the frame counts that came
+    soonest after its time: those that a busy computer takes late say nothing. What still looks like a wrong
+    unit is refused if three in a row show the same.
     """
 
     def __init__(self) -> None:
-        self._frames: list[tuple[int, int]] = []
         self._found: list[float] = []
         self._done = False
+        self.begin_again()
 
     def begin_again(self) -> None:
         """The camera was opened again: the stretch begins again."""
-        self._frames.clear()
+        self._soonest: list[tuple[int, int]] = []
+        self._since_ns, self._count = -1, 0
 
     def see(self, frame: Frame) -> None:
         """Take the next frame into account; raises DeviceError if the clock cannot be right."""
         if self._done or not 0 <= frame.device_time_ns < NO_TIME_NS:
             return
-        seen = self._frames
-        seen.append((frame.device_time_ns, frame.host_time_ns))
-        if seen[-1][1] - seen[0][1] < _WINDOW_NS or len(seen) < _FEWEST:
+        host_ns, late_ns = frame.host_time_ns, frame.host_time_ns - frame.device_time_ns
+        if not self._count:
+            self._since_ns = host_ns
+            self._soonest = [*self._soonest[-1:], (late_ns, host_ns)]
+        self._soonest[-1] = min(self._soonest[-1], (late_ns, host_ns))
+        self._count += 1
+        if host_ns - self._since_ns < _STRETCH_NS or self._count < _FEWEST:
             return
-        drift_ppm = _drift_ppm(np.array(seen, dtype=np.int64))
-        seen.clear()
-        if not abs(drift_ppm) > MOST_PPM:
-            # times that do not rise are for the preflight and rig calibrate clock to report
-            self._done = not math.isnan(drift_ppm)
+        self._count = 0
+        if len(self._soonest) > 1:
+            self._compare()
+
+    def _compare(self) -> None:
+        (late_before_ns, before_ns), (late_ns, host_ns) = self._soonest
+        drift_ppm = 1e6 * (late_before_ns - late_ns) / max(host_ns - before_ns, 1)
+        if abs(drift_ppm) <= MOST_PPM:
+            self._done = True
             return
         self._found = [*self._found, drift_ppm][-_IN_A_ROW:]
         mean = sum(self._found) / len(self._found)
@@ -319,17 +297,6 @@ class ClockWatch:
 def as_fast(drift_ppm: float) -> str:
     """The rate of the camera's clock in words."""
     return f"the camera's clock runs {1.0 + 1e-6 * drift_ppm:.6g} times as fast as the computer's"
-
-
-def _drift_ppm(seen: NDArray[np.int64]) -> float:
-    """Rate of camera times against host times, (n, 2) in ns, minus 1; NaN if the host's do not rise.
-
-    From the medians of the first and the last third, which frames that come late now and then do not move.
-    The thread that reads the camera waits for it: a fit of all frames would cost some of them.
-    """
-    since_ns, third = seen - seen[0], len(seen) // 3
-    device_ns, host_ns = np.median(since_ns[-third:], axis=0) - np.median(since_ns[:third], axis=0)
-    return (device_ns / host_ns - 1.0) * 1e6 if host_ns > 0 else math.nan
 
 
 def _whole(name: str, value: object) -> int:

@@ -12,8 +12,6 @@ from acquisition.frames.guard import (
     Delivered,
     HangingRead,
     asking,
-    awaited,
-    beside,
     ended,
 )
 from acquisition.frames.line import FrameLine
@@ -29,6 +27,9 @@ from rig.instrument import setting_differences, with_read_back
 
 _log = logging.getLogger(__name__)
 _LOOK_NS = 250_000_000
+_WAIT_S = 0.05
+_FIRST_S = 0.5
+"""For the first frame a camera is asked again and again, so that a stop is noticed."""
 
 
 class FrameStream:
@@ -70,6 +71,8 @@ class FrameStream:
         self._delivered = Delivered(in_real_time=policy != "wait")
         self._counts = Counts(lambda: camera.status)
         self._thread: threading.Thread | None = None
+        self._begun = threading.Event()
+        self._first: Frame | None = None
         self._events: list[tuple[EventKind, str]] = []
         self._standstill = Standstill(lambda text: self._events.append((EventKind.STANDSTILL, text)))
         self._steps: list[RecordedClockStep] = []
@@ -92,21 +95,13 @@ class FrameStream:
         Raises FrameTimeout if no frame arrives within the timeout, DeviceError if the driver hangs.
         """
         # whoever closes the stream waits for it: a camera that is being read is not closed
-        self._thread, coming = beside(self._first_frames)
-        frames = awaited(coming, self._raise_if_it_hangs, self._stop)
-        if not frames:
-            return None
-        first = frames[0]
-        self.permit.frame_read(first.image)
-        capacity = most_waiting(first, self.policy)
-        self._queue = FrameQueue(capacity, self.policy)
-        # what is made on demand waits for whoever takes it
-        self._backlog = None if self.policy == "wait" else Backlog(capacity, first.image.nbytes)
-        for frame in frames:
-            self._queue.put(frame)
         self._thread = threading.Thread(target=self._acquire, name="camera", daemon=True)
         self._thread.start()
-        return first
+        while not (self._begun.wait(_WAIT_S) or self._stop.is_set()):
+            self._raise_if_it_hangs(_WAIT_S)
+        if self._first is None and self.failure is not None:
+            raise self.failure
+        return self._first
 
     def take(self, at_most: int, timeout_s: float) -> list[Frame]:
         """Up to `at_most` frames in order; empty after the timeout, and if drained."""
@@ -183,54 +178,34 @@ class FrameStream:
             self._fail(error, hangs)
             raise error
 
-    def _first_frames(self) -> list[Frame]:
-        waited_s = 0.0
-        while not self._stop.is_set():
-            step_s = min(self._timeout_s, 0.5)
-            self._hanging.begins()
-            try:
-                frame = self._camera.read(step_s)
-                if frame is None:
-                    return []
-                if frames := self._joined(self._delivered.checked(frame)):
-                    return frames
-            except FrameTimeout as lost:
-                waited_s += step_s
-                if waited_s >= self._timeout_s:
-                    raise self._said_with_reasons(lost) from None
-            except Exception as error:
-                self._fail(error, self._named(error))
-                raise self.failure or error from None
-        return []
-
     def _acquire(self) -> None:
         """Read and hand over, reconnect after an unplugging."""
-        queue = self._queue
-        assert queue is not None
         line = self._line
         silent_s = 0.0
         opened_again = False
         try:
             while not self._stop.is_set():
+                begun = self._queue is not None
                 # a source on demand may be slow; silence of a free-running camera is reported early
                 patience_s = self._timeout_s if self.policy == "wait" else line.patience_s(self._timeout_s)
-                patience_s = min(patience_s, self._timeout_s - silent_s)
+                patience_s = min(patience_s if begun else _FIRST_S, self._timeout_s - silent_s)
                 self._hanging.begins()
                 try:
-                    frame = self._camera.read(patience_s)
+                    read = self._camera.read(patience_s)
                 except (FrameTimeout, CameraLost) as lost:
                     if isinstance(lost, FrameTimeout):
                         lost = self._said_with_reasons(lost)
-                        if silent_s == 0.0 and patience_s < self._timeout_s:
+                        if begun and silent_s == 0.0 and patience_s < self._timeout_s:
                             self._events.append((EventKind.CAMERA_SILENT, str(lost)))
                         silent_s += patience_s
                         if silent_s < self._timeout_s - 1e-6:
                             continue
-                        # drivers notice an unplugged cable after seconds, or never: one that can be opened
-                        # again was there all the time if it stays silent
-                        if self.policy == "wait" or opened_again:
-                            raise lost from None
-                        opened_again = True
+                    # drivers notice an unplugged cable after seconds, or never: one that can be opened
+                    # again was there all the time if it stays silent
+                    stays_silent = self.policy == "wait" or opened_again
+                    if not begun or (isinstance(lost, FrameTimeout) and stays_silent):
+                        raise lost from None
+                    opened_again = opened_again or isinstance(lost, FrameTimeout)
                     self._events.append((EventKind.CAMERA_LOST, str(lost)))
                     self._hanging.is_elsewhere()
                     self._reconnect(lost)
@@ -239,25 +214,30 @@ class FrameStream:
                     self._delivered.begin_again()
                     silent_s = 0.0
                     continue
-                if frame is None:
+                if read is None:
                     self.ended = self.ended or "the camera delivered its last frame"
                     break
-                frame = self._delivered.checked(frame)
+                frame = self._delivered.checked(read)
                 self.permit.frame_read(frame.image)
                 if self.policy != "wait":
                     self._standstill.raise_if_slept()
                     self._clock.see(frame)
-                if silent_s:
+                if silent_s and begun:
                     self._events.append(
                         (EventKind.CAMERA_SPEAKS, f"after more than {silent_s:.2f} s of silence")
                     )
-                    silent_s = 0.0
+                silent_s = 0.0
                 opened_again = False
                 if frame.host_time_ns >= self._look_ns:
                     self._look_ns = frame.host_time_ns + _LOOK_NS
                     self._at_last_look = self.losses
-                for joined in self._joined(frame):
+                passed = line.take(frame)
+                self._events.extend(passed.notes)
+                self._steps.extend(passed.steps)
+                for joined in passed.frames:
+                    queue = self._queue or self._first_queue(joined)
                     queue.put(joined)
+                    self._begun.set()
         except FrameTimeout as error:
             unused = self.losses.since(self._at_last_look)
             why = "the camera has stalled" if not unused.came else f"of those that came {unused.came_text}"
@@ -265,14 +245,16 @@ class FrameStream:
         except Exception as error:
             self._fail(error, self._named(error))
         finally:
-            queue.close()
+            if self._queue is not None:
+                self._queue.close()
+            self._begun.set()
 
-    def _joined(self, frame: Frame) -> list[Frame]:
-        """The frames whose numbers and times are sure with this one."""
-        passed = self._line.take(frame)
-        self._events.extend(passed.notes)
-        self._steps.extend(passed.steps)
-        return passed.frames
+    def _first_queue(self, first: Frame) -> FrameQueue:
+        capacity = most_waiting(first, self.policy)
+        # what is made on demand waits for whoever takes it
+        self._backlog = None if self.policy == "wait" else Backlog(capacity, first.image.nbytes)
+        self._first, self._queue = first, FrameQueue(capacity, self.policy)
+        return self._queue
 
     def _said_with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
         """The same, with the frames that came and could not be used: the trigger is no cause of those."""
