@@ -13,9 +13,9 @@ from acquisition.camera import (
     FeatureValue,
     FrameTimeout,
 )
+from acquisition.cameras.device_settings import V4l2Settings
 from acquisition.cameras.reading import Reading
 from acquisition.cameras.v4l2.opencv import OpenCvSource
-from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.cameras.v4l2.source import FrameDevice, RawFrame
 from acquisition.frame import Frame
 from acquisition.frames.queue import FrameQueue
