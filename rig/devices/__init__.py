@@ -10,7 +10,7 @@ from rig.devices.host_clock import (
     U_FREE_RUNNING,
     U_QUARTZ,
     U_SYNCHRONISED,
-    kernel_clock,
+    ClockAnchors,
     ntp_state,
     wrong_rate,
 )

@@ -15,10 +15,9 @@ from processing.spot import SpotFlag
 from processing.step_watch import KickWatch, StepWatch
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
-from rig.devices import ClockRate
+from rig.devices import ClockAnchors, ClockRate
 from rig.instrument import Block, CameraClock, LessBeam, Phase, Snapshot, Wall
 from rig.measure.camera_state import TemperatureWatch, features_json
-from rig.measure.clock_anchors import ClockAnchors
 from rig.measure.end_of_run import EndOfRun, StopRequest
 from rig.measure.frame_counts import FrameCounts
 from rig.measure.recorder import Entry, Recorder
