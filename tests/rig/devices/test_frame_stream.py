@@ -103,6 +103,16 @@ def test_a_silence_is_named_within_two_frame_times_and_half_a_second() -> None:
     assert camera.asked_s[0] < 2 / RATE_HZ + 0.4
 
 
+def test_a_stream_that_is_taken_from_faster_than_it_is_read_loses_nothing() -> None:
+    """Its queue is empty again and again, and stays the same one."""
+    stream = scripted(ScriptedCamera(frames=300, silences=0))
+    numbers, deadline_s = list[int](), time.monotonic() + 30
+    while not stream.drained and time.monotonic() < deadline_s:
+        numbers += [frame.sequence for frame in stream.take(1, 0.001)]
+    stream.close()
+    assert numbers == list(range(701, 1001))
+
+
 class Hanging(ScriptedCamera):
     """A driver whose first `read` does not return."""
 
