@@ -103,12 +103,27 @@ def test_a_silence_is_named_within_two_frame_times_and_half_a_second() -> None:
     assert camera.asked_s[0] < 2 / RATE_HZ + 0.4
 
 
-def test_a_stream_that_is_taken_from_faster_than_it_is_read_loses_nothing() -> None:
-    """Its queue is empty again and again, and stays the same one."""
-    stream = scripted(ScriptedCamera(frames=300, silences=0))
-    numbers, deadline_s = list[int](), time.monotonic() + 30
+class AfterTaken(ScriptedCamera):
+    """A frame for each one that was taken, so that the queue is empty whenever one comes."""
+
+    def __init__(self, frames: int) -> None:
+        super().__init__(frames, silences=0)
+        self.taken = threading.Semaphore(1)
+
+    def read(self, timeout_s: float) -> Frame | None:
+        self.taken.acquire()
+        return super().read(timeout_s)
+
+
+def test_a_stream_that_is_taken_from_as_fast_as_it_is_read_loses_nothing() -> None:
+    camera = AfterTaken(300)
+    stream = scripted(camera)
+    numbers: list[int] = []
+    deadline_s = time.monotonic() + 30
     while not stream.drained and time.monotonic() < deadline_s:
-        numbers += [frame.sequence for frame in stream.take(1, 0.001)]
+        taken = stream.take(1, 0.1)
+        numbers += [frame.sequence for frame in taken]
+        camera.taken.release(len(taken) or 1)
     stream.close()
     assert numbers == list(range(701, 1001))
 
