@@ -14,7 +14,7 @@ from rich.text import Text
 
 from acquisition import atomic_write
 from acquisition.camera import Camera, CameraInfo, CameraSettings
-from acquisition.frame_queue import FrameQueue
+from acquisition.frames.queue import FrameQueue
 from processing.errors import ConfigurationError, DeviceError
 from processing.spot import SpotTracker
 from rig.align.annotated_picture import annotated_picture
