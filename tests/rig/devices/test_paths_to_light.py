@@ -31,6 +31,7 @@ from rig.settings import Configuration, load_configuration
 from tests.rig.command_line import CONFIGS, QUICK, figures_are_not_drawn
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.devices.test_laser import configuration
+from tests.waiting import until
 
 SOURCES = Path(rig.__file__).parent
 LIVE = CONFIGS / "live.toml"
@@ -333,13 +334,6 @@ def test_the_last_run_of_a_session_is_followed_by_no_light(
 
 def test_every_path_is_walked() -> None:
     assert set(WALKS) | {("desk/aligner.py", "_lit")} == ASKS
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
-    end_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end_s, "it did not come about"
-        time.sleep(0.01)
 
 
 class Loop:
