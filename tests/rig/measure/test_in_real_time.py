@@ -25,6 +25,8 @@ MAGNET = {
     "phases.rest_window_s": "2.0",
     "phases.warm_up_window_s": "2.1",
     "session.max_duration_s": "12",
+    # a program that a busy machine holds up for longer than usual is no trip of its own
+    "controller.watchdog_s": "5.0",
 }
 
 
@@ -40,6 +42,7 @@ SOONER = {
     "faults.camera_unplugged_at_s": "17",
     "faults.camera_replugged_at_s": "19",
     "session.max_duration_s": "14",
+    "controller.watchdog_s": "5.0",
 }
 """The same faults, in half of the time."""
 
