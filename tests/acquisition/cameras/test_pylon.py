@@ -86,7 +86,6 @@ def test_two_hundred_pictures_come_byte_for_byte(tmp_path: Path) -> None:
     camera.close()
 
 
-@pytest.mark.realtime
 def test_a_software_trigger_gives_one_frame_each() -> None:
     camera = Triggered()
     camera.open()

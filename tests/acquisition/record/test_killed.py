@@ -20,8 +20,6 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from tests.waiting import until
 
-pytestmark = pytest.mark.realtime
-
 PROGRAM = "tests.acquisition.record.until_killed"
 ROOT = Path(__file__).resolve().parents[3]
 LOST_S = 0.9

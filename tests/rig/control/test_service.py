@@ -17,8 +17,6 @@ from tests.rig.control.conftest import settings_for
 from tests.rig.control.wires import FirmwareBoard
 from tests.waiting import until
 
-pytestmark = pytest.mark.realtime
-
 
 def test_snapshot_follows_the_board(board: FirmwareBoard) -> None:
     control = settings_for(board.port, heartbeat_s=0.05)

@@ -19,8 +19,6 @@ from rig.control.settings import ControllerSettings, EnvironmentSettings, Serial
 from rig.control.simulated import SimulatedOutputs, simulated_controller
 from tests.waiting import until
 
-pytestmark = pytest.mark.realtime
-
 
 class Rig:
     """Remembers what its outputs were told."""

@@ -22,7 +22,6 @@ from rig.measure.session_file import RunState, SessionFile
 from rig.settings import load_configuration, stored_configuration
 from tests.waiting import until
 
-pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).resolve().parents[3]
 IGNORES = ("sh", "-c", "trap '' TERM; exec \"$@\"", "-")
 """What it runs hears no SIGTERM."""

@@ -25,8 +25,6 @@ from rig.settings import Configuration
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.waiting import until
 
-pytestmark = pytest.mark.realtime
-
 
 @pytest.fixture
 def following(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Following]:
@@ -172,7 +170,6 @@ def test_the_look_at_a_running_session_has_the_lamp_of_its_reference(tmp_path: P
     assert "reference" in [lamp.name for lamp in look.lamps()]
 
 
-@pytest.mark.realtime
 @pytest.mark.slow
 @pytest.mark.timeout(240)
 def test_what_is_recorded_for_a_calibration_is_seen_and_an_old_picture_never(tmp_path: Path) -> None:

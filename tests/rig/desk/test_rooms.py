@@ -100,7 +100,6 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
     assert job.wait(50.0)
 
 
-@pytest.mark.realtime
 def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> None:
     sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))

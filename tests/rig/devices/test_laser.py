@@ -22,8 +22,6 @@ from tests.rig.control.wires import FirmwareBoard
 from tests.rig.known_rig import known
 from tests.waiting import until
 
-pytestmark = pytest.mark.realtime
-
 FAMILIES: dict[str, type[Instrument]] = {
     "thorlabs4000": FakeThorlabs,
     "obis": FakeObis,

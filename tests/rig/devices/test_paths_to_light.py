@@ -412,7 +412,6 @@ def test_a_plan_that_waits_in_the_dark_does_not_light_after_a_trip(
     assert len(lit.at) == 1
 
 
-@pytest.mark.realtime
 def test_without_a_controller_the_state_is_the_rigs_and_outlives_the_program(tmp_path: Path) -> None:
     instrument = FakeCobolt()
     try:
@@ -443,7 +442,6 @@ def test_without_a_controller_the_state_is_the_rigs_and_outlives_the_program(tmp
         instrument.close()
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("what", ["panel", "stall"])
 def test_what_has_gone_dark_by_itself_is_lit_by_no_later_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str

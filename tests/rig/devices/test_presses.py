@@ -20,8 +20,6 @@ from tests.rig.control.instruments import FakeCobolt
 from tests.rig.devices.test_laser import configuration
 from tests.waiting import until
 
-pytestmark = pytest.mark.realtime
-
 
 @pytest.fixture
 def instrument() -> Iterator[FakeCobolt]:

@@ -28,7 +28,7 @@ from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 
 ASKED = CameraSettings(width_px=32, height_px=32, frame_rate_hz=50.0, exposure_us=100.0)
 WITHIN_S = 60.0

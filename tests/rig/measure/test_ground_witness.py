@@ -118,7 +118,6 @@ def test_one_that_does_not_go_with_the_camera_is_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_a_serial_witness_is_recorded_beside_frames_that_come_in_real_time(tmp_path: Path) -> None:
     master, slave = pty.openpty()
     tty.setraw(slave)

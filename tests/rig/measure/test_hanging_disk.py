@@ -93,7 +93,6 @@ def put_all(frames: FrameQueue, recorder: Recorder) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_a_session_says_that_its_disk_hung(disk: Mounted, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "SLOW_S", 0.05)
     folder = disk.folder / "out"

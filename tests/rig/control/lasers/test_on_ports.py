@@ -12,8 +12,6 @@ from tests.rig.control.instruments import FakeCobolt
 from tests.rig.control.lasers.pairs import FAMILIES, Pair, laser_for
 from tests.waiting import until
 
-pytestmark = pytest.mark.realtime
-
 
 @pytest.mark.parametrize("kind", sorted(LASERS))
 def test_lit_set_silent_and_closed_without_leaving_a_descriptor(kind: str) -> None:
