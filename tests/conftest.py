@@ -71,7 +71,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> FileByFile:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Limits of time, and the order: real time, files of long tests, of slow ones; short ones end together."""
+    """Limits of time, and the order: real time, long files, slow files; short ones end together."""
     long_files = {
         item.path for item in items for mark in item.iter_markers("timeout") if mark.args[0] >= LONG_S
     }

@@ -100,3 +100,10 @@ def test_a_perfect_rig_is_a_go_at_every_rate(tmp_path: Path, rate_hz: int) -> No
     done = rig("preflight", CONFIGS / "live.toml", "--json", *words)
     assert done.returncode == 0, done.stderr
     assert "too few" not in done.stdout
+
+
+def test_the_starter_of_a_live_rig_starts_the_swing_that_is_balanced(tmp_path: Path) -> None:
+    words = ("balance", CONFIGS / "live.toml", "--history-file", tmp_path / "history.jsonl")
+    done = rig(*words, "--set", "simulation.sensor.width_px=160", typed="q\n")
+    assert "no swing was seen" not in done.stderr
+    assert "balanced: within all limits that are known; unknown: spin" in done.stdout
