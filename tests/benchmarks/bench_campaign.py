@@ -1,7 +1,7 @@
 """Campaigns of made-up runs: are the bands as wide as they should be, are changes found, is nothing invented?
 
 Run as ``python -m tests.benchmarks campaign [--quick]``. The runs come
-from `tests/processing/campaign/simulated_campaigns.py`, which shares no formula with the analysis.
+from `tests/processing/series/simulated_series.py`, which shares no formula with the analysis.
 """
 
 from collections.abc import Callable
@@ -11,19 +11,20 @@ import numpy as np
 from scipy.special import ndtr
 from scipy.stats import kstest
 
-from processing.campaign import (
-    CampaignModel,
-    CampaignPosterior,
+from processing.estimate import Estimate
+from processing.series import (
+    SEEN,
     Effect,
     Form,
     Level,
+    SeriesModel,
+    SeriesPosterior,
+    chance,
     find_change,
-    fit_campaign,
-    is_seen,
+    fit_series,
 )
-from processing.estimate import Estimate
 from tests.benchmarks.parts import Parts, run_parts
-from tests.processing.campaign.simulated_campaigns import NAMES, Floats, Made, World, made
+from tests.processing.series.simulated_series import NAMES, Floats, Made, World, made
 
 LEVELS = {"b": Estimate(-5.6, 0.3), "p": Estimate(0.94, 0.02), "c": Estimate(-18.4, 0.5)}
 SIZES = {"b": 0.1, "p": 0.01, "c": 0.3}
@@ -76,7 +77,7 @@ def from_priors(seed: int) -> FromPriors:
 
 def calibration(count: int) -> dict[str, float]:
     """Ranks of what is true among the draws, where truth is drawn from the priors; p of their uniformity."""
-    model = CampaignModel(
+    model = SeriesModel(
         names=("b", "c"), effects=(HUMIDITY,), sizes=SIZES, levels=LEVELS, contacts_alike=True
     )
     ranks: dict[str, list[float]] = {}
@@ -87,7 +88,7 @@ def calibration(count: int) -> dict[str, float]:
 
     for seed in range(count):
         truth = from_priors(seed)
-        found = fit_campaign(truth.made.runs, model, seed=seed)
+        found = fit_series(truth.made.runs, model, seed=seed)
         effective.append(found.effective)
         of_runs, u_runs = found.of_runs
         for own, (place, name) in enumerate(((0, "b"), (2, "c"))):
@@ -111,7 +112,7 @@ def calibration(count: int) -> dict[str, float]:
     return p_values
 
 
-def effect_of(found: CampaignPosterior) -> Level:
+def effect_of(found: SeriesPosterior) -> Level:
     """The one effect of a campaign."""
     return next(level for level in found.levels if level.kind == "effect")
 
@@ -131,8 +132,8 @@ def coverage(count: int) -> dict[str, float]:
             world = World(
                 levels={"sample": CENTRE}, scatter=np.array([0.02, 0.002, 0.1]), moved=moved, air=rng.normal()
             )
-            model = CampaignModel(names=NAMES, effects=(effect,))
-            found = fit_campaign(made(world, RUNS, rng).runs, model, seed=seed)
+            model = SeriesModel(names=NAMES, effects=(effect,))
+            found = fit_series(made(world, RUNS, rng).runs, model, seed=seed)
             low, high = found.quantiles(found.draws(effect_of(found)), (0.16, 0.84))
             inside.append(low <= slope <= high)
         found_all[name] = float(np.mean(inside))
@@ -146,9 +147,15 @@ def false_slopes(count: int) -> dict[str, float]:
     for seed in range(count):
         rng = np.random.default_rng([5, seed])
         world = World(levels={"sample": CENTRE}, scatter=np.array([0.02, 0.002, 0.1]), air=rng.normal())
-        model = CampaignModel(names=NAMES, effects=(HUMIDITY, WARMTH, AGE))
-        found = fit_campaign(made(world, RUNS, rng).runs, model, seed=seed)
-        seen.append(any(is_seen(found, level, 3) for level in found.levels if level.kind == "effect"))
+        model = SeriesModel(names=NAMES, effects=(HUMIDITY, WARMTH, AGE))
+        found = fit_series(made(world, RUNS, rng).runs, model, seed=seed)
+        seen.append(
+            any(
+                chance(found, found.draws(level)) * 3 < SEEN
+                for level in found.levels
+                if level.kind == "effect"
+            )
+        )
     print(f"  false slopes in {100 * np.mean(seen):.1f} % of {count}; stated 5 %")
     return {"false": float(np.mean(seen))}
 
@@ -156,7 +163,7 @@ def false_slopes(count: int) -> dict[str, float]:
 def changes(count: int) -> dict[str, float]:
     """Part of campaigns in which a change of 0.5 in ln c is found, and within one run; and of false ones."""
     near, false = [], []
-    model = CampaignModel(names=("c",))
+    model = SeriesModel(names=("c",))
     for seed in range(count):
         rng = np.random.default_rng([6, seed])
         place = int(rng.integers(4, 17))

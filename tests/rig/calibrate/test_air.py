@@ -8,11 +8,10 @@ import pytest
 from calibration import read_calibration
 from processing.errors import ConfigurationError, DataError
 from rig.analysis import analyse_record, remarks
-from rig.calibrate import Filing, calibrate_air, calibration_residuals, vanes_to_cut
+from rig.calibrate import Filing, calibrate_air, filed, vanes_to_cut
 from rig.instrument import complete
 from rig.measure.session import simulate_record
 from rig.settings import validate_configuration
-from rig.wizards import Draft, answered, calibration_wizard, progress
 
 DRAG_S = 1.7e-3
 
@@ -54,7 +53,7 @@ def test_the_drag_is_measured_filed_and_used(vanes: Path, tmp_path: Path) -> Non
     assert found.method == "2 runs, 2 areas of vanes"
     assert [source.name for source in found.sources] == ["vanes.toml", "0.mcap", "1.mcap"]
     assert any("at three" in note for note in found.notes)
-    (left,) = calibration_residuals(found)
+    (left,) = filed(path).residuals
     assert left.x == [0.0, 1000.0]
     assert found.details["expected_drag_s"] == pytest.approx(DRAG_S, rel=0.2)
     stated = configuration(0.0, calibration={"air": str(path)})
@@ -128,11 +127,3 @@ def test_vanes_are_advised_and_asked_for() -> None:
     assert thin is not None
     assert advised.area_m2 == pytest.approx(stated.area_m2, rel=1e-3)
     assert thin.area_m2 != pytest.approx(stated.area_m2, rel=1e-2)
-    wizard = calibration_wizard("air", config)
-    draft = answered(wizard, Draft(), "vanes")
-    question = progress(wizard, draft).question
-    assert question is not None
-    assert advised.text in question.do
-    assert "two runs without vanes" in question.do
-    in_general = progress(calibration_wizard("air"), Draft())
-    assert in_general.question is not None

@@ -97,7 +97,7 @@ def test_all_faults_at_once_leave_a_record_that_says_what_happened(tmp_path: Pat
 def test_a_perfect_rig_is_a_go_at_every_rate(tmp_path: Path, rate_hz: int) -> None:
     output = {"session.output": f"'{tmp_path.as_posix()}'"}
     words = set_words({**SMALL, **output, "camera.frame_rate_hz": str(rate_hz), "preflight.duration_s": "3"})
-    done = rig("preflight", CONFIGS / "live.toml", "--json", *words)
+    done = rig("doctor", "--preflight", CONFIGS / "live.toml", "--json", *words)
     assert done.returncode == 0, done.stderr
     assert "too few" not in done.stdout
 

@@ -94,7 +94,7 @@ def test_an_unread_terminal_does_not_hold_a_preflight_up(
 
     monkeypatch.setattr(FrameStream, "close", close)
     monkeypatch.setattr(preflight_alone, "print_json_line", read_late)
-    done = rig("preflight", CONFIGS / "live.toml", "--json", *set_words(words))
+    done = rig("doctor", "--preflight", CONFIGS / "live.toml", "--json", *set_words(words))
     # on a busy machine frames may be lost
     assert done.returncode in (0, 1), done.stderr
     kinds = [json.loads(line)["kind"] for line in done.stdout.splitlines()]
