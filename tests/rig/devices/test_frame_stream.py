@@ -29,8 +29,6 @@ from rig.settings import load_configuration
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 
-pytestmark = pytest.mark.realtime
-
 RATE_HZ = 100.0
 
 

@@ -24,7 +24,7 @@ from rig.devices import lit_devices
 from rig.devices.audit import check_log
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.timeout(300)
 
 LIVE = {
     **QUICK,

@@ -19,8 +19,6 @@ from rig.view.viewer import Viewer
 from tests.rig.view import scene as view_scene
 from tests.rig.view.rrd_contents import column, measured, scalars
 
-pytestmark = pytest.mark.realtime
-
 posix_only = pytest.mark.skipif(os.name != "posix", reason="stops a process with POSIX signals")
 # No call may wait for the worker. A bound far above what a busy machine needs, far below any wait.
 CALL_LIMIT_S = 0.5
