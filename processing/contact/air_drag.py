@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.air import Air
-from processing.contact.moments import weight_moment
+from processing.contact.parameters import weight_moment
 from processing.contact.parameters import PendulumOnBall
 
 _PERIOD_RATIO = 5.0

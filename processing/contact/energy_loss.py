@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.half_swing import turning_points_of
+from processing.contact.laws.paper import turning_points_of
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.errors import DataError
 from processing.swing import TurningPoints

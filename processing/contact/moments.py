@@ -8,15 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from processing.arrays import Floats
-from processing.contact.half_swing import stiffness_ratio
-from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.contact.parameters import (
+    ContactParameters,
+    PendulumOnBall,
+    stiffness_ratio,
+    weight_moment,
+)
 from processing.estimate import Estimate
 from processing.quantity import PART
-
-
-def weight_moment(pendulum: PendulumOnBall) -> float:
-    """m g R in N m, the unit of the coefficients of Eq. 1."""
-    return pendulum.mass_kg * pendulum.gravity_m_per_s2 * pendulum.ball_radius_m
 
 
 def friction_moment(

@@ -11,10 +11,9 @@ import numpy as np
 from scipy.special import loggamma
 
 from processing.arrays import Floats
-from processing.contact.branch import Arrays, masing
-from processing.contact.branch_columns import PERIOD, ComplexOrReal, Scaling, Straight
-from processing.contact.branch_law import CONSTANT, FREE_PERIOD, branch_law
-from processing.contact.law import Parameter
+from processing.contact.memory import Arrays, branch_law, masing
+from processing.contact.coordinates import ComplexOrReal, Scaling, Straight
+from processing.contact.law import CONSTANT, FREE_PERIOD, PERIOD, HeldColumn, Parameter
 from processing.contact.start_values import StartValues
 
 
@@ -37,18 +36,18 @@ def _scaled(values: ComplexOrReal) -> ComplexOrReal:
     Gravity has the rest of the stiffness. Decay and period determine these; if the contact were much stiffer
     than gravity, k could be anything.
     """
-    log_loss, share, c, period_s = values
+    log_loss, share, c, drag, period_s = values
     k = share / (1 - share)
     loss = (1 + k) * np.exp(log_loss)
     q = (k - loss) / (k + loss)
-    return np.array([k, q, (1 + k) * c, period_s * np.sqrt(1 + k * _stiffness(q))])
+    return np.array([k, q, (1 + k) * c, drag, period_s * np.sqrt(1 + k * _stiffness(q))])
 
 
 def _coordinates(values: Floats) -> Floats:
-    k, q, c, period0_s = values
+    k, q, c, drag, period0_s = values
     loss = max(k * (1 - q) / (1 + q), 1e-12)
     return np.array(
-        [np.log(loss / (1 + k)), k / (1 + k), c / (1 + k), period0_s / np.sqrt(1 + k * _stiffness(q))]
+        [np.log(loss / (1 + k)), k / (1 + k), c / (1 + k), drag, period0_s / np.sqrt(1 + k * _stiffness(q))]
     )
 
 
@@ -79,6 +78,8 @@ MASING = branch_law(
         "q": Scaling(),
         "c": Scaling(1.0),
     },
-    Straight(_scaled, _coordinates, held=(1, 0, 2), limits={1: (1e-4, 0.6)}),
+    Straight(
+        _scaled, _coordinates, (HeldColumn(1), HeldColumn(0), HeldColumn(2)), lambda _: {1: (1e-4, 0.6)}
+    ),
     _likely,
 )  # fmt: skip

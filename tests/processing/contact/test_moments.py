@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from processing.contact.energy_loss import measured_losses, model_losses
-from processing.contact.half_swing import turning_points_of
-from processing.contact.moments import cycle_work, elastic_moment, weight_moment
+from processing.contact import turning_points_of
+from processing.contact import weight_moment
+from processing.contact.moments import cycle_work, elastic_moment
 from processing.contact.parameters import ContactParameters
 from processing.contact.steady_swing import moment_loop
 from processing.errors import DataError

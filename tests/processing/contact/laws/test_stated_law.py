@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from processing.contact import DEFAULT_LAW, Moment, StatedLaw
+from processing.contact import DEFAULT_LAW, StatedLaw, StatedMoment
 from processing.errors import DataError
 from processing.fit import fit_exact
 from tests.processing.fit.decays import decay, paper_pair
@@ -115,7 +115,7 @@ def overwrites(phi_rad, k=0.05):  # type: ignore[no-untyped-def]
         (fails_later, r"fails_later: raises ValueError \(k is odd\) .* and k = 0.0"),
     ],
 )
-def test_what_a_stated_law_raises_is_one_line_with_its_name(friction: Moment, said: str) -> None:
+def test_what_a_stated_law_raises_is_one_line_with_its_name(friction: StatedMoment, said: str) -> None:
     """It passed through as it was, and imaginary parts were left out with a warning."""
     parameters, pendulum = paper_pair("glass_k8")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=100)
