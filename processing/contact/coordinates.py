@@ -121,6 +121,7 @@ class Coordinates:
         self._own = tuple(names[place] for place in places)
         self._scalings = dict(zip(self._own, scalings.values(), strict=True))
         self._drag = DRAG.key in names
+        self._found: dict[bytes, tuple[Floats, Floats]] = {}
         self._straight, self._likely = straight(self._drag), likely
         self.valley = self._straight.valley
         self._rho = relative_curvature(pendulum) * self.reference
@@ -129,7 +130,8 @@ class Coordinates:
         self.map_by_log_rho[-2] = self._rho
         # places of the columns of own parameters, drag, and T0
         self._searched = [*range(count), *([count] if self._drag else []), count + self._drag + 1]
-        self.lower, self.upper = np.full(count + self._drag + 3, -np.inf), np.full(count + self._drag + 3, np.inf)
+        self.upper = np.full(count + self._drag + 3, np.inf)
+        self.lower = -self.upper
         halves = points.index[-1] - points.index[0]
         loss = abs(float(np.log(points.amplitude[0] / points.amplitude[-1]) / halves))
         for place, (low, high) in self._straight.limits(loss).items():
@@ -138,6 +140,13 @@ class Coordinates:
 
     def _scaled(self, columns: Floats) -> tuple[Floats, Floats]:
         """Scaled own parameters, drag, first amplitude, T0 and first time, and their derivatives."""
+        key = columns.tobytes()
+        if key not in self._found:
+            self._found.clear()  # a search of the noise asks for the same columns a hundred times
+            self._found[key] = self._differentiated(columns)
+        return self._found[key]
+
+    def _differentiated(self, columns: Floats) -> tuple[Floats, Floats]:
         count = len(columns)
         out = np.full((len(self._own) + 4, 1 + count), np.nan, dtype=np.complex128)
         if np.all(np.abs(columns) < _LARGEST):
@@ -230,7 +239,8 @@ class Coordinates:
         near = np.minimum(columns - self.lower, self.upper - columns) < _AT_LIMIT
         scaled, _ = self._scaled(columns)
         moved = [self.held(key).column for key in self._own]
-        found = {moved.index(place) if place in moved else place for place in np.flatnonzero(near[: len(moved)])}
+        nearest = np.flatnonzero(near[: len(moved)]).tolist()
+        found = {moved.index(column) if column in moved else column for column in nearest}
         found |= set(self._straight.at_limit(scaled))
         for place, parameter in enumerate(self._parameters):
             if not self._scalings[self._own[place]].exponent and parameter.lower and parameter.upper < np.inf:

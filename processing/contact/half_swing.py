@@ -98,7 +98,7 @@ class SwingTable(NamedTuple):
         """
         from scipy.interpolate import CubicSpline  # here, because it would slow down every command
 
-        usable = np.isfinite(rows).all(axis=1)
+        usable = np.all(np.isfinite(rows), axis=1)
         if not usable[-fewest:].all():
             return None
         first = 0 if usable.all() else len(usable) - int(np.argmin(usable[::-1]))

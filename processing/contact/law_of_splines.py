@@ -66,6 +66,7 @@ class MomentSplines:
         u = np.linspace(log(lowest), log(top), _FINE * steps + 1)
         self._friction_work = self._works(u, self.friction, self._friction_below)
         self._elastic_work = self._works(u, self.elastic, self._elastic_below)
+
     def friction(self, x: Floats) -> Floats:
         """f of unit coefficients, shape (..., friction_count)."""
         share = np.minimum(x / self._lowest, 1.0)[..., None]

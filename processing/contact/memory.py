@@ -193,14 +193,14 @@ def _table(
     """The law's table (`Law.table`)."""
     steps = max(_FEWEST, ceil(_PER_OCTAVE * log(highest / lowest, 2)))
     step = log(highest / lowest) / steps
-    log_a = log(lowest) + step * np.arange(-_BEYOND, steps + 1 + _BEYOND)
+    log_a = log(lowest) + step * np.arange(-_BEYOND, steps + 1 + _BEYOND, dtype=np.float64)
     count = len(parameters)
     sets = np.repeat(parameters[None, :], 2 * count + 1, axis=0)
-    change = _STEP * np.maximum(np.abs(parameters), 1e-3)
+    change: Floats = _STEP * np.maximum(np.abs(parameters), 1e-3)
     for k in range(count):
         sets[1 + k, k] += change[k]
         sets[1 + count + k, k] -= change[k]
-    q = {name: sets[:, [k]] for k, name in enumerate(names)}
+    q: Arrays = {name: sets[:, [k]] for k, name in enumerate(names)}
     amplitude = np.repeat(np.exp(log_a)[None, :], len(sets), axis=0)
     steady = branch.at_reversal(amplitude, q)
     held = steady

@@ -32,10 +32,10 @@ from processing.contact.law import BranchMoments, Law, Parameter
 from processing.contact.parameters import PendulumOnBall, relative_curvature, weight_moment
 from processing.contact.start_values import StartValues
 
-_PER_OCTAVE, _BEYOND, _FEWEST = 24, 2, 4
+_PER_OCTAVE, _BEYOND, _FEWEST = 16, 2, 4
 """Amplitudes of a table in a factor of two, how many of them lie beyond either end, and the fewest."""
-_ROUNDS = 60
-_SETTLED = 1e-15
+_ROUNDS, _SETTLED = 60, 1e-15
+"""Most iterations, and the relative change at which they end."""
 _OF_DRAG = 1e-11
 """Last change of derivatives through the speed at which a drag works, relative."""
 _TIGHT = 5
@@ -53,7 +53,7 @@ class Moment(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """What a law without memory is: friction against the motion, and elastic moment in the direction of phi."""
+    """A law without memory: friction against the motion, and elastic moment in the direction of phi."""
 
     friction: Moment
     elastic: Moment

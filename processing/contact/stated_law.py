@@ -232,7 +232,7 @@ def _law(
 
         return Moments(
             stated_one(friction, own),
-            elastic_moment(*parameters[len(own) : -3], rho, len(names) + 1)
+            elastic_moment(known["n"], known["gamma_pa"], rho, len(names) + 1)
             if elastic is None
             else stated_one(elastic, rest),
         )

@@ -22,8 +22,10 @@ from processing.fit.witnessed_columns import NOT_WITNESSED, WitnessedColumns
 from processing.periods import mean_period
 from processing.swing import TurningPoints
 
-_ABOVE, _BELOW = 1.05, 0.9
+_ABOVE, _BELOW = 1.05, 0.6
 """Amplitudes up and down to which half-swings are tabulated, over those measured."""
+_SLOWER = 4
+"""Times the measured half-cycles after which a law's free decay is followed no further."""
 _STEP = 3.0
 """Step of a derivative of the evidence, in what one column alone is uncertain by."""
 
@@ -373,20 +375,14 @@ class SwingsOfLaw:
             return None
         key = parameters[:-3].tobytes()
         if key not in self._through:
-            count = int(1.1 * self._index[-1]) + 20
-            while True:
-                swings = self._from(parameters[:-2], self._highest, count)
-                reached = len(swings.amplitude)
-                if reached < count or count > 4 * self._index[-1] or swings.amplitude[-1] < self._lowest:
-                    break
-                count *= 2
+            count = _SLOWER * int(self._index[-1])
             self._through.clear()
-            self._through[key] = swings
+            self._through[key] = self._from(parameters[:-2], self._highest, count, self._lowest)
         swings = self._through[key]
         return swings if len(swings.amplitude) > 1 else None
 
-    def _from(self, parameters: Floats, first: float, count: int) -> OneHalfSwing:
-        """The free decay from a first amplitude, by one table for all amplitudes of the data."""
+    def _from(self, parameters: Floats, first: float, count: int, lowest: float = 0.0) -> OneHalfSwing:
+        """The free decay from a first to a lowest amplitude, by one table for all amplitudes of the data."""
         own = parameters[:-1]
         key = own.tobytes()
         if key not in self._table:
@@ -397,6 +393,6 @@ class SwingsOfLaw:
         def table_from(amplitude: float) -> SwingTable | None:
             if table is not None and table.holds(amplitude):
                 return table
-            return self._law.table(own, amplitude, amplitude / TABLE_RATIO)
+            return self._law.table(own, amplitude, amplitude / TABLE_RATIO) if amplitude > lowest else None
 
         return walk(table_from, len(parameters), first, count)

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.special import loggamma
 
 from processing.arrays import Floats
-from processing.contact.memory import Arrays, branch_law, masing
 from processing.contact.coordinates import ComplexOrReal, Scaling, Straight
 from processing.contact.law import CONSTANT, FREE_PERIOD, PERIOD, HeldColumn, Parameter
+from processing.contact.memory import Arrays, branch_law, masing
 from processing.contact.start_values import StartValues
 
 

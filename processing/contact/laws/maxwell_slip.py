@@ -12,9 +12,9 @@ there, and so may be uncertainties that hang on these amplitudes.
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.memory import Arrays, branch_law, masing
 from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import CONSTANT, FREE_PERIOD, PERIOD, Parameter
+from processing.contact.memory import Arrays, branch_law, masing
 from processing.contact.start_values import StartValues
 
 YIELD_ARCSEC = (4.0, 12.0, 36.0, 90.0)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
-from processing.contact.decay import decay_path, path_nodes
 from processing.contact import turning_points_of
+from processing.contact.decay import decay_path, path_nodes
 from processing.contact.parameters import ContactParameters
 from processing.contact.period_law import PRINTED_CURVATURE, cosine_moment, curvature, period
 from processing.errors import DataError

@@ -5,9 +5,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from processing.contact import turning_points_of, weight_moment
 from processing.contact.energy_loss import measured_losses, model_losses
-from processing.contact import turning_points_of
-from processing.contact import weight_moment
 from processing.contact.moments import cycle_work, elastic_moment
 from processing.contact.parameters import ContactParameters
 from processing.contact.steady_swing import moment_loop

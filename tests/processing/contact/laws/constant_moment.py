@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 def _moments(parameters: Array, _: float, __: float) -> Moments:
     c = float(parameters[0])
     friction = Moment(
-        lambda x: columns(x.shape, 2, np.full(x.shape, c), {0: 1.0}), lambda x: columns(x.shape, 2, c * x, {0: x})
+        lambda x: columns(x.shape, 2, np.full(x.shape, c), {0: 1.0}),
+        lambda x: columns(x.shape, 2, c * x, {0: x}),
     )
     nothing = lambda x: columns(x.shape, 2, np.zeros(x.shape), {})  # noqa: E731
     return Moments(friction, Moment(nothing, nothing))
