@@ -81,15 +81,6 @@ class Branch(NamedTuple):
         return BranchMoments(-weight * np.sign(direction) * friction, 0.5 * weight * (down - up))
 
 
-def without_memory(constant: str = "") -> Branch:
-    """No moment but what remembers nothing: a constant friction, a drag."""
-
-    def resistance(s: Floats, held: Floats, q: Arrays) -> Floats:
-        return np.zeros(np.broadcast(s, held).shape)
-
-    return Branch(resistance, resistance, lambda amplitude, q: np.ones_like(amplitude), constant)
-
-
 def masing(
     backbone: Callable[[Floats, Arrays], Floats], work: Callable[[Floats, Arrays], Floats], *, constant: str
 ) -> Branch:

@@ -73,6 +73,15 @@ def columns(shape: tuple[int, ...], count: int, value: Floats, by: Mapping[int, 
     return out
 
 
+def no_moment(count: int) -> Moment:
+    """None at all, of a law with so many parameters."""
+
+    def nothing(x: Floats) -> Floats:
+        return columns(x.shape, count, np.zeros(x.shape), {})
+
+    return Moment(nothing, nothing)
+
+
 class _Quarter(NamedTuple):
     """Quarters from or to turning points: time in T0, work of the drag over ``drag A^2``, and derivatives by
     the parameters, the drag and ln A.

@@ -11,7 +11,8 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import CONSTANT, DRAG, FREE_PERIOD, PERIOD, Parameter
-from processing.contact.memory import Arrays, Branch, branch_law, without_memory
+from processing.contact.memory import Arrays, Branch, branch_law
+from processing.contact.memoryless import Moment, Moments, columns, memoryless_law, no_moment
 from processing.contact.start_values import StartValues
 
 
@@ -20,14 +21,26 @@ def _coulomb_starts(found: StartValues, _: float) -> list[dict[str, float]]:
     return [{"c": c, PERIOD: found.mean_period_s}]
 
 
-COULOMB = branch_law(
+def _coulomb(parameters: Floats, _: float, __: float) -> Moments:
+    c = parameters[0]
+
+    def friction(x: Floats) -> Floats:
+        return columns(x.shape, 2, np.full(x.shape, c), {0: 1.0})
+
+    def work(x: Floats) -> Floats:
+        return columns(x.shape, 2, c * x, {0: x})
+
+    return Moments(Moment(friction, work), no_moment(2))
+
+
+COULOMB = memoryless_law(
     "constant",
     "constant friction",
     "Coulomb",
     (CONSTANT, FREE_PERIOD),
-    without_memory(CONSTANT.key),
+    _coulomb,
     {"c": Scaling(1.0)},
-    logarithms_of(),
+    lambda _: logarithms_of(),
     _coulomb_starts,
 )
 
@@ -37,14 +50,14 @@ def _viscous_starts(found: StartValues, _: float) -> list[dict[str, float]]:
     return [{DRAG.key: 4 / np.pi * rate, PERIOD: found.mean_period_s}]
 
 
-VISCOUS = branch_law(
+VISCOUS = memoryless_law(
     "viscous",
     "linear drag alone",
     "Stokes",
     (DRAG, FREE_PERIOD),
-    without_memory(),
+    lambda parameters, _, __: Moments(no_moment(1), no_moment(1)),
     {},
-    logarithms_of(),
+    lambda _: logarithms_of(),
     _viscous_starts,
 )
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import CONSTANT, FREE_PERIOD, PERIOD
-from processing.contact.memoryless import Moment, Moments, columns, memoryless_law
+from processing.contact.memoryless import Moment, Moments, columns, memoryless_law, no_moment
 from processing.contact.start_values import StartValues
 from processing.swing import TurningPoints
 
@@ -18,13 +18,15 @@ Array = NDArray[np.float64]
 
 
 def _moments(parameters: Array, _: float, __: float) -> Moments:
-    c = float(parameters[0])
-    friction = Moment(
-        lambda x: columns(x.shape, 2, np.full(x.shape, c), {0: 1.0}),
-        lambda x: columns(x.shape, 2, c * x, {0: x}),
-    )
-    nothing = lambda x: columns(x.shape, 2, np.zeros(x.shape), {})  # noqa: E731
-    return Moments(friction, Moment(nothing, nothing))
+    c = parameters[0]
+
+    def constant(x: Array) -> Array:
+        return columns(x.shape, 2, np.full(x.shape, c), {0: 1.0})
+
+    def work(x: Array) -> Array:
+        return columns(x.shape, 2, c * x, {0: x})
+
+    return Moments(Moment(constant, work), no_moment(2))
 
 
 def _likely(found: StartValues, _: float) -> list[dict[str, float]]:

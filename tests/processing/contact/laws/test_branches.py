@@ -115,7 +115,7 @@ def test_gradients_are_those_of_differences(name: str, values: list[float]) -> N
         ):
             numeric = (above - below) / (2 * step[place])
             np.testing.assert_allclose(
-                gradient[:, place], numeric, rtol=rtol, atol=2e-4 * np.abs(numeric).max()
+                gradient[:, place], numeric, rtol=rtol, atol=1e-9 + 2e-4 * np.abs(numeric).max()
             )
 
 
