@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.decay import decay_path, path_nodes
-from processing.contact.period_law import frequency_drop
+from processing.contact.asymptotic import decay_path, frequency_drop
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.least_squares import Loss, Solution, propagate, solve
@@ -133,7 +132,6 @@ def fit_decay(
     u = points.u_amplitude / reference
     s = (points.time_s - points.time_s[0]) * (4 / mean_period)
     first = decay_start(s, x, u, drag=drag)
-    nodes = path_nodes()
 
     def natural(values: Floats) -> tuple[Floats, Floats]:
         """b, p, c, (d,) start, and their derivatives by the solver's columns."""
@@ -151,7 +149,7 @@ def fit_decay(
         if not -0.6 < p < 6.0:
             return np.full_like(x, np.nan), np.full((len(x), len(values)), np.nan)
         d = now[_D] if drag else 0.0
-        path, gradient = decay_path(s, now[-1], b / (p + 1), p, c, d, *nodes)
+        path, gradient = decay_path(s, now[-1], b / (p + 1), p, c, d)
         jacobian = np.empty((len(s), len(values)))
         jacobian[:, _B] = gradient[:, 1] / (p + 1)
         jacobian[:, _P] = gradient[:, 2] - gradient[:, 1] * b / (p + 1) ** 2

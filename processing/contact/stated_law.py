@@ -16,8 +16,7 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import DRAG, FREE_PERIOD, PERIOD, Law, Parameter
-from processing.contact.laws import LAWS, PAPER
-from processing.contact.laws.paper import STIFFNESS, elastic_moment
+from processing.contact.laws import LAWS, PAPER, STIFFNESS, elastic_moment
 from processing.contact.memoryless import Moment, Moments, memoryless_law
 from processing.contact.parameters import PendulumOnBall, stiffness_ratio
 from processing.contact.start_values import StartValues

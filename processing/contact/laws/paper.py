@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
+from processing.contact.asymptotic import cosine_moment
 from processing.contact.coordinates import ComplexOrReal, Scaling, Straight
 from processing.contact.law import DRAG, PERIOD, HeldColumn, Parameter
 from processing.contact.memoryless import Moment, Moments, columns, memoryless_law
@@ -22,7 +23,6 @@ from processing.contact.parameters import (
     relative_curvature,
     stiffness_ratio,
 )
-from processing.contact.period_law import cosine_moment
 from processing.contact.start_values import PeriodStart, StartValues, from_straight, to_straight
 from processing.errors import DataError
 

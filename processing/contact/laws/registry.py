@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from processing.contact.law import Law
-from processing.contact.laws.masing import MASING
-from processing.contact.laws.maxwell_slip import MAXWELL_SLIP
+from processing.contact.laws.masing import MASING, MAXWELL_SLIP
 from processing.contact.laws.paper import PAPER
 from processing.contact.laws.textbook import COULOMB, DAHL, VISCOUS
 
