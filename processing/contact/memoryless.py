@@ -32,7 +32,7 @@ from processing.contact.law import BranchMoments, Law, Parameter
 from processing.contact.parameters import PendulumOnBall, relative_curvature, weight_moment
 from processing.contact.start_values import StartValues
 
-_PER_OCTAVE, _BEYOND, _FEWEST = 16, 2, 4
+_PER_OCTAVE, _BEYOND, _FEWEST = 24, 2, 4
 """Amplitudes of a table in a factor of two, how many of them lie beyond either end, and the fewest."""
 _ROUNDS, _SETTLED = 60, 1e-15
 """Most iterations, and the relative change at which they end."""

@@ -73,7 +73,7 @@ def elastic_moment(n: float, kappa: float, rho: float, count: int = 6) -> Moment
 
 def _moments(parameters: Floats, _: float, __: float) -> Moments | None:
     b, p, c, n, kappa, _drag, _reference, rho = parameters.tolist()
-    if n <= -1.5 or p <= -0.9:
+    if not (n > -1.5 and -0.6 < p < 6.0):
         return None
     return Moments(friction_moment(b, p, c), elastic_moment(n, kappa, rho))
 
@@ -100,7 +100,7 @@ def _straight(drag: bool) -> Straight:
         q = n / whole
         kappa = s / (whole * cosine_moment(n + 2))
         out = np.array([q * b, p, q * c, n, kappa, 4 / pi * np.sqrt(q) * air, np.sqrt(q) * period_s])
-        inside = (np.abs(np.log(q.real)) < np.log(_STIFFEST)) & (p.real > -0.6) & (p.real < 6.0)
+        inside = np.abs(np.log(q.real)) < np.log(_STIFFEST)
         return np.where(inside, out, np.nan)
 
     def coordinates(values: Floats) -> Floats:
