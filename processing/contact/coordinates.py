@@ -128,8 +128,9 @@ class Coordinates:
         count = len(self._own)
         self.map_by_log_rho = np.zeros(count + 4)
         self.map_by_log_rho[-2] = self._rho
-        # places of the columns of own parameters, drag, and T0
-        self._searched = [*range(count), *([count] if self._drag else []), count + self._drag + 1]
+        # columns of own parameters, drag, and T0, and their places among the coordinates
+        fitted = list(range(count + self._drag))
+        self._searched, self._places = [*fitted, count + self._drag + 1], [*fitted, count + 1]
         self.upper = np.full(count + self._drag + 3, np.inf)
         self.lower = -self.upper
         halves = points.index[-1] - points.index[0]
@@ -151,9 +152,8 @@ class Coordinates:
         out = np.full((len(self._own) + 4, 1 + count), np.nan, dtype=np.complex128)
         if np.all(np.abs(columns) < _LARGEST):
             moved = np.column_stack([columns, columns[:, None] + 1e-30j * np.eye(count)])
-            searched = moved[self._searched]
-            if not self._drag:
-                searched = np.insert(searched, len(self._own), 0.0, axis=0)
+            searched = np.zeros((len(self._own) + 2, 1 + count), dtype=np.complex128)
+            searched[self._places] = moved[self._searched]
             with np.errstate(all="ignore"):
                 found = self._straight.scaled(searched)
             out[[*range(len(self._own) + 1), -2]] = found
@@ -163,8 +163,9 @@ class Coordinates:
     def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
         scaled, by_scaled = self._scaled(columns)
         count = len(self._own) + 1
-        by = np.insert(by_scaled, [count, count], 0.0, axis=0)
-        return np.insert(scaled, [count, count], [self.reference, self._rho]), by
+        by = np.zeros((len(scaled) + 2, len(columns)))
+        by[:count], by[count + 2 :] = by_scaled[:count], by_scaled[count:]
+        return np.concatenate([scaled[:count], [self.reference, self._rho], scaled[count:]]), by
 
     def physical(self, columns: Floats) -> tuple[Floats, Floats]:
         scaled, by = self._scaled(columns)
