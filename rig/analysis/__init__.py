@@ -9,7 +9,6 @@ from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, evaluate, fit
 from rig.analysis.curves import Curves, curves_of
 from rig.analysis.decay_values import decay_lines
 from rig.analysis.encoding import JsonObject, units_of
-from rig.analysis.film_positions import FilmAsked, film_needs_rate, film_trajectory, films_in
 from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.fitted_drag import evidence_of, known_drag
@@ -26,9 +25,6 @@ from rig.analysis.law_curves import ModelCurve, model_curves
 from rig.analysis.law_results import ComparedLaws, MomentsWithoutLaw
 from rig.analysis.less_reference import less_beam_motion
 from rig.analysis.limits import Limit, whole_result
-from rig.analysis.motion_direction import along_and_across
-from rig.analysis.position_table import TableColumns
-from rig.analysis.positions_file import read_positions, write_positions
 from rig.analysis.record_fit import analyse_record, analyse_run, with_dropped_frames
 from rig.analysis.recorded_witness import taken
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, WithRows, named

@@ -80,7 +80,8 @@ def video(
       rig video swing.mp4 -o runs/swing
       rig video swing.mp4 --pixel '0.142 mm'
     """
-    from rig.analysis import FilmAsked, film_trajectory, films_in, fit_several
+    from rig.analysis import fit_several
+    from rig.intake import FilmAsked, film_trajectory, films_in
     from rig.presentation import TimeLeft, print_line
 
     if set_ and config is None:

@@ -115,7 +115,8 @@ def fit(
             raise ConfigurationError(
                 f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
             )
-        from rig.analysis import TableColumns, fit_envelope_table, fit_trajectory
+        from rig.analysis import fit_envelope_table, fit_trajectory
+        from rig.intake import TableColumns
 
         if law and (config is None or envelope is not None):
             raise ConfigurationError(f"--law {law[0]}: laws need swings and --config CONFIG with [pendulum]")

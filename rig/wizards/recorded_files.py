@@ -7,7 +7,7 @@ from typing import Any
 
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
-from rig.analysis import film_needs_rate
+from rig.intake import film_needs_rate
 from rig.settings import Configuration
 from rig.wizards.draft import Draft
 from rig.wizards.keys import Keys, KeysOf

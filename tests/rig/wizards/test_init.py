@@ -23,9 +23,9 @@ from rig.wizards import (
     write_configuration,
 )
 from tests.acquisition.cameras.made_films import Film, write_film
-from tests.rig.analysis.test_film_positions import PERIOD_S, swing
 from tests.rig.analysis.test_table_laws import swings
 from tests.rig.command_line import rig
+from tests.rig.intake.test_film_positions import PERIOD_S, swing
 
 PORTS = (("/dev/ttyACM0", "Pico"), ("/dev/ttyUSB0", "laser"))
 PLUGGED = [
