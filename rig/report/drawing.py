@@ -111,7 +111,7 @@ def svg(drawing: ReportFigure) -> bytes:
     """The figure as SVG; the same figure gives the same bytes."""
     out = io.StringIO()
     with styled():
-        about = {"Date": None, "Creator": None, "Title": drawing.title}
+        about = {"Date": None, "Creator": None, "Format": None, "Type": None, "Title": drawing.title}
         drawing.figure.savefig(out, format="svg", metadata=about)
     return _short(out.getvalue()).encode()
 
@@ -128,8 +128,9 @@ def _short(drawn: str) -> str:
     """An SVG of half the length: places to 0.01 pt, equal marks' style once, no indents, short names."""
     drawn = re.sub(r'(?<= )(?:d|x|y)="[^"]*"', lambda found: _DIGITS.sub(r"\1", found[0]), drawn)
     drawn = _MARKS_OF_ONE.sub(_style_once, re.sub(r"\s*\n\s*", "\n", drawn))
-    # a command is repeated by its numbers alone, and a line of no length is a dot
-    drawn = re.sub(r"M (\S+ \S+)\nL \1(?=\n)", r"M\1h0", drawn).replace("\nL ", " ")
+    # a line of no length is a dot; behind a line the next one needs no command
+    drawn = re.sub(r"M (\S+ \S+)\nL \1(?=\n)", r"M\1h0", drawn)
+    drawn = re.sub(r"[ML] \S+ \S+(?:\nL \S+ \S+)+", lambda found: found[0].replace("\nL", ""), drawn)
     used = dict.fromkeys(re.findall(r'(?<=["(]#)[\w.-]+', drawn))
     names = {name: f"i{number:x}" for number, name in enumerate(used)}
     drawn = re.sub(r' id="([^"]*)"', lambda found: f' id="{names.get(found[1], "")}"', drawn)
@@ -166,7 +167,7 @@ def _make_room(figure: Figure) -> None:
         )
 
 
-def dots(axes: Axes, x: Array, y: Array, colour: str) -> None:
+def dots(axes: Axes, x: NDArray[Any], y: Array, colour: str) -> None:
     """Small dots as one line with round ends, of no length at each: a mark each makes a large file."""
     gap = np.full(len(x), np.nan)
     beside = x + 1e-6 * (float(np.ptp(x)) or 1.0)
