@@ -21,7 +21,7 @@ from rig.analysis.instrument_results import (
     SwingPlane,
 )
 from rig.analysis.less_reference import less_beam_motion
-from rig.analysis.record_fit import analyse_record, analyse_run, with_dropped_frames
+from rig.analysis.record_fit import analyse_record, analyse_run
 from rig.analysis.recorded_witness import taken
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, WithRows, named
 from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults, TableDecay, TableResults
