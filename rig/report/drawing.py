@@ -101,8 +101,7 @@ def styled() -> Iterator[None]:
 
 def canvas(height_in: float) -> Figure:
     """An empty figure as wide as the page."""
-    # texts are laid out once, for the page and for the SVG, which has points
-    figure = Figure(figsize=(WIDTH_IN, height_in), dpi=72)
+    figure = Figure(figsize=(WIDTH_IN, height_in))
     FigureCanvasAgg(figure)
     return figure
 
