@@ -17,7 +17,7 @@ ALLOWED = {
     "acquisition/atomic_write.py": "is the way",
     "acquisition/record/mcap_file.py": "a record while it is measured, which a cut must leave readable",
     # names that being_written or folder_being_written gave
-    "rig/export/tables.py": "under the name that being_written gives",
+    "rig/export/session_export.py": "under the name that being_written gives",
     "rig/export/nexus.py": "under the name that being_written gives",
     "rig/settings/written_file.py": "under the name that being_written gives",
     "rig/measure/plain_record.py": "in the folder that folder_being_written gives",

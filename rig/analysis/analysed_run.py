@@ -37,7 +37,6 @@ class AnalysedRun:
     harmonics: SwingHarmonics | None = None
     decay_balances: Sequence[Balance] = ()
     plane: PlaneOfSwing | None = None
-    lost_spots: int = 0
     watched: Watched | None = None
 
 

@@ -12,6 +12,7 @@ from processing.angle import ARCSEC_RAD
 from processing.arrays import Floats
 from processing.contact import (
     AdhesiveContact,
+    ExpectedDrag,
     Material,
     PendulumOnBall,
     adhesive_contacts,
@@ -20,6 +21,7 @@ from processing.contact import (
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import (
+    BaseMotion,
     Budget,
     Determination,
     Drag,
@@ -41,8 +43,8 @@ from processing.fit import (
     strong_correlations,
     work_per_cycle_j,
 )
+from processing.noise_models import nlnm_db
 from processing.swing import TurningPoints
-from rig.analysis.base_acceleration import base_motion
 from rig.analysis.contact_results import Adhesion, AdhesiveSpot, Correlation, Fit
 from rig.analysis.drifts import limit_sentence
 from rig.analysis.result_rows import result_rows, withheld
@@ -109,6 +111,7 @@ def evaluate(
     exact: FitResult,
     rig: RigQuantities | None,
     plane_errors: Floats | None = None,
+    of_air: ExpectedDrag | None = None,
 ) -> RunResults:
     """The run with everything that is said about its exact fit beyond the fit's own numbers.
 
@@ -118,6 +121,8 @@ def evaluate(
         None without [pendulum]: there is no budget then.
     plane_errors : (points, terms)
         Independent errors of the amplitudes by what is not known of the plane of swing; None: there are none.
+    of_air
+        The drag that the air is expected to have; None: it is not known.
 
     Notes
     -----
@@ -128,7 +133,7 @@ def evaluate(
     drag: Drag | None = None
     determinations: tuple[Determination, ...] = ()
     try:
-        drag = drag_verdict(points, pendulum, exact)
+        drag = replace(drag_verdict(points, pendulum, exact), of_air=of_air)
         if drag.significant and not exact.has_drag:
             notes.append("the reported fit leaves that drag out: fit.drag = 'vacuum' asks for it")
     except DataError as error:
@@ -181,7 +186,7 @@ def evaluate(
         work_per_cycle=tuple(
             _work(amplitude, exact, pendulum, rig, sees_c=sees_c) for amplitude in _shown_amplitudes(points)
         ),
-        notes=tuple(notes),
+        notes=(*notes, *run.notes),
     )
 
 
@@ -277,4 +282,30 @@ def _work(
         Estimate(work.dissipated_j, u_dissipated),
         Estimate(work.adhesive_j, u_adhesive) if sees_c else NOT_DETERMINED,
         work.drag_j,
+    )
+
+
+def base_motion(
+    drive: Estimate, upper_95: float, period_s: float, pendulum: PendulumSettings | None
+) -> BaseMotion | None:
+    """Base acceleration for the stated height of the mass centre; None where none is stated.
+
+    A base acceleration a drives the pendulum with ``w^2 d/(g R) a``, d the height of its mass centre over the
+    point of contact. `drive` and its bound `upper_95` are in rad/s^2/sqrt(Hz).
+    """
+    if pendulum is None or not pendulum.mass_centre_height_m:
+        return None
+    per_drive = (
+        pendulum.gravity_m_per_s2
+        * pendulum.ball_radius_m
+        * (period_s / (2 * math.pi)) ** 2
+        / abs(pendulum.mass_centre_height_m)
+    )
+    found = Estimate(drive.value * per_drive, drive.standard_uncertainty * per_drive)
+    low_db = float(nlnm_db(np.array([1 / period_s]))[0])
+    return BaseMotion(
+        mass_centre_height_m=pendulum.mass_centre_height_m,
+        acceleration_m_per_s2_rthz=found,
+        upper_95=upper_95 * per_drive,
+        above_low_noise_model_db=20 * math.log10(found.value) - low_db if found.value > 0 else math.nan,
     )

@@ -1,19 +1,23 @@
-"""The fitted curves, drawn again from the parameters in results.json: nothing is fitted here."""
+"""Fitted laws at the turning points of a run, from results alone: nothing is fitted here."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.contact import (
     AMPLITUDE,
     TIME,
     PendulumOnBall,
+    StatedLaw,
     decay_path,
     period,
     turning_points_of,
 )
+from processing.contact.laws import LAWS
 from processing.errors import DataError
 from processing.fit import FitMethod, super_smooth
 from processing.periods import full_periods
@@ -92,3 +96,83 @@ def _asymptotic(points: TurningPoints, fit: Fit) -> Array:
     start = fit.estimate(AMPLITUDE.key).value
     path, _ = decay_path(s, start, known.b / (known.p + 1), known.p, known.c, linear)
     return np.asarray(path, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelCurve:
+    """What was measured at every turning point of a run, and what a fitted law says of it.
+
+    Arrays (n,). The model is one free decay: on ground that moves the measured amplitudes and times wander
+    about it by more than their uncertainties, which the fit allows for. NaN where a law has no value: Eqs. 5
+    and 6 have no times. `index` is the number of the half-cycle.
+    """
+
+    index: Ints
+    time_s: Floats
+    u_time_s: Floats
+    amplitude_rad: Floats
+    u_amplitude_rad: Floats
+    model_time_s: Floats
+    model_amplitude_rad: Floats
+
+    @property
+    def amplitude_residual_rad(self) -> Floats:
+        """Measured less model."""
+        return self.amplitude_rad - self.model_amplitude_rad
+
+    @property
+    def time_residual_s(self) -> Floats:
+        """Measured less model."""
+        return self.time_s - self.model_time_s
+
+
+def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[str, ModelCurve]:
+    """The curves of both fits, and of the laws that were compared; of a `stated` one under its name.
+
+    Raises
+    ------
+    DataError
+        The run was not fitted, or not with the law that is stated.
+    """
+    stored = run.turning_points
+    curves = None if stored is None else curves_of(stored.points(), run)
+    if stored is None or curves is None or run.pendulum is None:
+        raise DataError(
+            f"{run.record}: has no fit of the contact's laws: {run.problem or 'no pendulum is stated'}"
+        )
+    points = stored.points()
+    unknown = np.full(len(points.index), np.nan)
+
+    def curve(amplitude_rad: Floats, time_s: Floats) -> ModelCurve:
+        return ModelCurve(
+            index=points.index,
+            time_s=points.time_s,
+            u_time_s=points.u_time_s,
+            amplitude_rad=points.amplitude,
+            u_amplitude_rad=points.u_amplitude,
+            model_time_s=time_s,
+            model_amplitude_rad=amplitude_rad,
+        )
+
+    found = {
+        FitMethod.EXACT.value: curve(curves.exact_rad, curves.exact_time_s),
+        FitMethod.ASYMPTOTIC.value: curve(curves.asymptotic_rad, unknown),
+    }
+    compared = {} if run.laws is None else run.laws.laws
+    if stated is not None and stated.name not in compared:
+        raise DataError(
+            f"{run.record}: was not fitted with the law {stated.name}; rig.fit(record, law=...) does"
+        )
+    like = {name: estimate.value for name, estimate in run.fits[FitMethod.EXACT].parameters.items()}
+    for name, fit in compared.items():
+        own = stated is not None and name == stated.name
+        law = stated.of(points, run.pendulum, like) if own and stated is not None else LAWS.get(name)
+        if law is None or not fit.parameters:
+            continue
+        values = {key: estimate.value for key, estimate in fit.parameters.items()}
+        columns = law.columns(points, run.pendulum, tuple(values))
+        parameters, _ = columns.map_parameters(columns.from_physical(values))
+        swung = law.half_swing_map(parameters[:-2], points.index - points.index[0])
+        period_s, first_s = parameters[-2:].tolist()
+        found[name] = curve(swung.amplitude * columns.reference, first_s + period_s * swung.time)
+    return found

@@ -6,8 +6,7 @@ from math import isfinite
 from processing.contact import DRAG
 from processing.estimate import Determinacy, Estimate
 from processing.fit import WAVEFORM, BaseMotion, Drag, DragFinding, FitMethod, Ground
-from rig.analysis.headline import drag_headline, headline, shifts_by_drag
-from rig.analysis.limits import whole_result
+from rig.analysis.headline import drag_headline, headline, shifts_by_drag, whole_result
 from rig.analysis.result_rows import ENERGIES, ResultRow
 from rig.analysis.results import RunResults
 from rig.analysis.witnessed_fits import witness_sentences

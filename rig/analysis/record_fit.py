@@ -1,6 +1,6 @@
 """From a closed record to its results: what its half-cycles give, and what the record says beside them."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -64,11 +64,18 @@ def analyse_record(
         swings, unit = reader.swings(), reader.deflection_unit
         if less is not None and less.used:
             swings = swings_of_blocks(blocks)
-        run = analyse_run(reader, watched.config, swings, blocks, unit, blocks.beam, witness=witness)
-        if less is not None:
-            run = replace(run, results=replace(run.results, notes=(*run.results.notes, less.text)))
-        run = replace(run, watched=watched)
-        return with_dropped_frames(run, blocks.following - run.results.frames, reader, watched.config)
+        run = analyse_run(
+            reader,
+            watched.config,
+            swings,
+            blocks,
+            unit,
+            blocks.beam,
+            lambda frames: blocks.following - frames,
+            note="" if less is None else less.text,
+            witness=witness,
+        )
+        return replace(run, watched=watched)
 
 
 class _RecordedDeflections:
@@ -101,13 +108,16 @@ def analyse_run(
     blocks: Iterable[Deflections],
     unit: DeflectionUnit,
     beam: BeamUse,
+    dropped: Callable[[int], int],
     *,
+    note: str = "",
     witness: WitnessRecord | None = None,
 ) -> AnalysedRun:
     """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it.
 
-    `blocks` are the deflections of consecutive frames, in `unit`; `beam` is what their spots say once they
-    have passed.
+    `blocks` are the deflections of consecutive frames, in `unit`. Once they have passed, `beam` is what their
+    spots say, and `dropped` tells how many frames are missing between the first and the last, from how many
+    there were. `note` is one more for the results.
     """
     deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
     clock = run_clock(reader, config)
@@ -130,41 +140,37 @@ def analyse_run(
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.results.warnings, *doubts, *reader.doubts(), *doubts_of(surroundings)]
     end = end_of(reader.events())
+    frames, judged = deflections.frames, Beam.of(beam, noise_is_known=config.sensor is not None)
+    dropped_frames, exact = dropped(frames), run.results.fits.get(FitMethod.EXACT)
+    of_contact = config.instrument.description().report == "contact"
     results = replace(
         run.results,
-        frames=deflections.frames,
+        frames=frames,
+        dropped_frames=dropped_frames,
         simulated=RecordedCamera.of(reader.metadata).simulated,
         losses=reader.losses(),
-        beam=Beam.of(beam, noise_is_known=config.sensor is not None),
+        beam=judged,
         warnings=tuple(warnings),
+        notes=(*run.results.notes, *filter(None, [note])),
         calibration=calibration,
         inputs_sha256=inputs_sha256(reader),
         ended=None if end is None else end.text,
         witness=of_source(run.results.witness, own or witness),
         surroundings=surroundings,
         clock=clock,
+        conditions=run_conditions(
+            reader,
+            frames,
+            deflections.lost_spots,
+            dropped_frames,
+            config.preflight,
+            None if exact is None else exact.ground,
+            run.results.half_cycles,
+            judged,
+            clock,
+            balance_verdicts(balance_of_run(run.decay_balances, run.plane), config.balance)
+            if of_contact
+            else (),
+        ),
     )
-    return replace(run, results=results, lost_spots=deflections.lost_spots)
-
-
-def with_dropped_frames(
-    run: AnalysedRun, dropped_frames: int, reader: RecordReader, config: Configuration
-) -> AnalysedRun:
-    """The run with the number of frames missing between its first and its last, and with its conditions."""
-    results = replace(run.results, dropped_frames=dropped_frames)
-    exact = results.fits.get(FitMethod.EXACT)
-    conditions = run_conditions(
-        reader,
-        results.frames,
-        run.lost_spots,
-        dropped_frames,
-        config.preflight,
-        None if exact is None else exact.ground,
-        results.half_cycles,
-        results.beam,
-        results.clock,
-        balance_verdicts(balance_of_run(run.decay_balances, run.plane), config.balance)
-        if config.instrument.description().report == "contact"
-        else (),
-    )
-    return replace(run, results=replace(results, conditions=conditions))
+    return replace(run, results=results)

@@ -19,14 +19,12 @@ from processing.surroundings import Surroundings
 from processing.swing import KnownMotion
 from rig.analysis.amplitude_damping import AmplitudeDamping
 from rig.analysis.beam import Beam
-from rig.analysis.contact_results import Adhesion, Fit
+from rig.analysis.contact_results import Adhesion, ComparedLaws, Fit
 from rig.analysis.encoding import Beside, Entries, JsonObject, Kept, Pendulum, Section
 from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
-from rig.analysis.law_results import ComparedLaws
 from rig.analysis.result_rows import ResultRow, WithRows
 from rig.analysis.run_clock import RunClock
-from rig.analysis.stored_position_errors import PositionErrors
-from rig.analysis.stored_turning_points import StoredTurningPoints
+from rig.analysis.stored_turning_points import PositionErrors, StoredTurningPoints
 from rig.presentation import Verdict
 
 SCHEMA = 1

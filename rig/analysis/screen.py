@@ -5,13 +5,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from processing.fit import FitMethod
-from rig.analysis.compared_laws import law_table
+from rig.analysis.compared_laws import law_table, waveform_table
 from rig.analysis.decay_values import decay_lines
 from rig.analysis.fit_remarks import brief_remarks, remarks
 from rig.analysis.fit_tables import combined_table, parameter_table, quality_table
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import encoded
-from rig.analysis.waveform_results import waveform_table
 from rig.presentation import answer, print_line, print_tables
 
 logger = logging.getLogger(__name__)

@@ -34,8 +34,7 @@ from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import RunResults
 from rig.analysis.settled import settled_swings
-from rig.analysis.stored_position_errors import PositionErrors
-from rig.analysis.stored_turning_points import StoredTurningPoints
+from rig.analysis.stored_turning_points import PositionErrors, StoredTurningPoints
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.analysis.witnessed_fits import WitnessAt, WitnessedWith
 from rig.instrument import (
@@ -104,39 +103,38 @@ def analyse_swings(
     ratio = deflections.fast_ratio()
     across = why_no_half_cycles(path.name, ratio, len(points), config.axes)
     errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
-    results = replace(
-        _head(path, points, unit),
+    warnings = list(dict.fromkeys([*_fit_warnings(decay.fits), *filter(None, [settled.doubt])]))
+    if settled.harmonics is not None and config.lever is not None and len(points) > 1:
+        of_rows = delay_of_rows(settled.harmonics, mean_period(points))
+        if of_rows.seen:
+            warnings.append(of_rows.text(config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)))
+    results = RunResults(
+        **_head(path, points, unit),
+        **values_of_points(points, unit.shown_size, _u_second(config, u_clock)),
         measured_again_on=settled.motion,
         position_errors=errors,
         fits={name: fit_results(fit, config.pendulum) for name, fit in decay.fits.items()},
         problem=across or decay.problem,
-        warnings=tuple(dict.fromkeys([*_fit_warnings(decay.fits), *filter(None, [settled.doubt])])),
+        warnings=tuple(warnings),
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
         witness=decay.witness,
-        **values_of_points(points, unit.shown_size, _u_second(config, u_clock)),
+        notes=tuple(filter(None, [followed.text, "" if errors is None else errors.text])),
     )
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
     rig = rig_quantities(config, ratio, rest_rad, u_clock)
     if rig is not None:
-        rig = replace(rig, common_amplitude_rad=InputQuantity(0.0, u_common_rad))
-        rig = replace(rig, plane_of_swing_rad=InputQuantity(0.0, followed.u_rad))
-    if rig is not None and not config.fit.drifts:
-        rig = replace(rig, **dict[str, Any](believed))
-    if decay.fits and pendulum is not None:
-        exact = decay.fits[FitMethod.EXACT]
-        results = evaluate(
-            results, points, pendulum, exact, rig, plane_errors=followed.amplitude_errors(points)
+        drifting = {} if config.fit.drifts else dict[str, Any](believed)
+        rig = replace(
+            rig,
+            common_amplitude_rad=InputQuantity(0.0, u_common_rad),
+            plane_of_swing_rad=InputQuantity(0.0, followed.u_rad),
+            **drifting,
         )
-        if results.drag is not None:
-            results = replace(results, drag=replace(results.drag, of_air=of_air))
-    said = [followed.text, "" if errors is None else errors.text]
-    results = replace(results, notes=(*results.notes, *filter(None, said)))
-    if settled.harmonics is not None and config.lever is not None and len(points) > 1:
-        of_rows = delay_of_rows(settled.harmonics, mean_period(points))
-        if of_rows.seen:
-            rad_per_px = config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)
-            results = replace(results, warnings=(*results.warnings, of_rows.text(rad_per_px)))
+    if decay.fits and pendulum is not None:
+        plane_errors = followed.amplitude_errors(points)
+        exact = decay.fits[FitMethod.EXACT]
+        results = evaluate(results, points, pendulum, exact, rig, plane_errors, of_air)
     return AnalysedRun(
         path,
         results,
@@ -165,8 +163,8 @@ def _reduced(
     """A run of a pendulum that is not described by the contact's laws."""
     clock_rate, unit = clock_rate_of(config), DeflectionUnit.RAD
     reduction = reduce_run(config.instrument, followed, air, errors, clock_rate)
-    results = replace(
-        _head(path, reduction.points, unit),
+    results = RunResults(
+        **_head(path, reduction.points, unit),
         problem=reduction.problem,
         settings=config.instrument.model_dump(mode="json"),
         instrument=reduction.values,
@@ -189,12 +187,12 @@ def _shared_errors(config: Configuration, u_clock: float, u_common_rad: float) -
     return [error for error in found if error.scale or error.clock or np.any(error.amplitude_rad)]
 
 
-def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> RunResults:
+def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> dict[str, Any]:
     """Which file the results are of, how many half-cycles were used, and over which amplitudes."""
     found = points.amplitude / unit.shown_size
     initial, final = (float(found[0]), float(found[-1])) if len(found) else (math.nan, math.nan)
     in_arcsec = unit is DeflectionUnit.RAD
-    return RunResults(
+    return dict[str, Any](
         record=path.name,
         sha256=_sha256_if_readable(path),
         record_bytes=path.stat().st_size,

@@ -35,26 +35,29 @@ from rig.analysis.amplitude_damping import amplitude_damping
 from rig.analysis.analysed_run import AnalysedRun, instrument_series
 from rig.analysis.compared_laws import laws_of
 from rig.analysis.decay_values import decay_values
-from rig.analysis.motion_direction import along_and_across, direction_warning
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.position_table import TableColumns
 from rig.analysis.results import EnvelopeResults, RunResults, Series, TableDecay, TableResults
 from rig.analysis.results_file import relative_record
-from rig.analysis.second_frequency import fast_oscillation, fast_part, second_frequency
 from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
 from rig.analysis.surroundings import doubts_of, stated_surroundings, surroundings_of_table
 from rig.analysis.swings_fit import analyse_swings
-from rig.analysis.table_doubts import (
-    changes_in,
-    judge_sign,
-    judge_time_unit,
-    strange_amplitudes,
-    why_no_laws,
-)
-from rig.analysis.trajectory import Trajectory
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
 from rig.analysis.witnessed_fits import of_source
+from rig.intake import (
+    TableColumns,
+    Trajectory,
+    along_and_across,
+    changes_in,
+    direction_warning,
+    fast_oscillation,
+    fast_part,
+    judge_sign,
+    judge_time_unit,
+    second_frequency,
+    strange_amplitudes,
+    why_no_laws,
+)
 from rig.settings import Configuration
 
 _STATED = ("sample", "operator", "contact_history", "notes")

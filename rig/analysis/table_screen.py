@@ -13,7 +13,6 @@ from processing.swing import SwingFlag, turning_points
 from processing.ticks import seconds
 from rig.analysis.amplitude_damping import damping_lines
 from rig.analysis.compared_laws import chosen_laws
-from rig.analysis.position_table import TableColumns
 from rig.analysis.results import EnvelopeResults, Series, TableResults
 from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
 from rig.analysis.screen import print_run
@@ -24,9 +23,9 @@ from rig.analysis.table_fit import (
     analyse_trajectory,
     series_of_runs,
 )
-from rig.analysis.trajectory import Trajectory
 from rig.analysis.witness_file import StatedWitness
 from rig.instrument import fill_from_files
+from rig.intake import TableColumns, Trajectory
 from rig.presentation import answer, print_line, with_uncertainty
 from rig.settings import Watched, load_configuration
 

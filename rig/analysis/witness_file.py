@@ -17,7 +17,7 @@ from processing.arrays import Floats, Ints
 from processing.errors import ConfigurationError, DataError, MissingPackage, RigError
 from processing.fit import Witness
 from processing.ticks import NS_PER_S, nanoseconds, seconds
-from rig.analysis.position_table import read_columns
+from rig.intake import read_columns
 
 _SEISMIC = (".mseed", ".miniseed", ".ms", ".sac", ".seed")
 FIRST_UTC_S = 1e9

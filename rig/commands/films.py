@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING
 from processing.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from rig.analysis import AnalysedTable, FilmAsked
+    from rig.analysis import (
+        AnalysedTable,
+    )
+    from rig.intake import FilmAsked
 
 
 def fit_film(
@@ -24,7 +27,10 @@ def fit_film(
 
     `run` is the one of a folder of films, by name or number; empty: all.
     """
-    from rig.analysis import film_trajectory, films_in, fit_several
+    from rig.analysis import (
+        fit_several,
+    )
+    from rig.intake import film_trajectory, films_in
     from rig.presentation import TimeLeft, print_line
 
     if overrides and config is None:

@@ -148,7 +148,7 @@ def fit(
     if rate is not None and not rate > 0:
         raise ConfigurationError(f"--rate {rate:g}: the number of rows or frames per second must be above 0")
     if kind == "film":
-        from rig.analysis import FilmAsked
+        from rig.intake import FilmAsked
 
         _refuse("on a film", columns, {"--witness": witness})
         asked = FilmAsked(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
@@ -157,7 +157,11 @@ def fit(
         raise ConfigurationError(
             f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
         )
-    from rig.analysis import TableColumns, fit_envelope_table, fit_trajectory
+    from rig.analysis import (
+        fit_envelope_table,
+        fit_trajectory,
+    )
+    from rig.intake import TableColumns
 
     _refuse("on a table", of_films)
     if law and (config is None or envelope is not None):

@@ -78,7 +78,7 @@ def kind_of(path: Path) -> Literal["records", "table", "film"]:
     if path.is_dir() and (records_of(path) or any(path.glob("results*.json"))):
         return "records"
     # the readers of films take a second
-    from rig.analysis import is_filmed
+    from rig.intake import is_filmed
 
     if path.is_dir():
         return "film" if is_filmed(path) else "records"

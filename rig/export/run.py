@@ -28,12 +28,12 @@ from rig.analysis import (
     StoredTurningPoints,
     TableDecay,
     encoded,
-    read_positions,
     read_results,
     results_path,
     units_of,
 )
 from rig.instrument import CONFIGURATION_NAME
+from rig.intake import read_positions
 
 SERIES_NAME = "series"
 

@@ -19,7 +19,6 @@ from rig.analysis import (
     print_results,
     recorded_results,
     session_results,
-    with_dropped_frames,
     write_results,
 )
 from rig.instrument import recorded_configuration
@@ -153,10 +152,16 @@ def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> 
     if less is not None and less.used:
         deflections = [less(one) for one in deflections]
         swings = swings_of_blocks(deflections)
-    run = analyse_run(reader, config, swings, deflections, config.deflection_unit, result.beam)
-    if less is not None:
-        run = replace(run, results=replace(run.results, notes=(*run.results.notes, less.text)))
-    return with_dropped_frames(run, result.dropped_frames, reader, config)
+    return analyse_run(
+        reader,
+        config,
+        swings,
+        deflections,
+        config.deflection_unit,
+        result.beam,
+        lambda _: result.dropped_frames,
+        note="" if less is None else less.text,
+    )
 
 
 def _view(

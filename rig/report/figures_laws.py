@@ -22,6 +22,7 @@ from rig.report.drawing import (
     ReportFigure,
     amplitude_axis,
     canvas,
+    dots,
     from_data,
     span,
     thinned,
@@ -47,8 +48,8 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
         figure.subplots_adjust(left=0.095, right=0.985, bottom=0.1, top=0.98, hspace=0.06)
         residual = (points.amplitude - curves.asymptotic_rad) / size * 1e3
         exact_residual = (points.amplitude - curves.exact_rad) / size * 1e3
-        bottom.plot(time, residual[shown], ".", color=ASYMPTOTIC, ms=2.0, label="Eq. 5")
-        bottom.plot(time, exact_residual[shown], ".", color=EXACT, ms=2.0, label=FitMethod.EXACT)
+        dots(bottom, time, residual[shown], ASYMPTOTIC)
+        dots(bottom, time, exact_residual[shown], EXACT)
         bottom.axhline(0, color=INK, lw=0.6)
         span(bottom, np.concatenate([residual, exact_residual]), 0.002, 0.1)
         bottom.set_xlabel("t / s")
@@ -128,7 +129,7 @@ def _period(curves: Curves, models: dict[str, tuple[Array, str, float]]) -> Figu
     for label, (values, colour, width) in models.items():
         top.plot(alpha, values[order], color=colour, lw=width, label=label)
         residual = (period - values[order]) * 1e3
-        bottom.plot(alpha[shown], residual[shown], ".", color=colour, ms=2.0, label=label)
+        dots(bottom, alpha[shown], residual[shown], colour)
     span(top, np.concatenate([period[~rough], *(values for values, _, _ in models.values())]))
     residuals = [(period - values[order])[~rough] * 1e3 for values, _, _ in models.values()]
     span(bottom, np.concatenate(residuals), 0.005, 0.25)
@@ -158,7 +159,7 @@ def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[in
     for row, (name, values) in enumerate(both.items()):
         left = figure.add_subplot(grid[row, 0])
         right = figure.add_subplot(grid[row, 1], sharey=left)
-        left.plot(points.index[shown], values[shown], ".", color=DATA, ms=2.0)
+        dots(left, points.index[shown], values[shown], DATA)
         left.plot(points.index[outlying], np.clip(values[outlying], -4.4, 4.4), "x", color=EXACT, ms=4)
         left.axhline(0, color=INK, lw=0.6)
         left.set_ylim(-4.5, 4.5)

@@ -10,7 +10,7 @@ from matplotlib.patches import Circle
 from processing.damping import amplitude_at
 from rig.analysis import PositionErrors, RunResults, StoredTurningPoints
 from rig.presentation import palette
-from rig.report.drawing import DATA, EXACT, INK, Array, ReportFigure, broken, canvas, envelope, thinned
+from rig.report.drawing import DATA, EXACT, INK, Array, ReportFigure, broken, canvas, dots, envelope, thinned
 from rig.report.run_data import RecordedPicture, ShownTrajectory, ShownUnit
 
 _WIDE = 0.11
@@ -220,7 +220,7 @@ def damped_figure(
     tau.set_ylabel("time constant / s")
     steps = np.diff(points.index)
     half_s = np.diff(points.time_s) / steps
-    period.plot(points.time_s[1:], 2.0 * half_s, ".", color=DATA)
+    dots(period, points.time_s[1:], 2.0 * half_s, DATA)
     period.set_xlabel("t / s")
     period.set_ylabel("2 × half-period / s")
     return ReportFigure(

@@ -152,10 +152,17 @@ def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:
     Lines follow the page's theme; what is made of pixels, and what is written on them, stays on white.
     """
     follows = kind == "image/svg+xml" and b"<image" not in data
-    encoded = base64.b64encode(following(data) if follows else data).decode("ascii")
+    if kind == "image/svg+xml":
+        text = (following(data) if follows else data).decode().replace("\n", " ").replace('"', "'")
+        # an address goes on to a `#`; with base64 it would be a third longer
+        for mark in "%#&":
+            text = text.replace(mark, f"%{ord(mark):X}")
+        source = f"data:{kind},{text}"
+    else:
+        source = f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
     card = "" if follows else ' class="card"'
     return (
-        f'<figure><img{card} alt="{escape(drawing.title)}" src="data:{kind};base64,{encoded}">'
+        f'<figure><img{card} alt="{escape(drawing.title)}" src="{source}">'
         f"<figcaption><b>{escape(drawing.title)}.</b> {escape(drawing.caption)}</figcaption></figure>"
     )
 

@@ -11,15 +11,8 @@ import numpy as np
 from acquisition import atomic_write
 from processing.errors import RecordError
 from processing.fit import FitMethod
-from rig.analysis import (
-    AnalysedTable,
-    Curves,
-    Series,
-    SessionResults,
-    curves_of,
-    results_path,
-    write_positions,
-)
+from rig.analysis import AnalysedTable, Curves, Series, SessionResults, curves_of, results_path
+from rig.intake import write_positions
 from rig.presentation import Table, latex_table, quantity
 from rig.report import figures_contact, figures_ground, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure, png, styled, svg

@@ -26,12 +26,11 @@ from rig.analysis import (
     StoredTurningPoints,
     TableDecay,
     TableResults,
-    along_and_across,
     read_any_results,
-    read_positions,
     results_path,
 )
 from rig.instrument import CONFIGURATION_NAME, recorded_configuration
+from rig.intake import along_and_across, read_positions
 from rig.report.run_data import RecordedPicture, ReportSource, RunData, ShownTrajectory, ShownUnit
 
 _LONG_LIST = 20

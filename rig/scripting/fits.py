@@ -8,22 +8,20 @@ from acquisition.record import records_in
 from processing.contact import DEFAULT_LAW, Law, StatedLaw, StatedMoment
 from processing.errors import ConfigurationError
 from rig.analysis import (
-    FilmAsked,
     ModelCurve,
     RunResults,
     SessionResults,
     StatedWitness,
-    TableColumns,
     TableResults,
     analyse_record,
     analyse_table,
     analyse_trajectory,
-    film_trajectory,
     laws_of,
     model_curves,
     session_results,
 )
 from rig.campaigns import Campaign, StatedCampaign, answer_of, read_campaign, runs_of_folders, save_campaign
+from rig.intake import FilmAsked, TableColumns, film_trajectory
 from rig.scripting.given import columns_of, overrides_of, path_of, refuse_twice, several, text_of
 from rig.scripting.record import Record
 from rig.scripting.session import Session

@@ -8,8 +8,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rig.analysis import FilmAsked, film_trajectory
 from rig.analysis.table_fit import analyse_trajectory
+from rig.intake import FilmAsked, film_trajectory
 from tests.acquisition.cameras.made_films import NX, NY, Film, write_film
 
 RATE_HZ, COUNT = 30, 600

@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from tests.rig.analysis.table_cases import judged, table_matrix
+from tests.rig.intake.table_cases import judged, table_matrix
 
 
 def run(quick: bool = False) -> dict[str, Any]:

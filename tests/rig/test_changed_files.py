@@ -22,11 +22,11 @@ from acquisition.simulation.ground import read_ground_file
 from calibration.store import read_calibration
 from processing.errors import RigError
 from rig.analysis import encoded, read_results
-from rig.analysis.position_table import TableColumns
 from rig.archive import list_runs
 from rig.archive.catalogue import write_sessions, writing
 from rig.balance import history
 from rig.calibrate.inputs import read_ladder, read_transfer
+from rig.intake.table import TableColumns
 from rig.measure.session_file import SessionFile
 from rig.settings import load_configuration
 from rig.settings.night_plan import load_plan

@@ -16,11 +16,11 @@ from processing.surroundings import Surroundings
 from processing.swing import swings_of_blocks
 from rig.analysis.analysed_run import AnalysedRun
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.position_table import TableColumns
 from rig.analysis.results import RunResults
 from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.table_fit import analyse_table
 from rig.instrument import complete
+from rig.intake.table import TableColumns
 from rig.settings import Configuration, load_configuration
 
 FRAMES_PER_S, NOISE_ARCSEC, DURATION_S = 25.0, 0.005, 600.0

@@ -13,9 +13,10 @@ from typer.testing import CliRunner
 
 from processing.errors import ConfigurationError
 from processing.instruments.descriptions import INSTRUMENTS
-from rig.analysis import TableColumns, fit_trajectory, read_results
+from rig.analysis import fit_trajectory, read_results
 from rig.cli import app
 from rig.commands.fitting import fit_records
+from rig.intake import TableColumns
 from rig.measure.session import measure_session, simulate_record
 from rig.presentation import with_uncertainty
 from rig.settings import load_configuration

@@ -10,7 +10,6 @@ import pytest
 from processing.errors import ConfigurationError
 from processing.estimate import Determinacy
 from processing.fit import (
-    Combined,
     Determination,
     FitResult,
     budgets,
@@ -18,6 +17,7 @@ from processing.fit import (
     fitted_contact,
     identifiability,
 )
+from processing.series import Combined
 from rig.analysis import RunResults, Series, SessionResults, encoded
 from rig.analysis.fit_tables import parameter_table
 from rig.analysis.result_rows import ResultRow, result_rows, series_rows, withheld

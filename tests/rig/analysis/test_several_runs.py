@@ -8,12 +8,12 @@ import pytest
 
 from processing.errors import ConfigurationError, DataError
 from rig.analysis import read_results
-from rig.analysis.position_table import TableColumns
 from rig.archive.session_rows import session_rows
+from rig.intake.table import TableColumns
 from tests.acquisition.cameras.made_films import Film, write_film
-from tests.rig.analysis.test_film_positions import swing
 from tests.rig.analysis.test_tables import ring_downs
 from tests.rig.command_line import rig
+from tests.rig.intake.test_film_positions import swing
 
 DECREMENTS = (0.2, 0.3)
 

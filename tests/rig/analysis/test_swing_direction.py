@@ -11,8 +11,8 @@ from calibration import Axes
 from rig.analysis import read_results
 from rig.analysis.swings_fit import why_no_half_cycles
 from tests.acquisition.cameras.made_films import Film, write_film
-from tests.rig.analysis.test_film_positions import PERIOD_S, swing
 from tests.rig.command_line import rig
+from tests.rig.intake.test_film_positions import PERIOD_S, swing
 
 
 @pytest.mark.slow

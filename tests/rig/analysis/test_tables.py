@@ -11,8 +11,8 @@ import pytest
 from processing.envelope import fit_envelope
 from processing.errors import ConfigurationError, DataError
 from processing.unsigned import unsigned_period_s
-from rig.analysis.position_table import TableColumns
 from rig.analysis.table_fit import analyse_envelope, analyse_table
+from rig.intake.table import TableColumns
 from rig.settings import Configuration
 from tests.rig.command_line import rig
 

@@ -13,10 +13,10 @@ from processing.surroundings import Surroundings
 from rig.analysis import read_results
 from rig.archive.session_rows import session_rows
 from rig.campaigns.sources import runs_of_folders
-from tests.rig.analysis.test_film_positions import swing
 from tests.rig.analysis.test_table_laws import swings
 from tests.rig.analysis.test_tables import ring_downs, write
 from tests.rig.command_line import rig
+from tests.rig.intake.test_film_positions import swing
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,7 @@ import pytest
 from processing.units import size
 from rig.analysis import read_results
 from rig.export.run import ExportedRun, read_run
-from rig.export.session_export import export_session
-from rig.export.tables import write_csv
+from rig.export.session_export import export_session, write_csv
 from tests.rig.command_line import rig
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"

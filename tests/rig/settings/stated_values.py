@@ -15,8 +15,7 @@ from processing.spot import Spot
 from processing.surroundings import Surroundings
 from processing.swing import Swing
 from rig.analysis import clock_rate_of, known_drag
-from rig.analysis.base_acceleration import base_motion
-from rig.analysis.contact_verdicts import rig_quantities
+from rig.analysis.contact_verdicts import base_motion, rig_quantities
 from rig.analysis.drifts import believed_drifts
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.other_instruments_series import reduce_series

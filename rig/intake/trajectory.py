@@ -1,11 +1,50 @@
-"""The direction of a swing in two positions, and whether it stays that."""
+"""Positions against time, of a table or a film, in one unit; the direction of the swing in two of them."""
 
+import csv
+import io
+from dataclasses import dataclass
 from math import atan2, cos, degrees, pi
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.errors import DataError
+from acquisition import atomic_write
+from processing.errors import DataError, RecordError
+
+ANGLES: Final = ("rad", "mrad", "urad", "nrad", "arcsec", "arcmin", "deg")
+NOT_STATED: Final = "unit"
+"""Stands for the unit of positions where none is stated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Time in integer ns from the first sample, positions in the user's unit.
+
+    `scale_rad` is the unit in rad, None where the unit is no angle (volts, px, mm): decay and
+    period can then be had, contact parameters not. `time_unit` is that of the table's times, which nothing
+    stated if `time_is_assumed`, `time_name` their column, `first_ns` the first of them as it stands there.
+    `understood` says in lines what the file was taken for, and which rows were left out. `u_common_in_noises`
+    is the standard uncertainty of an error that all amplitudes share, as a multiple of the noise of one
+    position. `run` is the name of the run, where the file holds several. `remedy` is what to say where there
+    is no decay.
+    """
+
+    times_ns: NDArray[np.int64]
+    positions: tuple[NDArray[np.float64], ...]
+    names: tuple[str, ...]
+    unit: str
+    scale_rad: float | None
+    time_unit: str = "s"
+    time_name: str = ""
+    time_is_assumed: bool = False
+    understood: tuple[str, ...] = ()
+    first_ns: int = 0
+    u_common_in_noises: float = 0.0
+    remedy: str = ""
+    run: str = ""
+
 
 Array = NDArray[np.float64]
 _FAR = 5.0
@@ -90,3 +129,35 @@ def _directions(both: Array) -> tuple[Array, Array]:
         moved = both - middle - trend @ fit
     _, sizes, axes = np.linalg.svd(weights[:, None] * moved, full_matrices=False)
     return axes, sizes / len(both) ** 0.5
+
+
+POSITIONS_NAME = "positions.csv"
+
+
+def write_positions(trajectory: Trajectory, folder: Path) -> Path:
+    """Write time in s and one or two positions in their unit; returns the file. Raises RecordError."""
+    target, rows, unit = folder / POSITIONS_NAME, io.StringIO(), trajectory.unit
+    writer = csv.writer(rows, lineterminator="\n")
+    writer.writerow(("time_s", *(f"{name} [{unit}]" for name in trajectory.names)))
+    for time_ns, *place in zip(trajectory.times_ns.tolist(), *trajectory.positions, strict=True):
+        time_s = f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
+        writer.writerow((time_s, *(f"{value:.10g}" for value in place)))
+    try:
+        atomic_write.replace(target, rows.getvalue().encode())
+    except OSError as error:
+        raise RecordError(f"{target}: cannot be written: {error.strerror or error}") from None
+    return target
+
+
+def read_positions(folder: Path) -> tuple[NDArray[np.float64], tuple[NDArray[np.float64], ...]]:
+    """Time in s, and the one or two positions; NaN where there is none. Raises RecordError."""
+    path = folder / POSITIONS_NAME
+    try:
+        table = np.genfromtxt(path, delimiter=",", skip_header=1, encoding="utf-8", ndmin=2)
+    except FileNotFoundError:
+        raise RecordError(f"{path}: is not there; rig fit TABLE -o {folder} writes it") from None
+    except (OSError, ValueError) as error:
+        raise RecordError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
+    if table.shape[1] not in (2, 3):
+        raise RecordError(f"{path}: has {table.shape[1]} columns; time and one or two positions are needed")
+    return table[:, 0], tuple(table[:, 1:].T)

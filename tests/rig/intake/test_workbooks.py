@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
-from rig.analysis.position_table import TableColumns
-from rig.analysis.tables.workbook import rows_of_workbook
-from tests.rig.analysis.table_cases import Sheet, workbook
+from rig.intake.files import rows_of_workbook
+from rig.intake.table import TableColumns
+from tests.rig.intake.table_cases import Sheet, workbook
 
 TIME_S = 0.05 * np.arange(100)
 X = 10.0 * np.cos(2.0 * np.pi / 2.5 * TIME_S)

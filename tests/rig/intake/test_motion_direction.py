@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.analysis.motion_direction import along_and_across
-from rig.analysis.position_table import TableColumns
 from rig.analysis.results import TableResults
 from rig.analysis.table_fit import analyse_table
+from rig.intake.table import TableColumns
+from rig.intake.trajectory import along_and_across
 
 T_S = np.arange(0.0, 200.0, 0.05)
 PERIOD_S, DECREMENT = 2.5, 0.025

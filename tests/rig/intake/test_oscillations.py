@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
-from rig.analysis.position_table import TableColumns
-from rig.analysis.second_frequency import second_frequency
 from rig.analysis.table_fit import analyse_table
+from rig.intake.oscillations import second_frequency
+from rig.intake.table import TableColumns
 
 T_S = np.arange(0.0, 100.0, 0.05)
 T_NS = np.round(T_S * 1e9).astype(np.int64)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError, DataError
-from rig.analysis.position_table import TableColumns
-from rig.analysis.tables.numbers import is_moment
+from rig.intake.cell_text import is_moment
+from rig.intake.table import TableColumns
 
 
 def _m_ss(tenths: int) -> str:

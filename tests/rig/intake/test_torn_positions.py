@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.analysis.film_positions import torn_positions
+from rig.intake.film import torn_positions
 
 
 def swing(

@@ -21,8 +21,8 @@ from processing.errors import ConfigurationError, DataError
 from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker, fixed_light
 from processing.ticks import seconds
 from processing.units import conversion
-from rig.analysis.tables import known_unit
-from rig.analysis.trajectory import ANGLES, Trajectory
+from rig.intake.trajectory import ANGLES, Trajectory
+from rig.intake.units import known_unit
 
 _DARK = 1.5
 """How much further the darkest pixels are from the middle than the brightest where the object is dark."""

@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 from processing.errors import ConfigurationError, DataError
 from processing.ticks import seconds
 from processing.units import conversion
-from rig.analysis.table_doubts import judge_time_unit
-from rig.analysis.tables import Cells, Columns, Run, moments_ns, read_cells, runs_of
-from rig.analysis.tables.clock_times import M_SS, clock_form
-from rig.analysis.tables.column_units import NOT_STATED_TIME, unit_of_positions, unit_of_time
-from rig.analysis.tables.judged import (
+from rig.intake.cell_text import is_moment, moments_ns
+from rig.intake.cells import Cells, read_cells
+from rig.intake.columns import Columns, Run, runs_of
+from rig.intake.doubts import (
     SPREADSHEET_ZERO_NS,
     judge_begin,
     judge_size,
+    judge_time_unit,
     judge_words,
     judge_zones,
     of_spreadsheet,
     unwrapped,
 )
-from rig.analysis.tables.numbers import is_moment
-from rig.analysis.tables.times import SORT, number, placed, read_times, rising
-from rig.analysis.trajectory import ANGLES, NOT_STATED, Trajectory
+from rig.intake.times import M_SS, SORT, clock_form, number, placed, read_times, rising
+from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory
+from rig.intake.units import NOT_STATED_TIME, unit_of_positions, unit_of_time
 
 _NO_COMMAS: Final = (
     "its commas seem to be decimal commas as well as separators, which cannot be told apart: save it with "

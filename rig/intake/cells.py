@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Final
 
 from processing.errors import DataError
-from rig.analysis.tables.files import bytes_of, rows_of, text_of
-from rig.analysis.tables.header_units import TIME_NAME, is_time, known_unit, named_unit
-from rig.analysis.tables.numbers import Writing, counts_rows, is_moment, is_value, unit_behind, writing_of
+from rig.intake.cell_text import Writing, counts_rows, is_moment, is_value, unit_behind, writing_of
+from rig.intake.files import bytes_of, rows_of, text_of
+from rig.intake.units import TIME_NAME, is_time, known_unit, named_unit
 
 _COMMENTS: Final = ("#", "%", "//", "!")
 _SEPARATORS: Final = {"tabs": "\t", "semicolons": ";", "bars": "|", "commas": ","}

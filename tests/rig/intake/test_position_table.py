@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError, DataError
-from rig.analysis.position_table import TableColumns
-from tests.rig.analysis.table_cases import judged, table_matrix
+from rig.intake.table import TableColumns
+from tests.rig.intake.table_cases import judged, table_matrix
 
 
 def write(path: Path, text: str) -> Path:

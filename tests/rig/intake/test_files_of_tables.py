@@ -11,7 +11,7 @@ from pyarrow import feather, parquet
 from scipy.io import savemat
 
 from processing.errors import DataError
-from rig.analysis.position_table import TableColumns
+from rig.intake.table import TableColumns
 
 TIME_S = 0.05 * np.arange(200)
 X = 10.0 * np.cos(2.0 * np.pi / 2.5 * TIME_S)

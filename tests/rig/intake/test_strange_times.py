@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError, DataError
-from rig.analysis.position_table import TableColumns
+from rig.intake.table import TableColumns
 
 N = 400
 STEP = timedelta(seconds=0.05)

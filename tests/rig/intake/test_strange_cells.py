@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError, DataError
-from rig.analysis.position_table import TableColumns
+from rig.intake.table import TableColumns
 
 TIME_S = 0.05 * np.arange(400)
 X = 10.0 * np.exp(-0.01 * TIME_S) * np.cos(2.0 * np.pi / 2.5 * TIME_S)

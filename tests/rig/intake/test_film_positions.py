@@ -12,9 +12,9 @@ import pytest
 from scipy.stats import norm
 
 from processing.errors import ConfigurationError, DataError
-from rig.analysis import FilmAsked, film_trajectory
-from rig.analysis.film_positions import inverted, looks_dark
 from rig.analysis.table_fit import analyse_trajectory
+from rig.intake import FilmAsked, film_trajectory
+from rig.intake.film import inverted, looks_dark
 from rig.presentation import TimeLeft
 from tests.acquisition.cameras.made_films import NX, NY, Film, write_film
 from tests.processing.fit.decays import ARCSEC, paper_pair
