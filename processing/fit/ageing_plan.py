@@ -12,7 +12,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.contact import AMPLITUDE, TIME, PendulumOnBall
-from processing.fit.changes import by_drifts
+from processing.fit.drifts import by_drifts
 from processing.fit.planning import Conditions, PlannedRun, PreparedRun, prepare_run
 from processing.least_squares import covariance_of
 

@@ -13,8 +13,9 @@ from processing.angle import ARCSEC_RAD
 from processing.arrays import Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
+from processing.fit.evidence import AIR
 from processing.fit.reported import FittedContact, fitted_contact
-from processing.fit.result import FitResult
+from processing.fit.result import MISFIT, FitResult
 from processing.quantity import PART
 from processing.swing import TurningPoints
 
@@ -189,7 +190,7 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
         float(len(results) - 1),
         np.mean([run.by_log_rho[at] for run in runs], axis=0),
         float(np.exp(np.mean([np.log(run.reference_rad) for run in runs]))),
-        by_air=np.array([parameters[name].by_air for name in names]),
+        {AIR: np.array([[parameters[name].by_air] for name in names])},
     )
     return SeriesResult(parameters, tuple(_disagreements(names, results)), together)
 
@@ -202,7 +203,7 @@ def _own(result: FitResult, name: str) -> Estimate:
 
 def _of_misfit(result: FitResult, name: str) -> float:
     at = result.names.index(name)
-    return 0.0 if result.misfit_covariance is None else float(result.misfit_covariance[at, at])
+    return float(result.part(MISFIT)[at, at])
 
 
 def _with_misfit(found: Combined, name: str, results: Sequence[FitResult]) -> Combined:
@@ -217,7 +218,8 @@ def _with_misfit(found: Combined, name: str, results: Sequence[FitResult]) -> Co
 def _by_air(name: str, results: Sequence[FitResult]) -> tuple[float, ...]:
     """Changes of the runs' values for one standard uncertainty of what is known of the air."""
     return tuple(
-        0.0 if result.by_air is None else float(result.by_air[result.names.index(name)]) for result in results
+        float(result.terms[AIR][result.names.index(name), 0]) if AIR in result.terms else 0.0
+        for result in results
     )
 
 

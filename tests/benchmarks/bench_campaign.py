@@ -28,6 +28,7 @@ from processing.campaign import (
 )
 from processing.estimate import Estimate
 from processing.fit import Evidence, FitResult, drifts_of, fit_exact
+from processing.fit.evidence import AIR
 from processing.swing import TurningPoints
 from tests.benchmarks.parts import Parts, run_parts, words_of
 from tests.processing.campaign.simulated_campaigns import NAMES, Floats, Made, World, made
@@ -234,7 +235,7 @@ def compressed_fit(one: _Aged, label: str, age_s: float) -> CompressedRun:
     at = [fit.names.index(name) for name in names]
     moved = to_coordinates(names, fit.values[at], 60 * ARCSEC)
     to = moved.by_parameters
-    air = np.zeros(len(at)) if fit.by_air is None else to @ fit.by_air[at]
+    air = np.zeros(len(at)) if AIR not in fit.terms else to @ fit.terms[AIR][at, 0]
     own = to @ fit.covariance[np.ix_(at, at)] @ to.T
     share = float(air @ np.linalg.solve(own, air))
     air = air * min(1.0, (0.9999 / share) ** 0.5) if share > 0 else air

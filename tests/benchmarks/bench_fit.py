@@ -17,7 +17,7 @@ from processing.contact.hertz import MATERIALS
 from processing.contact.laws import DRAG, PAPER
 from processing.contact.parameters import ContactParameters
 from processing.errors import RigError
-from processing.fit.apparatus import InputQuantity, RigQuantities
+from processing.fit import InputQuantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import identifiability
 from processing.fit.drag import drag_verdict

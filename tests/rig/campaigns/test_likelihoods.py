@@ -9,6 +9,7 @@ import pytest
 from processing.angle import ARCSEC_RAD
 from processing.campaign import to_coordinates
 from processing.fit import drifts_of
+from processing.fit.evidence import AIR
 from rig.analysis import analyse_record
 from rig.campaigns import StatedCampaign, answer_of, runs_of_folders
 from rig.campaigns.likelihoods import FoundRun, compressed
@@ -38,8 +39,8 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     # the run's own part and what it shares are the fit's covariance again
     whole = there.by_parameters @ fit.covariance[np.ix_(at, at)] @ there.by_parameters.T
     again = found.covariance.copy()
-    if fit.by_air is not None:
-        air = there.by_parameters @ fit.by_air[at]
+    if AIR in fit.terms:
+        air = there.by_parameters @ fit.terms[AIR][at, 0]
         if "air" in found.shared:
             sign = np.sign(air @ found.shared["air"])
             np.testing.assert_allclose(
