@@ -370,7 +370,7 @@ def part_of(terms: Mapping[str, Floats], count: int, *names: str) -> Floats:
 def changes_of(covariance: Floats) -> Floats:
     """Independent changes (values, m) that have a covariance; infinite where that is."""
     size: Floats = np.sqrt(np.diag(covariance))
-    known = np.flatnonzero(np.isfinite(size) & (size > 0))
+    known = [i for i, one in enumerate(size.tolist()) if 0 < one < np.inf]
     out = np.zeros((len(size), max(1, len(known))))
     correlation = covariance[np.ix_(known, known)] / np.outer(size[known], size[known])
     variance, directions = np.linalg.eigh(correlation)

@@ -290,6 +290,8 @@ class Linearised:
         """The fit with terms: each is a line of its table, and of the budget.
 
         Terms that `move` the values are found together, those that `cover` what they may do together as well.
+        What two of them do in common stands with the first. Raises DataError for a term of which neither the
+        data nor a prior say anything.
         """
         fit = self.fit
         for report in ("move", "cover"):
@@ -297,14 +299,17 @@ class Linearised:
             if not chosen:
                 continue
             found = self.solved(*chosen)
+            names = [term.name for term in chosen for _ in range(_width(term.columns))]
+            for name, variance in zip(names, np.diag(found.covariance).tolist(), strict=True):
+                if not variance < np.inf:
+                    raise DataError(f"the data do not determine {name}: state what is known of it")
             if report == "move":
-                physical = self.model.columns.physical(self.coordinates + found.moved)[0]
-                fit = replace(fit, values=physical)
-            spread, first = self.to_physical @ found.by, 0
+                fit = replace(fit, values=self.model.columns.physical(self.coordinates + found.moved)[0])
+            # a triangular root: its columns are those of the coordinates in their order
+            by = self.to_physical @ found.by @ np.linalg.qr(found.root.T)[1].T
             for term in chosen:
-                here = slice(first, first + _width(term.columns))
-                first = here.stop
-                fit = fit.with_term(term.name, spread[:, here] @ found.root[here])
+                own = [column for column, name in enumerate(names[: by.shape[1]]) if name == term.name]
+                fit = fit.with_term(term.name, by[:, own])
         return fit
 
 

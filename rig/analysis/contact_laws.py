@@ -120,7 +120,7 @@ def _judged(at: Linearised, drifts: Mapping[str, float] | None, settings: FitSet
     Each is found beside the fit as it ended, so that their order does not matter; what smooth errors of the
     law explain is no change.
     """
-    fit = at.fit if drifts is None else at.described(drift_term(at, drifts))
-    fit = misfit_beside(at, fit)
+    terms = [] if drifts is None else [drift_term(at, drifts)]
+    fit = misfit_beside(at, at.described(*terms))
     explained = 0.0 if fit.misfit is None else fit.misfit.against_law
     return changes_beside(at, fit, settings.u_ageing, explained)
