@@ -150,6 +150,20 @@ def solve(
     )
 
 
+def differenced(residuals: Callable[[Floats], Floats], step: float = 1e-6) -> Model:
+    """A model with central differences in the place of derivatives, over a part of each value or of one."""
+
+    def model(values: Floats) -> tuple[Floats, Floats]:
+        steps = step * np.maximum(np.abs(values), 1.0)
+        columns = [
+            (residuals(values + one) - residuals(values - one)) / (2.0 * size)
+            for one, size in zip(np.diag(steps), steps.tolist(), strict=True)
+        ]
+        return residuals(values), np.column_stack(columns)
+
+    return model
+
+
 def _is_stuck(result: Any) -> bool:
     """Whether the search has ended before a wall beyond which the model has no value, at no minimum."""
     free = result.active_mask == 0

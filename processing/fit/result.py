@@ -360,7 +360,7 @@ def part_of(terms: Mapping[str, Floats], count: int, *names: str) -> Floats:
     """Covariance (count, count) of values by some of their terms."""
     out = np.zeros((count, count))
     for by in (terms[name] for name in names if name in terms):
-        blind = ~np.isfinite(by).all(axis=1)
+        blind = ~np.isfinite(by.sum(axis=1))
         known = np.where(blind[:, None], 0.0, by)
         out += known @ known.T
         out[blind, blind] = np.inf
