@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.least_squares import differenced, solve
+from processing.least_squares import Factored, differenced, solve
 
 _FEWEST = 6
 """Four parameters and two degrees of freedom."""
@@ -181,7 +181,7 @@ class _Linear(NamedTuple):
             root, np.column_stack([self.left, self.slopes, ratio * self.walk]), lower=True
         )
         e, a, last = white[:, 0], white[:, 1:5], white[:, 5]
-        misfit = e - a @ np.linalg.lstsq(a, e, rcond=None)[0]
+        misfit = Factored(a).left(e)
         # amplitudes that scatter more than their uncertainties say
         scale = max(1.0, float(misfit @ misfit) / max(count - 4, 1))
         known = np.zeros((2, 4))
