@@ -3,14 +3,13 @@
 from processing.derived import Derived
 from processing.fit.ageing_plan import PlannedSeries, planned_series
 from processing.fit.asymptotic import fit_asymptotic
-from processing.fit.changes import changes_beside, changes_of, with_changes
+from processing.fit.changes import with_changes
 from processing.fit.determination import Determination, identifiability, strong_correlations
 from processing.fit.domain import domain_warnings
 from processing.fit.drag import (
     Drag,
     DragFinding,
     drag_verdict,
-    steeper_beside,
     steeper_drag,
     with_steeper_drag,
 )
@@ -26,7 +25,7 @@ from processing.fit.law_comparison import (
     predicted_harmonics,
     waveform_chances,
 )
-from processing.fit.misfit import misfit_beside, with_misfit
+from processing.fit.misfit import with_misfit
 from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.remeasure import (
     FitOfSwings,
@@ -77,7 +76,6 @@ from processing.fit.series import (
     combine_runs,
     compare_series,
 )
-from processing.fit.smoothing import super_smooth
 from processing.fit.terms import Linearised, Term
 from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties
 from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import PendulumOnBall
 from processing.fit.drifts import contact_share
 from processing.fit.exact_model import Errors
 from processing.fit.ground import Noise
@@ -21,7 +20,6 @@ from processing.fit.result import STEP, Change, ChangeKind, FitResult
 from processing.fit.terms import Driven, Linearised
 from processing.least_squares import Factored
 from processing.periods import mean_period
-from processing.swing import TurningPoints
 
 _CHUNK = 64
 """Half-cycles whose changes are computed together."""
@@ -37,11 +35,7 @@ _MOST = 3
 
 
 def with_changes(
-    points: TurningPoints,
-    pendulum: PendulumOnBall | None,
-    fit: FitResult,
-    u_step: float,
-    explained: float = 0.0,
+    at: Linearised, u_step: float, explained: float = 0.0, fit: FitResult | None = None
 ) -> FitResult:
     """The fit with the changes during its decay, and with the uncertainty that a step of the friction leaves.
 
@@ -54,12 +48,10 @@ def with_changes(
         Standard uncertainty of the relative size of a step, if there is one.
     explained
         By how much -2 ln L is smaller with smooth errors of the law (`Misfit.against_law`).
+    fit
+        The fit near whose end this is found, where it has further terms already.
     """
-    return changes_beside(Linearised.of(points, pendulum, fit), fit, u_step, explained)
-
-
-def changes_beside(at: Linearised, fit: FitResult, u_step: float, explained: float = 0.0) -> FitResult:
-    """The same of a fit that has other terms, too, near the end `at` which it was found."""
+    fit = at.fit if fit is None else fit
     scans = _scans(at) if fit.loss == "linear" else []
     if not scans:
         return fit
@@ -67,13 +59,6 @@ def changes_beside(at: Linearised, fit: FitResult, u_step: float, explained: flo
         fit = fit.with_term(STEP, at.to_physical @ scans[0].hidden_friction(u_step, explained))
     changes = _found(at, scans, explained)
     return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings_of(changes)))
-
-
-def changes_of(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, explained: float = 0.0
-) -> tuple[Change, ...]:
-    """Changes during a decay, the clearest first; none where smooth errors of the law explain it better."""
-    return with_changes(points, pendulum, fit, 0.0, explained).changes
 
 
 def _scans(at: Linearised) -> list["_Scan"]:

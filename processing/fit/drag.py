@@ -188,16 +188,11 @@ def _finding(alone: FitResult, reported: FitResult, test: _Test) -> DragFinding:
     return DragFinding.UNSEEN if test.parabolic and moved < u_b else DragFinding.OPEN
 
 
-def steeper_drag(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> SteeperDrag:
+def steeper_drag(at: Linearised) -> SteeperDrag:
     """What an exact fit with a linear drag leaves of a steeper one.
 
     Raises DataError where the law predicts no waveform.
     """
-    return steeper_beside(Linearised.of(points, pendulum, fit))
-
-
-def steeper_beside(at: Linearised) -> SteeperDrag:
-    """The same near the end of a fit."""
     fit = at.fit
     period0_s, period_s = fit.estimate("period0_s").value, fit.mean_period_s.value
     rate = 2 * pi / period0_s

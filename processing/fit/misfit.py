@@ -18,12 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import PendulumOnBall
 from processing.fit.exact_model import Errors
 from processing.fit.result import MISFIT, MISFIT_SEEN, FitResult, Misfit
 from processing.fit.terms import Driven, Linearised, Restricted
 from processing.least_squares import Factored
-from processing.swing import TurningPoints
 
 _SPACING = 0.4
 """Of the nodes of an error, in ln A."""
@@ -45,16 +43,12 @@ class _Sizes(NamedTuple):
     deviance: float
 
 
-def with_misfit(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> FitResult:
+def with_misfit(at: Linearised, fit: FitResult | None = None) -> FitResult:
     """The fit with uncertainties that hold how far its law lies from the data.
 
-    Raises DataError for another method than the exact one.
+    `fit` is the fit near whose end this is found where it has further terms already.
     """
-    return misfit_beside(Linearised.of(points, pendulum, fit), fit)
-
-
-def misfit_beside(at: Linearised, fit: FitResult) -> FitResult:
-    """The same of a fit that has other terms, too, near the end `at` which it was found."""
+    fit = at.fit if fit is None else fit
     misfit, by = _misfit(at)
     if by is None:
         return replace(fit, misfit=misfit)

@@ -15,13 +15,13 @@ from processing.fit import (
     Linearised,
     WitnessUse,
     alternation_of,
-    changes_beside,
     domain_warnings,
     drift_term,
     fit_asymptotic,
     fit_exact,
-    misfit_beside,
     steeper_drag,
+    with_changes,
+    with_misfit,
     with_steeper_drag,
     without_alternation,
 )
@@ -70,7 +70,7 @@ def fit_decay(
         if exact is None:
             exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
         exact, points, alternates = _of_one_moment(points, pendulum, exact)
-        steeper = steeper_drag(points, pendulum, exact) if exact.has_drag else None
+        steeper = steeper_drag(Linearised.of(points, pendulum, exact)) if exact.has_drag else None
         asymptotic = fit_asymptotic(
             points,
             pendulum,
@@ -121,6 +121,6 @@ def _judged(at: Linearised, drifts: Mapping[str, float] | None, settings: FitSet
     law explain is no change.
     """
     terms = [] if drifts is None else [drift_term(at, drifts)]
-    fit = misfit_beside(at, at.described(*terms))
+    fit = with_misfit(at, at.described(*terms))
     explained = 0.0 if fit.misfit is None else fit.misfit.against_law
-    return changes_beside(at, fit, settings.u_ageing, explained)
+    return with_changes(at, settings.u_ageing, explained, fit)

@@ -24,7 +24,7 @@ from processing.contact.laws import PAPER
 from processing.deflections import Deflections, slow_deflections
 from processing.errors import RigError
 from processing.estimate import Estimate
-from processing.fit import Evidence, FitOfSwings, points_in_true_time, with_misfit
+from processing.fit import Evidence, FitOfSwings, Linearised, points_in_true_time, with_misfit
 from processing.periods import mean_period
 from processing.swing import HarmonicsWatch, Swing, SwingDetector, SwingHarmonics
 from rig.analysis import evidence_of, known_drag, stated_surroundings
@@ -84,7 +84,7 @@ def as_detected(basement: Basement, swings: Sequence[Swing], samples: Deflection
     watch = HarmonicsWatch(swings)
     watch.update(samples)
     how = FitOfSwings(basement.pendulum, evidence=basement.evidence(swings, watch.found()))
-    fit = with_misfit(how.points(swings), basement.pendulum, how.of(swings))
+    fit = with_misfit(Linearised.of(how.points(swings), basement.pendulum, how.of(swings)))
     return {name: fit.estimate(name) for name in NAMES}
 
 

@@ -8,11 +8,11 @@ from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED, Estimate
 from processing.fit import (
     MISFIT,
+    Change,
     ChangeKind,
     Evidence,
     FitResult,
     Linearised,
-    changes_of,
     combine_runs,
     compare_laws,
     drift_term,
@@ -45,9 +45,13 @@ def fitted(points: TurningPoints) -> FitResult:
 
 
 def against_law_of(points: TurningPoints, fit: FitResult) -> float:
-    misfit = with_misfit(points, PENDULUM, fit).misfit
+    misfit = with_misfit(Linearised.of(points, PENDULUM, fit)).misfit
     assert misfit is not None
     return misfit.against_law
+
+
+def changes_of(points: TurningPoints, fit: FitResult, explained: float = 0.0) -> tuple[Change, ...]:
+    return with_changes(Linearised.of(points, PENDULUM, fit), 0.0, explained).changes
 
 
 def test_two_integrations_agree() -> None:
@@ -71,7 +75,7 @@ def test_two_integrations_agree() -> None:
 def test_a_law_that_does_not_describe_costs_uncertainty(world: World) -> None:
     points = decay(world)
     fit = fitted(points)
-    described = with_misfit(points, PENDULUM, fit)
+    described = with_misfit(Linearised.of(points, PENDULUM, fit))
     assert described.misfit is not None
     assert described.misfit.seen
     b, u = described.estimate("b")
@@ -91,18 +95,18 @@ def test_a_true_law_costs_nothing() -> None:
     for seed, q in ((2, 0.0), (3, 8e-9)):
         points = decay(World(), seed, q)
         fit = fitted(points)
-        described = with_misfit(points, PENDULUM, fit)
+        described = with_misfit(Linearised.of(points, PENDULUM, fit))
         assert described.misfit is not None
         assert not described.misfit.seen
         assert np.array_equal(described.covariance, fit.covariance)
-        assert changes_of(points, PENDULUM, fit) == ()
+        assert changes_of(points, fit) == ()
 
 
 @pytest.mark.slow
 def test_what_every_run_lacks_is_not_averaged_away() -> None:
     world = World(drag32=0.0151)
     runs = [decay(world, seed) for seed in (1, 2)]
-    fits = [with_misfit(points, PENDULUM, fitted(points)) for points in runs]
+    fits = [with_misfit(Linearised.of(points, PENDULUM, fitted(points))) for points in runs]
     both = combine_runs(fits).parameters["b"]
     assert both.standard_uncertainty > 0.95 * min(fit.estimate("b").standard_uncertainty for fit in fits)
 
@@ -111,7 +115,7 @@ def test_what_every_run_lacks_is_not_averaged_away() -> None:
 def test_the_misfit_has_its_line_in_the_budget_and_no_part_in_the_evidence() -> None:
     points = decay(World(drag32=0.0151))
     fit = fitted(points)
-    described = with_misfit(points, PENDULUM, fit)
+    described = with_misfit(Linearised.of(points, PENDULUM, fit))
     assert MISFIT in described.terms
     assert fitted_contact(described).part(MISFIT)[0, 0] == described.part(MISFIT)[0, 0]
     plain, wide = (compare_laws(points, PENDULUM, [PAPER], like=one) for one in (fit, described))
@@ -123,7 +127,7 @@ def test_the_misfit_has_its_line_in_the_budget_and_no_part_in_the_evidence() -> 
 @pytest.mark.slow
 def test_another_fit_of_the_law_shares_what_the_exact_one_found() -> None:
     points = decay(World(drag32=0.0151))
-    described = with_misfit(points, PENDULUM, fitted(points))
+    described = with_misfit(Linearised.of(points, PENDULUM, fitted(points)))
     assert MISFIT in described.terms
     other = fit_asymptotic(points, PENDULUM, drag=True, exact=described)
     wider = other.with_terms_of(described, MISFIT)
@@ -131,14 +135,14 @@ def test_another_fit_of_the_law_shares_what_the_exact_one_found() -> None:
     added = wider.covariance[at, at] - other.covariance[at, at]
     assert added == pytest.approx(described.part(MISFIT)[at, at])
     with pytest.raises(DataError):
-        with_misfit(points, PENDULUM, other)
+        with_misfit(Linearised.of(points, PENDULUM, other))
 
 
 def test_a_slip_is_found_and_dated() -> None:
     points = decay(World(event_s=300.0, slip=0.05))
     fit = fitted(points)
     against_law = against_law_of(points, fit)
-    found = changes_of(points, PENDULUM, fit, against_law)
+    found = changes_of(points, fit, against_law)
     assert [change.kind for change in found] == [ChangeKind.FRICTION]
     assert found[0].time_s == pytest.approx(300.0, abs=15.0)
     assert found[0].size == pytest.approx(0.05, abs=0.006)
@@ -151,7 +155,7 @@ def test_a_knock_is_found_and_dated() -> None:
     points = decay(World(event_s=300.0, knock_rad_per_s=knock_rad_per_s))
     fit = fitted(points)
     against_law = against_law_of(points, fit)
-    found = changes_of(points, PENDULUM, fit, against_law)
+    found = changes_of(points, fit, against_law)
     assert found[0].kind is ChangeKind.KNOCK
     assert found[0].time_s == pytest.approx(300.0, abs=4.1)
     amplitude = points.amplitude[np.searchsorted(points.time_s, 300.0)]
@@ -164,7 +168,7 @@ def test_a_step_that_is_not_found_is_in_the_uncertainties() -> None:
     for slip in (0.0, 0.005):
         points = decay(World(event_s=370.0, slip=slip), seed=2, q=8e-9)
         before = fitted(points)
-        fit = with_changes(points, PENDULUM, before, 0.01)
+        fit = with_changes(Linearised.of(points, PENDULUM, before), 0.01)
         assert fit.changes == ()
         (c, u), u_before = fit.estimate("c"), before.estimate("c").standard_uncertainty
         found.append((c, u, u / u_before))
@@ -178,7 +182,7 @@ def test_a_step_that_is_not_found_is_in_the_uncertainties() -> None:
 def test_a_smooth_error_of_the_law_is_no_slip() -> None:
     points = decay(World(drag32=0.0151))
     fit = fitted(points)
-    assert changes_of(points, PENDULUM, fit, against_law_of(points, fit)) == ()
+    assert changes_of(points, fit, against_law_of(points, fit)) == ()
 
 
 def test_what_drifts_do_to_the_parameters() -> None:
