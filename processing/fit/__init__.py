@@ -1,7 +1,6 @@
-"""Fits of a contact law to a decay, uncertainties of the results, and series of runs."""
+"""Fits of a contact law to a decay, and uncertainties of the results."""
 
 from processing.derived import Derived
-from processing.fit.ageing_plan import PlannedSeries, planned_series
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.changes import with_changes
 from processing.fit.determination import Determination, identifiability, strong_correlations
@@ -14,7 +13,7 @@ from processing.fit.drag import (
     with_steeper_drag,
 )
 from processing.fit.drifts import DRIFTS, drift_term, drifts_of
-from processing.fit.evidence import NO_EVIDENCE, WAVEFORM, Evidence, sine_covariance, waveform_of
+from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, sine_covariance, waveform_of
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
 from processing.fit.known_drive import Signals
@@ -26,7 +25,7 @@ from processing.fit.law_comparison import (
     waveform_chances,
 )
 from processing.fit.misfit import with_misfit
-from processing.fit.planning import Conditions, PlannedRun, planned_run
+from processing.fit.planning import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.fit.remeasure import (
     FitOfSwings,
     describes_as_well,
@@ -65,16 +64,6 @@ from processing.fit.sensor_errors import (
     delay_of_rows,
     place_errors,
     without_alternation,
-)
-from processing.fit.series import (
-    Combined,
-    Comparison,
-    Disagreement,
-    SeriesResult,
-    average_curves,
-    combine,
-    combine_runs,
-    compare_series,
 )
 from processing.fit.terms import Linearised, Term
 from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties

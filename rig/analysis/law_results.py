@@ -17,7 +17,7 @@ class LawFit:
     `bic_above_best` and `aic_above_best` are its distances from the best law in the criteria of Schwarz and
     Akaike, `log_odds_against` is the natural logarithm of the odds against it from the evidence (see
     `processing.fit.law_comparison`), `waveform_chance` the chance of a third harmonic at least so far from
-    the law's (see `processing.fit.waveform`), `ground_rad_per_s2_rthz` the drive that it needs; `problem`
+    the law's, `ground_rad_per_s2_rthz` the drive that it needs; `problem`
     says why there is no fit.
     """
 

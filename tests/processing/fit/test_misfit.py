@@ -13,7 +13,6 @@ from processing.fit import (
     Evidence,
     FitResult,
     Linearised,
-    combine_runs,
     compare_laws,
     drift_term,
     drifts_of,
@@ -23,6 +22,7 @@ from processing.fit import (
     with_changes,
     with_misfit,
 )
+from processing.series import combine_runs
 from processing.swing import TurningPoints
 from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise
