@@ -7,6 +7,7 @@ import numpy as np
 
 from calibration.birge import birge_ratio
 from calibration.ladder import Floats, LadderSteps, both_ways
+from processing.least_squares import solve
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +41,6 @@ class LadderSolution:
 
 def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, bent: bool) -> LadderSolution:
     """Least squares, with the skew as a parameter if `bent` and the hysteresis if `way` is given."""
-    from scipy.optimize import least_squares
-
     count = len(steps.reference)
     fixed = 4 + bent + (way is not None)
 
@@ -101,13 +100,11 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, bent: boo
 
     p0 = np.zeros(fixed + count)
     p0[0:2], p0[2:4] = start[1], start[0] / unit[2:4]
-    found = least_squares(residual, p0, jac=jacobian, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    slopes = jacobian(found.x)
-    full = np.linalg.inv(slopes.T @ slopes)[:fixed, :fixed] * np.outer(unit, unit)
-    total = float(2.0 * found.cost)
-    values = found.x.copy()
+    found = solve(lambda p: (residual(p), jacobian(p)), p0)
+    full = found.covariance[:fixed, :fixed] * np.outer(unit, unit)
+    values = found.values.copy()
     values[:fixed] *= unit
-    _, _, along = parts(found.x)
+    _, _, along = parts(found.values)
     residual_px = np.column_stack(
         [steps.x_px - values[0] - values[2] * along, steps.y_px - values[1] - values[3] * along]
     )
@@ -115,7 +112,7 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, bent: boo
     turn = np.array([values[2:4], [-values[3], values[2]]]) / np.hypot(values[2], values[3])
     u_px = np.sqrt(turn**2 @ np.array([steps.u_x_px, steps.u_y_px]) ** 2)
     chi2_along, chi2_across = (((turn @ residual_px.T) / u_px) ** 2).sum(axis=1)
-    chi2_along += float(found.x[fixed:] @ found.x[fixed:])
+    chi2_along += float(found.values[fixed:] @ found.values[fixed:])
     dof_along, dof_across = count - fixed + 2, count - 2
     birge, birge_across = birge_ratio(chi2_along, dof_along), birge_ratio(chi2_across, dof_across)
     enlarged = np.eye(fixed) * birge
@@ -125,7 +122,7 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, bent: boo
         values,
         enlarged @ full @ enlarged,
         fixed,
-        total,
+        found.chi2,
         2 * count - fixed,
         birge,
         birge_across,

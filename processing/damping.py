@@ -9,7 +9,7 @@ time constant at an amplitude. A = x/y solves it with x' = -g x/2 - c y, y' = q 
 squared is (g^2/4 - q c) times the unit matrix.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import exp, inf, log, nan, sqrt
@@ -20,6 +20,7 @@ import numpy as np
 from processing.arrays import Floats
 from processing.errors import DataError
 from processing.estimate import Estimate
+from processing.least_squares import differenced, solve
 
 PARTS: Final = ("constant", "linear", "quadratic")
 _FEWEST: Final = 12
@@ -259,11 +260,11 @@ class _Fit:
             return self._residual(values, exp(min(p[count], 5.0)) if floor else nan)
 
         at_start = np.append(begin[free], log(self._lowest + _LOWEST)) if floor else begin[free]
-        found, own, chi2 = _solved(residual, at_start)
+        found = solve(differenced(residual), at_start)
         values, covariance = np.zeros(4), np.zeros((4, 4))
-        values[free] = found[:count]
-        covariance[np.ix_(free, free)] = own[:count, :count]
-        return _Found(values, covariance, exp(min(found[count], 5.0)) if floor else nan, chi2)
+        values[free] = found.values[:count]
+        covariance[np.ix_(free, free)] = found.covariance[:count, :count]
+        return _Found(values, covariance, exp(min(found.values[count], 5.0)) if floor else nan, found.chi2)
 
     def _residual(self, p: Floats, floor: float) -> Floats:
         amplitude = amplitude_at(self._t, *p)
@@ -272,16 +273,3 @@ class _Fit:
         if self._decibel:
             amplitude = 2.0 * _DB * np.log(np.maximum(amplitude, _LOWEST))
         return np.asarray((amplitude - self._y) / self._u)
-
-
-def _solved(residual: Callable[[Floats], Floats], start: Floats) -> tuple[Floats, Floats, float]:
-    """Values, covariance and chi-square of a least-squares fit."""
-    # imported here, since every command imports this module and few fit a decay
-    from scipy.optimize import least_squares
-
-    found = least_squares(residual, start, x_scale="jac", max_nfev=400)
-    slopes: Floats = np.asarray(found.jac)
-    size = np.linalg.norm(slopes, axis=0)
-    size[size == 0] = 1.0
-    covariance = np.linalg.pinv((slopes / size).T @ (slopes / size)) / np.outer(size, size)
-    return np.asarray(found.x), covariance, float(2.0 * found.cost)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
+from processing.least_squares import Factored, differenced, solve
 
 _FEWEST = 6
 """Four parameters and two degrees of freedom."""
@@ -99,9 +100,6 @@ class _Decay:
 
     def _fitted(self) -> Floats:
         """Parameters, as if the noise were all."""
-        # not at import: most commands make no forecast
-        from scipy.optimize import least_squares
-
         u_t = self._u / (-self.slope * self._a)
 
         def residuals(parameters: Floats) -> Floats:
@@ -110,14 +108,10 @@ class _Decay:
         ln_k = math.log(-self.slope * self._grid[0])
         start = np.array([self._t[0], ln_k, _EXPONENT, _LN_DRY_PART])
         apart = np.array([np.inf, 5.0, 10 * _U_EXPONENT, 10 * _U_LN_DRY_PART])
-        found = least_squares(
-            residuals,
-            start,
-            x_scale=[1.0, 0.01, 0.05, 0.5],
-            bounds=(start - apart, start + apart),
-            max_nfev=60,
+        found = solve(
+            differenced(residuals), start, lower=start - apart, upper=start + apart, max_evaluations=60
         )
-        return np.asarray(found.x)
+        return found.values
 
     def remaining(self, half_period_s: float) -> Forecast:
         """The forecast, averaged over the sizes of the walk by how well each explains the amplitudes."""
@@ -187,7 +181,7 @@ class _Linear(NamedTuple):
             root, np.column_stack([self.left, self.slopes, ratio * self.walk]), lower=True
         )
         e, a, last = white[:, 0], white[:, 1:5], white[:, 5]
-        misfit = e - a @ np.linalg.lstsq(a, e, rcond=None)[0]
+        misfit = Factored(a).left(e)
         # amplitudes that scatter more than their uncertainties say
         scale = max(1.0, float(misfit @ misfit) / max(count - 4, 1))
         known = np.zeros((2, 4))

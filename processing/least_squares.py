@@ -150,20 +150,74 @@ def solve(
     )
 
 
+def differenced(residuals: Callable[[Floats], Floats], step: float = 1e-6) -> Model:
+    """A model with central differences in the place of derivatives, over a part of each value or of one."""
+
+    def model(values: Floats) -> tuple[Floats, Floats]:
+        steps = step * np.maximum(np.abs(values), 1.0)
+        columns = [
+            (residuals(values + one) - residuals(values - one)) / (2.0 * size)
+            for one, size in zip(np.diag(steps), steps.tolist(), strict=True)
+        ]
+        return residuals(values), np.column_stack(columns)
+
+    return model
+
+
 def _is_stuck(result: Any) -> bool:
     """Whether the search has ended before a wall beyond which the model has no value, at no minimum."""
     free = result.active_mask == 0
     count = int(np.count_nonzero(free))
     if not count or result.cost <= max(len(result.fun) - count, 1):
         return False
-    jacobian, slope = result.jac[:, free], result.grad[free]
-    size = np.linalg.norm(jacobian, axis=0)
-    size[size == 0.0] = 1.0
-    _, singular, directions = np.linalg.svd(jacobian / size, full_matrices=False)
-    steep = singular > _SINGULAR * singular[0]
-    along = directions[steep] @ (slope / size) / singular[steep]
+    along = Factored(result.jac[:, free]).root.T @ result.grad[free]
     # half of the square is what the cost would fall by, if the model were linear
     return bool(0.5 * along @ along > _STUCK * result.cost)
+
+
+class Factored:
+    """Singular values of the derivatives J (n, k) of residuals by the coordinates of a model.
+
+    Columns are scaled to unit length. A direction whose singular value is below `_SINGULAR` of the largest is
+    not determined, and takes part in nothing.
+
+    Attributes
+    ----------
+    directions
+        Orthonormal (n, m): what residuals the coordinates can take up.
+    root
+        Of the covariance of the coordinates (k, m), ``root @ root.T``.
+    blind
+        Coordinates (k,) that are not determined.
+    log_det
+        ln det J^T J of the directions that are determined.
+    """
+
+    def __init__(self, jacobian: Floats) -> None:
+        norm = np.linalg.norm(jacobian, axis=0)
+        scale = np.where(norm > 0, norm, 1.0)
+        directions, singular, vt = np.linalg.svd(jacobian / scale, full_matrices=False)
+        kept = singular > _SINGULAR * singular.max(initial=0.0)
+        self.directions: Floats = directions[:, kept]
+        self.root: Floats = (vt[kept].T / singular[kept]) / scale[:, None]
+        self.blind = 1.0 - np.sum(vt[kept] ** 2, axis=0) > 1e-12
+        self.log_det = 2.0 * float(np.sum(np.log(singular[kept])) + np.sum(np.log(scale)))
+
+    def left(self, rows: Floats) -> Floats:
+        """What the coordinates cannot take up of rows (n,) or of each of their columns (n, m)."""
+        return np.asarray(rows - self.directions @ (self.directions.T @ rows), dtype=np.float64)
+
+    def coefficients(self, rows: Floats) -> Floats:
+        """The coordinates (k,) or (k, m) whose residuals are nearest to the rows."""
+        return np.asarray(self.root @ (self.directions.T @ rows), dtype=np.float64)
+
+    def covariance(self) -> Floats:
+        """Of the coordinates (k, k); infinite for those that are not determined."""
+        found: Floats = self.root @ self.root.T
+        found[self.blind, :] = 0.0
+        found[:, self.blind] = 0.0
+        found[self.blind, self.blind] = np.inf
+        return found
 
 
 def covariance_of(jacobian: Floats, residuals: Floats | None = None, loss: Loss = "linear") -> Floats:
@@ -176,16 +230,7 @@ def covariance_of(jacobian: Floats, residuals: Floats | None = None, loss: Loss 
     """
     if not np.all(np.isfinite(jacobian)):
         return np.diag(np.full(jacobian.shape[1], np.inf))
-    norm = np.linalg.norm(jacobian, axis=0)
-    scale = np.where(norm > 0, norm, 1.0)
-    _, singular, vt = np.linalg.svd(jacobian / scale, full_matrices=False)
-    kept = singular > _SINGULAR * singular[0]
-    inverse = (vt[kept].T / singular[kept] ** 2) @ vt[kept]
-    covariance = inverse / np.outer(scale, scale)
-    blind = np.sum(vt[~kept] ** 2, axis=0) > 1e-12
-    covariance[blind, :] = 0.0
-    covariance[:, blind] = 0.0
-    covariance[blind, blind] = np.inf
+    covariance = Factored(jacobian).covariance()
     if loss != "linear" and residuals is not None:
         psi, slope = _influence(residuals / _LOSS_SCALE, loss)
         psi = psi * _LOSS_SCALE

@@ -118,6 +118,13 @@ def test_a_quantity_of_the_balance_is_recorded_and_drawn(tree: Path) -> None:
     assert shown == pytest.approx(recorded / ARCSEC_RAD)
 
 
+def test_a_term_of_the_fit_has_its_line_in_the_budget(tree: Path) -> None:
+    said = run_all(tree, "Adding a term of the fit")
+    assert "1 passed" in said["pytest tests/processing/fit/test_thermal_scale.py"]
+    results = (tree / "runs/warming/results.json").read_text(encoding="utf-8")
+    assert '"thermal_scale"' in results
+
+
 def test_a_law_is_fitted(tree: Path) -> None:
     said = run_all(tree, "Adding a law of the contact")
     assert " passed" in said["pytest tests/processing/contact/laws"]

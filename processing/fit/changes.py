@@ -1,142 +1,41 @@
-"""What changes while a pendulum swings: events that are found and dated, drifts that one decay cannot see.
+"""What changes while a pendulum swings: events that are found and dated.
 
 A change is looked for at every half-cycle: a knock (both quadratures of the oscillation step), a friction
 that is another one from then on, a period that is. Each is judged by the restricted likelihood, with the
 drive of the ground estimated anew, and counts where no smooth error of the law explains the decay as well.
-
-A friction that ages evenly is not seen: amplitude and time fall together, and an exponent takes up what the
-age does. What such drifts do to the parameters follows from the map, for a budget.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from math import log
+from math import log, pi
+from typing import NamedTuple
 
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import PendulumOnBall
-from processing.errors import DataError
-from processing.fit.change_scan import EDGE, Best, Scan, adhesion_share, contact_share
-from processing.fit.exact_model import Errors, ExactModel
+from processing.fit.drifts import contact_share
+from processing.fit.exact_model import Errors
 from processing.fit.ground import Noise
-from processing.fit.law_errors import Change, ChangeKind
-from processing.fit.result import FitResult
-from processing.fit_method import FitMethod
-from processing.least_squares import covariance_of, propagate
-from processing.swing import TurningPoints
+from processing.fit.result import STEP, Change, ChangeKind, FitResult
+from processing.fit.terms import Driven, Linearised
+from processing.least_squares import Factored
+from processing.periods import mean_period
 
+_CHUNK = 64
+"""Half-cycles whose changes are computed together."""
+_EDGE = 5
+"""Half-cycles at both ends at which no change is looked for."""
+_CHANCE = 0.2
+"""Chance of a step of the friction in a run, before its data are seen."""
 _DRIVES = (1.0, 0.3, 0.1, 0.03, 0.0)
 """Drives that are tried, over the one that the law without changes needs."""
 _CERTAIN = 20.0
 """Gain in -2 ln L that a change must have beyond that of choosing among all half-cycles."""
 _MOST = 3
-_GROWN = 1e-3
-"""Relative growth of a friction by which the derivatives of its harmonics are taken."""
-
-
-DRIFTS = ("ageing", "adhesion_ageing", "drag_drift", "period_drift")
-"""What may drift evenly over a run, by the names of `RigQuantities`: the growth of the friction b, of the
-constant friction c, of the drag and of the period from the first turning point to the last, relative.
-
-They have different causes, and one that is alone moves what their sum leaves where it is."""
-
-
-def drifts_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> dict[str, Floats]:
-    """Derivatives (parameters,) of the contact parameters of an exact fit of these points by `DRIFTS`.
-
-    Parameters are those of the middle of the run. Raises DataError for another method.
-    """
-    model, columns = _model(points, pendulum, fit)
-    jacobian, drifts = _by_drifts(model, columns, fit)
-    norm = np.linalg.norm(jacobian, axis=0)
-    norm[norm == 0] = 1.0
-    moved = np.linalg.lstsq(jacobian / norm, drifts, rcond=1e-10)[0] / norm[:, None]
-    by = (model.columns.physical(columns)[1] @ moved)[: len(fit.contact_names)]
-    return dict(zip(DRIFTS, by.T, strict=True))
-
-
-def _scale(fit: FitResult) -> float:
-    return 1.0 if fit.ground is None else fit.ground.measurement_scale
-
-
-def _by_drifts(model: ExactModel, columns: Floats, fit: FitResult) -> tuple[Floats, Floats]:
-    """Derivatives of the residuals by the columns, and by `DRIFTS`."""
-    return by_drifts(model, columns, model.noise_of(fit), _scale(fit))
-
-
-def by_drifts(model: ExactModel, columns: Floats, noise: Noise, scale: float) -> tuple[Floats, Floats]:
-    """Derivatives of the residuals by the columns, and by `DRIFTS`; `scale` is that of the stated
-    uncertainties."""
-    values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
-    contact, adhesion = contact_share(model, columns), adhesion_share(model, columns)
-    lasting_s = float(model.points.time_s[-1] - model.points.time_s[0])
-
-    def of_loss(amplitude: Floats, time_s: Floats) -> Floats:
-        of_contact, of_adhesion = contact(amplitude), adhesion(amplitude)
-        parts = np.column_stack([of_contact - of_adhesion, of_adhesion, 1.0 - of_contact])
-        return np.asarray(parts * _since_middle(time_s, lasting_s)[:, None])
-
-    def slower(_: Floats, time_s: Floats) -> Floats:
-        return _since_middle(time_s, lasting_s)[:, None]
-
-    found = model.filtered(columns, noise, errors=Errors(of_loss, slower))
-    beside = model.beside(columns)[1]
-    of_waveform = np.zeros((len(beside), len(DRIFTS)))
-    waveform = model.evidence.waveform
-    if waveform is not None and model.pendulum is not None:
-        amplitude = waveform.amplitude_rad / model.reference
-        passed_s = np.interp(-amplitude, -model.points.amplitude / model.reference, model.points.time_s)
-        since = _since_middle(passed_s - model.points.time_s[0], lasting_s)[:, None]
-        here = waveform.predicted_rad(model.law, values, model.pendulum)
-        for column, name in enumerate(("b", "c")):
-            grown = values | {name: (1 + _GROWN) * values.get(name, 0.0)}
-            moved = (waveform.predicted_rad(model.law, grown, model.pendulum) - here) / _GROWN
-            reduced = waveform.reduced(since * moved)
-            of_waveform[: len(reduced), column] = reduced
-    law = len(columns)
-    jacobian = np.concatenate([found.jacobian[:, :law] / scale, beside])
-    return jacobian, np.concatenate([found.jacobian[:, law:] / scale, of_waveform])
-
-
-def _since_middle(time_s: Floats, lasting_s: float) -> Floats:
-    """From -1/2 to 1/2."""
-    return time_s / lasting_s - 0.5
-
-
-def with_drifts(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, u_drifts: Mapping[str, float]
-) -> FitResult:
-    """The fit with `DRIFTS` among its parameters, each about nought with its standard uncertainty.
-
-    What the data say of them is used: parameters move by it, linearly, and are as uncertain as the drifts
-    leave them.
-    """
-    model, columns = _model(points, pendulum, fit)
-    jacobian, drifts = _by_drifts(model, columns, fit)
-    size = np.array([u_drifts.get(name, 0.0) or 1e-12 for name in DRIFTS])
-    residuals = np.concatenate([model(columns)[0] / _scale(fit), np.zeros(len(size))])
-    known = np.column_stack([np.zeros((len(size), len(columns))), np.diag(1 / size)])
-    both = np.vstack([np.column_stack([jacobian, drifts]), known])
-    norm = np.linalg.norm(both, axis=0)
-    norm[norm == 0] = 1.0
-    change = -np.linalg.lstsq(both / norm, residuals, rcond=1e-12)[0] / norm
-    wider = covariance_of(both)[: len(columns), : len(columns)] - covariance_of(jacobian)
-    values, to_physical = model.columns.physical(columns + change[: len(columns)])
-    added = propagate(to_physical, wider)
-    before = np.ones(len(values)) if fit.widened is None else fit.widened
-    u = fit.standard_uncertainty
-    with np.errstate(invalid="ignore", divide="ignore"):
-        factor = np.nan_to_num(np.sqrt(1 + np.maximum(np.diag(added), 0.0) / u**2), nan=1.0)
-    return replace(fit, values=values, covariance=fit.covariance + added, widened=before * factor)
 
 
 def with_changes(
-    points: TurningPoints,
-    pendulum: PendulumOnBall | None,
-    fit: FitResult,
-    u_step: float,
-    explained: float = 0.0,
+    at: Linearised, u_step: float, explained: float = 0.0, fit: FitResult | None = None
 ) -> FitResult:
     """The fit with the changes during its decay, and with the uncertainty that a step of the friction leaves.
 
@@ -149,48 +48,28 @@ def with_changes(
         Standard uncertainty of the relative size of a step, if there is one.
     explained
         By how much -2 ln L is smaller with smooth errors of the law (`Misfit.against_law`).
+    fit
+        The fit near whose end this is found, where it has further terms already.
     """
-    if fit.loss != "linear":
-        return fit
-    model, columns = _model(points, pendulum, fit)
-    scans = _scans(model, columns, fit)
+    fit = at.fit if fit is None else fit
+    scans = _scans(at) if fit.loss == "linear" else []
     if not scans:
         return fit
-    added = np.zeros_like(fit.covariance)
     if u_step > 0:
-        to_physical = model.columns.physical(columns)[1]
-        added = propagate(to_physical, scans[0].hidden_friction(u_step, explained))
-    changes = _found(model, scans, explained)
-    known = np.isfinite(np.diag(fit.covariance))
-    before = np.ones(len(known)) if fit.widened is None else fit.widened
-    with np.errstate(invalid="ignore", divide="ignore"):
-        factor = np.nan_to_num(np.sqrt(1 + np.diag(added) / fit.standard_uncertainty**2), nan=1.0)
-    return replace(
-        fit,
-        changes=changes,
-        covariance=fit.covariance + np.where(np.outer(known, known), added, 0.0),
-        widened=before * factor,
-        change_covariance=added,
-        warnings=(*fit.warnings, *warnings_of(changes)),
-    )
+        fit = fit.with_term(STEP, at.to_physical @ scans[0].hidden_friction(u_step, explained))
+    changes = _found(at, scans, explained)
+    return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings_of(changes)))
 
 
-def changes_of(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, explained: float = 0.0
-) -> tuple[Change, ...]:
-    """Changes during a decay, the clearest first; none where smooth errors of the law explain it better."""
-    return with_changes(points, pendulum, fit, 0.0, explained).changes
+def _scans(at: Linearised) -> list["_Scan"]:
+    own = at.model.noise_of(at.fit)
+    step = own.step if own.step > 0 else 1e-3 * float(np.median(at.model.u_amplitude))
+    found = (_Scan.of(at, replace(own, step=share * step)) for share in _DRIVES)
+    return [scan for scan in found if scan is not None]
 
 
-def _scans(model: ExactModel, columns: Floats, fit: FitResult) -> list[Scan]:
-    own = model.noise_of(fit)
-    step = own.step if own.step > 0 else 1e-3 * float(np.median(model.u_amplitude))
-    noises = [Noise(step=share * step, averaged=own.averaged, limit=own.limit) for share in _DRIVES]
-    return [scan for scan in (Scan.of(model, columns, noise) for noise in noises) if scan is not None]
-
-
-def _found(model: ExactModel, scans: Sequence[Scan], explained: float) -> tuple[Change, ...]:
-    chance = 2 * log(3 * len(model.points))
+def _found(at: Linearised, scans: Sequence["_Scan"], explained: float) -> tuple[Change, ...]:
+    chance = 2 * log(3 * len(at.points))
     found: list[Change] = []
     before = min(scan.deviance() for scan in scans)
     for _ in range(_MOST):
@@ -198,27 +77,19 @@ def _found(model: ExactModel, scans: Sequence[Scan], explained: float) -> tuple[
         gain = before - best.deviance
         if not gain > _CERTAIN + chance or not (found or gain > _CERTAIN + chance + explained):
             break
-        found.append(_change(model, best, gain))
+        found.append(_change(at, best, gain))
         for scan in scans:
             scan.take(best)
         before = min(scan.deviance() for scan in scans)
     return tuple(found)
 
 
-def _model(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult
-) -> tuple[ExactModel, Floats]:
-    if fit.method is not FitMethod.EXACT or fit.ground is None:
-        raise DataError("what changes during a run is seen by an exact fit")
-    return ExactModel.of(points, pendulum, fit)
-
-
-def _change(model: ExactModel, best: Best, gain: float) -> Change:
-    place = best.place + EDGE
-    points = model.points
+def _change(at: Linearised, best: "_Best", gain: float) -> Change:
+    place = best.place + _EDGE
+    points = at.points
     size, u_size = best.size, best.u_size
     if best.kind is ChangeKind.KNOCK:
-        of_amplitude = model.reference / float(points.amplitude[place])
+        of_amplitude = at.model.reference / float(points.amplitude[place])
         size, u_size = size * of_amplitude, u_size * of_amplitude
     return Change(
         kind=best.kind,
@@ -233,3 +104,148 @@ def _change(model: ExactModel, best: Best, gain: float) -> Change:
 def warnings_of(changes: Sequence[Change]) -> tuple[str, ...]:
     """What is said of changes beside a fit."""
     return tuple(f"{change.text}; fit the parts before and after it on their own" for change in changes)
+
+
+class _Best(NamedTuple):
+    """The clearest change of one scan."""
+
+    kind: ChangeKind
+    place: int
+    size: float
+    u_size: float
+    deviance: float
+
+
+class _Scan:
+    """Whitened residuals for one drive, and what every change would do to them.
+
+    That is computed anew for each search, some places at a time: of a long decay all of it fills the memory.
+    """
+
+    def __init__(self, at: Linearised, noise: Noise, rows: Driven) -> None:
+        self._at, self._noise = at, noise
+        model = at.model
+        self._contact = contact_share(model, at.coordinates)
+        self._nodes, self._loss = model.losses(at.coordinates)
+        time_s = model.points.time_s - model.points.time_s[0]
+        # between the half-cycle before a place and the one at it
+        self._places_s = 0.5 * (time_s[1:] + time_s[:-1])[_EDGE - 1 : len(time_s) - _EDGE - 1]
+        self._rate = 2 * pi / mean_period(model.points)
+        self._amplitude = model.points.amplitude[_EDGE:] / model.reference
+        # the scatter of the points, by the median: a change is not to hide behind what it does
+        self._scale = max(1.0, float(np.median(np.abs(rows.residuals[: rows.points]))) / 0.6745)
+        rows = rows.in_scatter(self._scale)
+        self._law = Factored(rows.jacobian)
+        self._taken: list[Factored] = []
+        self._left = self._law.left(rows.residuals)
+        self._constant = rows.log_det + self._law.log_det
+
+    @classmethod
+    def of(cls, at: Linearised, noise: Noise) -> "_Scan | None":
+        """None where the filter has no value for this drive, or there is no place to look at."""
+        if len(at.points) <= 2 * _EDGE:
+            return None
+        rows = at.driven(noise)
+        return cls(at, noise, rows) if np.all(np.isfinite(rows.residuals)) else None
+
+    def hidden_friction(self, u_size: float, explained: float) -> Floats:
+        """Changes of the coordinates by a step of the friction that may be there and that nothing takes off.
+
+        Shape (coordinates, places), of one standard deviation each.
+
+        Its size is believed to be nought with the standard uncertainty `u_size`, its time to be any, and
+        there to be one with the chance `_CHANCE`; the data say how much of it they want, less what is
+        `explained` otherwise.
+        """
+        sizes, chances, moved = [], [], []
+        for first in range(0, len(self._places_s), _CHUNK):
+            raw = self._changes(first, _CHUNK, whole=True)[:, 1]
+            changes = self._law.left(raw)
+            power = np.einsum("rp,rp->p", changes, changes) + 1e-30
+            told = 1.0 / (1.0 / u_size**2 + power)
+            size = -told * (self._left @ changes)
+            gain = np.maximum(size**2 / told - explained, 0.0)
+            sizes.append(size**2 + told)
+            chances.append(np.exp(np.minimum(0.5 * gain, 300.0)) * np.sqrt(told) / u_size)
+            moved.append(self._law.coefficients(raw))
+        chance = np.concatenate(chances) * _CHANCE / len(self._places_s)
+        weight = np.concatenate(sizes) * chance / (np.sum(chance) + 1.0 - _CHANCE)
+        return np.asarray(np.concatenate(moved, axis=1) * np.sqrt(weight))
+
+    def _changes(self, first: int, count: int, *, whole: bool = False) -> Floats:
+        """What the kinds of change (4) do at some places to the rows that nothing explains yet; `whole`: to
+        the rows.
+
+        Shape (rows, 4, places).
+        """
+        here_s = self._places_s[first : first + count]
+
+        def of_loss(amplitude: Floats, node_s: Floats) -> Floats:
+            knock = _impulses(node_s, here_s) / np.interp(-amplitude, -self._nodes, self._loss)[:, None]
+            after = (node_s[:, None] > here_s) * self._contact(amplitude)[:, None]
+            return np.column_stack([knock, after])
+
+        def of_duration(_: Floats, node_s: Floats) -> Floats:
+            lasting = np.gradient(node_s)
+            knock = _impulses(node_s, here_s) / lasting[:, None]
+            return np.column_stack([knock, 1.0 * (node_s[:, None] > here_s)])
+
+        changes = self._at.driven(self._noise, Errors(of_loss, of_duration)).by_errors / self._scale
+        if not whole:
+            changes = self._law.left(changes)
+            for taken in self._taken:
+                changes = taken.left(changes)
+        return changes.reshape(len(changes), 4, -1)
+
+    def deviance(self) -> float:
+        """-2 ln L without any further change."""
+        return self._constant + float(self._left @ self._left)
+
+    def best(self) -> _Best:
+        """The change that explains most."""
+        out = None
+        for first in range(0, len(self._places_s), _CHUNK):
+            out = _better(out, self._best_of(first))
+        assert out is not None
+        return out
+
+    def _best_of(self, first: int) -> _Best:
+        """The same of the places from `first` on."""
+        changes = self._changes(first, _CHUNK)
+        out, now = None, self.deviance()
+        score = np.einsum("r,rkp->kp", self._left, changes)
+        power = np.einsum("rkp,rkp->kp", changes, changes) + 1e-30
+        for kind, at in ((ChangeKind.FRICTION, 1), (ChangeKind.PERIOD, 3)):
+            gains = score[at] ** 2 / power[at]
+            place = int(np.argmax(gains))
+            size, u = -score[at, place] / power[at, place], power[at, place] ** -0.5
+            out = _better(out, _Best(kind, first + place, size, u, now - float(gains[place])))
+        cross = np.einsum("rp,rp->p", changes[:, 0], changes[:, 2])
+        det = power[0] * power[2] - cross**2
+        both = score[0] ** 2 * power[2] + score[2] ** 2 * power[0] - 2 * score[0] * score[2] * cross
+        gains = np.where(det > 1e-9 * power[0] * power[2], both / np.maximum(det, 1e-300), 0.0)
+        place = int(np.argmax(gains))
+        lost = (score[0, place] * power[2, place] - score[2, place] * cross[place]) / det[place]
+        late = (score[2, place] * power[0, place] - score[0, place] * cross[place]) / det[place]
+        late *= self._rate * self._amplitude[first + place]
+        size, u = np.hypot(lost, late), np.sqrt(power[2, place] / det[place])
+        return _better(out, _Best(ChangeKind.KNOCK, first + place, size, u, now - float(gains[place])))
+
+    def take(self, best: _Best) -> None:
+        """What is left once a change is allowed for."""
+        kinds = {ChangeKind.FRICTION: [1], ChangeKind.PERIOD: [3], ChangeKind.KNOCK: [0, 2]}[best.kind]
+        own = Factored(self._changes(best.place, 1)[:, kinds, 0])
+        self._left = own.left(self._left)
+        self._taken.append(own)
+
+
+def _better(one: _Best | None, other: _Best) -> _Best:
+    return other if one is None or other.deviance < one.deviance else one
+
+
+def _impulses(node_s: Floats, at_s: Floats) -> Floats:
+    """Ones (nodes, places) at the half-swing in which each time lies."""
+    node = np.clip(np.searchsorted(node_s, at_s), 0, len(node_s) - 1)
+    out = np.zeros((len(node_s), len(at_s)))
+    out[node, np.arange(len(at_s))] = 1.0
+    return out

@@ -7,7 +7,7 @@ import numpy as np
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.fit.ground import Ground
-from processing.fit.whiteness import Whiteness
+from processing.fit.result import Whiteness
 from processing.number_text import plain
 from processing.swing import TurningPoints
 

@@ -271,13 +271,7 @@ def profile_likelihood(
 
 def _widened(result: FitResult, name: str) -> float:
     """By how many times a standard uncertainty is larger than the likelihood says."""
-    at = result.names.index(name)
-    factor = 1.0 if result.widened is None else float(result.widened[at])
-    if result.place_covariance is not None:
-        whole, of_place = float(result.covariance[at, at]), float(result.place_covariance[at, at])
-        if np.isfinite(whole) and whole > of_place:
-            factor *= float(np.sqrt(whole / (whole - of_place)))
-    return factor
+    return 1.0 if result.widened is None else float(result.widened[result.names.index(name)])
 
 
 def _refitted(

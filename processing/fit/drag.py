@@ -1,20 +1,25 @@
-"""What a decay says of a linear drag, beside what is known of the air."""
+"""What a decay says of the air: a linear drag, and one that grows with the 3/2 power of the speed.
+
+The latter is a boundary layer's. It takes ``I A^1.5`` from the amplitude in a half-swing, I the integral of
+``sin^2.5``, and within the swing it makes a small third harmonic, which the exact path of the moment gives.
+"""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from math import inf, isnan, nan, sqrt
+from math import gamma, inf, isnan, nan, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import fdtrc, stdtrit
 
-from processing.contact import ExpectedDrag, PendulumOnBall
+from processing.contact import STEEPER_DRAG, ExpectedDrag, PendulumOnBall
 from processing.contact.laws import DRAG
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.determination import profile_likelihood
 from processing.fit.exact import fit_exact, fit_exact_with
-from processing.fit.result import FitResult
+from processing.fit.result import STEEPER, FitResult, SteeperDrag
+from processing.fit.terms import Linearised, Term
 from processing.fit_method import FitMethod
 from processing.number_text import plain, with_uncertainty
 from processing.swing import TurningPoints
@@ -25,6 +30,10 @@ _ALIKE = 0.2
 """Difference of two tests of the drag, by curvature and by likelihood, above which chi2 is no parabola."""
 _TWO_SIDED = 0.90
 """Coverage of an interval whose upper end is a bound of 95 %."""
+_UNIT = 1e-3
+"""Size of the step over the weight's moment at the reference amplitude: that of air and friction."""
+_LOST = sqrt(pi) * gamma(1.75) / gamma(2.25)
+"""The integral of ``sin^2.5`` over half a swing."""
 
 
 class DragFinding(StrEnum):
@@ -177,3 +186,55 @@ def _finding(alone: FitResult, reported: FitResult, test: _Test) -> DragFinding:
     u_b = reported.estimate(reported.contact_names[0]).standard_uncertainty
     # along a curved valley b moves by more than the slope at its bottom says
     return DragFinding.UNSEEN if test.parabolic and moved < u_b else DragFinding.OPEN
+
+
+def steeper_drag(at: Linearised) -> SteeperDrag:
+    """What an exact fit with a linear drag leaves of a steeper one.
+
+    Raises DataError where the law predicts no waveform.
+    """
+    fit = at.fit
+    period0_s, period_s = fit.estimate("period0_s").value, fit.mean_period_s.value
+    rate = 2 * pi / period0_s
+    per_unit = _UNIT / (at.model.reference**0.5 * rate**1.5)
+    # a softer pendulum is slower by the root of its stiffness
+    lost = _UNIT * _LOST * sqrt(period_s / period0_s)
+    more = at.by_loss(lambda x: np.asarray(lost * np.maximum(x, 0.0) ** 1.5), {STEEPER_DRAG: per_unit})
+    found = at.solved(Term(STEEPER, more))
+    # as the parameters of the fit are: by the scatter about it, and by what widened them
+    scatter = sqrt(max(1.0, fit.chi2_per_dof)) if fit.loss == "linear" else 1.0
+    widened = 1.0 if fit.widened is None else float(np.max(fit.widened))
+    u = sqrt(found.covariance[0, 0]) * widened * scatter / at.scale
+    if not 0 < u < inf:
+        return SteeperDrag()
+    moved = at.to_physical @ found.moved
+    value, drag_s = float(found.values[0]), fit.estimate(DRAG.key).value
+    first = float(at.points.amplitude[0]) * rate
+    return SteeperDrag(
+        steeper=Estimate(value * per_unit, u * per_unit),
+        p_value=float(fdtrc(1, fit.dof, (value / u) ** 2)),
+        share=_share(value * per_unit * first**0.5, drag_s),
+        relative_shift_b=float(moved[0] / fit.values[0]),
+        shift_drag_s=float(moved[fit.names.index(DRAG.key)]),
+        shift=tuple(moved.tolist()),
+    )
+
+
+def with_steeper_drag(fit: FitResult, found: SteeperDrag) -> FitResult:
+    """The fit with what it was found to leave; where that is seen, uncertainties hold its effect.
+
+    The values stay, and curves with them: the step is right to some tenths of itself.
+    """
+    if not found.seen:
+        return replace(fit, steeper=found)
+    percent = float(f"{100 * found.relative_shift_b:.3g}")
+    said = (
+        f"a drag with the 3/2 power of the speed is in the data (chance without: {plain(found.p_value, 1)}); "
+        f"with it b changes by {percent:+g} %, which its uncertainty covers"
+    )
+    return fit.with_term(STEEPER, np.array(found.shift)[:, None], said, steeper=found)
+
+
+def _share(steeper_s: float, drag_s: float) -> float:
+    """Ratio of the works in a swing: the integrals of ``sin^2.5`` and ``sin^2`` over half of one."""
+    return _LOST * steeper_s / (0.5 * pi * drag_s) if drag_s else nan

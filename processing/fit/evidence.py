@@ -18,6 +18,7 @@ from processing.arrays import Floats
 from processing.contact import DRAG, Law, PendulumOnBall, law_harmonics
 from processing.estimate import Estimate
 from processing.fit.known_drive import KnownDrive
+from processing.least_squares import Factored
 from processing.swing import ORDERS, SwingHarmonics
 
 WAVEFORM, AIR = "waveform", "air"
@@ -142,7 +143,7 @@ def _left(amplitude: Floats, sine: Floats) -> Floats:
     x = np.log(amplitude)
     x = (x - x.mean()) / max(float(np.ptp(x)), 1e-9)
     terms = amplitude[:, None] * x[:, None] ** np.arange(3)
-    return np.asarray(sine - terms @ np.linalg.lstsq(terms, sine, rcond=None)[0])
+    return Factored(terms).left(sine)
 
 
 def _whole_scatter(amplitude: Floats, sine: Floats, whitening: Floats) -> Floats:

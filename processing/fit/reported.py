@@ -1,19 +1,19 @@
-"""Reported quantities, computed from the fitted parameters and the rig's input quantities."""
+"""Reported quantities, computed from the fitted parameters and the rig's input quantities (GUM type B)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import pi
+from math import inf, pi
 from typing import Annotated
 
 import numpy as np
 
 from processing.arrays import Floats
+from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material, PendulumOnBall, contact_radius
 from processing.contact.laws import DRAG, PAPER
 from processing.derived import Derived
-from processing.errors import DataError
+from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
-from processing.fit.apparatus import RigQuantities
-from processing.fit.result import FitResult
+from processing.fit.result import FitResult, part_of
 from processing.quantity import Quantity, quantities_of
 from processing.units import in_ascii
 
@@ -22,6 +22,147 @@ OUTPUTS: Mapping[str, str] = {
     **{name: declared.unit for name, declared in quantities_of(Derived).items()},
 }
 """Reported quantities and their units; `drag_s` (s) is added if it was fitted."""
+
+
+@dataclass(frozen=True, slots=True)
+class InputQuantity:
+    """An input quantity that the fit takes as known: value and standard uncertainty.
+
+    A rectangular distribution of half-width h has the standard uncertainty h/sqrt(3). `dof` are the degrees
+    of freedom of an uncertainty that was itself estimated from some readings.
+    """
+
+    value: float
+    u: float = 0.0
+    dof: float = inf
+
+    def __post_init__(self) -> None:
+        if not self.u >= 0:
+            raise ConfigurationError(
+                f"standard uncertainty {self.u} of the value {self.value}: it must not be negative"
+            )
+
+
+@dataclass(frozen=True)
+class RigQuantities:
+    """All input quantities of the results other than the swings (GUM type B).
+
+    `arm_m` and `pitch_m` are the values with which pixels were converted into angles; they contribute by
+    their relative uncertainties, as does `clock`, true seconds per second of the camera's clock.
+    `slow_angle_rad` and `non_orthogonality_rad` are the directions of the pendulum's axes on the sensor.
+    `fast_ratio` is the ratio of the fast to the slow mode's amplitude; if the directions are wrong, the fast
+    mode contributes to the slow deflection. `skew` is that of the lever: a wrong one changes the scale where
+    the pendulum rests, at the tilt `rest_rad` from the lever's reference. `balls` is the number of balls that
+    carry the weight, 1 or 2. `row_time_s` is that of a rolling shutter, 0 if it is not one.
+    `ageing`, `adhesion_ageing`, `drag_drift` and `period_drift` are the relative growth over a run of the
+    friction b, of c, of the drag and of the period, all nought as the fit has it. `common_amplitude_rad` is
+    what all amplitudes are too small by, nought as well: the compression of a film takes as much from each.
+    `plane_of_swing_rad` is the error of the angle by which a decay was turned back whose plane of swing
+    turned, nought as well. `contact_radius_m` is a stated radius of the contact in the place of Hertz's: the
+    materials are then not used, and the load does not change it.
+    """
+
+    mass_kg: InputQuantity
+    ball_radius_m: InputQuantity
+    ball: Material
+    flat: Material
+    arm_m: InputQuantity
+    pitch_m: InputQuantity
+    gravity_m_per_s2: InputQuantity = InputQuantity(STANDARD_GRAVITY_M_PER_S2)
+    clock: InputQuantity = InputQuantity(1.0)
+    slow_angle_rad: InputQuantity = InputQuantity(0.0)
+    non_orthogonality_rad: InputQuantity = InputQuantity(0.0)
+    fast_ratio: float = 0.0
+    skew: InputQuantity = InputQuantity(0.0)
+    rest_rad: float = 0.0
+    contact_radius_m: InputQuantity | None = None
+    balls: int = 1
+    row_time_s: InputQuantity = InputQuantity(0.0)
+    ageing: InputQuantity = InputQuantity(0.0)
+    adhesion_ageing: InputQuantity = InputQuantity(0.0)
+    drag_drift: InputQuantity = InputQuantity(0.0)
+    period_drift: InputQuantity = InputQuantity(0.0)
+    common_amplitude_rad: InputQuantity = InputQuantity(0.0)
+    plane_of_swing_rad: InputQuantity = InputQuantity(0.0)
+
+    def __post_init__(self) -> None:
+        for name in ("mass_kg", "ball_radius_m", "arm_m", "pitch_m", "gravity_m_per_s2", "clock"):
+            value = getattr(self, name).value
+            if not value > 0:
+                raise ConfigurationError(f"{name} = {value}: it must be positive")
+        if self.balls not in (1, 2):
+            raise ConfigurationError(f"balls = {self.balls}: a pendulum stands on 1 or 2")
+
+    def inputs(self) -> dict[str, InputQuantity]:
+        """All inputs by name; if both bodies are of the same material, it is listed once."""
+        found = {
+            "mass_kg": self.mass_kg,
+            "ball_radius_m": self.ball_radius_m,
+            "gravity_m_per_s2": self.gravity_m_per_s2,
+            "arm_m": self.arm_m,
+            "pitch_m": self.pitch_m,
+            "clock": self.clock,
+        }
+        if self.contact_radius_m is not None:
+            found["contact_radius_m"] = self.contact_radius_m
+        else:
+            found |= _elastic("flat", self.flat)
+            if self.ball != self.flat:
+                found |= _elastic("ball", self.ball)
+        found["slow_angle_rad"] = self.slow_angle_rad
+        found["non_orthogonality_rad"] = self.non_orthogonality_rad
+        found["skew"] = self.skew
+        found["row_time_s"] = self.row_time_s
+        found["ageing"] = self.ageing
+        found["period_drift"] = self.period_drift
+        found["common_amplitude_rad"] = self.common_amplitude_rad
+        found["plane_of_swing_rad"] = self.plane_of_swing_rad
+        found["adhesion_ageing"] = self.adhesion_ageing
+        found["drag_drift"] = self.drag_drift
+        return found
+
+    def skewed_scale(self, skew: Floats) -> Floats:
+        """Ratio of true tilts about the rest position to the measured ones, for true skews (n,).
+
+        The spot moves by ``t + skew t^2`` for a tilt with the tangent t of its double; its derivative at rest
+        is ``1 + 2 skew t``. The second harmonic that a skew adds to a swing moves the fitted centre and
+        neither its amplitude nor its turning points.
+        """
+        tangent = np.tan(2.0 * self.rest_rad)
+        return np.asarray((1 + 2 * self.skew.value * tangent) / (1 + 2 * skew * tangent), dtype=np.float64)
+
+    def seen_slow_tilt(self, slow_angle_rad: Floats, non_orthogonality_rad: Floats) -> Floats:
+        """Ratio of the slow tilt measured with the assumed axes to the true one, for true axis directions
+        (n,).
+
+        If the slow axis is wrong by d and the angle between the axes by e, a motion of amplitude A along the
+        slow axis and r A along the fast axis is measured along the assumed slow axis as
+        ``A (cos d + sin d tan q) - r A sin(d + e) / cos q``, with the assumed non-orthogonality q. The sign
+        of the fast mode's contribution varies from one turning point to another; using one sign gives an
+        upper limit.
+        """
+        assumed = self.non_orthogonality_rad.value
+        off = slow_angle_rad - self.slow_angle_rad.value
+        apart = non_orthogonality_rad - assumed
+        cross_talk = self.fast_ratio * np.sin(off + apart) / np.cos(assumed)
+        return np.asarray(np.cos(off) + np.sin(off) * np.tan(assumed) - cross_talk, dtype=np.float64)
+
+    def pendulum(self) -> PendulumOnBall:
+        """The pendulum for the fits, from the values; with two balls, half of the mass."""
+        mass = self.mass_kg.value / self.balls
+        force = mass * self.gravity_m_per_s2.value
+        if self.contact_radius_m is not None:
+            radius = self.contact_radius_m.value
+        else:
+            radius = contact_radius(force, self.ball_radius_m.value, self.ball, self.flat)
+        return PendulumOnBall(mass, self.ball_radius_m.value, radius, self.gravity_m_per_s2.value)
+
+
+def _elastic(body: str, material: Material) -> dict[str, InputQuantity]:
+    return {
+        f"{body}_youngs_modulus_pa": InputQuantity(material.youngs_modulus_pa, material.u_youngs_modulus_pa),
+        f"{body}_poisson_ratio": InputQuantity(material.poisson_ratio, material.u_poisson_ratio),
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,14 +180,9 @@ class FittedContact:
     """Fitted contact parameters with their type A covariance, from one fit or from a series.
 
     `names` are the six contact parameters and, if fitted, the drag. `dof` is the number of degrees of
-    freedom of the covariance. `reading_covariance` is the part of it that remains on ground at rest,
-    `place_covariance` the part of both that errors of position leave, `misfit_covariance` the part of it that
-    the distance between law and data leaves, `change_covariance` that of a step during the run; None where
-    they are not known.
-    `by_air` is the change of the values for one standard uncertainty of what is known of the air, None where
-    nothing is. `by_row_time` and `by_common_amplitude` are derivatives by the shutter's row time and by an
-    error of all amplitudes; None where they are not known or not needed; `by_drifts` those by what drifts
-    over a run, by the names of `RigQuantities`.
+    freedom of the covariance, and `terms` are what it is made of, as `FitResult` has them. `by_log_rho` are
+    the derivatives by ln(R/a), and `by_inputs` those by what else the fit takes as known, by the names of
+    `RigQuantities`: the row time of a shutter, an error of all amplitudes, what drifts over a run.
     """
 
     names: tuple[str, ...]
@@ -55,14 +191,12 @@ class FittedContact:
     dof: float
     by_log_rho: Floats
     reference_rad: float
-    reading_covariance: Floats | None = None
-    by_row_time: Floats | None = None
-    place_covariance: Floats | None = None
-    misfit_covariance: Floats | None = None
-    change_covariance: Floats | None = None
-    by_drifts: Mapping[str, Floats] = field(default_factory=dict)
-    by_air: Floats | None = None
-    by_common_amplitude: Floats | None = None
+    terms: Mapping[str, Floats] = field(default_factory=dict)
+    by_inputs: Mapping[str, Floats] = field(default_factory=dict)
+
+    def part(self, *names: str) -> Floats:
+        """Covariance of the values by some terms."""
+        return part_of(self.terms, len(self.names), *names)
 
 
 def fitted_contact(result: FitResult) -> FittedContact:
@@ -81,11 +215,7 @@ def fitted_contact(result: FitResult) -> FittedContact:
         float(result.dof),
         result.by_log_rho[at],
         result.reference_rad,
-        None if result.reading_covariance is None else result.reading_covariance[within],
-        place_covariance=None if result.place_covariance is None else result.place_covariance[within],
-        misfit_covariance=None if result.misfit_covariance is None else result.misfit_covariance[within],
-        change_covariance=None if result.change_covariance is None else result.change_covariance[within],
-        by_air=None if result.by_air is None else result.by_air[at],
+        {name: by[at] for name, by in result.terms.items()},
     )
 
 
@@ -130,12 +260,9 @@ def reported_quantities(
     nominal_rho = nominal.ball_radius_m / nominal.contact_radius_m
     bent = np.log(radius / a / nominal_rho * scale)
     moved = values + found.by_log_rho[:, None] * bent
-    if found.by_row_time is not None:
-        moved = moved + found.by_row_time[:, None] * (inputs["row_time_s"] - rig.row_time_s.value)
-    if found.by_common_amplitude is not None:
-        moved = moved + found.by_common_amplitude[:, None] * inputs["common_amplitude_rad"]
-    for name, slope in found.by_drifts.items():
-        moved = moved + slope[:, None] * inputs[name]
+    assumed = rig.inputs()
+    for name, slope in found.by_inputs.items():
+        moved = moved + slope[:, None] * (inputs[name] - assumed[name].value)
     b, p, c, n, period0, gamma = moved[:6]
     nominal_force = nominal.mass_kg * nominal.gravity_m_per_s2
     out = {

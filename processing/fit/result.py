@@ -1,9 +1,10 @@
 """Result of a fit: values, covariance, goodness of fit, outliers, warnings."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from math import nan
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -15,12 +16,142 @@ from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import Ground, GroundFit
-from processing.fit.law_errors import Change, Misfit
-from processing.fit.steeper import SteeperDrag
-from processing.fit.whiteness import Whiteness
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss
 from processing.quantity import PLAIN, Quantity
+
+READING = "swings"
+"""Name of a term: the measurement of the turning points, on ground at rest."""
+PLACE = "position_errors"
+"""Name of another: errors of position that are fixed on the sensor, as their correction leaves them."""
+MISFIT = "misfit"
+"""Name of another: how far the law lies from the decay."""
+STEP = "friction_step"
+"""Name of another: a step of the friction during the run that may be there."""
+FITTED_DRIFTS = "drifts"
+"""Name of another: drifts of contact, air and period that were fitted about zero."""
+STEEPER = "steeper_drag"
+"""Name of another: a drag with the 3/2 power of the speed that the data ask for."""
+
+MISFIT_SEEN = 10.0
+"""Difference of -2 ln L from a law without errors above which they are seen: chance about 0.3 %."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Misfit:
+    """How far a law lies from a decay.
+
+    Attributes
+    ----------
+    loss, duration, waveform
+        Relative standard deviations of the errors of the law's losses, durations and harmonics; 0 where they
+        are not seen.
+    against_law
+        Increase of -2 ln L for the law without errors.
+    widened
+        Factor by which the uncertainty of each parameter grew, by its name; empty where nothing is seen.
+    """
+
+    loss: float = 0.0
+    duration: float = 0.0
+    waveform: float = 0.0
+    against_law: float = 0.0
+    widened: Annotated[Mapping[str, float], PLAIN] = field(default_factory=dict)
+
+    @property
+    def seen(self) -> bool:
+        return self.against_law > MISFIT_SEEN
+
+
+class ChangeKind(StrEnum):
+    """What changed during a run."""
+
+    KNOCK = "knock"
+    FRICTION = "friction"
+    PERIOD = "period"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """One change during a run.
+
+    `time_s` is on the clock of the turning points, `half_cycle` the index of the first one after it. `size`
+    is relative, of a knock to the amplitude whatever its phase; `gain` is by how much -2 ln L is smaller
+    with it.
+    """
+
+    kind: ChangeKind
+    half_cycle: int
+    time_s: Annotated[float, Quantity("", "when it happened", unit="s")]
+    size: float
+    u_size: float
+    gain: float
+
+    @property
+    def text(self) -> str:
+        """In one line."""
+        # no power of ten above 100 %
+        percent, u = float(f"{100 * self.size:.2g}"), float(f"{100 * self.u_size:.1g}")
+        what = {
+            ChangeKind.KNOCK: f"a knock moves the swing by {percent:g} ± {u:g} % of its amplitude",
+            ChangeKind.FRICTION: f"the friction changes by {percent:+g} ± {u:g} %: the contact slipped "
+            "or was touched",
+            ChangeKind.PERIOD: f"the period changes by {percent:+g} ± {u:g} %: something shifted",
+        }[self.kind]
+        return f"at half-cycle {self.half_cycle} ({self.time_s:.0f} s on the clock of the data) {what}"
+
+
+_SIGNIFICANT = 0.003
+"""Chance of three standard deviations to either side."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SteeperDrag:
+    """The moment ``-m g R steeper |phi'|^0.5 phi'`` beside what was fitted.
+
+    `share` is its loss over that of the linear drag at the first amplitude, `p_value` the probability of so
+    large a value without it. `relative_shift_b` and `shift_drag_s` are the changes of b and of the linear
+    drag with it, `shift` those of all values of the fit, in their order.
+    """
+
+    steeper: Annotated[Estimate, Quantity("drag 3/2", "drag with the 3/2 power", unit="s^1.5")] = (
+        NOT_DETERMINED
+    )
+    p_value: float = nan
+    share: float = nan
+    relative_shift_b: float = nan
+    shift_drag_s: float = nan
+    shift: Annotated[tuple[float, ...], PLAIN] = ()
+
+    @property
+    def seen(self) -> bool:
+        """Whether the data ask for it."""
+        return self.p_value < _SIGNIFICANT
+
+
+CORRELATED = 0.001
+"""Chance below which the residuals of amplitudes or times are called correlated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Whiteness:
+    """Test of Ljung and Box on the residuals of amplitudes and of times, in the order of the half-cycles.
+
+    `p_amplitude` and `p_time` are the chances of autocorrelations at least as large in pure noise, over
+    `lags` neighbours, and `first_amplitude`, `first_time` the correlations of next neighbours. `widened`
+    is the largest factor by which correlation enlarged a standard uncertainty of the fit.
+    """
+
+    lags: int = 0
+    p_amplitude: float = nan
+    p_time: float = nan
+    first_amplitude: float = nan
+    first_time: float = nan
+    widened: float = 1.0
+
+    @property
+    def correlated(self) -> bool:
+        return min(self.p_amplitude, self.p_time) < CORRELATED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,23 +231,12 @@ class FitResult(FitQuality):
         Number of turning points fitted, counted from the first; 0 if it is not known.
     ground
         As `FitQuality` has it, with its likelihood.
-    reading_covariance
-        What the covariance would be on ground at rest: by the measurement of the turning points alone.
-    widened
-        By how many times every standard uncertainty is larger than the likelihood at the likeliest noise
-        says: for noise that is not well known, and for correlated residuals. None: once.
-    place_covariance
-        Part of the covariance, and of `reading_covariance`, that errors of position fixed on the sensor
-        leave; None where none were found.
-    misfit_covariance
-        Part of the covariance that the distance between law and data leaves; None where none is seen.
-    change_covariance
-        Part of it that a step of the friction during the run may leave; None where none was looked for.
+    terms
+        What the covariance is made of, as far as it has a name: of each term the changes (values, m) of the
+        values for one standard uncertainty of each of its m independent coordinates, infinite where nothing
+        determines them. What no term names is the drive's of the ground.
     evidence
         What restrained the fit beside the turning points.
-    by_air
-        Change of the values for one standard uncertainty of what is known of the drag beside the decay, which
-        the runs of a rig share; None where nothing is.
     """
 
     method: FitMethod
@@ -130,13 +250,9 @@ class FitResult(FitQuality):
     cost: float
     half_cycles: int = 0
     ground: GroundFit | None = None
-    reading_covariance: Floats | None = None
     widened: Floats | None = None
-    place_covariance: Floats | None = None
-    misfit_covariance: Floats | None = None
-    change_covariance: Floats | None = None
+    terms: Mapping[str, Floats] = field(default_factory=dict)
     evidence: Evidence = NO_EVIDENCE
-    by_air: Floats | None = None
 
     @property
     def dof(self) -> int:
@@ -145,6 +261,42 @@ class FitResult(FitQuality):
     @property
     def standard_uncertainty(self) -> Floats:
         return np.sqrt(np.diag(self.covariance))
+
+    def part(self, *names: str) -> Floats:
+        """Covariance of the values by some terms; nothing where the fit has none of them."""
+        return part_of(self.terms, len(self.names), *names)
+
+    def with_term(self, name: str, by: Floats, *warnings: str, **said: Any) -> "FitResult":
+        """The fit with one term more: covariance and table hold it, and `said` are fields of `FitQuality`.
+
+        `by` are changes as `terms` has them; where a value is not determined it remains so.
+        """
+        wide = by.shape[1] > len(self.names)
+        if wide:
+            # as many coordinates as there are values say the same
+            by = np.asarray(np.linalg.qr(by.T)[1].T, dtype=np.float64)
+        known = np.isfinite(np.diag(self.covariance))
+        added = np.where(np.outer(known, known), by @ by.T, 0.0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            factor = np.nan_to_num(np.sqrt(1.0 + np.diag(added) / self.standard_uncertainty**2), nan=1.0)
+        return replace(
+            self,
+            covariance=self.covariance + added,
+            widened=factor if self.widened is None else self.widened * factor,
+            terms={**self.terms, name: by},
+            warnings=(*self.warnings, *warnings),
+            **said,
+        )
+
+    def with_terms_of(self, other: "FitResult", *names: str) -> "FitResult":
+        """Another fit of the same law to the same points with some terms that this one has not."""
+        out, rows = self, [other.names.index(name) for name in self.names if name in other.names]
+        for term in names:
+            if term in other.terms:
+                by = np.zeros((len(self.names), other.terms[term].shape[1]))
+                by[[name in other.names for name in self.names]] = other.terms[term][rows]
+                out = out.with_term(term, by)
+        return out
 
     @property
     def correlation(self) -> Floats:
@@ -202,3 +354,26 @@ class FitResult(FitQuality):
 
     def estimates(self) -> dict[str, Estimate]:
         return {name: self.estimate(name) for name in self.names}
+
+
+def part_of(terms: Mapping[str, Floats], count: int, *names: str) -> Floats:
+    """Covariance (count, count) of values by some of their terms."""
+    out = np.zeros((count, count))
+    for by in (terms[name] for name in names if name in terms):
+        blind = ~np.isfinite(by.sum(axis=1))
+        known = np.where(blind[:, None], 0.0, by)
+        out += known @ known.T
+        out[blind, blind] = np.inf
+    return out
+
+
+def changes_of(covariance: Floats) -> Floats:
+    """Independent changes (values, m) that have a covariance; infinite where that is."""
+    size: Floats = np.sqrt(np.diag(covariance))
+    known = [i for i, one in enumerate(size.tolist()) if 0 < one < np.inf]
+    out = np.zeros((len(size), max(1, len(known))))
+    correlation = covariance[np.ix_(known, known)] / np.outer(size[known], size[known])
+    variance, directions = np.linalg.eigh(correlation)
+    out[known, : len(variance)] = size[known, None] * directions * np.sqrt(np.maximum(variance, 0.0))
+    out[~np.isfinite(size)] = np.inf
+    return out

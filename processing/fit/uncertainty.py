@@ -10,22 +10,19 @@ from scipy.special import stdtrit
 
 from processing.arrays import Floats
 from processing.contact.laws import DRAG
-from processing.fit.apparatus import InputQuantity, RigQuantities
-from processing.fit.reported import OUTPUTS, FittedContact, reported_quantities
+from processing.fit.evidence import AIR
+from processing.fit.reported import (
+    OUTPUTS,
+    FittedContact,
+    InputQuantity,
+    RigQuantities,
+    reported_quantities,
+)
+from processing.fit.result import READING
 from processing.quantity import OF, OWN, PART, PER, Quantity
 
-FIT = "swings"
-"""Name of a type A source: the fit's covariance, or that of a series of runs."""
 GROUND = "ground"
-"""Name of that part of the fit's uncertainty which the ground's drive adds to the reading of the swings."""
-MISFIT = "misfit"
-"""Name of that part which the distance between the law and the decay leaves."""
-PLACE = "position_errors"
-"""Name of that part which errors of position that are fixed on the sensor leave after their correction."""
-STEP = "friction_step"
-"""Name of that part which a step of the friction during the run may leave."""
-AIR_DRAG = "air"
-"""Name of that part of it which is due to what is known of the air's drag beside the decay."""
+"""Name of what no term of a fit explains of its uncertainty: the ground's drive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +64,7 @@ class Budget:
     @property
     def of_apparatus(self) -> float:
         """What the stated sources beside the decay contribute; the air is known with the swings."""
-        return hypot(
-            *(one.contribution for one in self.sources if one.type == "B" and one.source != AIR_DRAG)
-        )
+        return hypot(*(one.contribution for one in self.sources if one.type == "B" and one.source != AIR))
 
     def shares_only(self) -> "Budget":
         """Without numbers that a value with a standard uncertainty would need, but with their shares."""
@@ -203,28 +198,14 @@ def _budget(
     if type_a > 0:
         own = found.names.index(name) if name in found.names else None
         u_own = sqrt(found.covariance[own, own]) if own is not None else float("nan")
-        misfit = min(_of(found.misfit_covariance, by_value), type_a) if isfinite(type_a) else 0.0
-        step = min(_of(found.change_covariance, by_value), sqrt(max(type_a**2 - misfit**2, 0.0)))
-        step = step if isfinite(type_a) else 0.0
-        described = sqrt(max(type_a**2 - misfit**2 - step**2, 0.0)) if misfit or step else type_a
-        reading = _reading(found, by_value, described)
-        ground = sqrt(described**2 - reading**2) if isfinite(type_a) else 0.0
-        place = min(_of(found.place_covariance, by_value), reading) if isfinite(type_a) else 0.0
-        own_reading = sqrt(reading**2 - place**2) if place else reading
-        air = 0.0 if found.by_air is None else min(abs(float(by_value @ found.by_air)), described)
+        of_terms, air = _by_term(found, by_value, type_a)
         of_data = sqrt(1 - (air / type_a) ** 2) if isfinite(type_a) else 1.0
-        for source, part in (
-            (FIT, own_reading),
-            (GROUND, ground),
-            (PLACE, place),
-            (MISFIT, misfit),
-            (STEP, step),
-        ):
+        for source, part in of_terms.items():
             if part * of_data > 0:
                 share = part * of_data / type_a if isfinite(type_a) else 1.0
                 parts.append((source, "A", u_own * share, float("nan"), part * of_data))
         if air > 0 and isfinite(type_a):
-            parts.append((AIR_DRAG, "B", u_own * air / type_a, float("nan"), air))
+            parts.append((AIR, "B", u_own * air / type_a, float("nan"), air))
             type_a *= of_data
     inputs = rig.inputs()
     for source, slope in by_input.items():
@@ -236,25 +217,31 @@ def _budget(
     return budget_of(unit, value, parts, estimated)
 
 
+def _by_term(found: FittedContact, by_value: Floats, type_a: float) -> tuple[dict[str, float], float]:
+    """A type A uncertainty by the terms of the fit, and what of it the air has; no more than there is."""
+    if not isfinite(type_a):
+        return {READING: type_a}, 0.0
+    parts, left = {}, type_a**2
+    for name in found.terms:
+        if name not in (READING, AIR):
+            parts[name] = min(_of(found.part(name), by_value), sqrt(left))
+            left = max(left - parts[name] ** 2, 0.0)
+    described = sqrt(left)
+    reading = _of(found.part(READING), by_value) if READING in found.terms else described
+    # equal but for rounding
+    reading = reading if reading < 0.999 * described else described
+    ground = sqrt(max(left - reading**2, 0.0))
+    air = min(_of(found.part(AIR), by_value), described)
+    return {READING: reading, GROUND: ground, **parts}, air
+
+
 def _type_a(found: FittedContact, by_value: Floats) -> float:
     """Standard uncertainty by the fit; infinite where a parameter of which nothing is known has a part."""
     blind = ~np.isfinite(np.diag(found.covariance))
-    known = np.where(np.outer(~blind, ~blind), found.covariance, 0.0)
-    return inf if np.any(by_value[blind] != 0) else _of(known, by_value)
+    return inf if np.any(by_value[blind] != 0) else _of(found.covariance, by_value)
 
 
-def _of(covariance: Floats | None, by_value: Floats) -> float:
-    """Standard uncertainty by a covariance of the values; 0 without one."""
-    if covariance is None:
-        return 0.0
+def _of(covariance: Floats, by_value: Floats) -> float:
+    """Standard uncertainty by what is known of a covariance of the values."""
     known = np.where(np.isfinite(covariance), covariance, 0.0)
     return sqrt(max(float(by_value @ known @ by_value), 0.0))
-
-
-def _reading(found: FittedContact, by_value: Floats, type_a: float) -> float:
-    """What of a type A uncertainty remains on ground at rest; all of it where that is not known."""
-    if found.reading_covariance is None or not isfinite(type_a):
-        return type_a
-    reading = _of(found.reading_covariance, by_value)
-    # equal but for rounding
-    return reading if reading < 0.999 * type_a else type_a

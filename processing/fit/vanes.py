@@ -22,6 +22,8 @@ from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
+from processing.fit.terms import Term
+from processing.fit.terms import solve as solve_terms
 from processing.fit_method import FitMethod
 from processing.least_squares import covariance_of, solve
 from processing.swing import TurningPoints
@@ -272,11 +274,9 @@ def _drag_of(shared: _Shared, values: Floats, number: int) -> tuple[Estimate, fl
     # the derivative by d0 (or by d0's multiple) is that by the run's drag
     of_drag = _derivative_by_drag(shared, values, number, by_drag)
     own = by[:, shared.ends[number] : shared.ends[number + 1]]
-    design = np.column_stack([of_drag, own])
-    norm = np.linalg.norm(design, axis=0)
-    covariance = np.linalg.inv((design / norm).T @ (design / norm)) / np.outer(norm, norm)
-    off = float(-(covariance @ (design.T @ residuals))[0])
-    return Estimate(on_line + off, float(np.sqrt(covariance[0, 0]))), off
+    found = solve_terms(residuals, own, [Term("drag", of_drag)])
+    off = float(found.values[0])
+    return Estimate(on_line + off, float(np.sqrt(found.covariance[0, 0]))), off
 
 
 def _derivative_by_drag(shared: _Shared, values: Floats, number: int, by_drag: Floats) -> Floats:

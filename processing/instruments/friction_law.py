@@ -23,6 +23,7 @@ from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.kernel import kernel
+from processing.least_squares import differenced, solve
 from processing.swing import TurningPoints
 
 _FEWEST = 6
@@ -79,8 +80,6 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
     Raises DataError for fewer than six turning points, for amplitudes that do not fall, or if the data do not
     determine the law.
     """
-    from scipy.optimize import least_squares
-
     if len(points) < _FEWEST:
         raise DataError(
             f"{len(points)} usable turning points, at least {_FEWEST} are needed for a law of friction"
@@ -95,25 +94,21 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
     def residuals(x: Floats) -> Floats:
         return (_decay(x[0], x[1], x[2], reference, steps) - amplitude) / points.u_amplitude
 
-    bounds = ([-np.inf, -np.inf, -0.9], [math.log(math.pi), 0.0, 6.0])
-    found = least_squares(
-        residuals, start, bounds=bounds, x_scale=[1e-3, 1e-2, 0.1], xtol=1e-12, ftol=1e-12, gtol=1e-12
-    )
-    chi2_per_dof = float(2 * found.cost) / (len(points) - 3)
-    try:
-        jacobian: Floats = np.asarray(found.jac, dtype=np.float64)
-        covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian) * max(1.0, chi2_per_dof), np.float64)
-    except np.linalg.LinAlgError:
-        raise DataError("the decay is too short to tell friction from its exponent; measure longer") from None
+    lower, upper = np.array([-np.inf, -np.inf, -0.9]), np.array([math.log(math.pi), 0.0, 6.0])
+    found = solve(differenced(residuals), start, lower=lower, upper=upper)
+    chi2_per_dof = found.chi2 / found.dof
+    covariance = found.covariance * max(1.0, chi2_per_dof)
+    if not np.all(np.isfinite(np.diag(covariance))):
+        raise DataError("the decay is too short to tell friction from its exponent; measure longer")
     u = np.sqrt(np.diag(covariance))
-    moment = math.exp(found.x[1])
+    moment = math.exp(found.values[1])
     return FrictionLaw(
         reference_rad=reference,
         moment=Estimate(moment, moment * float(u[1])),
-        exponent=Estimate(float(found.x[2]), float(u[2])),
+        exponent=Estimate(float(found.values[2]), float(u[2])),
         covariance=covariance,
         chi2_per_dof=chi2_per_dof,
-        amplitude_model_rad=_decay(found.x[0], found.x[1], found.x[2], reference, steps),
+        amplitude_model_rad=_decay(found.values[0], found.values[1], found.values[2], reference, steps),
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from processing.arrays import Floats, Ints
 from processing.deflections import Deflections
+from processing.least_squares import Factored
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +99,7 @@ class PositionMap:
         """Standard uncertainties (n,) of `error` beside a constant and a scale, which the map leaves open."""
         matrix = self.splines.matrix(place)
         trend = np.column_stack([np.ones(len(place)), place - place.mean()])
-        matrix -= trend @ np.linalg.lstsq(trend, matrix, rcond=None)[0]
+        matrix = Factored(trend).left(matrix)
         variance = np.einsum("ij,jk,ik->i", matrix, self.covariance, matrix)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
 

@@ -12,7 +12,7 @@ from scipy.special import chdtrc, stdtr, stdtrit
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit import FitResult, FittedContact, fitted_contact
+from processing.fit import AIR, MISFIT, FitResult, FittedContact, fitted_contact
 from processing.quantity import PART
 from processing.swing import TurningPoints
 
@@ -164,7 +164,7 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
         float(len(results) - 1),
         np.mean([run.by_log_rho[at] for run in runs], axis=0),
         float(np.exp(np.mean([np.log(run.reference_rad) for run in runs]))),
-        by_air=np.array([parameters[name].by_air for name in names]),
+        {AIR: np.array([[parameters[name].by_air] for name in names])},
     )
     return SeriesResult(parameters, tuple(_disagreements(names, results)), together)
 
@@ -174,7 +174,7 @@ def _combined(name: str, results: Sequence[FitResult]) -> Combined:
     of_law, runs = [], []
     for result in results:
         at, (value, u) = result.names.index(name), result.estimate(name)
-        part = 0.0 if result.misfit_covariance is None else float(result.misfit_covariance[at, at])
+        part = float(result.part(MISFIT)[at, at])
         of_law.append(part)
         runs.append(Estimate(value, sqrt(max(u**2 - part, 0.0)) if isfinite(u) else u))
     found, added = combine(name, runs, _by_air(name, results)), float(np.mean(of_law))
@@ -187,7 +187,8 @@ def _combined(name: str, results: Sequence[FitResult]) -> Combined:
 def _by_air(name: str, results: Sequence[FitResult]) -> tuple[float, ...]:
     """Changes of the runs' values for one standard uncertainty of what is known of the air."""
     return tuple(
-        0.0 if result.by_air is None else float(result.by_air[result.names.index(name)]) for result in results
+        float(result.terms[AIR][result.names.index(name), 0]) if AIR in result.terms else 0.0
+        for result in results
     )
 
 

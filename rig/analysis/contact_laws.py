@@ -6,21 +6,22 @@ from dataclasses import dataclass, replace
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.fit import (
+    MISFIT,
     NO_EVIDENCE,
+    PLACE,
     Evidence,
     FitMethod,
     FitResult,
+    Linearised,
     WitnessUse,
     alternation_of,
     domain_warnings,
+    drift_term,
     fit_asymptotic,
     fit_exact,
     steeper_drag,
     with_changes,
-    with_drifts,
     with_misfit,
-    with_misfit_of,
-    with_place_errors,
     with_steeper_drag,
     without_alternation,
 )
@@ -69,7 +70,7 @@ def fit_decay(
         if exact is None:
             exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
         exact, points, alternates = _of_one_moment(points, pendulum, exact)
-        steeper = steeper_drag(points, pendulum, exact) if exact.has_drag else None
+        steeper = steeper_drag(Linearised.of(points, pendulum, exact)) if exact.has_drag else None
         asymptotic = fit_asymptotic(
             points,
             pendulum,
@@ -80,9 +81,8 @@ def fit_decay(
         )
 
         def judged(fit: FitResult) -> FitResult:
-            if drifts is not None:
-                fit = with_drifts(points, pendulum, fit, drifts)
-            fit = _judged(points, pendulum, fit, settings)
+            fit = _judged(Linearised.of(points, pendulum, fit), drifts, settings)
+            fit = replace(fit, warnings=(*fit.warnings, *domain_warnings(points, pendulum, fit)))
             return fit if steeper is None else with_steeper_drag(fit, steeper)
 
         use, alone = None, exact
@@ -94,9 +94,7 @@ def fit_decay(
             use = use.beside(judged(alone), exact)
     except DataError as error:
         return DecayFits({}, str(error))
-    if exact.place_covariance is not None:
-        asymptotic = with_place_errors(asymptotic, exact.place_covariance, exact.names)
-    asymptotic = with_misfit_of(asymptotic, exact)
+    asymptotic = asymptotic.with_terms_of(exact, PLACE, MISFIT)
     fits: dict[str, FitResult] = {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}
     return DecayFits(fits, points=points if alternates else None, witness=use)
 
@@ -112,16 +110,17 @@ def _of_one_moment(
     fit = fit_exact(
         at_once, pendulum, drag=exact.has_drag, evidence=exact.evidence, loss=exact.loss, near=exact
     )
-    if exact.place_covariance is not None:
-        fit = with_place_errors(fit, exact.place_covariance, exact.names)
+    fit = fit.with_terms_of(exact, PLACE)
     return replace(fit, warnings=(*fit.warnings, found.taken_off_text)), at_once, True
 
 
-def _judged(
-    points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult, settings: FitSettings
-) -> FitResult:
-    """The fit with what it does not describe: errors of the law, and changes during the run."""
-    described = with_misfit(points, pendulum, exact)
-    explained = 0.0 if described.misfit is None else described.misfit.against_law
-    found = with_changes(points, pendulum, described, settings.u_ageing, explained)
-    return replace(found, warnings=(*found.warnings, *domain_warnings(points, pendulum, found)))
+def _judged(at: Linearised, drifts: Mapping[str, float] | None, settings: FitSettings) -> FitResult:
+    """A fit with what it does not describe: drifts, errors of the law, changes during the run.
+
+    Each is found beside the fit as it ended, so that their order does not matter; what smooth errors of the
+    law explain is no change.
+    """
+    terms = [] if drifts is None else [drift_term(at, drifts)]
+    fit = with_misfit(at, at.described(*terms))
+    explained = 0.0 if fit.misfit is None else fit.misfit.against_law
+    return with_changes(at, settings.u_ageing, explained, fit)

@@ -69,7 +69,7 @@ def combined_series(
     measured = None if default is None else default.measured
     if measured is not None:
         try:
-            measured = replace(measured, by_drifts=_by_drifts(points, pendulum, fits[FitMethod.EXACT]))
+            measured = replace(measured, by_inputs=_by_drifts(points, pendulum, fits[FitMethod.EXACT]))
         except DataError as error:
             problems.append(f"the budget has no lines for drifts: {error}")
     if measured is not None and rig is not None and of_runs and all(of_runs):
@@ -94,11 +94,10 @@ def _with_lines_of(
 
     How a plane turned is each run's own, and falls in the mean; the angle between the axes is common to all.
     """
-    found: dict[str, Floats | None] = {}
+    by_inputs = dict(measured.by_inputs)
     for source in ("row_time_s", "common_amplitude_rad"):
-        moved, u = _moved(of_runs, measured.names, source), rig.inputs()[source].u
-        found[source] = moved.mean(axis=0) / u if u > 0 else None
-    by_drifts = dict(measured.by_drifts)
+        if (u := rig.inputs()[source].u) > 0:
+            by_inputs[source] = _moved(of_runs, measured.names, source).mean(axis=0) / u
     moved = _moved(of_runs, measured.names, _PLANE)
     size = np.linalg.norm(moved, axis=0) / len(moved)
     if rig.non_orthogonality_rad.u > 0:
@@ -106,17 +105,9 @@ def _with_lines_of(
     if np.any(size > 0):
         first = moved[np.flatnonzero(np.any(moved != 0.0, axis=1))[0]]
         u_rad = max(line.u_source for lines in of_runs for line in _lines(lines, measured.names, _PLANE))
-        by_drifts[_PLANE] = np.copysign(size, first) / u_rad
+        by_inputs[_PLANE] = np.copysign(size, first) / u_rad
         rig = replace(rig, plane_of_swing_rad=InputQuantity(0.0, u_rad))
-    return (
-        replace(
-            measured,
-            by_row_time=found["row_time_s"],
-            by_common_amplitude=found["common_amplitude_rad"],
-            by_drifts=by_drifts,
-        ),
-        rig,
-    )
+    return replace(measured, by_inputs=by_inputs), rig
 
 
 def _moved(of_runs: Sequence[Mapping[str, Budget]], names: Sequence[str], source: str) -> Floats:

@@ -21,6 +21,9 @@ from processing.contact import (
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import (
+    PLACE,
+    READING,
+    STEEPER,
     BaseMotion,
     Budget,
     Determination,
@@ -28,12 +31,12 @@ from processing.fit import (
     FitQuality,
     FitResult,
     InputQuantity,
+    Linearised,
     RigQuantities,
     Work,
     budgets,
     by_amplitude_errors,
-    by_common_amplitude,
-    by_row_time,
+    by_sensor,
     drag_verdict,
     drifts_of,
     fitted_contact,
@@ -144,24 +147,12 @@ def evaluate(
         notes.append(f"no identifiability verdict: {error}")
     tables: Mapping[str, Budget] = {}
     if rig is not None:
-        try:
-            by_row = by_row_time(points, pendulum, exact, rig)
-        except DataError as error:
-            by_row = None
-            notes.append(f"the budget has no line for the shutter's row time: {error}")
-        try:
-            by_common = by_common_amplitude(points, pendulum, exact, rig)
-        except DataError as error:
-            by_common = None
-            notes.append(f"the budget has no line for an error of all amplitudes: {error}")
         drifts = drifts_of(points, pendulum, exact)
-        by_drifts = dict(drifts)
+        by_inputs = {**drifts, **by_sensor(Linearised.of(points, pendulum, exact), rig)}
         if plane_errors is not None and rig.plane_of_swing_rad.u > 0:
             by_plane = by_amplitude_errors(points, pendulum, exact, plane_errors)
-            by_drifts["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u
-        contact = replace(
-            fitted_contact(exact), by_row_time=by_row, by_common_amplitude=by_common, by_drifts=by_drifts
-        )
+            by_inputs["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u
+        contact = replace(fitted_contact(exact), by_inputs=by_inputs)
         notes += filter(
             None, [limit_sentence(drifts, {name: rig.inputs()[name].u for name in drifts}, exact)]
         )
@@ -207,10 +198,11 @@ def fit_results(fit: FitResult, pendulum: PendulumSettings | None = None) -> Fit
 
 
 def _widening(fit: FitResult) -> dict[str, float]:
-    if fit.reading_covariance is None:
+    if READING not in fit.terms:
         return {}
+    at_rest = fit.part(READING, PLACE, STEEPER)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = fit.standard_uncertainty / np.sqrt(np.diag(fit.reading_covariance))
+        ratio = fit.standard_uncertainty / np.sqrt(np.diag(at_rest))
     known = dict(zip(fit.names, ratio.tolist(), strict=True))
     return {name: known[name] for name in fit.contact_names}
 

@@ -19,13 +19,15 @@ from processing.contact import (
 )
 from processing.contact.laws import LAWS
 from processing.errors import DataError
-from processing.fit import FitMethod, super_smooth
-from processing.periods import full_periods
+from processing.fit import FitMethod
+from processing.periods import Periods, full_periods
 from processing.swing import TurningPoints
 from rig.analysis.contact_results import Fit
 from rig.analysis.results import RunResults
 
 Array = NDArray[np.float64]
+_FEWEST = 8
+"""Periods for a smooth curve."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +62,6 @@ def curves_of(points: TurningPoints, run: RunResults) -> Curves | None:
     asymptotic = fits[FitMethod.ASYMPTOTIC].contact()
     amplitude = points.amplitude[at]
     printed = bool(run.settings.get("printed_055"))
-    try:
-        smooth = super_smooth(amplitude, periods.period_s, periods.u_period_s)
-    except DataError:
-        smooth = np.full(len(at), np.nan)
     return Curves(
         asymptotic_rad=_asymptotic(points, fits[FitMethod.ASYMPTOTIC]),
         exact_rad=exact_rad,
@@ -74,8 +72,20 @@ def curves_of(points: TurningPoints, run: RunResults) -> Curves | None:
         u_period_s=periods.u_period_s,
         asymptotic_period_s=period(amplitude, asymptotic, pendulum, printed_curvature=printed),
         exact_period_s=exact_time_s[at + 1] - exact_time_s[at - 1],
-        smooth_s=smooth,
+        smooth_s=_smooth(amplitude, periods),
     )
+
+
+def _smooth(amplitude: Array, periods: Periods) -> Array:
+    """A cubic smoothing spline of the periods over ln A by generalised cross-validation."""
+    # not at import: most commands draw no curves
+    from scipy.interpolate import make_smoothing_spline
+
+    x, first = np.unique(np.log(amplitude), return_index=True)
+    if len(x) < _FEWEST:
+        return np.full(len(amplitude), np.nan)
+    spline = make_smoothing_spline(x, periods.period_s[first], 1.0 / periods.u_period_s[first] ** 2)
+    return np.asarray(spline(np.log(amplitude)))
 
 
 def _exact(points: TurningPoints, fit: Fit, pendulum: PendulumOnBall) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ from processing.contact import PendulumOnBall
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import (
+    PLACE,
     FitOfSwings,
     FitResult,
     PlaceErrors,
@@ -18,7 +19,6 @@ from processing.fit import (
     place_errors,
     settlement,
     shift_of,
-    with_place_errors,
 )
 from processing.least_squares import Loss
 from processing.position_map import PositionMap, PositionMapSearch
@@ -143,7 +143,7 @@ def _without_position_errors(
         left = _place_errors(found, again, exact, fit).of_parameters
     except DataError:
         return None
-    return Settled(again, motion, with_place_errors(exact, left, exact.names), "", final, harmonics)
+    return Settled(again, motion, exact.with_term(PLACE, left), "", final, harmonics)
 
 
 def _with_what_is_left(

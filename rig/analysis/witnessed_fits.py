@@ -6,7 +6,7 @@ from math import isfinite, pi
 from typing import NamedTuple
 
 from processing.contact import PendulumOnBall
-from processing.fit import FitResult, Response, Witness, WitnessUse, fit_with_witness, with_place_errors
+from processing.fit import PLACE, FitResult, Response, Witness, WitnessUse, fit_with_witness
 from processing.swing import TurningPoints
 from rig.analysis.recorded_witness import CLOCK_SET
 from rig.analysis.witness_file import WitnessRecord
@@ -29,9 +29,8 @@ class WitnessedWith(NamedTuple):
     ) -> tuple[FitResult, WitnessUse]:
         """The exact fit with the witness; the one without it where the witness does not pay."""
         found = fit_with_witness(points, pendulum, self.witness, alone, offset_known=self.clock_known)
-        if found.use.used and alone.place_covariance is not None:
-            return with_place_errors(found.fit, alone.place_covariance, alone.names), found.use
-        return found.fit, found.use
+        fit = found.fit.with_terms_of(alone, PLACE) if found.use.used else found.fit
+        return fit, found.use
 
 
 def of_source(use: WitnessUse | None, record: WitnessRecord | None) -> WitnessUse | None:

@@ -15,7 +15,7 @@ import numpy as np
 from processing.contact import AMPLITUDE, TIME, PendulumOnBall, turning_points_of
 from processing.deflections import Deflections
 from processing.errors import DataError
-from processing.fit import FitOfSwings, FitResult, fitted_twice, with_misfit
+from processing.fit import FitOfSwings, FitResult, Linearised, fitted_twice, with_misfit
 from processing.periods import full_periods
 from processing.swing import Swing, TurningPoints
 from rig.instrument import FittedDecay
@@ -92,7 +92,7 @@ class MeasuredRun:
         found, self._near = fitted_twice(self._open, self._blocks, fit, self._near, self._stand)
         if found.exact is not None and self.samples > self._most:
             self._let_go(found.swings)
-        return found.swings, with_misfit(fit.points(found.swings), fit.pendulum, self._near)
+        return found.swings, with_misfit(Linearised.of(fit.points(found.swings), fit.pendulum, self._near))
 
     def _let_go(self, swings: Sequence[Swing]) -> None:
         half = len(self._open) // 2

@@ -114,6 +114,8 @@ SOURCES: Final[Mapping[str, str]] = {
     "misfit": "law against decay",
     "friction_step": "a step of the friction",
     "position_errors": "errors of position (map)",
+    "drifts": "drifts over the run, as fitted",
+    "steeper_drag": "a drag with the 3/2 power",
     "air": "drag of the air, as known",
     "mass_kg": "mass",
     "ball_radius_m": "ball radius R",

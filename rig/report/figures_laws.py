@@ -93,16 +93,15 @@ def period_figure(curves: Curves) -> ReportFigure:
 
 
 def smooth_figure(curves: Curves) -> ReportFigure:
-    """T(alpha) with the super-smoother, the paper's Fig. 14."""
+    """T(alpha) with a smooth curve, the paper's Fig. 14."""
     return ReportFigure(
         "fig14-smoother",
         "Fig. 14: period against amplitude, model-free",
-        "The super-smoother assumes no physics: where Eq. 6 follows it, the data support the law. A small, "
-        "even offset is the bias of the smoother, which flattens curvature.",
+        "The smoothing spline assumes no physics: where Eq. 6 follows it, the data support the law.",
         _period(
             curves,
             {
-                "super-smoother": (curves.smooth_s, SMOOTH, 2.2),
+                "smoothing spline": (curves.smooth_s, SMOOTH, 2.2),
                 "Eq. 6": (curves.asymptotic_period_s, INK, 0.9),
             },
         ),

@@ -51,7 +51,7 @@ class Witness:
         return replace(self, time_s=self.time_s[low:high], value=self.value[low:high])
 
 
-class Term(StrEnum):
+class Kind(StrEnum):
     """How a signal follows from a component."""
 
     GAIN = "gain"
@@ -60,12 +60,12 @@ class Term(StrEnum):
     SLOPE_QUADRATURE = "slope of the quadrature"
 
 
-PAIR = (Term.GAIN, Term.QUADRATURE)
-SLOPES = (Term.SLOPE, Term.SLOPE_QUADRATURE)
+PAIR = (Kind.GAIN, Kind.QUADRATURE)
+SLOPES = (Kind.SLOPE, Kind.SLOPE_QUADRATURE)
 
 
 def signals_of(witness: Witness, period_s: float) -> Signals:
-    """Every component's four signals, in the order of `Term`.
+    """Every component's four signals, in the order of `Kind`.
 
     Raises DataError for samples that are too few or too far apart.
     """
@@ -95,7 +95,7 @@ def signals_of(witness: Witness, period_s: float) -> Signals:
 
 def plain_signals(witness: Witness, period_s: float) -> Signals:
     """Every component as it is, but for its drift."""
-    return signals_of(witness, period_s).only([one * len(Term) for one in range(len(witness.names))])
+    return signals_of(witness, period_s).only([one * len(Kind) for one in range(len(witness.names))])
 
 
 def _even(witness: Witness, period_s: float) -> tuple[Floats, Floats, float]:

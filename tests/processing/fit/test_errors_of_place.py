@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from processing.fit import budgets, fit_exact, fitted_contact, place_errors, with_place_errors
-from processing.fit.uncertainty import FIT, GROUND, PLACE
+from processing.fit import PLACE, READING, budgets, fit_exact, fitted_contact, place_errors
+from processing.fit.uncertainty import GROUND
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 from tests.processing.fit.test_uncertainty import rig
 
@@ -38,18 +38,15 @@ def test_an_error_that_no_decay_has_is_seen_and_one_that_looks_like_a_decay_is_n
     # c is proportional to the scale of the angles: one of 1e-3 adds what the law does not see of it
     again = fit_exact(points, pendulum)
     of_scale = place_errors(points, pendulum, again, scale[:, None])
-    wider = with_place_errors(again, of_scale.of_parameters, again.names)
+    wider = again.with_term(PLACE, of_scale.of_parameters)
     at = again.names.index("c")
     added = wider.covariance[at, at] - again.covariance[at, at]
     assert np.isclose(np.sqrt(added), 1e-3 * abs(again.values[at]), rtol=0.3)
-    assert wider.place_covariance is not None
-    assert wider.reading_covariance is not None
-    assert again.reading_covariance is not None
-    assert np.allclose(wider.reading_covariance - again.reading_covariance, wider.place_covariance)
+    assert np.allclose(wider.part(PLACE), of_scale.of_parameters @ of_scale.of_parameters.T)
     lines = {line.source: line.contribution for line in budgets(fitted_contact(wider), rig())["c"].sources}
     before = {line.source: line.contribution for line in budgets(fitted_contact(again), rig())["c"].sources}
     assert np.isclose(lines[PLACE], np.sqrt(added))
-    assert np.isclose(lines[FIT], before[FIT])
+    assert np.isclose(lines[READING], before[READING])
     assert np.isclose(lines[GROUND], before[GROUND])
     assert PLACE not in before
 
@@ -65,4 +62,4 @@ def test_a_driven_pendulum_answers_to_shifted_amplitudes_as_a_refit_does() -> No
     wave = 0.02 * ARCSEC * np.sin(points.amplitude / (4 * ARCSEC))
     told = place_errors(points, pendulum, fit, wave[:, None])
     assert 0.0 < told.covariance[0, 0] <= 1.0
-    assert np.all(np.linalg.eigvalsh(told.of_parameters) > -1e-6 * np.trace(told.of_parameters))
+    assert np.all(np.isfinite(told.of_parameters))

@@ -1,7 +1,5 @@
 """What a law does not describe: its distance from a decay is in the uncertainties, changes are named."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,21 +7,21 @@ from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED, Estimate
 from processing.fit import (
+    MISFIT,
+    Change,
+    ChangeKind,
     Evidence,
     FitResult,
-    changes_of,
+    Linearised,
     compare_laws,
+    drift_term,
     drifts_of,
     fit_asymptotic,
     fit_exact,
     fitted_contact,
     with_changes,
-    with_drifts,
     with_misfit,
-    with_misfit_of,
 )
-from processing.fit.law_errors import ChangeKind
-from processing.fit.misfit import misfit_of
 from processing.series import combine_runs
 from processing.swing import TurningPoints
 from tests.processing.fit.changing import World, changing_path
@@ -44,6 +42,16 @@ def decay(world: World, seed: int = 1, q: float = Q) -> TurningPoints:
 
 def fitted(points: TurningPoints) -> FitResult:
     return fit_exact(points, PENDULUM, drag=True, evidence=KNOWN)
+
+
+def against_law_of(points: TurningPoints, fit: FitResult) -> float:
+    misfit = with_misfit(Linearised.of(points, PENDULUM, fit)).misfit
+    assert misfit is not None
+    return misfit.against_law
+
+
+def changes_of(points: TurningPoints, fit: FitResult, explained: float = 0.0) -> tuple[Change, ...]:
+    return with_changes(Linearised.of(points, PENDULUM, fit), 0.0, explained).changes
 
 
 def test_two_integrations_agree() -> None:
@@ -67,7 +75,7 @@ def test_two_integrations_agree() -> None:
 def test_a_law_that_does_not_describe_costs_uncertainty(world: World) -> None:
     points = decay(world)
     fit = fitted(points)
-    described = with_misfit(points, PENDULUM, fit)
+    described = with_misfit(Linearised.of(points, PENDULUM, fit))
     assert described.misfit is not None
     assert described.misfit.seen
     b, u = described.estimate("b")
@@ -87,18 +95,18 @@ def test_a_true_law_costs_nothing() -> None:
     for seed, q in ((2, 0.0), (3, 8e-9)):
         points = decay(World(), seed, q)
         fit = fitted(points)
-        described = with_misfit(points, PENDULUM, fit)
+        described = with_misfit(Linearised.of(points, PENDULUM, fit))
         assert described.misfit is not None
         assert not described.misfit.seen
         assert np.array_equal(described.covariance, fit.covariance)
-        assert changes_of(points, PENDULUM, fit) == ()
+        assert changes_of(points, fit) == ()
 
 
 @pytest.mark.slow
 def test_what_every_run_lacks_is_not_averaged_away() -> None:
     world = World(drag32=0.0151)
     runs = [decay(world, seed) for seed in (1, 2)]
-    fits = [with_misfit(points, PENDULUM, fitted(points)) for points in runs]
+    fits = [with_misfit(Linearised.of(points, PENDULUM, fitted(points))) for points in runs]
     both = combine_runs(fits).parameters["b"]
     assert both.standard_uncertainty > 0.95 * min(fit.estimate("b").standard_uncertainty for fit in fits)
 
@@ -107,11 +115,9 @@ def test_what_every_run_lacks_is_not_averaged_away() -> None:
 def test_the_misfit_has_its_line_in_the_budget_and_no_part_in_the_evidence() -> None:
     points = decay(World(drag32=0.0151))
     fit = fitted(points)
-    described = with_misfit(points, PENDULUM, fit)
-    assert described.misfit_covariance is not None
-    contact = fitted_contact(described)
-    assert contact.misfit_covariance is not None
-    assert contact.misfit_covariance[0, 0] == described.misfit_covariance[0, 0]
+    described = with_misfit(Linearised.of(points, PENDULUM, fit))
+    assert MISFIT in described.terms
+    assert fitted_contact(described).part(MISFIT)[0, 0] == described.part(MISFIT)[0, 0]
     plain, wide = (compare_laws(points, PENDULUM, [PAPER], like=one) for one in (fit, described))
     assert wide.trials[0].log_evidence == pytest.approx(plain.trials[0].log_evidence, abs=0.01)
     assert not wide.describes
@@ -121,22 +127,22 @@ def test_the_misfit_has_its_line_in_the_budget_and_no_part_in_the_evidence() -> 
 @pytest.mark.slow
 def test_another_fit_of_the_law_shares_what_the_exact_one_found() -> None:
     points = decay(World(drag32=0.0151))
-    described = with_misfit(points, PENDULUM, fitted(points))
-    assert described.misfit_covariance is not None
+    described = with_misfit(Linearised.of(points, PENDULUM, fitted(points)))
+    assert MISFIT in described.terms
     other = fit_asymptotic(points, PENDULUM, drag=True, exact=described)
-    wider = with_misfit_of(other, described)
+    wider = other.with_terms_of(described, MISFIT)
     at = PAPER.names().index("c")
     added = wider.covariance[at, at] - other.covariance[at, at]
-    assert added == pytest.approx(described.misfit_covariance[at, at])
+    assert added == pytest.approx(described.part(MISFIT)[at, at])
     with pytest.raises(DataError):
-        misfit_of(points, PENDULUM, other)
+        with_misfit(Linearised.of(points, PENDULUM, other))
 
 
 def test_a_slip_is_found_and_dated() -> None:
     points = decay(World(event_s=300.0, slip=0.05))
     fit = fitted(points)
-    misfit = misfit_of(points, PENDULUM, fit)
-    found = changes_of(points, PENDULUM, fit, misfit.against_law)
+    against_law = against_law_of(points, fit)
+    found = changes_of(points, fit, against_law)
     assert [change.kind for change in found] == [ChangeKind.FRICTION]
     assert found[0].time_s == pytest.approx(300.0, abs=15.0)
     assert found[0].size == pytest.approx(0.05, abs=0.006)
@@ -148,8 +154,8 @@ def test_a_knock_is_found_and_dated() -> None:
     knock_rad_per_s = 0.5 * ARCSEC * 2 * np.pi / PARAMETERS.period0_s
     points = decay(World(event_s=300.0, knock_rad_per_s=knock_rad_per_s))
     fit = fitted(points)
-    misfit = misfit_of(points, PENDULUM, fit)
-    found = changes_of(points, PENDULUM, fit, misfit.against_law)
+    against_law = against_law_of(points, fit)
+    found = changes_of(points, fit, against_law)
     assert found[0].kind is ChangeKind.KNOCK
     assert found[0].time_s == pytest.approx(300.0, abs=4.1)
     amplitude = points.amplitude[np.searchsorted(points.time_s, 300.0)]
@@ -162,7 +168,7 @@ def test_a_step_that_is_not_found_is_in_the_uncertainties() -> None:
     for slip in (0.0, 0.005):
         points = decay(World(event_s=370.0, slip=slip), seed=2, q=8e-9)
         before = fitted(points)
-        fit = with_changes(points, PENDULUM, before, 0.01)
+        fit = with_changes(Linearised.of(points, PENDULUM, before), 0.01)
         assert fit.changes == ()
         (c, u), u_before = fit.estimate("c"), before.estimate("c").standard_uncertainty
         found.append((c, u, u / u_before))
@@ -176,7 +182,7 @@ def test_a_step_that_is_not_found_is_in_the_uncertainties() -> None:
 def test_a_smooth_error_of_the_law_is_no_slip() -> None:
     points = decay(World(drag32=0.0151))
     fit = fitted(points)
-    assert changes_of(points, PENDULUM, fit, misfit_of(points, PENDULUM, fit).against_law) == ()
+    assert changes_of(points, fit, against_law_of(points, fit)) == ()
 
 
 def test_what_drifts_do_to_the_parameters() -> None:
@@ -201,7 +207,8 @@ def test_what_drifts_do_to_the_parameters() -> None:
 def test_drifts_can_be_fitted_about_nought() -> None:
     points = decay(World(ageing=0.01, lasting_s=740.0), q=0.0)
     fit = fitted(points)
-    free = with_drifts(points, PENDULUM, fit, {"ageing": 0.01, "period_drift": 1e-5})
+    near = Linearised.of(points, PENDULUM, fit)
+    free = near.described(drift_term(near, {"ageing": 0.01, "period_drift": 1e-5}))
     at = fit.names.index("p")
     p, u = free.estimate("p")
     assert abs(fit.values[at] - PARAMETERS.p) > 3 * fit.standard_uncertainty[at]
@@ -209,6 +216,6 @@ def test_drifts_can_be_fitted_about_nought() -> None:
     by = drifts_of(points, PENDULUM, fit)["ageing"][at]
     # the turning points say nothing of it: what is believed remains
     assert u == pytest.approx(np.hypot(fit.standard_uncertainty[at], 0.01 * by), rel=0.2)
-    none = with_drifts(points, PENDULUM, replace(fit), {})
+    none = near.described(drift_term(near, {}))
     assert none.values == pytest.approx(fit.values, rel=1e-4)
     assert none.standard_uncertainty == pytest.approx(fit.standard_uncertainty, rel=1e-3)

@@ -8,8 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from processing.contact.laws import PAPER
 from processing.deflections import slow_deflections
-from processing.errors import DataError
-from processing.fit import alternation_of, delay_of_rows, fit_asymptotic, fit_exact, without_alternation
+from processing.fit import alternation_of, delay_of_rows, fit_exact, without_alternation
 from tests.processing.fit.decays import ARCSEC, paper_pair, truth
 from tests.processing.fit.driven import driven_decay, driven_path
 from tests.processing.fit.frames import points_and_harmonics
@@ -60,9 +59,3 @@ def test_the_second_harmonic_is_that_of_rows(delay_s_per_rad: float) -> None:
     # pieces of a decay have a mean amplitude only
     assert abs(found.delay_s_per_rad - delay_s_per_rad) < 0.05 * delay_s_per_rad + 4 * found.u_delay_s_per_rad
     assert "µs a row" in found.text(2.4e-6)
-
-
-def test_the_alternation_is_one_of_an_exact_fit() -> None:
-    points = driven_decay(PARAMETERS, PENDULUM, q=0.0, noise_arcsec=0.005, seed=5)
-    with pytest.raises(DataError, match="exact"):
-        alternation_of(points, PENDULUM, fit_asymptotic(points, PENDULUM))

@@ -5,7 +5,15 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from processing.fit import Evidence, FitResult, fit_exact, steeper_drag, waveform_of, with_steeper_drag
+from processing.fit import (
+    Evidence,
+    FitResult,
+    Linearised,
+    fit_exact,
+    steeper_drag,
+    waveform_of,
+    with_steeper_drag,
+)
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
@@ -29,7 +37,7 @@ def test_a_tenth_of_the_drag_is_found_and_b_holds_what_it_does() -> None:
     b, u_b = fit.estimate("b")
     # what is printed where nobody asks
     assert b - PARAMETERS.b > 10 * u_b
-    found = steeper_drag(points, PENDULUM, fit)
+    found = steeper_drag(Linearised.of(points, PENDULUM, fit))
     assert found.seen
     value, u = found.steeper
     assert abs(value - STEEPER) < 3 * u
@@ -45,7 +53,7 @@ def test_a_tenth_of_the_drag_is_found_and_b_holds_what_it_does() -> None:
 
 def test_none_is_found_where_there_is_none() -> None:
     points, fit = seen(0.0, 1)
-    found = steeper_drag(points, PENDULUM, fit)
+    found = steeper_drag(Linearised.of(points, PENDULUM, fit))
     assert not found.seen
     assert abs(found.steeper.value) < 3 * found.steeper.standard_uncertainty < 0.4 * STEEPER
     same = with_steeper_drag(fit, found)

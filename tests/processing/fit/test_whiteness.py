@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from processing.fit.whiteness import correlated_covariance, neighbours_covariance, whiteness
+from processing.fit.exact_result import correlated_covariance, neighbours_covariance, whiteness
 
 
 def test_the_chances_are_uniform_for_noise() -> None:

@@ -9,7 +9,7 @@ from calibration.axes import Axes
 from calibration.shutter import Shutter
 from processing.arrays import Floats
 from processing.deflections import Deflections, DeflectionUnit
-from processing.fit.apparatus import InputQuantity
+from processing.fit import InputQuantity
 from processing.fit.reported import FittedContact
 from processing.fit.uncertainty import budgets
 from rig.analysis.contact_verdicts import rig_quantities

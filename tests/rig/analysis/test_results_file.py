@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from processing.errors import RecordError
-from processing.fit.law_errors import Change, ChangeKind, Misfit
+from processing.fit import Change, ChangeKind, Misfit
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import decoded, encoded, read_results, results_schema, write_results
 

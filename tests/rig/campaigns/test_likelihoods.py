@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from processing.angle import ARCSEC_RAD
-from processing.fit import drifts_of
+from processing.fit import AIR, drifts_of
 from processing.series import to_coordinates
 from rig.analysis import analyse_record
 from rig.campaigns import StatedCampaign, answer_of, runs_of_folders
@@ -38,8 +38,8 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     # the run's own part and what it shares are the fit's covariance again
     whole = to @ fit.covariance[np.ix_(at, at)] @ to.T
     again = found.covariance.copy()
-    if fit.by_air is not None:
-        air = to @ fit.by_air[at]
+    if AIR in fit.terms:
+        air = to @ fit.terms[AIR][at, 0]
         if "air" in found.shared:
             sign = np.sign(air @ found.shared["air"])
             np.testing.assert_allclose(

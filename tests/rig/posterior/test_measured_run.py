@@ -8,7 +8,7 @@ import pytest
 from processing.angle import ARCSEC_RAD
 from processing.contact.laws import PAPER
 from processing.deflections import Deflections, DeflectionUnit, slow_deflections
-from processing.fit import FitOfSwings, FitResult, with_misfit
+from processing.fit import FitOfSwings, FitResult, Linearised, with_misfit
 from processing.swing import HarmonicsWatch, Swing, SwingDetector
 from rig.analysis import evidence_of, settled_swings
 from rig.analysis.fitted_drag import OPEN_DRAG
@@ -60,7 +60,7 @@ def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> N
     assert settled.exact is not None
     assert settled.motion is not None
     fit = how(swings, samples)
-    final = with_misfit(fit.points(settled.swings), PENDULUM, settled.exact)
+    final = with_misfit(Linearised.of(fit.points(settled.swings), PENDULUM, settled.exact))
     detected = fit.of(swings)
     moved = 0.0
     for name in PAPER.names(drag=True):

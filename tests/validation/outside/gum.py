@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from processing.arrays import Floats
 from processing.estimate import Estimate
-from processing.fit.apparatus import InputQuantity
+from processing.fit import InputQuantity
 from processing.fit.uncertainty import Budget, budget_of, sensitivities
 from processing.least_squares import propagate, solve
 from processing.series import combine

@@ -1,0 +1,193 @@
+"""Errors of the sensor that many turning points share: of place, of the row time, of all amplitudes.
+
+An error of place moves the amplitudes of all half-cycles that pass it. Residuals of whole cycles find it but
+for what looks like a motion (`processing.position_map`); of the rest, the fitted law sees what no decay does.
+
+Rows that are exposed in turn delay a spot by its place. Turning points lie on rows above and below that of
+rest, so their times alternate by an amount that is proportional to the amplitude; nothing that the pendulum
+does alternates so. What is found is taken off the times: the parameters are then those of a stated shutter.
+Where the half-cycles were fitted with what a shutter does to them, their times do not alternate; the swing
+then has a second harmonic in quadrature that goes with the square of the amplitude, as nothing else does.
+"""
+
+from dataclasses import dataclass, replace
+from math import erfc, inf, nan, sqrt
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from processing.arrays import Floats
+from processing.contact import PendulumOnBall
+from processing.fit.reported import RigQuantities
+from processing.fit.result import PLACE, FitResult
+from processing.fit.terms import Linearised, Solved, Term, solve
+from processing.number_text import with_uncertainty
+from processing.quantity import Quantity
+from processing.swing import ORDERS, SwingHarmonics, TurningPoints
+
+_FELT = 1e-3
+"""Largest error of an amplitude, in its uncertainties, below which a direction is left as it is."""
+_SECOND = ORDERS.index(2)
+_FEWEST = 8
+CERTAIN = 1e-6
+"""Chance of so large an alternation, below which it is called a shutter's."""
+
+
+class PlaceErrors(NamedTuple):
+    """What a fit says of errors that it shares among its amplitudes.
+
+    `values` (m,) and `covariance` (m, m) are those of the coordinates, which were 0 and 1 before the fit.
+    `of_parameters` (values, m) are the changes that they add to the fit's values, see `FitResult.terms`.
+    """
+
+    values: Floats
+    covariance: Floats
+    of_parameters: Floats
+
+
+def place_errors(
+    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, errors: Floats
+) -> PlaceErrors:
+    """Errors and parameters that describe the turning points best together, near an exact fit.
+
+    Parameters
+    ----------
+    points
+        The turning points of the fit.
+    errors : (points, m)
+        Errors of the amplitudes for each of m independent coordinates of variance 1.
+    """
+    at = Linearised.of(points, pendulum, fit)
+    felt = np.max(np.abs(errors) / points.u_amplitude[:, None], axis=0) > _FELT
+    by_errors = -at.by_points(amplitude=errors[: fit.half_cycles][:, felt])
+    noise = 1.0
+    for _ in range(2):
+        # what the errors of place do not explain of the scatter is noise
+        found = solve(at.residuals / noise, at.jacobian / noise, [Term(PLACE, by_errors / noise, 1.0)])
+        noise *= found.scatter(fit.dof)
+    values, covariance = np.zeros(len(felt)), np.eye(len(felt))
+    values[felt], covariance[np.ix_(felt, felt)] = found.values, found.covariance
+    return PlaceErrors(values, covariance, at.to_physical @ found.by @ found.root)
+
+
+def by_sensor(at: Linearised, rig: RigQuantities) -> dict[str, Floats]:
+    """Derivatives (parameters,) of the contact parameters by what is uncertain of row time and amplitudes.
+
+    Turning points at the two ends of the swing lie on rows above and below that of rest: a row time wrong by
+    d makes the ones late by d times their distance in rows, the others as much early. Full periods keep
+    their lengths but for friction. Which end comes first is not known, and so the sign is not either. An
+    error that all amplitudes share makes each as much too small.
+    """
+    points, out = at.points, {}
+    if rig.row_time_s.u > 0:
+        rows = np.tan(2.0 * points.amplitude) * rig.arm_m.value / rig.pitch_m.value
+        rows *= np.cos(rig.slow_angle_rad.value) * sides(points)
+        out["row_time_s"] = at.moved_by(at.by_points(time_s=rows[:, None]))[:, 0]
+    if rig.common_amplitude_rad.u > 0:
+        ones = np.ones((len(points), 1))
+        out["common_amplitude_rad"] = at.moved_by(at.by_points(amplitude=ones))[:, 0]
+    return out
+
+
+def by_amplitude_errors(
+    points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult, errors: Floats
+) -> Floats:
+    """Changes (parameters,) of the contact parameters by errors that amplitudes share, one standard
+    uncertainty of all of them together.
+
+    Parameters
+    ----------
+    points
+        The turning points of the fit.
+    errors : (points, m)
+        Errors of the amplitudes for each of m independent coordinates of variance 1.
+
+    Returns
+    -------
+    By their sizes, the standard uncertainties of the parameters; signs are those of the coordinate that
+    changes them most.
+    """
+    at = Linearised.of(points, pendulum, exact)
+    moved = at.moved_by(at.by_points(amplitude=errors[: exact.half_cycles]))
+    u = np.linalg.norm(moved, axis=1)
+    main = np.linalg.svd(moved / np.where(u > 0, u, 1.0)[:, None], full_matrices=False)[0][:, 0]
+    return np.asarray(np.copysign(u, main))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alternation:
+    """How late turning points on one side are, over their amplitude; those on the other side are as early.
+
+    `chance` is that of an alternation at least so large where there is none.
+    """
+
+    delay_s_per_rad: Annotated[float, Quantity("", "delay over the amplitude", unit="s/rad")] = nan
+    u_delay_s_per_rad: Annotated[float, Quantity("", "its standard uncertainty", unit="s/rad")] = inf
+    chance: float = nan
+
+    @property
+    def seen(self) -> bool:
+        return self.chance < CERTAIN
+
+    @property
+    def taken_off_text(self) -> str:
+        """Of turning times that were corrected, in one line."""
+        size, u = abs(self.delay_s_per_rad), self.u_delay_s_per_rad
+        return (
+            "turning times at the two ends alternate as with a rolling shutter, but none is stated "
+            f"({with_uncertainty(size, u)} s/rad): this was subtracted; state shutter.row_time_s"
+        )
+
+    def text(self, rad_per_px: float) -> str:
+        """Of a second harmonic, in one line; `rad_per_px` is the tilt that moves the spot by a pixel."""
+        size, u = (1e6 * abs(value) * rad_per_px for value in (self.delay_s_per_rad, self.u_delay_s_per_rad))
+        return (
+            f"the swing's second harmonic is that of rows exposed in turn, {with_uncertainty(size, u)} µs "
+            "a row along the swing, beyond what shutter.row_time_s states: rig calibrate shutter measures it"
+        )
+
+
+def delay_of_rows(harmonics: SwingHarmonics, period_s: float) -> Alternation:
+    """The delay by the place of the spot that the swing's second harmonic shows.
+
+    A delay by k phi makes ``-(k w A^2 / 2) sin(2 w t)`` of A cos(w t). A friction that differs between both
+    directions makes one that goes with the friction, A^p: it is fitted beside.
+    """
+    amplitude, sine = harmonics.amplitude, harmonics.sine[:, _SECOND]
+    if len(amplitude) < _FEWEST:
+        return Alternation()
+    u = np.sqrt(harmonics.covariance_sine[:, _SECOND, _SECOND])
+    friction, delay = amplitude / u, np.pi / period_s * amplitude**2 / u
+    # the ground's part is in what the pieces scatter
+    return _alternation(solve(sine / u, friction[:, None], [Term("delay", delay)]), len(sine) - 2)
+
+
+def sides(points: TurningPoints) -> Floats:
+    """1 and -1 for the half-cycles at one end of the swing and at the other."""
+    return np.asarray(1.0 - 2.0 * (points.index % 2))
+
+
+def alternation_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Alternation:
+    """The alternation of the times of an exact fit of these points, beside its parameters.
+
+    Raises DataError for another method.
+    """
+    at = Linearised.of(points, pendulum, fit)
+    by_delay = -at.by_points(time_s=(sides(at.points) * at.points.amplitude)[:, None])
+    found = at.solved(Term("delay", by_delay))
+    # what alternates is no noise, and a fit may have taken it for some
+    return _alternation(found, len(found.left) - at.jacobian.shape[1] - 1)
+
+
+def _alternation(found: Solved, dof: int) -> Alternation:
+    delay = float(found.values[0])
+    u = sqrt(found.covariance[0, 0]) * found.scatter(dof)
+    if not u < inf:
+        return Alternation()
+    return Alternation(delay_s_per_rad=delay, u_delay_s_per_rad=u, chance=erfc(abs(delay) / u / sqrt(2.0)))
+
+
+def without_alternation(points: TurningPoints, found: Alternation) -> TurningPoints:
+    """The turning points with their times as a shutter that exposes all rows at once would give them."""
+    delay_s = found.delay_s_per_rad * sides(points) * points.amplitude
+    return replace(points, time_s=points.time_s - delay_s)

@@ -1,0 +1,317 @@
+"""Terms beside a law: whatever moves the residuals of a fit linearly, estimated in one way.
+
+A fit that has ended is linear near its end: ``r + J d + E z`` for changes d of the law's coordinates and the
+coordinates z of terms, each with what is known of it before, about zero. Rows are in units of their scatter,
+everywhere. `solve` is the generalised least squares of that; `Restricted` is the restricted likelihood of
+how large groups of coordinates are.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from math import log, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from processing.arrays import Floats
+from processing.contact import PendulumOnBall
+from processing.errors import DataError
+from processing.fit.exact_model import Errors, ExactModel
+from processing.fit.ground import Noise
+from processing.fit.result import FitResult
+from processing.fit_method import FitMethod
+from processing.least_squares import Factored
+from processing.swing import TurningPoints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Term:
+    """One or more coordinates that move the residuals of a fit beside the law's.
+
+    Attributes
+    ----------
+    name
+        Of its line in the budget.
+    columns
+        Derivatives (rows, m) of the residuals by the coordinates.
+    prior
+        Standard uncertainty of each coordinate about zero before the data are seen; infinite where nothing is
+        known.
+    report
+        What a result does with it: its values `move` to where they are with the term, or stay and are as
+        uncertain as the term leaves them (`cover`).
+    """
+
+    name: str
+    columns: Floats = field(repr=False)
+    prior: float | Floats = np.inf
+    report: str = "move"
+
+
+class Solved(NamedTuple):
+    """Coordinates of terms, in the order in which they were given, and what they do to the law's.
+
+    Attributes
+    ----------
+    values, covariance
+        Of the coordinates, (m,) and (m, m); infinite where neither data nor a prior determine one.
+    root
+        Of the covariance, (m, k).
+    moved
+        Change (n,) of the law's coordinates from where they are to where they are with the terms.
+    by
+        Changes (n, m) of the law's coordinates for a unit of each coordinate that is in the data.
+    left
+        Residuals that neither law nor terms explain.
+    """
+
+    values: Floats
+    covariance: Floats
+    root: Floats
+    moved: Floats
+    by: Floats
+    left: Floats
+
+    def scatter(self, dof: int) -> float:
+        """Standard deviation of what is left where that is above the stated one, 1."""
+        return sqrt(max(1.0, float(self.left @ self.left) / dof))
+
+
+def solve(residuals: Floats, jacobian: Floats, terms: Sequence[Term]) -> Solved:
+    """Terms and law together, by generalised least squares near the end of a fit.
+
+    Rows with a value that is not finite are left out. ``z = -(E^T P E + prior^-2)^-1 E^T P r``, where P takes
+    off what the law's coordinates can take up.
+    """
+    columns = np.column_stack([term.columns for term in terms])
+    prior = np.concatenate([np.broadcast_to(term.prior, _width(term.columns)) for term in terms])
+    good = np.isfinite(residuals) & np.isfinite(jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
+    residuals, columns = residuals[good], columns[good]
+    law = Factored(jacobian[good])
+    beside, left = law.left(columns), law.left(residuals)
+    # a prior of zero keeps a coordinate where it is
+    free = prior > 0
+    both = Factored(np.concatenate([beside[:, free], np.diag(1.0 / prior[free])]))
+    values, covariance = np.zeros(len(prior)), np.zeros((len(prior), len(prior)))
+    values[free] = -both.coefficients(np.concatenate([left, np.zeros(int(free.sum()))]))
+    covariance[np.ix_(free, free)] = both.covariance()
+    root = np.zeros((len(prior), both.root.shape[1]))
+    root[free] = both.root
+    by = law.coefficients(columns)
+    moved = -law.coefficients(residuals) - by @ values
+    return Solved(values, covariance, root, moved, by, left + beside @ values)
+
+
+def _width(columns: Floats) -> int:
+    return 1 if columns.ndim == 1 else columns.shape[1]
+
+
+class Restricted:
+    """Restricted likelihood of the sizes of groups of independent coordinates beside a law.
+
+    Parameters
+    ----------
+    residuals, jacobian
+        Of the law, in units of their scatter.
+    groups
+        Derivatives (rows, m) of the residuals by the coordinates of each group, for the size 1.
+
+    Attributes
+    ----------
+    law, left
+        The law's derivatives, and the residuals that it leaves.
+    """
+
+    def __init__(self, residuals: Floats, jacobian: Floats, groups: Sequence[Floats] = ()) -> None:
+        self.law = Factored(jacobian)
+        self.left = self.law.left(residuals)
+        self.groups = np.repeat(np.arange(len(groups)), [group.shape[1] for group in groups])
+        columns = np.column_stack(groups) if len(groups) else np.zeros((len(residuals), 0))
+        self._beside = self.law.left(columns)
+        self._gram, self._score = self._beside.T @ self._beside, self._beside.T @ self.left
+
+    def deviance(self, sizes: Floats) -> float:
+        """-2 ln L with groups of these sizes, up to what depends on the weights of the rows alone."""
+        out = self.law.log_det + float(self.left @ self.left)
+        size = sizes[self.groups]
+        if np.any(size > 0):
+            root = np.linalg.cholesky(np.eye(len(size)) + self._gram * np.outer(size, size))
+            half = np.linalg.solve(root, self._score * size)
+            out += 2.0 * float(np.sum(np.log(np.diag(root)))) - float(half @ half)
+        return out
+
+    def unexplained(self, sizes: Floats) -> Floats:
+        """Residuals that neither law nor groups of these sizes explain."""
+        size = sizes[self.groups]
+        inner = np.eye(len(size)) + self._gram * np.outer(size, size)
+        return np.asarray(self.left - self._beside @ (size * np.linalg.solve(inner, self._score * size)))
+
+
+class Driven(NamedTuple):
+    """Rows for a drive of the ground, of turning points that scatter as stated and of evidence.
+
+    Attributes
+    ----------
+    residuals, jacobian, by_errors
+        (rows,), and their derivatives by the law's coordinates and by errors of the law.
+    log_det
+        ln det of the covariance of the rows of the turning points.
+    points
+        How many rows are those of turning points.
+    """
+
+    residuals: Floats
+    jacobian: Floats
+    by_errors: Floats
+    log_det: float
+    points: int
+
+    def in_scatter(self, scale: float) -> "Driven":
+        """Where turning points scatter `scale` times as much: the rows in units of that."""
+        weight = np.ones((len(self.residuals), 1))
+        weight[: self.points] = 1.0 / scale
+        return Driven(
+            self.residuals * weight[:, 0],
+            self.jacobian * weight,
+            self.by_errors * weight,
+            self.log_det + 2 * self.points * log(scale),
+            self.points,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearised:
+    """An exact fit that has ended: its residuals in units of their scatter, and their derivatives.
+
+    Attributes
+    ----------
+    fit, model, coordinates
+        The fit, the model with its noise, and the solver's coordinates at which it ended.
+    scale
+        By how many times the turning points scatter more than stated.
+    residuals, jacobian
+        Of turning points and evidence, (rows,) and (rows, n).
+    to_physical
+        Derivatives of the fit's values by the coordinates.
+    """
+
+    fit: FitResult
+    model: ExactModel
+    coordinates: Floats
+    scale: float
+    residuals: Floats
+    jacobian: Floats
+    to_physical: Floats
+
+    @classmethod
+    def of(cls, points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> "Linearised":
+        """That of a fit of these points; raises DataError for another method than the exact one."""
+        if fit.method is not FitMethod.EXACT or fit.ground is None:
+            raise DataError(f"the {fit.method} fit has no residuals beside which a term can stand")
+        model, coordinates = ExactModel.of(points, pendulum, fit)
+        residuals, jacobian = model(coordinates)
+        scale = model.scale
+        to_physical = model.columns.physical(coordinates)[1]
+        return cls(fit, model, coordinates, scale, residuals / scale, jacobian / scale, to_physical)
+
+    @property
+    def points(self) -> TurningPoints:
+        """Those of the fit."""
+        return self.model.points
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Values of the law's parameters by their names."""
+        physical = self.model.columns.physical(self.coordinates)[0]
+        return dict(zip(self.model.names, physical.tolist(), strict=True))
+
+    def driven(self, noise: Noise, errors: Errors | None = None) -> Driven:
+        """The rows for another drive, and what errors of the law do to them.
+
+        They are NaN where the filter has no value.
+        """
+        found = self.model.filtered(self.coordinates, noise, errors=errors)
+        beside, by_law = self.model.beside(self.coordinates)
+        law, points = len(self.coordinates), len(found.residuals)
+        by_errors = np.zeros((points + len(beside), found.jacobian.shape[1] - law))
+        by_errors[:points] = found.jacobian[:, law:]
+        return Driven(
+            np.concatenate([found.residuals, beside]),
+            np.concatenate([found.jacobian[:, :law], by_law]),
+            by_errors,
+            found.log_det,
+            points,
+        )
+
+    def by_points(self, amplitude: Floats | None = None, time_s: Floats | None = None) -> Floats:
+        """Changes (rows, m) of the residuals where measured values are larger by errors (points, m)."""
+        if amplitude is None:
+            assert time_s is not None
+            amplitude = np.zeros_like(time_s)
+        time_s = np.zeros_like(amplitude) if time_s is None else time_s
+        model, points = self.model, self.points
+        relative = amplitude / model.reference
+        if model.is_free:
+            of_amplitudes, of_times = relative / model.u_amplitude[:, None], time_s / points.u_time_s[:, None]
+            beside = np.zeros((len(self.residuals) - 2 * len(points), relative.shape[1]))
+            return -np.concatenate([of_amplitudes, of_times, beside]) / self.scale
+        changes = []
+        for by_amplitude, by_time in zip(relative.T, time_s.T, strict=True):
+            # a small step: a filter with a limit is linear only there
+            felt = max(
+                float(np.max(np.abs(by_amplitude / model.u_amplitude))),
+                float(np.max(np.abs(by_time / points.u_time_s))),
+            )
+            step = _SMALL / max(felt, 1e-300)
+            moved = model.measuring_more(step * by_amplitude, step * by_time)(self.coordinates)[0]
+            changes.append((moved / self.scale - self.residuals) / step)
+        return np.asarray(changes, dtype=np.float64).T
+
+    def by_loss(self, loss: Callable[[Floats], Floats], waveform: dict[str, float]) -> Floats:
+        """Derivatives (rows,) of the residuals by the size of a further loss (see `ExactModel.filtered`).
+
+        `waveform` is added to the law's own values for the waveform that belongs to a size of 1.
+        """
+        of_points = self.model.filtered_here(self.coordinates, loss=loss).jacobian[:, -1] / self.scale
+        before = self.model.of_evidence(self.coordinates)
+        return np.concatenate([of_points, self.model.of_evidence(self.coordinates, waveform) - before])
+
+    def moved_by(self, columns: Floats) -> Floats:
+        """Changes (parameters, m) of the contact parameters where residuals are larger by (rows, m)."""
+        good = np.isfinite(self.jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
+        moved = self.to_physical @ Factored(self.jacobian[good]).coefficients(columns[good])
+        return -moved[[self.fit.names.index(name) for name in self.fit.contact_names]]
+
+    def solved(self, *terms: Term) -> Solved:
+        """Terms beside the law."""
+        return solve(self.residuals, self.jacobian, terms)
+
+    def described(self, *terms: Term) -> FitResult:
+        """The fit with terms: each is a line of its table, and of the budget.
+
+        Terms that `move` the values are found together, those that `cover` what they may do together as well.
+        What two of them do in common stands with the first. Raises DataError for a term of which neither the
+        data nor a prior say anything.
+        """
+        fit = self.fit
+        for report in ("move", "cover"):
+            chosen = [term for term in terms if term.report == report]
+            if not chosen:
+                continue
+            found = self.solved(*chosen)
+            names = [term.name for term in chosen for _ in range(_width(term.columns))]
+            for name, variance in zip(names, np.diag(found.covariance).tolist(), strict=True):
+                if not variance < np.inf:
+                    raise DataError(f"the data do not determine {name}: state what is known of it")
+            if report == "move":
+                fit = replace(fit, values=self.model.columns.physical(self.coordinates + found.moved)[0])
+            # a triangular root: its columns are those of the coordinates in their order
+            by = self.to_physical @ found.by @ np.linalg.qr(found.root.T)[1].T
+            for term in chosen:
+                own = [column for column, name in enumerate(names[: by.shape[1]]) if name == term.name]
+                fit = fit.with_term(term.name, by[:, own])
+        return fit
+
+
+_SMALL = 0.1
+"""Step of a derivative by measured values, in their uncertainties."""
