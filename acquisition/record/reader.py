@@ -322,7 +322,11 @@ class RecordReader:
 
     def events(self) -> list[Event]:
         """All events."""
-        return self.values(EVENT.topic, Event)
+        kind = self._kind(EVENT.topic)
+        found = (
+            dict(zip(kind.names, kind.decode(one.data), strict=True)) for one in self.messages(EVENT.topic)
+        )
+        return [Event(one["time_ns"], one["kind"], one["text"]) for one in found]
 
     def notes(self) -> list[RecordedNote]:
         """What operators have noted during the run."""

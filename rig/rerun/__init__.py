@@ -11,7 +11,6 @@ from rig.rerun.messages import (
     Fits,
     Floats,
     LayoutName,
-    LogLevel,
     LogLine,
     Losses,
     Message,

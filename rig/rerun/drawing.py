@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from acquisition.record.events import EventKind
+from acquisition.record.events import EventKind, Level
 from processing.angle import ARCSEC_RAD
 from rig.presentation import balance_drawn, balance_table, palette, quantity
 from rig.rerun import layout
@@ -40,10 +40,10 @@ SAMPLES_GAP, POINTS_GAP = 1.0, 4.0
 """Periods of the slow mode without a value after which a curve is broken: that of the samples, and those of
 half-cycles and balance, which have a value at least every period."""
 LEVELS = {
-    "debug": rr.TextLogLevel.DEBUG,
-    "info": rr.TextLogLevel.INFO,
-    "warning": rr.TextLogLevel.WARN,
-    "error": rr.TextLogLevel.ERROR,
+    Level.INFORMATION: rr.TextLogLevel.INFO,
+    Level.WARNING: rr.TextLogLevel.WARN,
+    Level.ALARM: rr.TextLogLevel.ERROR,
+    Level.TRIP: rr.TextLogLevel.CRITICAL,
 }
 
 _GOOD, _BAD, _OVER = palette.BLUISH_GREEN, palette.VERMILLION, palette.GREY
@@ -68,6 +68,7 @@ _CHANGES: Final[dict[str, dict[str, str]]] = {
     EventKind.CAMERA_SPEAKS: {"frames": "arriving"},
     EventKind.CAMERA_LOST: {"frames": "camera lost"},
     EventKind.CAMERA_BACK: {"frames": "arriving"},
+    EventKind.TRIP: {"laser": "dark"},
     EventKind.LASER_DARK: {"laser": "dark"},
     EventKind.LASER_LIT: {"laser": "lit"},
 }
@@ -300,7 +301,7 @@ class Drawing:
 
     def _draw_log_line(self, message: LogLine) -> None:
         self._set_time(message.time_s)
-        log = rr.TextLog(message.text, level=LEVELS.get(message.level, rr.TextLogLevel.INFO))
+        log = rr.TextLog(message.text, level=LEVELS[message.level])
         self._stream.log(layout.entity(message.run, layout.EVENTS), log)
         self._lanes.draw(message.run, message.kind)
 

@@ -12,12 +12,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.record.events import Level
+
 ShowMode = Literal["spawn", "web"]
 """In a window, in a browser."""
 Mode = Literal["none", ShowMode]
 """How the live stream is shown; none: not at all."""
 LayoutName = Literal["balancing", "measuring", "analysing"]
-LogLevel = Literal["debug", "info", "warning", "error"]
 Panel = Literal["decay", "residuals", "period", "period_residuals"]
 
 Floats = NDArray[np.float64]
@@ -149,7 +150,7 @@ class LogLine(NamedTuple):
 
     run: str
     time_s: float
-    level: LogLevel
+    level: Level
     text: str
     kind: str = ""
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from acquisition.record.events import Level
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
@@ -21,7 +22,6 @@ from rig.rerun import (
     Estimates,
     Fits,
     Floats,
-    LogLevel,
     LogLine,
     Losses,
     Message,
@@ -137,7 +137,7 @@ class ShownValues(ABC):
         """State of the session, in Markdown; default of the time: the latest one."""
         self._put(State(run, float(time_s), text))
 
-    def log(self, time_s: float, level: LogLevel, text: str, *, kind: str = "", run: str = "") -> None:
+    def log(self, time_s: float, level: Level, text: str, *, kind: str = "", run: str = "") -> None:
         """One line of the log; `kind` is that of an event."""
         self._put(LogLine(run, float(time_s), level, text, kind))
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Self
 
 from acquisition.frame import Frame
-from acquisition.record.events import Event
+from acquisition.record.events import Event, Level
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import ConfigurationError, RecordError
@@ -255,7 +255,7 @@ class Viewer(ShownValues):
         """Continue at another time; curves are interrupted there."""
         self._send_gathered()
         self.samples(time_s, math.nan, math.nan, 0)
-        self.log(time_s, "info", f"restarted at {time_s:.1f} s")
+        self.log(time_s, Level.INFORMATION, f"restarted at {time_s:.1f} s")
 
     def event(self, start_ns: int, event: Event, *, run: str = "") -> None:
         """Write an event to the log."""
