@@ -374,7 +374,13 @@ class RecordReader:
 
     def events(self) -> list[Event]:
         """All events."""
-        return self.values(EVENT.topic, Event)
+        return self.events_in(self.messages(EVENT.topic))
+
+    def events_in(self, messages: Iterable[Message]) -> list[Event]:
+        """The events in some messages of their topic."""
+        kind = self._kind(EVENT.topic)
+        found = (dict(zip(kind.names, kind.decode(one.data), strict=True)) for one in messages)
+        return [Event(one["time_ns"], one["kind"], one["text"]) for one in found]
 
     def notes(self) -> list[RecordedNote]:
         """What operators have noted during the run."""

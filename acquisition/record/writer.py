@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from acquisition.frame import Frame, Image
 from acquisition.record import pixels_beside
-from acquisition.record.events import Event, EventKind
+from acquisition.record.events import Event, EventKind, Level
 from acquisition.record.foxglove import encode_camera_calibration, encode_log, encode_preview, foxglove_schema
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.pixels import PixelEncoder
@@ -48,7 +48,7 @@ from processing.swing import Swing
 _RESERVE_BYTES = 4 * 1024 * 1024
 _FLUSH_INTERVAL_S = 0.25
 """What is lost is at most this and what the disk takes to force it down."""
-_LOG_LEVELS = {"info": 2, "warning": 3, "error": 4}
+_LOG_LEVELS = {Level.INFORMATION: 2, Level.WARNING: 3, Level.ALARM: 4, Level.TRIP: 5}
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".md": "text/markdown"}
 
 
@@ -211,7 +211,7 @@ class RecordWriter:
     def write_event(self, time_ns: int, kind: str, text: str) -> None:
         """Write an event, also as a line of the log, which viewers display."""
         event = Event(time_ns, kind, text)
-        self._add(EVENT.topic, time_ns, EVENT.encode(*event))
+        self._add(EVENT.topic, time_ns, EVENT.encode(*event, event.level))
         self.write_log(time_ns, _LOG_LEVELS[event.level], "event", event.line)
 
     def write_note(self, note: RecordedNote) -> None:
@@ -340,7 +340,8 @@ class RecordWriter:
         try:
             # what has no end looks as if nobody knew why
             for kind in (EventKind.RECORD, EventKind.FAILED, EventKind.STOP):
-                reason = EVENT.encode(self._end_ns - self._offset_ns, kind, what)
+                event = Event(self._end_ns - self._offset_ns, kind, what)
+                reason = EVENT.encode(*event, event.level)
                 self._numbers.add(EVENT.topic, self._sequence, self._end_ns, reason)
                 self._sequence += 1
         except OSError as error:

@@ -152,7 +152,7 @@ def align_camera(
                 look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, applied, reference)
                 if view is not None:
                     at_ns = nanoseconds(time.monotonic() - begun_s)
-                    view(frame._replace(time_ns=at_ns), look.spot)
+                    view(frame._replace(device_time_ns=at_ns), look.spot)
                 for key in terminal.pressed(0.0):
                     if key in ("q", "escape"):
                         return saved

@@ -27,6 +27,7 @@ from rig.analysis.law_results import ComparedLaws, MomentsWithoutLaw
 from rig.analysis.less_reference import less_beam_motion
 from rig.analysis.limits import Limit, whole_result
 from rig.analysis.motion_direction import along_and_across
+from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.position_table import TableColumns
 from rig.analysis.positions_file import read_positions, write_positions
 from rig.analysis.record_fit import analyse_record, analyse_run, with_dropped_frames
@@ -53,5 +54,6 @@ from rig.analysis.surroundings import expected_drag, recorded_surroundings, stat
 from rig.analysis.swings_fit import clock_rate_of
 from rig.analysis.table_fit import AnalysedTable, analyse_table, analyse_trajectory
 from rig.analysis.table_screen import fit_envelope_table, fit_several, fit_trajectory
+from rig.analysis.turning_plane import PlaneBalances, follow_plane
 from rig.analysis.waveform_results import waveform_table
 from rig.analysis.witness_file import StatedWitness

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import CameraSettings
 from acquisition.frame import Frame, Image
-from acquisition.record.events import Event
+from acquisition.record.events import Event, Level
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.spot import Spot, SpotFlag
@@ -170,7 +170,7 @@ class SessionNews:
 
     # -- for those that answer -----------------------------------------------
 
-    def note(self, kind: str, text: str, level: str = "info", elapsed_s: float = math.nan) -> None:
+    def note(self, kind: str, text: str, level: str = Level.INFORMATION, elapsed_s: float = math.nan) -> None:
         """Add a line to the events; those with a time, since their record began, are a run's."""
         with self._lock:
             self._event_number += 1

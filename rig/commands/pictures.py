@@ -10,6 +10,8 @@ from rig.commands.opened_camera import opened_camera
 from rig.commands.outputs import new_file, new_folder, old_folder, output_option
 
 if TYPE_CHECKING:
+    from acquisition.frame import Frame
+    from processing.spot import Spot
     from rig.devices import PictureFigures
 
 Average = Annotated[
@@ -200,7 +202,7 @@ def align(
         if rrd is not None or view:
             shown = stack.enter_context(ScratchView("aligning", MODES[view], rrd, "balancing"))
 
-            def show(frame: Frame, spot: Spot) -> None:
+            def show(frame: "Frame", spot: "Spot") -> None:
                 if not shown.begun:
                     attachments = configuration_attachments(loaded, config)
                     metadata = session_metadata(loaded, info, frame)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from acquisition.frame import Frame
-from acquisition.record.events import Event
+from acquisition.record.events import Event, Level
 from processing.errors import RigError
 from rig.instrument import Block, Snapshot
 from rig.measure.session_file import SessionFile, read_session
@@ -71,7 +71,7 @@ class Notices:
 
     def event(self, start_ns: int, event: Event) -> None:
         """An error during a run is an alarm."""
-        if event.level == "error" and self._alarms < _MOST_ALARMS:
+        if event.level in (Level.TRIP, Level.ALARM) and self._alarms < _MOST_ALARMS:
             self._alarms += 1
             self.tell("alarm", f"{event.kind}: {event.text}")
 

@@ -13,23 +13,7 @@ from typing import NamedTuple
 
 from acquisition.frame import Frame, Image
 from acquisition.record.events import Event
-from acquisition.record.topics import (
-    CAMERA_STEP,
-    CAMERA_TEMPERATURE,
-    CLOCK,
-    ENVIRONMENT,
-    LOSSES,
-    REFERENCE,
-    WITNESS,
-    CameraTemperature,
-    ClockAnchor,
-    Environment,
-    RecordedClockStep,
-    RecordedLosses,
-    RecordedNote,
-    RecordedReference,
-    RecordedWitness,
-)
+from acquisition.record.topics import REFERENCE, Recorded, RecordedNote, RecordedReference
 from acquisition.record.writer import RecordWriter
 from processing.spot import Spot
 from rig.control import LightPermit, Stage
@@ -56,7 +40,7 @@ class SpotWindow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Data to be recorded for some consecutive frames."""
+    """Data to be recorded for some consecutive frames; `messages` are values, each with its kind."""
 
     sequences: Sequence[int] = ()
     device_times_ns: Sequence[int] = ()
@@ -66,12 +50,7 @@ class Entry:
     images: Sequence[Frame] = ()
     preview: Frame | None = None
     events: Sequence[Event] = field(default=())
-    environment: Environment | None = None
-    losses: RecordedLosses | None = None
-    clock: ClockAnchor | None = None
-    temperature: CameraTemperature | None = None
-    camera_steps: Sequence[RecordedClockStep] = ()
-    witness: Sequence[RecordedWitness] = ()
+    messages: Sequence[Recorded] = ()
     notes: Sequence[RecordedNote] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
@@ -244,18 +223,8 @@ class Recorder:
             writer.write_image(frame)
         if entry.preview is not None:
             writer.write_preview(entry.preview)
-        for kind, value in (
-            (ENVIRONMENT, entry.environment),
-            (LOSSES, entry.losses),
-            (CLOCK, entry.clock),
-            (CAMERA_TEMPERATURE, entry.temperature),
-        ):
-            if value is not None:
-                writer.write(kind, value, value.time_ns)
-        for step in entry.camera_steps:
-            writer.write(CAMERA_STEP, step, step.time_ns)
-        for sample in entry.witness:
-            writer.write(WITNESS, sample, sample.time_ns)
+        for kind, value in entry.messages:
+            writer.write(kind, value, value.time_ns)
         for note in entry.notes:
             writer.write_note(note)
         for name, data in entry.attachments.items():

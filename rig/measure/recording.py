@@ -8,7 +8,17 @@ import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import ClockAnchor, RecordedNote
+from acquisition.record.topics import (
+    CAMERA_STEP,
+    CAMERA_TEMPERATURE,
+    CLOCK,
+    ENVIRONMENT,
+    LOSSES,
+    WITNESS,
+    ClockAnchor,
+    Recorded,
+    RecordedNote,
+)
 from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError, in_one_line
 from processing.spot import SpotFlag
@@ -192,21 +202,23 @@ class Recording:
                 self._clock = self._wall.past(_CLOCK_RATE, self._clock, rate.take, frames, camera_steps)
             stepped: list[Event] = self._wall.past("the watch for steps", [], steps.take, block)
             new = [*entry.events, *said, *stepped, *clock_steps, *self._device_events(counts.last_ns)]
-            self._recorder.put(
-                replace(
-                    entry,
-                    events=new,
-                    environment=status.environment(counts.last_ns),
-                    losses=self._losses.due(counts.last_ns),
-                    witness=[one for one in status.witness(taken[-1]) if one.time_ns >= counts.start_ns],
-                    clock=clock,
-                    temperature=None
-                    if temperature is None
-                    else self._wall.past(_TEMPERATURE, None, temperature.take, counts.last_ns),
-                    camera_steps=camera_steps,
-                    notes=notes,
-                )
+            warmth = (
+                None
+                if temperature is None
+                else self._wall.past(_TEMPERATURE, None, temperature.take, counts.last_ns)
             )
+            once = (
+                (ENVIRONMENT, status.environment(counts.last_ns)),
+                (LOSSES, self._losses.due(counts.last_ns)),
+                (CLOCK, clock),
+                (CAMERA_TEMPERATURE, warmth),
+            )
+            messages: list[Recorded] = [
+                *((kind, value) for kind, value in once if value is not None),
+                *((CAMERA_STEP, step) for step in camera_steps),
+                *((WITNESS, one) for one in status.witness(taken[-1]) if one.time_ns >= counts.start_ns),
+            ]
+            self._recorder.put(replace(entry, events=new, messages=messages, notes=notes))
             # frames made on demand have no age
             age_s = math.nan if stream.policy == "wait" else seconds(taken_ns - taken[0].host_time_ns)
             if shown.swings or stream.policy == "wait" or taken_ns - published_ns > _PUBLISHED_NS:
@@ -253,7 +265,7 @@ class Recording:
             Entry(
                 block=empty,
                 events=last,
-                losses=self._losses.last(counts.last_ns),
+                messages=[(LOSSES, self._losses.last(counts.last_ns))],
                 attachments={name: data for name, data in features.items() if data},
                 notes=self._notes(counts),
             )
@@ -337,6 +349,9 @@ class Recording:
             ),
             swings,
         )
+        on_demand = self._stream.policy == "wait"
+        if said := self._status.messages(counts.last_ns, on_demand=on_demand):
+            self._recorder.put(Entry(messages=said))
 
 
 def _block_and_rest(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:

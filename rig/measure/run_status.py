@@ -1,15 +1,30 @@
 """The status of a run for the display and watchers: snapshot, events, environment, losses."""
 
 import math
+import time
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, replace
 
 from acquisition.frame import Frame
 from acquisition.frame_losses import FrameLosses
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import Environment, RecordedLosses, RecordedWitness
+from acquisition.record.topics import (
+    ESTIMATE,
+    HEALTH,
+    LIGHT,
+    PHASE,
+    Environment,
+    Recorded,
+    RecordedEstimate,
+    RecordedHealth,
+    RecordedLight,
+    RecordedLosses,
+    RecordedPhase,
+    RecordedWitness,
+)
 from processing.deflections import DeflectionUnit
+from processing.estimate import Estimate
 from processing.swing import Swing
 from processing.ticks import nanoseconds
 from rig.devices import Devices, FrameStream, LightWatch
@@ -52,6 +67,13 @@ class RunStatus:
         self._environment_due_ns = 0
         self._instructions: deque[Snapshot] = deque()
         self.snapshot = Snapshot()
+        self._begin()
+
+    def _begin(self) -> None:
+        self._phase: RecordedPhase | None = None
+        self._light: RecordedLight | None = None
+        self._estimates: Mapping[str, Estimate] = {}
+        self._health_due_ns = 0
 
     def take_instructions(self) -> Iterable[Snapshot]:
         """Snapshots with an instruction to the operator since the last call, oldest first.
@@ -62,7 +84,8 @@ class RunStatus:
             yield self._instructions.popleft()
 
     def begin_record(self) -> None:
-        """Discard the half-cycles of a rejected start."""
+        """Discard what belongs to the record of a rejected start."""
+        self._begin()
         self.snapshot = replace(self.snapshot, half_cycles=0, amplitude=math.nan, period_s=math.nan)
 
     def prepare(self, snapshot: Snapshot) -> None:
@@ -127,6 +150,30 @@ class RunStatus:
         reading = self._devices.environment()
         return None if all(map(math.isnan, reading)) else Environment(time_ns, *reading)
 
+    def messages(self, time_ns: int, *, on_demand: bool = False) -> list[Recorded]:
+        """What the record is to say of the session now: phase and light where they have changed, each new
+        fit, and once a second how the session keeps up.
+        """
+        state, found = self.snapshot, list[Recorded]()
+        phase = RecordedPhase(0, 0.0, state.phase.value, state.progress, state.instruction, state.reason)
+        if phase != self._phase:
+            self._phase = phase
+            found.append((PHASE, phase._replace(time_ns=time_ns, elapsed_s=state.elapsed_s)))
+        if self._devices is not None and (light := _light(self._devices)) != self._light:
+            self._light = light
+            found.append((LIGHT, light._replace(time_ns=time_ns)))
+        if state.estimated_from and state.estimates is not self._estimates:
+            self._estimates = state.estimates
+            found += [
+                (ESTIMATE, RecordedEstimate(time_ns, state.estimated_from, value, u, name))
+                for name, (value, u) in state.estimates.items()
+            ]
+        now_ns = time_ns if on_demand else time.monotonic_ns()
+        if now_ns >= self._health_due_ns:
+            self._health_due_ns = now_ns + _INTERVAL_NS
+            found.append((HEALTH, _health(time_ns, state)))
+        return found
+
     def witness(self, frame: Frame) -> list[RecordedWitness]:
         """Samples of the witness of the ground since the last call, up to a frame; none without one."""
         if self._devices is None or self._devices.witness is None:
@@ -145,6 +192,41 @@ class RunStatus:
             devices=self._devices.now(),
             alarm=self.light.alarm or snapshot.alarm,
         )
+
+
+def _light(devices: Devices) -> RecordedLight:
+    """Without ages, so that two are equal where nothing has changed."""
+    safety = devices.safety()
+    return RecordedLight(
+        0,
+        0 if safety.trip is None else safety.trip.number,
+        -1 if safety.seen is None else int(safety.seen),
+        safety.light.value,
+        safety.interlock.value,
+        devices.darkness(),
+        safety.refusal,
+        "" if safety.trip is None else safety.trip.text,
+        devices.now().text,
+    )
+
+
+def _health(time_ns: int, state: Snapshot) -> RecordedHealth:
+    return RecordedHealth(
+        time_ns,
+        state.frames,
+        state.dropped_frames,
+        state.lost_spots,
+        state.half_cycles,
+        state.queue_frames,
+        state.record_bytes,
+        state.frame_age_s,
+        state.disk_free_bytes,
+        state.disk_silent_s,
+        state.clock.drift_ppm,
+        state.clock.u_drift_ppm,
+        state.alarm,
+        state.beam,
+    )
 
 
 def _name(watcher: Watcher) -> str:

@@ -3,6 +3,7 @@
 import _thread
 import time
 
+from acquisition.record.events import Level
 from processing.errors import RigError
 from rig.channel import Orders, SessionNews
 from rig.control import LightRefused
@@ -66,7 +67,7 @@ def await_leave(devices: Devices, session_news: SessionNews, *, resumable: bool 
     trip = devices.permit.latched
     if (trip or devices.waits_for_asking) and session_news.watched and not at_terminal():
         what = "light is to be asked for" if trip is None else trip.text
-        session_news.note("interlock", f"{what}: the next run waits for a person", "error")
+        session_news.note("interlock", f"{what}: the next run waits for a person", Level.ALARM)
         while session_news.watched and (devices.permit.latched or devices.waits_for_asking):
             time.sleep(_LOOK_S)
     if devices.permit.latched or devices.waits_for_asking:

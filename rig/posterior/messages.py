@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from calibration import Axes
 from processing.contact import DEFAULT_LAW, PendulumOnBall
 from processing.deflections import Deflections
 from processing.estimate import Estimate
@@ -15,13 +16,14 @@ from rig.instrument import FittedDecay
 class FittedModel(NamedTuple):
     """The exact fit as the final analysis makes it.
 
-    `clock_rate` is how many true seconds pass in one of the swings' clock.
+    `clock_rate` is how many true seconds pass in one of the swings' clock, `axes` are the pendulum's.
     """
 
     pendulum: PendulumOnBall
     drag: bool = True
     loss: Loss = "linear"
     clock_rate: float = 1.0
+    axes: Axes | None = None
 
     @property
     def parameters(self) -> tuple[str, ...]:

@@ -7,17 +7,21 @@ import os
 import pickle
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
+from calibration import Axes
+from processing.balance import Balance
 from processing.contact import AMPLITUDE, TIME, PendulumOnBall, turning_points_of
-from processing.deflections import Deflections
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import FitOfSwings, FitResult, fitted_twice, with_misfit
-from processing.periods import full_periods
-from processing.swing import Swing, TurningPoints
+from processing.periods import full_periods, mean_period
+from processing.swing import Swing, TurningPoints, turning_points
+from rig.analysis import PassingDeflections, PlaneBalances, follow_plane
 from rig.instrument import FittedDecay
 from rig.posterior.messages import Asked, FittedModel, FittedParameters
 
@@ -69,8 +73,11 @@ class MeasuredRun:
     last: the motion is then known from thousands of them.
     """
 
-    def __init__(self, most: int = MOST_SAMPLES) -> None:
+    def __init__(self, most: int = MOST_SAMPLES, axes: Axes | None = None) -> None:
         self._most = most
+        self._axes = axes
+        self._making: PlaneBalances | None = None
+        self._balances: list[Balance] = []
         self._stand: list[Swing] = []
         self._open: list[Swing] = []
         self._blocks: list[Deflections] = []
@@ -84,23 +91,48 @@ class MeasuredRun:
     def take(self, swings: Sequence[Swing], deflections: Deflections) -> None:
         """Half-cycles and deflections that follow."""
         self._open += swings
-        if len(deflections):
-            self._blocks.append(deflections)
+        if not len(deflections):
+            return
+        self._blocks.append(deflections)
+        if self._making is None and len(self._open) > 1:
+            self._making = PlaneBalances(self._axes, mean_period(turning_points(self._open)))
+            self._balances = [one for block in self._blocks[:-1] for one in self._making.of(block)]
+        if self._making is not None:
+            self._balances += self._making.of(deflections)
 
     def fitted(self, fit: FitOfSwings) -> tuple[Sequence[Swing], FitResult]:
-        """All of them as they stand, and the fit to them; raises DataError where there is none."""
-        found, self._near = fitted_twice(self._open, self._blocks, fit, self._near, self._stand)
+        """All of them as they stand, and the fit to them; raises DataError where there is none.
+
+        Where the plane of swing turns, they are those in it.
+        """
+        swings, blocks = self._in_plane()
+        found, self._near = fitted_twice(swings, blocks, fit, self._near, self._stand)
         if found.exact is not None and self.samples > self._most:
             self._let_go(found.swings)
         return found.swings, with_misfit(fit.points(found.swings), fit.pendulum, self._near)
+
+    def _in_plane(self) -> tuple[Sequence[Swing], Iterable[Deflections]]:
+        """The half-cycles that do not stand yet and their deflections, turned into the plane of swing."""
+        whole = PassingDeflections(self._blocks, DeflectionUnit.RAD)
+        plane = follow_plane([*self._stand, *self._open], whole, self._axes, balances=self._balances)
+        if plane.problem:
+            raise DataError(plane.problem)
+        if not plane.is_turned:
+            return self._open, self._blocks
+        # numbered from where the deflections begin
+        first = self._open[0]
+        nearest = min(plane.swings, key=lambda one: abs(one.turn_time_ns - first.turn_time_ns))
+        known, shift = {one.index for one in self._open}, first.index - nearest.index
+        numbered = [replace(one, index=one.index + shift) for one in plane.swings if not one.flags]
+        return [one for one in numbered if one.index in known], plane.deflections
 
     def _let_go(self, swings: Sequence[Swing]) -> None:
         half = len(self._open) // 2
         if half < _BEFORE:
             return
         from_ns = self._open[half - _BEFORE].turn_time_ns
-        self._stand = list(swings[: len(self._stand) + half])
         self._open = self._open[half:]
+        self._stand = [one for one in swings if one.index < self._open[0].index]
         self._blocks = [kept for block in self._blocks if len(kept := block.since(from_ns))]
 
 
@@ -119,7 +151,7 @@ def main() -> None:
         while True:
             asked: Asked = pickle.load(incoming)
             if asked.run != of_run:
-                of_run, run = asked.run, MeasuredRun()
+                of_run, run = asked.run, MeasuredRun(axes=model.axes)
             run.take(asked.swings, asked.deflections)
             if not warm:
                 # the first fit of a process loads its kernels, which says nothing of what a fit costs

@@ -29,8 +29,9 @@ BARS_AT_MOST: Final = 400
 
 
 def draw_fits(stream: rr.RecordingStream, drawn: Sequence[Curve], text: str, run: str, unit: str) -> None:
-    """Draw axes and curves of each panel, and the report's text (Markdown), as static entities (without a time): they hold for the whole
-    run.
+    """Draw axes and curves of each panel, and the report's text (Markdown).
+
+    They are static entities (without a time), as they hold for the whole run.
     """
     for panel, (x_title, y_title) in TITLES.items():
         curves = [curve for curve in drawn if curve.panel == panel]

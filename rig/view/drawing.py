@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from acquisition.record.events import Event, EventKind
+from acquisition.record.events import Event, EventKind, Level
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.estimate import Estimate
@@ -27,10 +27,10 @@ SAMPLES_GAP, POINTS_GAP = 1.0, 4.0
 """Periods of the slow mode without a value after which a curve is broken: that of the samples, and those of
 half-cycles and balance, which have a value at least every period."""
 LEVELS = {
-    "debug": rr.TextLogLevel.DEBUG,
-    "info": rr.TextLogLevel.INFO,
-    "warning": rr.TextLogLevel.WARN,
-    "error": rr.TextLogLevel.ERROR,
+    Level.INFORMATION: rr.TextLogLevel.INFO,
+    Level.WARNING: rr.TextLogLevel.WARN,
+    Level.ALARM: rr.TextLogLevel.ERROR,
+    Level.TRIP: rr.TextLogLevel.CRITICAL,
 }
 
 _GOOD, _BAD, _OVER = palette.BLUISH_GREEN, palette.VERMILLION, palette.GREY
@@ -55,6 +55,7 @@ _CHANGES: Final[dict[str, dict[str, str]]] = {
     EventKind.CAMERA_SPEAKS: {"frames": "arriving"},
     EventKind.CAMERA_LOST: {"frames": "camera lost"},
     EventKind.CAMERA_BACK: {"frames": "arriving"},
+    EventKind.TRIP: {"laser": "dark"},
     EventKind.LASER_DARK: {"laser": "dark"},
     EventKind.LASER_LIT: {"laser": "lit"},
 }
@@ -126,9 +127,8 @@ class Drawing:
         gap_s, entity = SAMPLES_GAP * self.setup.period_s, layout.entity(run, layout.X)
         drawn_s, drawn_x, drawn_y = self._breaks.in_gaps(entity, gap_s, time_s[chosen], x[chosen], y[chosen])
         alone, unit = len(self.setup.runs) < 2, self.setup.unit
-        self._gather(
-            run, layout.X, drawn_s, drawn_x, f"X / {unit}", palette.GREY if alone else palette.X_COLOUR
-        )
+        colour = palette.GREY if alone else palette.X_COLOUR
+        self._gather(run, layout.X, drawn_s, drawn_x, f"X / {unit}", colour)
         if alone:
             self._draw_across(run, drawn_s, drawn_x, drawn_y)
         self._gather(run, layout.Y, drawn_s, drawn_y, f"Y / {unit}", palette.Y_COLOUR)

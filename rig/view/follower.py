@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.events import Event, EventKind
+from acquisition.record.events import EventKind
 from acquisition.record.foxglove import preview_step
 from acquisition.record.read_file import Message
 from acquisition.record.reader import RecordReader
@@ -116,7 +116,7 @@ class Follower:
         """Time of the run's first frame, once a piece tells it."""
         if SPOT.topic in piece:
             return int(self._reader.rows(SPOT.topic, piece[SPOT.topic][:1])["time_ns"][0])
-        events = self._reader.decoded(EVENT.topic, Event, piece.get(EVENT.topic, ()))
+        events = self._reader.events_in(piece.get(EVENT.topic, ()))
         return next((event.time_ns for event in events if event.kind == EventKind.START), None)
 
     def _at(self, times_ns: int) -> float:
@@ -133,7 +133,7 @@ class Follower:
         ):
             if topic in piece:
                 draw(reader.rows(topic, piece[topic]))
-        for event in reader.decoded(EVENT.topic, Event, piece.get(EVENT.topic, ())):
+        for event in reader.events_in(piece.get(EVENT.topic, ())):
             if event.kind == EventKind.ADVICE:
                 self._advised = True
                 drawing.text(run, layout.ADVICE, self._at(event.time_ns), event.text)

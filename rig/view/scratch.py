@@ -122,7 +122,7 @@ class ScratchView:
         self._written(write)
         for frame in frames if sequences else frames[-1:]:
             number = frame.sequence if sequences else self._sequence - 1
-            self._picture(frame._replace(time_ns=frame.time_ns - shift_ns, sequence=number))
+            self._picture(Frame(frame.image, number, frame.time_ns - shift_ns, 0))
 
     def _picture(self, frame: Frame) -> None:
         if frame.time_ns >= self._picture_due_ns:

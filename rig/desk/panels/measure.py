@@ -217,7 +217,7 @@ def _estimates(run_state: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _event(at_s: float, event: Mapping[str, Any]) -> str:
-    grave = {"error": "no", "warning": "caution"}.get(str(event["level"]), "")
+    grave = {"trip": "no", "alarm": "no", "warning": "caution"}.get(str(event["level"]), "")
     when = str(event["at"]) if math.isnan(at_s) else f"{at_s:.1f} s"
     # some have said all with their kind
     text = html.escape(": ".join(str(event[part]) for part in ("kind", "text") if event[part]))

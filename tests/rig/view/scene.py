@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.events import EventKind
+from acquisition.record.events import EventKind, Level
 from processing.angle import ARCSEC_RAD
 from processing.swing import Swing
 from rig.rerun.messages import Curve
@@ -27,7 +27,7 @@ def play(viewer: Viewer, *, run: str = "", seed: int = 1, seconds: float = SECON
     count = 0
     events = ((0.0, EventKind.START), (20.0, EventKind.SPOT_LOST), (24.0, EventKind.SPOT_FOUND))
     for at_s, kind in events:
-        viewer.log(at_s, "info", f"{kind}: of the scene", kind=kind, run=run)
+        viewer.log(at_s, Level.INFORMATION, f"{kind}: of the scene", kind=kind, run=run)
     for time_s in blocks(seconds):
         x, y = trajectory(time_s, random)
         viewer.samples(time_s, x, y, np.zeros(len(time_s), dtype=np.int64), run=run)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from acquisition.frame import Frame
-from acquisition.record.events import ERROR_KINDS, WARNING_KINDS
+from acquisition.record.events import WARNING_KINDS
 from acquisition.record.writer import RecordWriter
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
@@ -93,7 +93,7 @@ def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path)
         nowhere = np.full(1, math.nan)
         at = Deflections(np.zeros(1, np.int64), nowhere, nowhere, nowhere, nowhere, DeflectionUnit.RAD)
         writer.write_spots([0], [0], [0], [spot], at)
-        for kind in ("start", *WARNING_KINDS, *ERROR_KINDS):
+        for kind in ("start", "trip", "laser dark", *WARNING_KINDS):
             writer.write_event(0, kind, "happened")
     write_rrd([path], rrd)
     texts = [text for (text,) in column(rrd, "/events", "TextLog:text")[1]]
@@ -101,7 +101,7 @@ def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path)
     found = dict(zip(texts, levels, strict=True))
     assert found.pop("start: happened") == "INFO"
     warned = {f"{kind}: happened": "WARN" for kind in WARNING_KINDS}
-    assert found == warned | {f"{kind}: happened": "ERROR" for kind in ERROR_KINDS}
+    assert found == warned | {"trip: happened": "CRITICAL", "laser dark: happened": "ERROR"}
 
 
 def test_a_lost_spot_breaks_the_trajectory(tmp_path: Path) -> None:
