@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Sized
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from acquisition.frame_losses import FrameLosses
 from acquisition.record import is_pixels, pixels_beside
 from acquisition.record.events import Event
 from acquisition.record.file_lock import is_being_written
-from acquisition.record.foxglove import decode_log, decode_preview
+from acquisition.record.foxglove import decode_log, decode_preview, preview_step
 from acquisition.record.pixels import decode_window
 from acquisition.record.read_file import (
     ChunkDamage,
@@ -64,6 +64,9 @@ from processing.swing import Swing
 
 _Value = TypeVar("_Value")
 _Taken = TypeVar("_Taken", bound=Sized)
+Piece: TypeAlias = dict[str, list[Message]]
+"""Messages of a chunk, by topic."""
+
 _ROWS_AT_ONCE = 4096
 _LOOK_S = 0.1
 
@@ -214,7 +217,7 @@ class RecordReader:
             else:
                 time.sleep(every_s)
 
-    def unread(self) -> Iterator[dict[str, list[Message]]]:
+    def unread(self) -> Iterator[Piece]:
         """Messages by topic, one chunk of numbers after another, of those that were not given before.
 
         Chunks are what was written between two flushes, so that a record that is followed and a whole one
@@ -243,14 +246,22 @@ class RecordReader:
                     self._picture_due_ns = time_ns + interval_ns
                     yield message.sequence, time_ns, decode_preview(message.data)
 
-    def _by_topic(self, file: ReadFile, place: ChunkPlace) -> dict[str, list[Message]]:
-        found: dict[str, list[Message]] = {}
+    def _by_topic(self, file: ReadFile, place: ChunkPlace) -> Piece:
+        found: Piece = {}
         try:
             for message in messages_in(file.open_chunk(place)):
                 found.setdefault(file.contents.channels[message.channel], []).append(message)
         except ChunkDamage as damage:
             file.note_damage(place, str(damage))
         return found
+
+    @property
+    def picture_shape(self) -> tuple[tuple[int, int], int]:
+        """(ny, nx) of the small pictures, and the whole number by which they are smaller than a frame."""
+        frame = self.metadata.get("frame", {})
+        ny, nx = (int(frame.get(name, "1")) for name in ("height_px", "width_px"))
+        step = preview_step((ny, nx))
+        return (-(-ny // step), -(-nx // step)), step
 
     def rows(self, topic: str, messages: Sequence[Message]) -> NDArray[Any]:
         """Messages of a topic of numbers as `table` gives them."""
@@ -368,9 +379,17 @@ class RecordReader:
         """All half-cycles, with amplitudes in `deflection_unit`."""
         return swings_of(self.table(SWING.topic))
 
+    def swings_in(self, messages: Sequence[Message]) -> list[Swing]:
+        """The half-cycles in some messages of their topic."""
+        return swings_of(self.rows(SWING.topic, messages)) if messages else []
+
     def balances(self) -> list[Balance]:
         """All balances, in `deflection_unit`."""
         return balances_of(self.table(BALANCE.topic), self.deflection_unit)
+
+    def balances_in(self, messages: Sequence[Message]) -> list[Balance]:
+        """The balances in some messages of their topic."""
+        return balances_of(self.rows(BALANCE.topic, messages), self.deflection_unit) if messages else []
 
     def events(self) -> list[Event]:
         """All events."""

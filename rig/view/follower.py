@@ -6,7 +6,7 @@ Nothing depends on when a piece is read: what is seen live is what is seen after
 import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -14,10 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.events import EventKind
-from acquisition.record.foxglove import preview_step
-from acquisition.record.read_file import Message
-from acquisition.record.reader import RecordReader
-from acquisition.record.spots_and_swings import balances_of, swings_of
+from acquisition.record.reader import Piece, RecordReader
 from acquisition.record.topics import (
     BALANCE,
     ESTIMATE,
@@ -39,7 +36,7 @@ from processing.estimate import Estimate
 from processing.spot import SpotFlag
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
-from rig.instrument import CameraClock, advice_for, frame_shape, recorded_configuration
+from rig.instrument import CameraClock, advice_for, recorded_configuration
 from rig.settings import Configuration
 from rig.view import layout
 from rig.view.drawing import Drawing
@@ -63,8 +60,8 @@ class Follower:
         self._reader, self._drawing, self._run = reader, drawing, run
         self._picture_interval_ns = nanoseconds(picture_interval_s)
         self._advise = _adviser(configuration_of(reader))
-        self._shape = _picture_shape(reader)
-        self._held: list[dict[str, list[Message]]] = []
+        self._shape = reader.picture_shape
+        self._held: list[Piece] = []
         self._start_ns: int | None = None
         self._last_ns = 0
         self._next_sequence = 0
@@ -112,7 +109,7 @@ class Follower:
             f"- {self.half_cycles} half-cycles\n"
         )
 
-    def _first_ns(self, piece: dict[str, list[Message]]) -> int | None:
+    def _first_ns(self, piece: Piece) -> int | None:
         """Time of the run's first frame, once a piece tells it."""
         if SPOT.topic in piece:
             return int(self._reader.rows(SPOT.topic, piece[SPOT.topic][:1])["time_ns"][0])
@@ -122,17 +119,14 @@ class Follower:
     def _at(self, times_ns: int) -> float:
         return seconds(times_ns - (self._start_ns or 0))
 
-    def _draw(self, piece: dict[str, list[Message]]) -> None:
+    def _draw(self, piece: Piece) -> None:
         reader, drawing, run = self._reader, self._drawing, self._run
         # the line of a balance separates the samples beside it
-        for topic, draw in (
-            (BALANCE.topic, self._draw_balances),
-            (SPOT.topic, self._draw_spots),
-            (REFERENCE.topic, self._draw_references),
-            (SWING.topic, self._draw_half_cycles),
-        ):
+        self._draw_balances(reader.balances_in(piece.get(BALANCE.topic, ())))
+        for topic, draw in ((SPOT.topic, self._draw_spots), (REFERENCE.topic, self._draw_references)):
             if topic in piece:
                 draw(reader.rows(topic, piece[topic]))
+        self._draw_half_cycles(reader.swings_in(piece.get(SWING.topic, ())))
         for event in reader.events_in(piece.get(EVENT.topic, ())):
             if event.kind == EventKind.ADVICE:
                 self._advised = True
@@ -165,8 +159,8 @@ class Follower:
         x_px, y_px = (np.where(lost, np.nan, rows[name]) for name in ("x_px", "y_px"))
         self._drawing.reference(self._run, self._times_s(rows["time_ns"]), x_px, y_px)
 
-    def _draw_half_cycles(self, rows: NDArray[Any]) -> None:
-        swings, size = swings_of(rows), self._reader.deflection_unit.shown_size
+    def _draw_half_cycles(self, swings: Sequence[Swing]) -> None:
+        size = self._reader.deflection_unit.shown_size
         columns = (
             [swing.amplitude / size for swing in swings],
             [swing.u_amplitude / size for swing in swings],
@@ -174,20 +168,20 @@ class Follower:
             [2.0 * swing.u_half_period_s for swing in swings],
         )
         amplitude, u_amplitude, period_s, u_period_s = (np.array(column) for column in columns)
-        time_s = self._times_s(rows["turn_time_ns"])
+        time_s = self._times_s(np.array([swing.turn_time_ns for swing in swings], dtype=np.int64))
         self._drawing.half_cycles(self._run, time_s, (amplitude, u_amplitude), (period_s, u_period_s))
         self.half_cycles += len(swings)
         self._swing = next((swing for swing in reversed(swings) if not swing.flags), self._swing)
 
-    def _draw_balances(self, rows: NDArray[Any]) -> None:
-        for balance in balances_of(rows, self._reader.deflection_unit):
+    def _draw_balances(self, balances: Sequence[Balance]) -> None:
+        for balance in balances:
             self._balanced = True
             at_s = self._at(balance.time_ns)
             self._drawing.balance(self._run, at_s, balance)
             if not self._advised and (advice := self._advise(balance)):
                 self._drawing.text(self._run, layout.ADVICE, at_s, advice)
 
-    def _draw_session(self, piece: dict[str, list[Message]]) -> None:
+    def _draw_session(self, piece: Piece) -> None:
         """What the session says of itself: phase, health, estimates."""
         reader, drawing, run = self._reader, self._drawing, self._run
         for health in reader.decoded(HEALTH.topic, RecordedHealth, piece.get(HEALTH.topic, ())):
@@ -307,16 +301,6 @@ def _adviser(config: Configuration | None) -> Callable[[Balance], str]:
     if config is None:
         return lambda _: ""
     return lambda balance: advice_for(config, balance).markdown
-
-
-def _picture_shape(reader: RecordReader) -> tuple[tuple[int, int], int]:
-    """(ny, nx) of the small pictures, and by which number they are reduced."""
-    try:
-        ny, nx = frame_shape(reader)
-    except RecordError:
-        return (1, 1), 1
-    step = preview_step((ny, nx))
-    return (-(-ny // step), -(-nx // step)), step
 
 
 def _clock(health: RecordedHealth) -> CameraClock:

@@ -13,7 +13,7 @@ import numpy as np
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.file_lock import is_being_written
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import ESTIMATE, REFERENCE
+from acquisition.record.topics import HEALTH, REFERENCE
 from processing.contact.laws import DEFAULT_LAW
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
@@ -322,7 +322,7 @@ def _parameters(readers: Sequence[RecordReader], config: Configuration | None) -
         and config.instrument.description().report == "contact"
         and pendulum_on_ball(config) is not None
     )
-    if not fitted or (readers[0].contents.whole and not readers[0].has(ESTIMATE.topic)):
+    if not fitted or (readers[0].contents.whole and not readers[0].has(HEALTH.topic)):
         return ()
     return DEFAULT_LAW.fit_names(calibrated=True, drag=config.fit.fits_drag)[:-2]
 
