@@ -37,6 +37,7 @@ from processing.spot import SpotFlag
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
 from rig.instrument import CameraClock, advice_for, recorded_configuration
+from rig.presentation import balance_numbers
 from rig.settings import Configuration
 from rig.view import layout
 from rig.view.drawing import Drawing
@@ -177,7 +178,7 @@ class Follower:
         for balance in balances:
             self._balanced = True
             at_s = self._at(balance.time_ns)
-            self._drawing.balance(self._run, at_s, balance)
+            self._drawing.balance(self._run, at_s, balance_numbers(balance))
             if not self._advised and (advice := self._advise(balance)):
                 self._drawing.text(self._run, layout.ADVICE, at_s, advice)
 

@@ -4,9 +4,11 @@ Nothing of theirs can end, slow or darken what measures: they get no more than t
 """
 
 import os
+import signal
 import subprocess
 import sys
 import urllib.parse
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -91,6 +93,10 @@ class RunningView:
         except subprocess.TimeoutExpired:
             process.kill()
             _, said = process.communicate()
+        if os.name == "posix":
+            # a page's server that a killed view has left
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
         if process.returncode == 0 or not self.record.exists():
             return None
         lines = said.decode(errors="replace").strip().splitlines()

@@ -143,7 +143,7 @@ class _Program:
                 "--server-memory-limit",
                 _SERVER_MEMORY,
             ]
-        self._process = start_program(*words)
+        self._process = start_program(*words, alone=not self._is_page)
         if self._is_page:
             print(f"the view is at {page_address(port, web_port)} (Ctrl-C ends it)", flush=True)
 
@@ -151,13 +151,12 @@ class _Program:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
-        # a window stays until it is closed, unless Ctrl-C was meant for it
         if self._is_page or kind is not None:
             self._process.kill()
-        if self._process.poll() is None and not self._is_page:
-            self._process.returncode = 0  # left to itself
-        else:
             self._process.wait()
+        elif self._process.poll() is None:
+            # a window stays until it is closed; nothing waits for it any more
+            self._process.returncode = 0
 
     @property
     def is_open(self) -> bool:
