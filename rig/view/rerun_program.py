@@ -2,7 +2,7 @@
 
 The executable inside the package is started directly: the `rerun` command is a Python wrapper, and the viewer
 would continue to run after the wrapper is ended. By default the viewer listens on all interfaces and sends
-usage data; both are switched off here.
+usage data; both are switched off here. The page, which has settings of its own in the browser, sends them.
 """
 
 import os
