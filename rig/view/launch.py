@@ -17,7 +17,7 @@ from rig.presentation import say
 from rig.terminal import LOOPBACK, free_port, start_python
 from rig.view.values import LayoutName, Mode
 
-_END_S = 20.0
+_END_S = 10.0
 """So long a view may take to draw what is left of its record, then it is ended."""
 _PORT, _WEB_PORT = 9876, 9090
 
