@@ -136,7 +136,7 @@ class Calibrating:
 
     @property
     def watched(self) -> Path | None:
-        """The record that is being made, whose folder's channel shows how it looks; None while none is."""
+        """The record that is being made, whose order socket shows how it looks; None while none is."""
         running = [path for path, job in tuple(self._recording.values()) if job.running and path.suffix]
         return running[0] if running else None
 

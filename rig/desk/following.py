@@ -14,9 +14,9 @@ from pydantic import TypeAdapter
 
 from processing.errors import RigError
 from rig.alarms import OF_CAMERA, EndedSession, HowEnded
-from rig.channel import CHANNEL_NAME, Line, NoSession, SessionBusy, SessionPicture, running_sessions
 from rig.control import STALE_S, DevicesNow, SafetyNow
 from rig.measure import RunState, read_session
+from rig.orders import ORDERS_NAME, Line, NoSession, SessionBusy, SessionPicture, running_sessions
 
 _LOOK_S = 0.2
 _SEARCH_S = 1.0
@@ -271,7 +271,7 @@ def doing(state: Mapping[str, Any] | None) -> str:
 
 def _how_ended(folder: Path) -> EndedSession:
     """How a session has ended that does not answer any more: one that was killed has left its file."""
-    if (folder / CHANNEL_NAME).exists():
+    if (folder / ORDERS_NAME).exists():
         return EndedSession(folder.name, HowEnded.DIED)
     try:
         entries = read_session(folder).entries

@@ -14,11 +14,11 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rig.channel import Channel, SessionNews
 from rig.instrument.snapshot import Snapshot
 from rig.measure import run as run_module
 from rig.measure.run_parts import Watcher
 from rig.measure.screen import RunDisplay
+from rig.orders import OrderSocket, SessionNews
 from rig.settings import load_configuration
 from rig.view import Viewer
 from tests.benchmarks.bench_desk import Desk
@@ -74,7 +74,7 @@ def desk_and_viewer() -> Iterator[Company]:
         def show(snapshot: Snapshot) -> None:
             news.state(display.values(snapshot), display.facts(snapshot))
 
-        stack.enter_context(Channel(folder, news, {}))
+        stack.enter_context(OrderSocket(folder, news, {}))
         stack.enter_context(Desk(source))
         viewer = stack.enter_context(Viewer(Path(place) / "run.rrd", "web"))
         yield Company([display, news, viewer], show)

@@ -11,7 +11,6 @@ from nicegui import run, ui
 from processing.errors import RigError
 from processing.estimate import Estimate
 from rig.alarms import AlarmKey
-from rig.channel import newest_first
 from rig.control import STALE_S, DevicesNow
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
@@ -23,6 +22,7 @@ from rig.desk.panels.start_form import build_form
 from rig.desk.tab import Tab
 from rig.instrument import Phase
 from rig.measure import estimate_texts
+from rig.orders import newest_first
 from rig.presentation import quantity
 
 _SIZE = (420, 300)

@@ -16,8 +16,8 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 from processing.deflections import Deflections, DeflectionUnit
 from processing.estimate import Estimate
 from processing.swing import Swing
-from rig.channel import Channel, SessionNews
 from rig.instrument import Block, FittedDecay, Snapshot
+from rig.orders import OrderSocket, SessionNews
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import Page
 from tests.rig.view.headless_browser import HeadlessBrowser
@@ -38,7 +38,7 @@ class ToldRun:
     def __init__(self, folder: Path) -> None:
         self.news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
         self.news.begin_run("run 1", 255, None)
-        self.channel = Channel(folder, self.news, {})
+        self.socket = OrderSocket(folder, self.news, {})
         self._random = np.random.default_rng(38)
         self._until_s, self._swings = 0.0, 0
 
@@ -116,7 +116,7 @@ def told_desk(desk_configuration: Callable[[str], Path]) -> Iterator[tuple[Count
     folder.mkdir(parents=True)
     run = ToldRun(folder)
     run.go_on_until(60.0)
-    with run.channel:
+    with run.socket:
         desk = CountedDesk(config)
         yield desk, run
         desk.process.kill()

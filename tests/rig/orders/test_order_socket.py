@@ -1,11 +1,14 @@
 """A session answers who has its key, keeps a frame when one is wanted, and takes the orders it knows."""
 
-import http.client
 import http.server
 import json
+import socket
 import stat
+import subprocess
 import threading
 from collections.abc import Iterator
+from multiprocessing import AuthenticationError
+from multiprocessing.connection import Connection, deliver_challenge
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +20,17 @@ from acquisition.record.events import Event, EventKind
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError, RigError
 from processing.spot import Spot
-from rig.channel import (
-    Channel,
+from rig.control import Interlock
+from rig.instrument import Block
+from rig.orders import (
+    LOOPBACK,
+    ORDERS_NAME,
     Line,
     NoSession,
+    OrderSocket,
     SessionNews,
     running_sessions,
 )
-from rig.control import Interlock
-from rig.instrument import Block
 from rig.settings import Configuration
 
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
@@ -47,7 +52,7 @@ def line(told: SessionNews, tmp_path: Path) -> Iterator[Line]:
     folder = tmp_path / "session"
     folder.mkdir()
     orders = {"stop": lambda _: "stopping", "brake": refuse, "acknowledge": lambda number: f"trip {number}"}
-    with Channel(folder, told, orders, lambda: {"opened": Interlock.LASER}), Line(folder) as opened:
+    with OrderSocket(folder, told, orders, lambda: {"opened": Interlock.LASER}), Line(folder) as opened:
         yield opened
 
 
@@ -127,11 +132,11 @@ def test_a_frame_that_can_be_written_to_is_copied(told: SessionNews, line: Line)
 
 def test_who_is_connected_is_not_answered_after_its_end(told: SessionNews, tmp_path: Path) -> None:
     taken: list[str] = []
-    with Channel(tmp_path, told, {"stop": lambda: str(taken.append("stop"))}):
+    with OrderSocket(tmp_path, told, {"stop": lambda: str(taken.append("stop"))}):
         line = Line(tmp_path)
         assert line.news()["run"] == "run 1"
     with line:
-        with pytest.raises(NoSession, match="refused to answer"):
+        with pytest.raises(NoSession):
             line.order("stop")
         assert taken == []
         with pytest.raises(NoSession):
@@ -147,21 +152,31 @@ def test_orders(line: Line) -> None:
         line.order("fly")
 
 
-@pytest.mark.parametrize("key", ["", "another"])
-@pytest.mark.parametrize(("method", "path"), [("GET", "/news"), ("GET", "/picture"), ("POST", "/order")])
-def test_without_the_key_nothing_is_told_and_nothing_done(
-    line: Line, key: str, method: str, path: str
-) -> None:
-    stated = json.loads((line.folder / ".channel.json").read_text())
-    connection = http.client.HTTPConnection("127.0.0.1", stated["port"], timeout=5)
-    connection.request(method, path, headers={"Authorization": key})
-    assert connection.getresponse().status == 403
-    connection.close()
+@pytest.mark.parametrize("key", [b"", b"another"])
+def test_without_the_key_nothing_is_told_and_nothing_done(line: Line, key: bytes) -> None:
+    stated = json.loads((line.folder / ORDERS_NAME).read_text())
+    made = socket.create_connection((LOOPBACK, stated["port"]), timeout=5)
+    made.settimeout(None)
+    with Connection(made.detach()) as connection, pytest.raises((AuthenticationError, EOFError, OSError)):
+        deliver_challenge(connection, key)
+    # an order without any proof is taken for a wrong one
+    made = socket.create_connection((LOOPBACK, stated["port"]), timeout=5)
+    made.settimeout(None)
+    with Connection(made.detach()) as connection:
+        connection.send(("stop", ""))
+        with pytest.raises((EOFError, OSError)):
+            connection.recv()
+
+
+def test_who_stops_while_proving_the_key_holds_nobody_up(line: Line) -> None:
+    stated = json.loads((line.folder / ORDERS_NAME).read_text())
+    with socket.create_connection((LOOPBACK, stated["port"]), timeout=5):
+        assert line.order("stop") == "stopping"
 
 
 def test_the_key_is_this_users_own_and_goes_with_the_session(told: SessionNews, tmp_path: Path) -> None:
-    path = tmp_path / ".channel.json"
-    with Channel(tmp_path, told, {}):
+    path = tmp_path / ORDERS_NAME
+    with OrderSocket(tmp_path, told, {}):
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert not path.exists()
     with pytest.raises(NoSession, match="no session runs here"):
@@ -171,28 +186,19 @@ def test_the_key_is_this_users_own_and_goes_with_the_session(told: SessionNews, 
 def test_of_a_killed_session_only_the_file_is_left(told: SessionNews, tmp_path: Path) -> None:
     for name in ("killed", "runs"):
         (tmp_path / name).mkdir()
-    (tmp_path / "killed" / ".channel.json").write_text('{"port": 1, "key": "k", "pid": 1}')
-    with Channel(tmp_path / "runs", told, {}):
+    (tmp_path / "killed" / ORDERS_NAME).write_text('{"port": 1, "key": "00ff", "pid": 1}')
+    with OrderSocket(tmp_path / "runs", told, {}):
         assert list(running_sessions(tmp_path)) == [tmp_path / "runs"]
     assert list(running_sessions(tmp_path)) == []
 
 
 def test_a_session_that_nobody_can_watch_is_measured_all_the_same(told: SessionNews, tmp_path: Path) -> None:
-    with Channel(tmp_path / "missing", told, {}) as channel:
-        assert "nobody can watch" in channel.problem
+    with OrderSocket(tmp_path / "missing", told, {}) as watched:
+        assert "nobody can watch" in watched.problem
 
 
 class _Another(http.server.BaseHTTPRequestHandler):
     """Any program that has got the port of a session which was killed."""
-
-    def do_GET(self) -> None:
-        body = b'{"run": "run 1", "events": []}'
-        self.send_response(200)
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
-
-    do_POST = do_GET
 
     def log_message(self, format: str, *args: Any) -> None:
         """Nothing is logged."""
@@ -203,12 +209,17 @@ def test_another_program_at_the_port_of_a_killed_session_is_no_session(
 ) -> None:
     for name in ("killed", "runs"):
         (tmp_path / name).mkdir()
-    with Channel(tmp_path / "runs", told, {}), http.server.HTTPServer(("127.0.0.1", 0), _Another) as another:
+    with (
+        OrderSocket(tmp_path / "runs", told, {}),
+        http.server.HTTPServer(("127.0.0.1", 0), _Another) as another,
+    ):
         threading.Thread(target=another.serve_forever, daemon=True).start()
-        stated = {"port": another.server_address[1], "key": "the key", "pid": 1}
-        (tmp_path / "killed" / ".channel.json").write_text(json.dumps(stated))
+        ended = subprocess.Popen(["true"])
+        ended.wait()
+        stated = {"port": another.server_address[1], "key": "00ff", "pid": ended.pid}
+        (tmp_path / "killed" / ORDERS_NAME).write_text(json.dumps(stated))
         with Line(tmp_path / "killed") as line:
-            for ask in (line.beat, line.news, line.picture, lambda: line.order("dark")):
+            for ask in (line.beat, lambda: line.order("dark")):
                 with pytest.raises(NoSession, match="another program answers"):
                     ask()
             assert line.process is None
@@ -221,8 +232,8 @@ def test_a_session_at_the_port_of_a_killed_one_does_not_answer_for_it(
 ) -> None:
     for name in ("killed", "runs"):
         (tmp_path / name).mkdir()
-    with Channel(tmp_path / "runs", told, {}):
-        stated = json.loads((tmp_path / "runs" / ".channel.json").read_text())
-        (tmp_path / "killed" / ".channel.json").write_text(json.dumps({**stated, "key": "of the killed"}))
-        with Line(tmp_path / "killed") as line, pytest.raises(NoSession, match="refused to answer"):
+    with OrderSocket(tmp_path / "runs", told, {}):
+        stated = json.loads((tmp_path / "runs" / ORDERS_NAME).read_text())
+        (tmp_path / "killed" / ORDERS_NAME).write_text(json.dumps({**stated, "key": "00ff"}))
+        with Line(tmp_path / "killed") as line, pytest.raises(NoSession, match="another program"):
             line.news()

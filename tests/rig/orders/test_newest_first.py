@@ -10,8 +10,8 @@ from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
 from processing.deflections import Deflections, DeflectionUnit
 from processing.ticks import nanoseconds
-from rig.channel import SessionNews, newest_first
 from rig.instrument import Block
+from rig.orders import SessionNews, newest_first
 from rig.settings import Configuration
 
 

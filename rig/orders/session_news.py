@@ -17,9 +17,9 @@ from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.spot import Spot, SpotFlag
 from processing.ticks import NS_PER_S, seconds
-from rig.channel.ground_now import GroundNow
-from rig.channel.run_history import RunHistory, spectrum
 from rig.instrument import Block, Snapshot, advice_for, balance_failures
+from rig.orders.ground_now import GroundNow
+from rig.orders.run_history import RunHistory, spectrum
 from rig.presentation import Verdict, balance_numbers, table_tree
 from rig.settings import Configuration
 
@@ -33,8 +33,8 @@ _WATCHED_S = 60.0
 """So long a desk may be away, and be opened again, before a run that waits for an acknowledgement ends."""
 
 
-class LastFrame(NamedTuple):
-    """A frame, the spot in it, its number among those that were kept, and the reference's spot."""
+class SessionPicture(NamedTuple):
+    """A frame (ny, nx) in DN, the spot in it, its number, and the reference's spot where it has one."""
 
     image: Image
     spot: Spot
@@ -60,7 +60,7 @@ class SessionNews:
         self._picture_wanted = False
         self._picture_number = 0
         self._picture_s = 0.0
-        self._frame: LastFrame | None = None
+        self._frame: SessionPicture | None = None
         self._frames_s = self._seen_s = self._record_s = math.nan
         self.run = ""
         self._begin()
@@ -156,7 +156,7 @@ class SessionNews:
             # a camera's frames are read-only and never written to again; anything else is copied
             held = image.copy() if image.flags.writeable else image
             reference = references[-1] if references else None
-            self._frame = LastFrame(held, spots[-1], self._picture_number, reference)
+            self._frame = SessionPicture(held, spots[-1], self._picture_number, reference)
 
     def event(self, start_ns: int, event: Event) -> None:
         """Keep an event."""
@@ -251,7 +251,7 @@ class SessionNews:
         """How many frames were kept for those who asked."""
         return self._picture_number
 
-    def picture(self, after: int = 0) -> LastFrame | None:
+    def picture(self, after: int = 0) -> SessionPicture | None:
         """A frame with a number above `after`, and ask for the next; None if there is none yet."""
         self._picture_wanted = True
         frame = self._frame

@@ -1,4 +1,4 @@
-"""Laser, controller and safety of whoever has the devices, told through a channel; dark by its order."""
+"""Laser, controller and safety of whoever has the devices, told by its socket; dark by order."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -6,9 +6,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rig.channel.server import Channel
-from rig.channel.session_news import SessionNews
 from rig.devices import Devices
+from rig.orders.server import OrderSocket
+from rig.orders.session_news import SessionNews
 from rig.settings import Configuration
 
 
@@ -38,5 +38,5 @@ def light_told(
         # without it nobody watches
         folder.mkdir(parents=True, exist_ok=True)
     orders = {"dark": lambda _: devices.light_off("the desk")}
-    with Channel(folder, session_news or SessionNews(config), orders, lambda: devices_now(devices)):
+    with OrderSocket(folder, session_news or SessionNews(config), orders, lambda: devices_now(devices)):
         yield

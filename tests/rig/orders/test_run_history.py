@@ -10,8 +10,8 @@ from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.estimate import Estimate
 from processing.swing import Swing
-from rig.channel.run_history import Extremes, RunHistory, spectrum
 from rig.instrument import FittedDecay, Snapshot
+from rig.orders.run_history import Extremes, RunHistory, spectrum
 
 SECOND_NS = 1_000_000_000
 
