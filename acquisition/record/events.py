@@ -85,6 +85,8 @@ class EventKind(StrEnum):
     """Its clock has stepped, or frames had wrong times; what was done with them."""
     WATCHER_FAILED = "watcher failed"
     """What only watches the run (display, view, live fit, balance) has failed; the record is whole."""
+    ADVICE = "advice"
+    """Which weight to turn, for the balance before it; Markdown, for displays."""
     NOTE = "note"
     """What an operator has noted, for displays; the record has it as `/note`."""
     CLOCK_STEP = "clock step"

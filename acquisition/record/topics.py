@@ -2,7 +2,7 @@
 
 import math
 from enum import IntEnum
-from typing import Final, NamedTuple, Protocol, TypeAlias
+from typing import Final, NamedTuple, Protocol, Self, TypeAlias
 
 from acquisition.frame import Image
 from acquisition.record.descriptor import Kind, Meanings
@@ -55,6 +55,12 @@ class RecordedReference(NamedTuple):
     amplitude_dn: float
     chi2_per_dof: float
     flags: int
+
+    @classmethod
+    def of(cls, sequence: int, time_ns: int, spot: Spot) -> Self:
+        """The same from a spot as it was found."""
+        position = spot.x_px, spot.y_px, spot.u_x_px, spot.u_y_px
+        return cls(sequence, time_ns, *position, spot.amplitude_dn, spot.chi2_per_dof, spot.flags)
 
 
 class RecordedWitness(NamedTuple):

@@ -46,9 +46,8 @@ from processing.spot import Spot
 from processing.swing import Swing
 
 _RESERVE_BYTES = 4 * 1024 * 1024
-_FLUSH_INTERVAL_S = 0.5
+_FLUSH_INTERVAL_S = 0.25
 """What is lost is at most this and what the disk takes to force it down."""
-_PREVIEW_INTERVAL_NS = 300_000_000
 _LOG_LEVELS = {Level.INFORMATION: 2, Level.WARNING: 3, Level.ALARM: 4, Level.TRIP: 5}
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".md": "text/markdown"}
 
@@ -57,7 +56,7 @@ class RecordWriter:
     """Writes a record; only one thread may use it.
 
     `path` has all numbers. The first pixel makes the file of pixels beside it (`pixels_beside`), which also
-    has a small picture a few times a second; deleting it makes the record smaller, and nothing else.
+    has small pictures; deleting it makes the record smaller, and nothing else.
 
     The files are created under their final names and never replace others; until it is closed, each is a
     truncated file, which can be read. Data that were flushed survive a crash and a power failure. Every
@@ -117,7 +116,6 @@ class RecordWriter:
         self._spot, self._swing, self._balance, *_ = kinds
         self._encoder = PixelEncoder()
         self._full_scale_dn = int((metadata or {}).get("camera", {}).get("full_scale_dn", "255"))
-        self._preview_due_ns = 0
         self._own = {
             "schema_version": str(SCHEMA_VERSION),
             "epoch_offset_ns": str(epoch_offset_ns),
@@ -178,14 +176,19 @@ class RecordWriter:
         With the fitted `spot` about half the bytes are written. It need not be correct.
         """
         data = self._encoder.encode(sequence, time_ns, image, x0_px, y0_px, spot)
-        self._add_pixels(WINDOW.topic, sequence, time_ns, data, image)
+        self._add_pixels(WINDOW.topic, sequence, time_ns, data)
 
     def write_image(self, frame: Frame) -> None:
         """Write a whole frame."""
         data = self._encoder.encode(frame.sequence, frame.time_ns, frame.image, 0, 0)
-        self._add_pixels(IMAGE.topic, frame.sequence, frame.time_ns, data, frame.image)
+        self._add_pixels(IMAGE.topic, frame.sequence, frame.time_ns, data)
 
-    def _add_pixels(self, topic: str, sequence: int, time_ns: int, data: bytes, image: Image) -> None:
+    def write_preview(self, frame: Frame) -> None:
+        """Write a small picture of a whole frame, for the eye."""
+        data = encode_preview(self._offset_ns + frame.time_ns, frame.image, self._full_scale_dn)
+        self._add_pixels(PREVIEW_TOPIC, frame.sequence, frame.time_ns, data)
+
+    def _add_pixels(self, topic: str, sequence: int, time_ns: int, data: bytes) -> None:
         self._ready()
         if self._pixels is None:
             path = pixels_beside(self.path)
@@ -195,10 +198,6 @@ class RecordWriter:
                 raise self._end_after(str(error)) from error
             self._guarded(lambda: write_metadata(pixels, {"record": self._own}, time.time_ns()))
         self._add(topic, time_ns, data, sequence)
-        if time_ns >= self._preview_due_ns:
-            self._preview_due_ns = time_ns + _PREVIEW_INTERVAL_NS
-            preview = encode_preview(self._offset_ns + time_ns, image, self._full_scale_dn)
-            self._add(PREVIEW_TOPIC, time_ns, preview, sequence)
 
     def write_swing(self, swing: Swing) -> None:
         """Write one half-cycle; amplitude and centre in `deflection_unit`."""

@@ -10,6 +10,7 @@ from rig.instrument import Block, Pipeline
 from rig.measure.recorder import Entry, cut_window
 
 _LOST_IMAGE_INTERVAL_S = 1.0
+_PREVIEW_NS = 300_000_000
 _LOST_FOR_S = 5.0
 """After so long a person is told."""
 
@@ -30,6 +31,7 @@ class FrameCounts:
         self._keep_windows = keep_windows
         self._next_image_ns = first.time_ns
         self._next_lost_image_ns = first.time_ns
+        self._next_preview_ns = first.time_ns
         self._sequence = -1
         self._lost = False
         self._seen_ns = first.time_ns
@@ -96,6 +98,9 @@ class FrameCounts:
                 else pipeline.tracker.record_window(spot, frame.image.shape)
             )
             windows.append(cut_window(frame, spot, bounds))
+        preview = frames[-1] if frames[-1].time_ns >= self._next_preview_ns else None
+        if preview is not None:
+            self._next_preview_ns = preview.time_ns + _PREVIEW_NS
         events += self._beam_events(frames, block, pipeline)
         self.frames += len(frames)
         self.last_ns = frames[-1].time_ns
@@ -106,6 +111,7 @@ class FrameCounts:
             block=block,
             windows=windows,
             images=images,
+            preview=preview,
             events=events,
         )
 

@@ -48,6 +48,7 @@ class Entry:
     block: Block | None = None
     windows: Sequence[SpotWindow | None] = ()
     images: Sequence[Frame] = ()
+    preview: Frame | None = None
     events: Sequence[Event] = field(default=())
     messages: Sequence[Recorded] = ()
     notes: Sequence[RecordedNote] = ()
@@ -57,7 +58,8 @@ class Entry:
     def memory_bytes(self) -> int:
         """About what the entry takes while it waits; never 0."""
         windows = sum(window.image.nbytes for window in self.windows if window is not None)
-        images = sum(frame.image.nbytes for frame in self.images)
+        frames = self.images if self.preview is None else [*self.images, self.preview]
+        images = sum(frame.image.nbytes for frame in frames)
         return _FRAME_BYTES * (1 + len(self.sequences)) + windows + images
 
 
@@ -212,13 +214,15 @@ class Recorder:
             for sequence, time_ns, spot in zip(
                 entry.sequences, times_ns.tolist(), block.references, strict=bool(block.references)
             ):
-                writer.write(REFERENCE, _reference(sequence, time_ns, spot), time_ns)
+                writer.write(REFERENCE, RecordedReference.of(sequence, time_ns, spot), time_ns)
             for swing in block.swings:
                 writer.write_swing(swing)
             for balance in block.balances:
                 writer.write_balance(balance)
         for frame in entry.images:
             writer.write_image(frame)
+        if entry.preview is not None:
+            writer.write_preview(entry.preview)
         for kind, value in entry.messages:
             writer.write(kind, value, value.time_ns)
         for note in entry.notes:
@@ -227,13 +231,6 @@ class Recorder:
             writer.attach(name, data)
         for event in entry.events:
             writer.write_event(event.time_ns, event.kind, event.text)
-
-
-def _reference(sequence: int, time_ns: int, spot: Spot) -> RecordedReference:
-    return RecordedReference(
-        sequence, time_ns, spot.x_px, spot.y_px, spot.u_x_px, spot.u_y_px,
-        spot.amplitude_dn, spot.chi2_per_dof, spot.flags,
-    )  # fmt: skip
 
 
 def cut_window(frame: Frame, spot: Spot, bounds_px: tuple[int, int, int, int] | None) -> SpotWindow | None:

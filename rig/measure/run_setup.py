@@ -25,7 +25,7 @@ from rig.orders import SessionNews
 from rig.posterior import LivePosterior
 from rig.presentation import Verdict, say
 from rig.settings import Configuration
-from rig.view import open_view
+from rig.view import RunningView
 
 LEAST_FREE_BYTES = 50 * 1024 * 1024
 """Of disk; with less no run begins."""
@@ -74,10 +74,11 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
         for line in camera.notes:
             _say_if_heard(line)
         posterior = live_posterior(plan.config) if plan.fitted else None
-        parameters = () if posterior is None else posterior.parameters
-        view = open_view(plan.config, record, plan.title, camera.info.full_scale_dn, parameters)
+        settings = plan.config.view
+        rrd = record.with_suffix(".rrd") if settings.file else None
+        view = RunningView(record, settings.mode, rrd, settings.layout)
         try:
-            outcome = _execute(plan, devices, camera, [] if view is None else [view], posterior)
+            outcome = _execute(plan, devices, camera, [], posterior)
             ends = plan.is_last or outcome.failure is not None or outcome.stopped
             # what hangs is not asked for frames once more
             devices.lights_again = not ends
@@ -87,8 +88,8 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
         finally:
             if posterior is not None:
                 posterior.close()
-            if view is not None:
-                view.close()
+            if problem := view.close():
+                _say_if_heard(problem)
 
 
 def _execute(

@@ -14,7 +14,7 @@ from processing.fit import Evidence
 from processing.swing import HarmonicsWatch, Swing, SwingHarmonics
 from rig.instrument import FittedDecay
 from rig.posterior.messages import Asked, FittedModel, FittedParameters
-from rig.rerun import start_python
+from rig.terminal import start_python
 
 
 class FittingProcess:

@@ -11,7 +11,7 @@ from processing.ticks import nanoseconds
 from rig.instrument import Phase, Snapshot
 from rig.presentation import Keys
 from rig.replay.replay import Replay, ReplayStep
-from rig.view import Viewer
+from rig.view import ScratchView
 
 HELP: Final = "space pause  → frame  h half-cycle  + - 10 s  g go to  q end"
 SEEK_S: Final = 10.0
@@ -52,7 +52,7 @@ class Player:
         display: Display,
         *,
         retrack: bool = False,
-        view: Viewer | None = None,
+        view: ScratchView | None = None,
         events: list[Event] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -139,17 +139,13 @@ class Player:
         if self._view is None:
             return
         start_ns = self._replay.start_ns
-        self._view.block(start_ns, (), step.block)
-        for frame, spot in step.pictures:
-            self._view.picture(start_ns, frame, spot)
+        self._view.block(step.block, step.pictures, sequences=step.sequences.tolist())
         position_ns = start_ns + nanoseconds(self._replay.position_s)
         while self._next_event < len(self._events) and (
             self._events[self._next_event].time_ns <= position_ns or math.isinf(self._replay.next_s)
         ):
-            self._view.event(start_ns, self._events[self._next_event])
+            self._view.event(self._events[self._next_event])
             self._next_event += 1
-        if math.isinf(self._speed):
-            self._view.wait_room()
 
     def _take(self, key: str) -> None:
         """Carry out the command of a key."""
@@ -191,7 +187,7 @@ class Player:
         self._wanted_s = -math.inf
         replay.restart(time_s)
         if self._view is not None:
-            self._view.jump(time_s)
+            self._view.restart(replay.start_ns + nanoseconds(time_s))
         self._forget()
 
     def _forget(self) -> None:
@@ -227,5 +223,3 @@ class Player:
             period_s=self._period_s,
         )
         self._display.show(snapshot, replay.length_s, remaining_s, self._typed)
-        if self._view is not None:
-            self._view.snapshot(snapshot)

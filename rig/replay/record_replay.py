@@ -22,16 +22,15 @@ from rig.analysis import (
     with_dropped_frames,
     write_results,
 )
-from rig.instrument import recorded_configuration
+from rig.instrument import configuration_attachments, recorded_configuration
 from rig.presentation import Keys, answer, print_line, say
 from rig.replay.comparison import parameter_changes
 from rig.replay.player import HELP, MOST_FRAMES, Player
 from rig.replay.replay import Replay, Replayed
 from rig.replay.screen import ReplayLine, print_changes, print_comparison
-from rig.rerun import Mode, Trouble
 from rig.settings import Configuration, Watched
 from rig.terminal import Terminated
-from rig.view import Viewer, start_view
+from rig.view import Mode, ScratchHead, ScratchView
 
 _LOOK_S = 0.2
 
@@ -83,7 +82,14 @@ def replay_record(
         wants_view = mode != "none" or rrd is not None
         replay = Replay(reader, config, retrack=retrack, from_s=from_s, to_s=to_s, pictures=wants_view)
         with ExitStack() as stack:
-            view = _view(stack, reader, config, record, rrd, mode) if wants_view else None
+            view = None
+            if wants_view:
+                view = stack.enter_context(
+                    ScratchView(f"replay of {record.stem}", mode, rrd, "measuring", math.inf)
+                )
+                attachments = {**reader.attachments, **configuration_attachments(config, Path())}
+                metadata = {name: texts for name, texts in reader.metadata.items() if name != "record"}
+                view.begin(replay.start_ns, ScratchHead(metadata, attachments, config.deflection_unit))
             keys = stack.enter_context(Keys())
             line = stack.enter_context(ReplayLine(config.deflection_unit.shown, HELP if keys.there else ""))
             player = Player(
@@ -97,6 +103,8 @@ def replay_record(
             )
             player.play()
             if mode == "web" and not player.ended_by_user:
+                if view is not None:
+                    view.flush()
                 say("the page has all of it and stays until q or Ctrl-C; the results follow then")
                 _stay(keys)
         result = replay.finish()
@@ -115,8 +123,6 @@ def replay_record(
         write_results(output / RESULTS_NAME, results)
         answer(written=[output / RESULTS_NAME])
         print(f"results      {output / RESULTS_NAME}")
-    if view is not None:
-        view.check_file()
     if rrd is not None:
         answer(written=[rrd])
         print(f"Rerun file   {rrd}")
@@ -157,25 +163,6 @@ def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> 
     if less is not None:
         run = replace(run, results=replace(run.results, notes=(*run.results.notes, less.text)))
     return with_dropped_frames(run, result.dropped_frames, reader, config)
-
-
-def _view(
-    stack: ExitStack,
-    reader: RecordReader,
-    config: Configuration,
-    record: Path,
-    rrd: Path | None,
-    mode: Mode,
-) -> Viewer:
-    view = start_view(config, rrd, mode, "measuring", f"replay of {record.stem}", reader.full_scale_dn)
-
-    def close() -> None:
-        counts = view.close()
-        if counts.dropped and not counts.troubles & {Trouble.FILE_ENDED, Trouble.LIVE_ENDED}:
-            say(f"view: {counts.dropped} values are missing: they came faster than they could be drawn")
-
-    stack.callback(close)
-    return view
 
 
 def _say_differences(

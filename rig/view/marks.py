@@ -5,7 +5,7 @@ from typing import Final
 import rerun as rr
 
 from rig.presentation import palette
-from rig.rerun.graticule import Graticule
+from rig.view.graticule import Graticule
 
 BACKGROUND: Final = (18, 20, 24)
 GRID_COLOUR: Final = (48, 52, 60)

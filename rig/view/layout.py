@@ -17,9 +17,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from rig.presentation import balance_panels
-from rig.rerun.graticule import BOX, PLANE_REACH
-from rig.rerun.marks import BACKGROUND
-from rig.rerun.messages import Setup
+from rig.view.graticule import BOX, PLANE_REACH
+from rig.view.marks import BACKGROUND
+from rig.view.values import Setup
 
 APPLICATION_ID: Final = "optical_pendulum_rig"
 TIMELINE: Final = "run_time"

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import rerun_cli
 
-from rig.rerun.ports import LOOPBACK
-from rig.rerun.process_group import own_group
+from rig.terminal import LOOPBACK, own_group
 
 
 def program() -> Path:

@@ -10,8 +10,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from rig.rerun.layout import TIMELINE
-from rig.rerun.messages import Floats
+from rig.view.layout import TIMELINE
+from rig.view.values import Floats
 
 
 class Decimator:

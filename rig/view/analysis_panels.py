@@ -1,15 +1,16 @@
 """Curves of the analysing layout: XY plots drawn in Spatial2DViews with their own axes."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 import rerun as rr
 
 from rig.presentation import palette
-from rig.rerun import layout
-from rig.rerun.graticule import Graticule
-from rig.rerun.marks import faded, graticule_marks
-from rig.rerun.messages import Curve, Fits, Panel
+from rig.view import layout
+from rig.view.graticule import Graticule
+from rig.view.marks import faded, graticule_marks
+from rig.view.values import Curve, Panel
 
 TITLES: Final[dict[Panel, tuple[str, str]]] = {
     "decay": ("time / s", "amplitude / {unit}"),
@@ -27,12 +28,13 @@ BARS_AT_MOST: Final = 400
 """Largest number of error bars of one curve."""
 
 
-def draw_fits(stream: rr.RecordingStream, fits: Fits, unit: str) -> None:
-    """Draw axes and curves of each panel, as static entities (without a time): they hold for the whole
-    run.
+def draw_fits(stream: rr.RecordingStream, drawn: Sequence[Curve], text: str, run: str, unit: str) -> None:
+    """Draw axes and curves of each panel, and the report's text (Markdown).
+
+    They are static entities (without a time), as they hold for the whole run.
     """
     for panel, (x_title, y_title) in TITLES.items():
-        curves = [curve for curve in fits.curves if curve.panel == panel]
+        curves = [curve for curve in drawn if curve.panel == panel]
         if not curves:
             continue
         graticule = Graticule.boxed(
@@ -42,7 +44,7 @@ def draw_fits(stream: rr.RecordingStream, fits: Fits, unit: str) -> None:
             y_title.format(unit=unit),
             trimmed=panel in TRIMMED,
         )
-        root = layout.entity(fits.run, f"{layout.ANALYSIS_ROOT}/{panel}")
+        root = layout.entity(run, f"{layout.ANALYSIS_ROOT}/{panel}")
         for name, archetype in graticule_marks(graticule).items():
             stream.log(f"{root}/axes/{name}", archetype, static=True)
         entries = []
@@ -54,9 +56,9 @@ def draw_fits(stream: rr.RecordingStream, fits: Fits, unit: str) -> None:
             entries.append((f"{curve.name} ({outside} outside)" if outside else curve.name, colour))
         legend = _legend(entries, graticule, below=panel == RISING)
         stream.log(f"{root}/legend", legend, static=True)
-    if fits.text:
-        document = rr.TextDocument(fits.text, media_type=rr.MediaType.MARKDOWN)
-        stream.log(layout.entity(fits.run, layout.REPORT), document, static=True)
+    if text:
+        document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+        stream.log(layout.entity(run, layout.REPORT), document, static=True)
 
 
 def _draw_curve(

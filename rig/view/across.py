@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.rerun.messages import Floats
+from rig.view.values import Floats
 
 _WAITS_S = 20.0
 """Samples from before the first balance of a run are kept for so long."""

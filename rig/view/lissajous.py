@@ -5,11 +5,11 @@ from collections import deque
 import numpy as np
 import rerun as rr
 
-from rig.rerun import layout
-from rig.rerun.gathering import Gathering
-from rig.rerun.graticule import PLANE_REACH, reach_beyond, trajectory_graticule
-from rig.rerun.marks import faded, graticule_marks
-from rig.rerun.messages import Floats
+from rig.view import layout
+from rig.view.gathering import Gathering
+from rig.view.graticule import PLANE_REACH, reach_beyond, trajectory_graticule
+from rig.view.marks import faded, graticule_marks
+from rig.view.values import Floats
 
 PIECE_POINTS = 25
 
