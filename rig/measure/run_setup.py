@@ -113,7 +113,7 @@ def _execute(
     )
     session_news = plan.session_news
     if session_news is not None:
-        session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied)
+        session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied, record)
         watchers = [*watchers, session_news]
 
     def show_table(verdicts: Sequence[Verdict]) -> None:

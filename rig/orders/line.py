@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from processing.errors import RigError
-from rig.orders.server import BEAT, HISTORY, LOOK, LOOPBACK, NEWS, ORDERS_NAME
+from rig.orders.server import BEAT, LOOK, LOOPBACK, NEWS, ORDERS_NAME
 from rig.orders.session_news import SessionPicture
 
 _ANSWER_S = 3.0
@@ -75,11 +75,6 @@ class Line:
     def news(self, after: int = 0) -> dict[str, Any]:
         """What `SessionNews.news` says."""
         found: dict[str, Any] = self._ask(NEWS, after)
-        return found
-
-    def history(self, *, spectra: bool = True) -> dict[str, Any]:
-        """What `SessionNews.history` says."""
-        found: dict[str, Any] = self._ask(HISTORY, spectra)
         return found
 
     def picture(self, after: int = 0) -> SessionPicture | None:

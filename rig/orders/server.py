@@ -20,7 +20,7 @@ ORDERS_NAME = ".orders.json"
 LOOPBACK = "127.0.0.1"
 BEAT = "beat"
 """Answered with nothing, at once."""
-NEWS, HISTORY, LOOK = "news", "history", "look"
+NEWS, LOOK = "news", "look"
 _LOOK_S = 0.2
 Orders = Mapping[str, Callable[[str], str]]
 """What may be ordered, by its first word, which is called with the rest; returns what was done, or raises
@@ -48,7 +48,6 @@ class OrderSocket:
         self._answers: dict[str, Callable[[Any], Any]] = {
             BEAT: lambda _: None,
             NEWS: lambda after: plain_values({**self._news.news(after), **self._extra()}),
-            HISTORY: lambda spectra: plain_values(self._news.history(spectra=spectra)),
             LOOK: self._news.picture,
         }
         self._orders = orders

@@ -4,7 +4,8 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,20 +14,15 @@ from numpy.typing import NDArray
 from acquisition.camera import CameraSettings
 from acquisition.frame import Frame, Image
 from acquisition.record.events import Event, Level
-from processing.balance import Balance
-from processing.deflections import Deflections, DeflectionUnit, joined
+from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
-from processing.ticks import NS_PER_S, seconds
-from rig.instrument import Block, Snapshot, advice_for, balance_failures
-from rig.orders.ground_now import GroundNow
-from rig.orders.run_history import RunHistory, spectrum
-from rig.presentation import Verdict, balance_numbers, table_tree
+from processing.ticks import NS_PER_S
+from rig.instrument import Block, Snapshot
+from rig.presentation import Verdict, table_tree
 from rig.settings import Configuration
 
 _PATH_S = 20.0
 _PATH_POINTS = 400
-_BLOCKS_JOINED = 32
-"""Blocks of a few frames that are kept as one: whoever asks would join thousands."""
 _EVENTS = 500
 _PICTURE_INTERVAL_S = 0.1
 _WATCHED_S = 60.0
@@ -53,7 +49,6 @@ class SessionNews:
         self._config = config
         self._unit: DeflectionUnit = config.deflection_unit
         self._lock = threading.Lock()
-        self._one_spectrum = threading.Lock()
         self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
         self._event_number = 0
         self._asked_s = -math.inf
@@ -61,28 +56,27 @@ class SessionNews:
         self._picture_number = 0
         self._picture_s = 0.0
         self._frame: SessionPicture | None = None
-        self._frames_s = self._seen_s = self._record_s = math.nan
         self.run = ""
+        self._record = ""
         self._begin()
 
     def _begin(self) -> None:
         self._path: deque[Deflections] = deque()
-        self._loose = 0
-        self._history = RunHistory()
-        self._ground = GroundNow(self._config.pendulum)
-        self._balance: Balance | None = None
         self._state: Mapping[str, Any] = {}
         self._rows: Sequence[tuple[str, str]] = ()
         self._preflight: Sequence[Mapping[str, Any]] = ()
         self._camera: dict[str, Any] = {}
-        self._frames_s = self._seen_s = self._record_s = math.nan
+        self._frames_s = self._seen_s = math.nan
 
-    def begin_run(self, title: str, full_scale_dn: int, applied: CameraSettings | None) -> None:
-        """A run begins, with a camera that has read back these settings."""
+    def begin_run(
+        self, title: str, full_scale_dn: int, applied: CameraSettings | None, record: Path | None = None
+    ) -> None:
+        """A run begins, with a camera that has read back these settings; its `record` will tell the rest."""
         lever = self._config.lever
         with self._lock:
             self._begin()
             self.run = title
+            self._record = "" if record is None else str(record.absolute())
             self._camera = {
                 "full_scale_dn": full_scale_dn,
                 "applied": {} if applied is None else applied.model_dump(exclude_none=True),
@@ -105,19 +99,9 @@ class SessionNews:
     # -- as a watcher, in the run's thread -----------------------------------
 
     def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
-        """Keep references to deflections and half-cycles, and the newest frame if it is wanted."""
-        size = self._unit.shown_size
-        if frames and math.isnan(self._record_s):
-            self._record_s = time.monotonic() - seconds(frames[-1].time_ns - start_ns)
-        with self._lock:
-            for swing in block.swings:
-                if not swing.flags:
-                    self._history.swing(start_ns, swing, size)
-            self._history.motion(start_ns, block.deflections)
-            self._ground.take(block.deflections, block.swings)
-            if block.balances:
-                self._balance = block.balances[-1]
-        self.before_record(frames, block.spots, block.deflections, block.references)
+        """Keep the newest frame if it is wanted; the record has the rest."""
+        self._path.clear()
+        self._look(frames, block.spots, block.references)
 
     def before_record(
         self,
@@ -126,23 +110,16 @@ class SessionNews:
         deflections: Deflections,
         references: Sequence[Spot] = (),
     ) -> None:
-        """Keep the trajectory, and the newest frame if it is wanted; also of frames that are not recorded."""
+        """Keep the trajectory, and the newest frame if it is wanted, of frames that no record has."""
         if len(deflections):
             with self._lock:
                 path, newest_ns = self._path, deflections.times_ns[-1]
-                if path and deflections.times_ns[0] <= path[-1].times_ns[-1]:
-                    # the record begins with frames that were seen while its beginning was waited for
-                    path.clear()
-                    self._loose = 0
                 path.append(deflections)
-                self._loose += 1
-                if self._loose == _BLOCKS_JOINED:
-                    # after a gap there may be fewer
-                    loose = [path.pop() for _ in range(min(_BLOCKS_JOINED, len(path)))]
-                    path.append(joined(loose[::-1], self._unit))
-                    self._loose = 0
                 while newest_ns - path[0].times_ns[-1] > _PATH_S * NS_PER_S:
                     path.popleft()
+        self._look(frames, spots, references)
+
+    def _look(self, frames: Sequence[Frame], spots: Sequence[Spot], references: Sequence[Spot]) -> None:
         now_s = time.monotonic()
         if spots:
             self._frames_s = now_s
@@ -159,26 +136,22 @@ class SessionNews:
             self._frame = SessionPicture(held, spots[-1], self._picture_number, reference)
 
     def event(self, start_ns: int, event: Event) -> None:
-        """Keep an event."""
-        self.note(event.kind, event.text, event.level, seconds(event.time_ns - start_ns))
+        """The record has it."""
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Keep what a new fit has told; the rest of the snapshot is in the display's values."""
-        if snapshot.estimated_from:
-            with self._lock:
-                self._history.estimates(snapshot)
+        """The rest of the snapshot is in the display's values."""
 
     # -- for those that answer -----------------------------------------------
 
-    def note(self, kind: str, text: str, level: str = Level.INFORMATION, elapsed_s: float = math.nan) -> None:
-        """Add a line to the events; those with a time, since their record began, are a run's."""
+    def note(self, kind: str, text: str, level: str = Level.INFORMATION) -> None:
+        """Add a line to the events that no record has."""
         with self._lock:
             self._event_number += 1
             self._events.append(
                 {
                     "number": self._event_number,
                     "run": self.run,
-                    "elapsed_s": elapsed_s,
+                    "elapsed_s": math.nan,
                     "kind": str(kind),
                     "level": level,
                     "text": text,
@@ -192,18 +165,18 @@ class SessionNews:
 
         Positions and amplitudes are as shown: arcsec, or px without a lever. `frames_age_s` is how old the
         last frame is that was looked at, `spot_lost_s` for how long the spot has been in none; NaN before the
-        first. `record_began_s` is when the record began on the clock of the events' `noted_s`; NaN before.
+        first. What is recorded is read in `record`.
         """
         self._asked_s = time.monotonic()
         with self._lock:
-            path, balance = list(self._path), self._balance
+            path = list(self._path)
             events = [event for event in self._events if event["number"] > since]
         now_s = time.monotonic()
         return {
             "run": self.run,
             "frames_age_s": now_s - self._frames_s,
             "spot_lost_s": max(self._frames_s - self._seen_s, 0.0),
-            "record_began_s": self._record_s,
+            "record": self._record,
             "simulated": self._config.simulated,
             "sample": self._config.session.sample,
             "operator": self._config.session.operator,
@@ -217,28 +190,6 @@ class SessionNews:
             "preflight": self._preflight,
             "events": events,
             "path": _thinned_path(path),
-            "balance": None if balance is None else self._of_balance(balance),
-        }
-
-    def history(self, *, spectra: bool = True) -> dict[str, Any]:
-        """What charts show of the run since it began, decimated.
-
-        With `spectra` also those of its last minutes, which take longer than all the rest.
-        """
-        with self._lock:
-            told, path = self._history.told(), list(self._path)
-            ground, parts = self._ground, self._ground.parts()
-        if not spectra:
-            return {"run": self.run, **told}
-        with self._one_spectrum:
-            shaken = ground.spectrum(*parts)
-        return {"run": self.run, **told, "spectrum": spectrum(path), "ground": shaken}
-
-    def _of_balance(self, balance: Balance) -> dict[str, Any]:
-        return {
-            "numbers": balance_numbers(balance),
-            "next_step": advice_for(self._config, balance).next_step or None,
-            "against": balance_failures(balance, self._config.balance),
         }
 
     @property
@@ -272,28 +223,3 @@ def _thinned_path(path: Sequence[Deflections]) -> dict[str, list[float | None]]:
 
 def _or_none(values: NDArray[np.float64]) -> list[float | None]:
     return [round(value, 4) if math.isfinite(value) else None for value in values.tolist()]
-
-
-def newest_first(
-    news: Mapping[str, Any], events: Iterable[Mapping[str, Any]]
-) -> list[tuple[float, Mapping[str, Any]]]:
-    """Events as they were told, the newest first, each with its time since the present run's record began.
-
-    That is negative before, and NaN while no record has begun: then they are in the order of their numbers.
-    """
-    timed = [(_since_record(news, event), event) for event in events]
-    return sorted(
-        timed, key=lambda one: (0.0 if math.isnan(one[0]) else one[0], one[1]["number"]), reverse=True
-    )
-
-
-def _since_record(news: Mapping[str, Any], event: Mapping[str, Any]) -> float:
-    """An event of this run's record has its time. What was noted without one, and what belongs to an earlier
-    run, whose own times count from another record, is placed by when it was noted.
-    """
-    began_s, elapsed_s = (
-        math.nan if told is None else float(told) for told in (news.get("record_began_s"), event["elapsed_s"])
-    )
-    if event["run"] == news.get("run") and not math.isnan(began_s + elapsed_s):
-        return elapsed_s
-    return float(event["noted_s"]) - began_s

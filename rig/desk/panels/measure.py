@@ -19,10 +19,10 @@ from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.panels.run_charts import FIRST_FIT, RunCharts
 from rig.desk.panels.run_result import NEXT_RUN, RunResult
 from rig.desk.panels.start_form import build_form
+from rig.desk.run_reader import newest_first
 from rig.desk.tab import Tab
 from rig.instrument import Phase
 from rig.measure import estimate_texts
-from rig.orders import newest_first
 from rig.presentation import quantity
 
 _SIZE = (420, 300)

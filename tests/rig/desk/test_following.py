@@ -98,7 +98,7 @@ def test_the_camera_of_a_new_run_has_nothing_to_do_with_the_last_one(tmp_path: P
     follower = Following(tmp_path)
     with OrderSocket(folder, told, {}):
         told.begin_run("run 1", 255, None)
-        told.note("camera lost", "unplugged", "warning", 3.0)
+        told.note("camera lost", "unplugged", "warning")
         follower.start()
         assert follower.camera_event is not None
         told.begin_run("run 2", 255, None)

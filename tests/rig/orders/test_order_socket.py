@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from acquisition.frame import Frame
-from acquisition.record.events import Event, EventKind
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError, RigError
 from processing.spot import Spot
@@ -69,16 +68,14 @@ def block(number: int, count: int = 16) -> tuple[list[Frame], Block]:
 
 
 def test_news_are_plain_values_and_events_come_once(told: SessionNews, line: Line) -> None:
-    told.block(0, *block(1))
-    told.event(0, Event(2_000_000_000, EventKind.START, "first frame"))
+    told.note("interlock", "waits for a person")
     told.state({"amplitude": float("nan"), "phase": "measuring"}, [("elapsed", "0:02")])
     news = line.news()
     assert news["run"] == "run 1"
     assert news["state"] == {"amplitude": None, "phase": "measuring"}
     assert news["opened"] == "laser"
-    assert news["path"]["y"] == [1.0] * 16
     (event,) = news["events"]
-    assert (event["kind"], event["elapsed_s"]) == ("start", 2.0)
+    assert (event["kind"], event["elapsed_s"]) == ("interlock", None)
     assert line.news(event["number"])["events"] == []
 
 
@@ -109,15 +106,16 @@ def test_a_frame_is_told_with_the_spot_of_its_reference(told: SessionNews, line:
     assert np.isnan(picture.reference.x_px)
 
 
-def test_what_is_seen_before_the_record_is_told_and_not_drawn_twice(told: SessionNews, line: Line) -> None:
+def test_what_is_seen_before_the_record_is_told_until_the_record_tells_it(
+    told: SessionNews, line: Line
+) -> None:
     frames, found = block(1)
     line.picture()
     told.before_record(frames, found.spots, found.deflections)
     assert line.picture() is not None
     assert line.news()["path"]["y"] == [1.0] * 16
-    # the record begins with the same frames
     told.block(0, frames, found)
-    assert line.news()["path"]["y"] == [1.0] * 16
+    assert line.news()["path"]["y"] == []
 
 
 def test_a_frame_that_can_be_written_to_is_copied(told: SessionNews, line: Line) -> None:

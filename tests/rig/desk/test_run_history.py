@@ -1,17 +1,15 @@
 """The history of a run: decimated, with nothing that stands out lost."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
-from processing.estimate import Estimate
 from processing.swing import Swing
-from rig.instrument import FittedDecay, Snapshot
-from rig.orders.run_history import Extremes, RunHistory, spectrum
+from rig.desk.run_history import Extremes, RunHistory, spectrum
+from rig.instrument import FittedDecay
 
 SECOND_NS = 1_000_000_000
 
@@ -47,15 +45,6 @@ def test_lost_spots_are_gaps_and_no_numbers() -> None:
     assert [one for _, one in kept.curve(0)] == [1.0, None, 2.0]
 
 
-def test_estimates_are_kept_once_a_fit() -> None:
-    history = RunHistory()
-    told = Snapshot(elapsed_s=10.0, estimated_from=20, estimates={"b": Estimate(0.03, 0.01)})
-    history.estimates(told)
-    history.estimates(replace(told, elapsed_s=11.0))
-    history.estimates(replace(told, elapsed_s=12.0, estimated_from=21))
-    assert history.told()["estimates"] == {"b": [(10.0, 0.03, 0.01), (12.0, 0.03, 0.01)]}
-
-
 def test_the_spectrum_has_its_peak_where_the_swing_is() -> None:
     time_s = np.arange(0.0, 20.0, 0.02)
     found = spectrum([deflections(time_s, np.sin(2 * np.pi * 3.0 * time_s), np.zeros_like(time_s))])
@@ -73,7 +62,7 @@ def test_a_fit_is_told_at_the_times_of_the_record_in_arcsec() -> None:
         [start_ns + SECOND_NS, start_ns + 3 * SECOND_NS], [3e-4, 2.9e-4], [1.234, -0.5],
         [start_ns + 2 * SECOND_NS], [4.01], [0.25],
     )  # fmt: skip
-    history.estimates(Snapshot(elapsed_s=10.0, estimated_from=20, decay=decay))
+    history.decay(decay)
     told = history.told()["fit"]
     assert told["amplitude"][1] == (3.0, pytest.approx(2.9e-4 / ARCSEC_RAD, abs=1e-5))
     assert told["amplitude_residual"] == [(1.0, 1.23), (3.0, -0.5)]

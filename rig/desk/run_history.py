@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, joined
+from processing.estimate import Estimate
 from processing.swing import Swing
 from processing.ticks import NS_PER_S, seconds
-from rig.instrument import FittedDecay, Snapshot
+from rig.instrument import FittedDecay
 
 Array = NDArray[np.float64]
 _MOST = 800
@@ -76,7 +77,7 @@ class Extremes:
 
 
 class RunHistory:
-    """What is kept of one run; written by its processing thread. The caller keeps threads apart."""
+    """What is kept of one run; written by the thread of its record. The caller keeps threads apart."""
 
     def __init__(self) -> None:
         self._motion = Extremes(2)
@@ -86,7 +87,6 @@ class RunHistory:
         self._waiting_samples = 0
         self._decay: FittedDecay | None = None
         self._estimates: dict[str, deque[tuple[float, float, float]]] = {}
-        self._estimated_from = 0
 
     def motion(self, start_ns: int, deflections: Deflections) -> None:
         """Deflections of recorded frames."""
@@ -113,16 +113,15 @@ class RunHistory:
         amplitude, u = swing.amplitude / shown_size, swing.u_amplitude / shown_size
         self._swings.append((at_s, amplitude, u, 2.0 * swing.half_period_s))
 
-    def estimates(self, snapshot: Snapshot) -> None:
-        """What a new fit has told."""
-        if snapshot.estimated_from <= self._estimated_from:
-            return
-        self._estimated_from = snapshot.estimated_from
-        self._decay = snapshot.decay
-        for key, one in snapshot.estimates.items():
-            if math.isfinite(one.value) and math.isfinite(one.standard_uncertainty):
-                kept = self._estimates.setdefault(key, deque(maxlen=_ESTIMATES))
-                kept.append((snapshot.elapsed_s, one.value, one.standard_uncertainty))
+    def estimate(self, elapsed_s: float, key: str, one: Estimate) -> None:
+        """What a new fit has told of a parameter."""
+        if math.isfinite(one.value) and math.isfinite(one.standard_uncertainty):
+            kept = self._estimates.setdefault(key, deque(maxlen=_ESTIMATES))
+            kept.append((elapsed_s, one.value, one.standard_uncertainty))
+
+    def decay(self, fitted: FittedDecay) -> None:
+        """The half-cycles beside their last fit."""
+        self._decay = fitted
 
     def told(self) -> dict[str, Any]:
         """Everything as plain values, deflections and amplitudes as they are shown."""

@@ -23,7 +23,7 @@ _NOTHING: dict[str, list[Any]] = {"f": [], "left": [], "acceleration": [], "low"
 
 
 class GroundNow:
-    """Keeps what a spectrum needs; `take` is called by the processing thread, `parts` under the same lock.
+    """Keeps what a spectrum needs; `take` is called by the thread of the record, `parts` under the same lock.
 
     `spectrum` takes some ten milliseconds, and is called without it, by one thread at a time.
     """
