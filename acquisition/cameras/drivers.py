@@ -1,7 +1,7 @@
 """Registry of the camera drivers: name, settings, class of the camera, search for cameras.
 
 To add a driver, add one entry. It determines the values of ``camera.driver``, the section ``[camera.NAME]``
-of the configuration, and what ``rig devices`` lists. Modules with settings are imported with the
+of the configuration, and what ``rig doctor`` lists. Modules with settings are imported with the
 configuration, all others when the driver is used.
 """
 

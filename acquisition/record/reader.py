@@ -174,7 +174,7 @@ class RecordReader:
             return ""
         return (
             f"{cut[0]}: was cut short (it has no ending); its complete part is used, "
-            f"rig recover {self.path} makes a complete file of it"
+            f"rig record recover {self.path} makes a complete file of it"
         )
 
     def doubts(self) -> list[str]:

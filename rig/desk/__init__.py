@@ -1,6 +1,6 @@
 """`rig desk`: one page in a browser on this machine from which the rig is run.
 
-The desk has no logic of its own: it starts the commands (`rig run`, `rig preflight`, `rig balance`) as
+The desk has no logic of its own: it starts the commands (`rig run`, `rig doctor`, `rig balance`) as
 processes, watches a session through its order socket (`rig.orders`), and shows what these say. A session is
 in no way a part of the desk: it goes on when the desk dies, and a desk that is opened finds it again.
 

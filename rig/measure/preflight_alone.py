@@ -1,4 +1,4 @@
-"""The command `rig preflight`: the checks that precede a run, without the run."""
+"""The command `rig doctor --preflight`: the checks that precede a run, without the run."""
 
 import queue
 from concurrent.futures import ThreadPoolExecutor
@@ -33,7 +33,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     check_materials(config)
     folder = config.session.output
     with (
-        Devices(config, folder, "rig preflight") as devices,
+        Devices(config, folder, "rig doctor --preflight") as devices,
         light_told(devices, config, folder),
         devices.camera(config) as camera,
     ):

@@ -270,13 +270,13 @@ def simulate_record(config: Configuration, source: Path, record: Path) -> int:
     """Record one run of the simulated rig, without viewer and fits; returns the exit status."""
     if not config.simulated:
         raise ConfigurationError(
-            f"camera.driver = {config.camera.driver!r}: rig simulate needs the simulated camera; "
-            "use rig run for a real one"
+            f"camera.driver = {config.camera.driver!r}: --record-only needs the simulated camera; "
+            "rig camera record records a real one"
         )
     quiet = config.view.model_copy(update={"mode": "none", "file": False})
     record.parent.mkdir(parents=True, exist_ok=True)
     config = complete(config.model_copy(update={"view": quiet}))
-    with Devices(config, task="rig simulate") as devices:
+    with Devices(config, task="rig run") as devices:
         outcome = measure_run(
             RunPlan(config, source, record, "simulation", fitted=bool(config.session.stop_when)), devices
         )

@@ -125,7 +125,7 @@ def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
     page.key("5")
     page.click("lever")
     page.click("Start over")
-    page.wait_text("Calibration of the lever")
+    page.wait_text("Lever: from px to radians")
     judge("a wizard's first question")
     page.click("geometry")
     page.wait_text("Mirror to sensor")

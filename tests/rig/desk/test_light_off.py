@@ -221,8 +221,8 @@ def test_a_trip_in_a_calibrations_recording_is_an_alarm_and_the_recording_can_be
     board, _, page, _ = rig
     page.click("Calibrate")
     page.click("pointing")
-    page.wait_text("Clamp the pendulum")
-    page.click("Record 120 s now")
+    page.wait_text("Clamp the pendulum, close the cover")
+    page.click("Record now")
     board.wait_lit(True, 120)
     page.wait(f"{LAMP.format('recording')}.includes('camera record')")
     page.wait(f"{LAMP.format('laser')} === 'laser on'")

@@ -201,7 +201,7 @@ def test_a_read_that_never_returns_ends_the_stream(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_slow_camera_is_waited_for_two_frame_times_whoever_reads_it(tmp_path: Path) -> None:
-    """`rig preflight` called one of a frame in ten seconds stalled after five; a run would have taken it."""
+    """A preflight called one of a frame in ten seconds stalled after five; a run would have taken it."""
     reads: list[float] = []
 
     def nothing(number: int) -> object:

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.settings import load_configuration, shipped, shipped_names
-from rig.wizards import copy_shipped
+from rig.settings import copy_shipped, load_configuration, shipped, shipped_names
 from tests.rig.command_line import rig
 
 ROOT = Path(__file__).parents[3]

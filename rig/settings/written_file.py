@@ -1,4 +1,4 @@
-"""Configuration files that are written: from answers, or as they come with the program."""
+"""Configuration files that `rig init` writes: from answers, or as they come with the program."""
 
 import datetime
 from collections.abc import Mapping
@@ -8,29 +8,20 @@ from typing import Any
 from acquisition import atomic_write
 from acquisition.cameras.drivers import DRIVERS
 from processing.errors import ConfigurationError, RecordError
-from rig.settings import (
-    SCHEMA,
-    SCHEMA_KEY,
-    Configuration,
-    commented_file,
-    load_configuration,
-    read_toml,
-    shipped,
-)
-from rig.wizards.keys import Keys
+from rig.settings.commented_keys import commented_file
+from rig.settings.configuration import Configuration
+from rig.settings.configuration_file import SCHEMA, SCHEMA_KEY, load_configuration
+from rig.settings.shipped_configurations import shipped
+from rig.settings.toml_file import read_toml
+
+Keys = Mapping[str, Any]
+"""Values by dotted key."""
 
 
-def stated_keys(values: Mapping[str, Keys]) -> dict[str, Any]:
-    """The keys of the configuration that the answers state."""
-    return {key: value for part in values.values() for key, value in part.items()}
-
-
-def configuration_text(stated: Keys, made_at: datetime.datetime) -> str:
+def _configuration_text(stated: Keys, made_at: datetime.datetime) -> str:
     """The file: what was stated, and every other key of such a rig, commented out."""
-    driver = stated.get("camera.driver")
+    driver = stated["camera.driver"]
     without = {f"camera.{name}" for name in DRIVERS if name != driver} | {"controller.faults"}
-    if driver is None:
-        without |= {"camera", "controller", "laser"}
     if driver != "simulated":
         without |= {"simulation", "faults"}
     head = [
@@ -39,16 +30,12 @@ def configuration_text(stated: Keys, made_at: datetime.datetime) -> str:
         "# A key that is misspelt, out of range or of the wrong type is an error, never ignored.",
         "# Values in angle brackets have no default. On the command line: --set session.runs=3",
     ]
-    remarks = {}
+    remarks = {
+        "balance.inertia_kg_m2": "about the contact, from the drawing; with the mass centre on the contact "
+        "m g R T0^2/4 pi^2; if left out, the height is not computed"
+    }
     if "camera.exposure_us" in stated:
         remarks["camera.exposure_us"] = "rig camera expose finds it"
-    if "balance.seconds" in stated:
-        remarks["balance.seconds"] = "length of one measurement, about three periods as stated to rig init"
-    if "pendulum.mass_kg" in stated:
-        remarks["balance.inertia_kg_m2"] = (
-            "about the contact, from the drawing; with the mass centre on the contact m g R T0^2/4 pi^2; "
-            "if left out, the height is not computed"
-        )
     return (
         "\n".join([*head, f"{SCHEMA_KEY} = {SCHEMA}"])
         + "\n"
@@ -63,12 +50,12 @@ def write_configuration(path: Path, stated: Keys) -> Configuration:
     RecordError where it cannot be written.
     """
     refuse_existing(path)
-    text = configuration_text(stated, datetime.datetime.now().astimezone())
+    text = _configuration_text(stated, datetime.datetime.now().astimezone())
     try:
         with atomic_write.being_written(path) as beside:
             beside.write_text(text, encoding="utf-8")
             try:
-                return load_configuration(beside, needs_camera="camera.driver" in stated)
+                return load_configuration(beside)
             except ConfigurationError as error:
                 raise ConfigurationError(str(error).replace(str(beside), str(path))) from None
     except OSError as error:
