@@ -115,7 +115,7 @@ class CameraTemperature(NamedTuple):
 
 
 class RecordedLosses(NamedTuple):
-    """Numbers of frames lost since the beginning, by cause; see `acquisition.frame_losses.FrameLosses`."""
+    """Numbers of frames lost since the beginning, by cause; see `acquisition.frames.losses.FrameLosses`."""
 
     time_ns: int
     by_camera: int

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, replace
 
 from acquisition.frame import Frame
-from acquisition.frame_losses import FrameLosses
+from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import (
     ESTIMATE,

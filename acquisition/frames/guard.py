@@ -1,4 +1,4 @@
-"""Checks what a driver delivers, which may be somebody's own, before anything is made of it."""
+"""Checks what a driver delivers and does, which may be somebody's own, before anything is made of it."""
 
 import logging
 import threading
@@ -22,11 +22,23 @@ _TYPES: Final = (np.dtype(np.uint8), np.dtype(np.uint16))
 _SEEN_ALONG: Final = 64
 _MOST_BUFFERS: Final = 8
 """Images that are held: drivers that fill a ring of buffers have hardly more."""
-_NUMBERS: Final = ("sequence", "device_time_ns", "host_time_ns")
 _MOST: Final = 1 << 63
 _ENDS_S: Final = 10.0
+HANGS_S: Final = 10.0
+"""Longer than it was asked to wait: a `read` that has not returned then is not waited for."""
+_ELSEWHERE: Final = -1
 _LATEST_NS: Final = 1_000_000_000
 """A frame that arrived later than so long from now has the time of another clock, that of the day."""
+NO_TIME_NS: Final = 1 << 62
+"""Later than any clock, 146 years; sums of times no longer fit."""
+MOST_PPM: Final = 1000.0
+"""A quartz is right within 100 ppm: a clock that runs otherwise counts in another unit than was believed."""
+_STRETCH_NS: Final = 2_000_000_000
+"""A delay of 2 ms, kept up from one stretch to the next, makes `MOST_PPM`."""
+_FEWEST: Final = 60
+_IN_A_ROW: Final = 3
+_SPREAD: Final = 0.2
+"""A wrong unit shows the same each time; a busy computer's delays do not within a fifth of themselves."""
 
 
 class _Seen(NamedTuple):
@@ -59,12 +71,15 @@ class Delivered:
         """The frame; raises DeviceError, in one line, for what no camera may deliver."""
         if not isinstance(frame, Frame):
             raise _refusal(f"read() returned {type(frame).__name__}", "return a Frame, or None at the end")
-        plain = [self._whole(name, getattr(frame, name)) for name in _NUMBERS]
-        number = plain[0]
-        since_ns = plain[2] - time.monotonic_ns()
+        image, *numbers = frame
+        if not all(type(one) is int and -_MOST <= one < _MOST for one in numbers):
+            numbers = [_whole(name, one) for name, one in zip(Frame._fields[1:], numbers, strict=True)]
+            frame = Frame(image, *numbers)
+        number, _, host_time_ns = numbers
+        since_ns = host_time_ns - time.monotonic_ns()
         if self._in_real_time and since_ns > _LATEST_NS:
             raise _refusal(
-                f"host_time_ns of frame {number} is {plain[2]}, {seconds(since_ns):+.4g} s from now",
+                f"host_time_ns of frame {number} is {host_time_ns}, {seconds(since_ns):+.4g} s from now",
                 "it is what time.monotonic_ns() says when the frame arrives",
             )
         if self._sequence is not None and number <= self._sequence:
@@ -74,18 +89,8 @@ class Delivered:
                 "and counted in status.wrong_id",
             )
         self._sequence = number
-        self._check_image(frame.image, number)
-        return frame if all(map(_is_plain, frame[1:])) else Frame(frame.image, *plain)
-
-    def _whole(self, name: str, value: object) -> int:
-        if isinstance(value, int | np.integer) and not isinstance(value, bool):
-            whole = int(value)
-            if -_MOST <= whole < _MOST:
-                return whole
-        raise _refusal(
-            f"{name} of a frame is {value!r} ({type(value).__name__})",
-            "whole numbers of 64 bits are needed",
-        )
+        self._check_image(image, number)
+        return frame
 
     def _check_image(self, image: object, number: int) -> None:
         if not isinstance(image, np.ndarray):
@@ -205,8 +210,101 @@ class Counts:
         return remark
 
 
-def _is_plain(value: object) -> bool:
-    return type(value) is int
+class HangingRead:
+    """Notices a `read` that does not return: told by the thread that reads, asked by the one that waits.
+
+    It counts the waits of the latter, not a clock: while the program stands still nobody waits.
+    """
+
+    def __init__(self, asked_s: float, hangs_s: float = HANGS_S) -> None:
+        self._asked_s, self._longest_s = asked_s, asked_s + hangs_s
+        self._reads = 0
+        self._now = self._then = _ELSEWHERE
+        self._waited_s = 0.0
+
+    def begins(self) -> None:
+        """A `read` begins."""
+        self._reads += 1
+        self._now = self._reads
+
+    def is_elsewhere(self) -> None:
+        """The thread does something that has a limit of its own."""
+        self._now = _ELSEWHERE
+
+    def after(self, waited_s: float) -> str:
+        """What is to be said after so long without a frame; 0 with one."""
+        same = self._now == self._then and self._now != _ELSEWHERE
+        self._waited_s = self._waited_s + waited_s if same and waited_s else 0.0
+        self._then = self._now
+        if self._waited_s < self._longest_s:
+            return ""
+        return (
+            f"camera: read() has not returned for {self._waited_s:.0f} s; it was asked to wait for "
+            f"{self._asked_s:g} s at most: its driver hangs"
+        )
+
+
+class ClockWatch:
+    """Compares the clocks over the first seconds of frames, whatever the driver.
+
+    A wrong unit shows in any stretch of frames, each time as much. Of each stretch the frame counts that came
+    soonest after its time: those that a busy computer takes late say nothing. What still looks like a wrong
+    unit is refused if three in a row show the same.
+    """
+
+    def __init__(self) -> None:
+        self._found: list[float] = []
+        self._done = False
+        self.begin_again()
+
+    def begin_again(self) -> None:
+        """The camera was opened again: the stretch begins again."""
+        self._soonest: list[tuple[int, int]] = []
+        self._since_ns, self._count = -1, 0
+
+    def see(self, frame: Frame) -> None:
+        """Take the next frame into account; raises DeviceError if the clock cannot be right."""
+        if self._done or not 0 <= frame.device_time_ns < NO_TIME_NS:
+            return
+        host_ns, late_ns = frame.host_time_ns, frame.host_time_ns - frame.device_time_ns
+        if not self._count:
+            self._since_ns = host_ns
+            self._soonest = [*self._soonest[-1:], (late_ns, host_ns)]
+        self._soonest[-1] = min(self._soonest[-1], (late_ns, host_ns))
+        self._count += 1
+        if host_ns - self._since_ns < _STRETCH_NS or self._count < _FEWEST:
+            return
+        self._count = 0
+        if len(self._soonest) > 1:
+            self._compare()
+
+    def _compare(self) -> None:
+        (late_before_ns, before_ns), (late_ns, host_ns) = self._soonest
+        drift_ppm = 1e6 * (late_before_ns - late_ns) / max(host_ns - before_ns, 1)
+        if abs(drift_ppm) <= MOST_PPM:
+            self._done = True
+            return
+        self._found = [*self._found, drift_ppm][-_IN_A_ROW:]
+        mean = sum(self._found) / len(self._found)
+        same = all(abs(drift - mean) < _SPREAD * abs(mean) for drift in self._found)
+        if len(self._found) == _IN_A_ROW and same:
+            raise DeviceError(
+                f"{as_fast(mean)}, at most {MOST_PPM:g} ppm are possible: its times cannot be used; "
+                "the driver misreads its unit, or the computer's clock was set: see rig doctor"
+            )
+
+
+def as_fast(drift_ppm: float) -> str:
+    """The rate of the camera's clock in words."""
+    return f"the camera's clock runs {1.0 + 1e-6 * drift_ppm:.6g} times as fast as the computer's"
+
+
+def _whole(name: str, value: object) -> int:
+    if isinstance(value, int | np.integer) and not isinstance(value, bool) and -_MOST <= value < _MOST:
+        return int(value)
+    raise _refusal(
+        f"{name} of a frame is {value!r} ({type(value).__name__})", "whole numbers of 64 bits are needed"
+    )
 
 
 def _some(image: NDArray[Any]) -> NDArray[Any]:

@@ -27,13 +27,14 @@ class UsualTimes:
 
     def __init__(self) -> None:
         self.scatter_ns = _LEAST_NS
+        self.interval_ns = 0.0
         self.begin_again()
 
     def begin_again(self) -> None:
-        """The camera was opened again: whatever its clock shows now is new."""
+        """The camera was opened again: its clock may show anything. The frame time is the last known."""
         self.last: Frame | None = None
         self.waited_for = False
-        self.interval_ns = self.deviation_ns = 0.0
+        self.deviation_ns = 0.0
         self.learned = 0
         self.delay_ns = math.nan
 
@@ -67,14 +68,14 @@ class UsualTimes:
         """The frame, whose time holds and is learned from."""
         last, self.last = self.last, frame
         if last is not None:
-            passed_ns = frame.device_time_ns - last.device_time_ns
+            passed_ns, numbers = frame.time_ns - last.time_ns, frame.sequence - last.sequence
             self.waited_for = frame.host_time_ns - last.host_time_ns > 0.5 * passed_ns
-        if last is not None and frame.sequence > last.sequence:
-            each_ns = (frame.device_time_ns - last.device_time_ns) / (frame.sequence - last.sequence)
-            if self.learned:
-                self.deviation_ns += SMOOTHING * (abs(each_ns - self.interval_ns) - self.deviation_ns)
-            self.interval_ns += (SMOOTHING if self.learned else 1.0) * (each_ns - self.interval_ns)
-            self.learned += 1
+            if numbers > 0 and passed_ns > 0:
+                off_ns = passed_ns / numbers - self.interval_ns
+                if self.learned:
+                    self.deviation_ns += SMOOTHING * (abs(off_ns) - self.deviation_ns)
+                self.interval_ns += (SMOOTHING if self.learned else 1.0) * off_ns
+                self.learned += 1
         delay_ns = float(frame.host_time_ns - frame.device_time_ns)
         if math.isnan(self.delay_ns) or self.learned < _LEARNED:
             # the first ones may be late

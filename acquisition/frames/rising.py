@@ -34,47 +34,37 @@ def rising_times(
     """
     time = np.concatenate(([0.0], np.asarray(times_ns, dtype=np.float64)))
     number = np.concatenate(([0], np.asarray(numbers, dtype=np.int64)))
-    usual = _usual_intervals(time, number, interval_ns)
-    count = len(time)
-    before, after = np.full(count, -np.inf), np.full(count, -np.inf)
-    before[0] = 0.0
-    came_before, came_after = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    steps_at = np.zeros(count, np.bool_)
-    for i in range(1, count):
-        passed_ns, numbers_between = time[i] - time[:i], np.maximum(number[i] - number[:i], 1)
-        link = _worth(passed_ns, numbers_between, usual)
-        scores = before[:i] + link
-        came_before[i] = np.argmax(scores)
-        before[i] = scores[came_before[i]]
+    newest = (np.diff(time) / np.maximum(np.diff(number), 1))[-_NEWEST:]
+    newest = newest[newest > 0]
+    usual = [one for one in (interval_ns, float(np.median(newest)) if len(newest) else 0.0) if one > 0]
+    # of the best line to each frame, before the step and behind it: its worth, and the frame before
+    worth = np.full((2, len(time)), -np.inf)
+    worth[0, 0] = 0.0
+    came = np.zeros((2, len(time)), np.int64)
+    steps_at = np.zeros(len(time), np.bool_)
+    for i in range(1, len(time)):
+        passed_ns, between = time[i] - time[:i], np.maximum(number[i] - number[:i], 1)
+        onwards = worth[:, :i] + _worth(passed_ns, between, usual)
+        came[:, i] = np.argmax(onwards, axis=1)
+        worth[:, i] = np.max(onwards, axis=1)
         if step_ns:
-            onwards = after[:i] + link
-            stepping = before[:i] + _worth(passed_ns - step_ns, numbers_between, usual)
-            on, at = int(np.argmax(onwards)), int(np.argmax(stepping))
-            steps_at[i] = stepping[at] > onwards[on]
-            came_after[i] = at if steps_at[i] else on
-            after[i] = max(stepping[at], onwards[on])
-    best = after if step_ns else before
-    i = int(np.argmax(best))
-    if not i or best[i] == -np.inf:
+            stepping = worth[0, :i] + _worth(passed_ns - step_ns, between, usual)
+            at = int(np.argmax(stepping))
+            if stepping[at] > worth[1, i]:
+                worth[1, i], came[1, i], steps_at[i] = stepping[at], at, True
+    after = 1 if step_ns else 0
+    i = int(np.argmax(worth[after]))
+    if worth[after, i] == -np.inf:
         return RisingTimes([])
     kept: list[int] = []
     first_after: int | None = None
     while i:
         kept.append(i - 1)
-        if step_ns and first_after is None:
-            if steps_at[i]:
-                first_after = i - 1
-            i = int(came_after[i])
-        else:
-            i = int(came_before[i])
+        before = int(came[after, i])
+        if after and steps_at[i]:
+            first_after, after = i - 1, 0
+        i = before
     return RisingTimes(kept[::-1], first_after)
-
-
-def _usual_intervals(time: Array, number: NDArray[np.int64], interval_ns: float) -> list[float]:
-    each_ns = np.diff(time) / np.maximum(np.diff(number), 1)
-    newest = each_ns[-_NEWEST:]
-    rising = newest[newest > 0]
-    return [one for one in (interval_ns, float(np.median(rising)) if len(rising) else 0.0) if one > 0]
 
 
 def _worth(passed_ns: Array, numbers: NDArray[np.int64], usual: list[float]) -> Array:

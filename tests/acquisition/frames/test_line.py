@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquisition.frame import Frame
-from rig.devices.frame_clock import FrameClock
+from acquisition.frames.line import FrameLine
 
 IMAGE = np.zeros((2, 2), np.uint8)
 RATE_HZ = 25.0
@@ -17,9 +17,9 @@ INTERVAL_NS = round(1e9 / RATE_HZ)
 
 def joined(
     device_ns: list[int], late_ms: list[float] | None = None
-) -> tuple[list[Frame], FrameClock, list[str]]:
+) -> tuple[list[Frame], FrameLine, list[str]]:
     """Frames that a clock lets through, of times at a steady rate."""
-    clock, frames, notes = FrameClock(), [], []
+    clock, frames, notes = FrameLine(in_real_time=True), [], []
     rng = np.random.default_rng(5)
     for number, time_ns in enumerate(device_ns):
         host_ns = 10**12 + number * INTERVAL_NS + round(1e6 * abs(rng.normal(1.0, 0.5)))
@@ -27,7 +27,7 @@ def joined(
             host_ns += round(1e6 * late_ms[number])
         found = clock.take(Frame(IMAGE.copy(), number, time_ns, host_ns))
         frames += found.frames
-        notes += [found.note] if found.note else []
+        notes += [text for _, text in found.notes]
     return frames, clock, notes
 
 
@@ -104,7 +104,7 @@ def test_frames_that_are_read_late_or_lost_are_no_fault_of_the_clock(
     frames, clock, notes = joined(times, behind.tolist())
     assert (len(frames), clock.rejected, notes) == (300, 0, [])
     kept = [(n, t) for n, t in enumerate(times) if n not in lost]
-    again = FrameClock()
+    again = FrameLine(in_real_time=True)
     through = [
         one for n, t in kept for one in again.take(Frame(IMAGE, n, t, 10**12 + n * INTERVAL_NS)).frames
     ]
@@ -113,7 +113,7 @@ def test_frames_that_are_read_late_or_lost_are_no_fault_of_the_clock(
 
 def test_a_rate_that_changes_is_no_step() -> None:
     times = np.cumsum([INTERVAL_NS] * 100 + [2 * INTERVAL_NS] * 100 + [INTERVAL_NS // 2] * 100)
-    clock = FrameClock()
+    clock = FrameLine(in_real_time=True)
     frames = [
         one
         for n, t in enumerate(times.tolist())
@@ -123,13 +123,13 @@ def test_a_rate_that_changes_is_no_step() -> None:
     assert clock.rejected == 0
 
 
-def carried(times: list[int], host_ns: list[int]) -> tuple[list[Frame], FrameClock, list[str]]:
+def carried(times: list[int], host_ns: list[int]) -> tuple[list[Frame], FrameLine, list[str]]:
     """Frames with numbers that go on whatever is lost, as of a camera that was reset."""
-    clock, frames, notes = FrameClock(), [], []
+    clock, frames, notes = FrameLine(in_real_time=True), [], []
     for number, (time_ns, arrived_ns) in enumerate(zip(times, host_ns, strict=True)):
         found = clock.take(Frame(IMAGE.copy(), number, time_ns, arrived_ns))
         frames += found.frames
-        notes += [found.note] if found.note else []
+        notes += [text for _, text in found.notes]
     return frames, clock, notes
 
 
@@ -185,7 +185,7 @@ def test_what_is_missing_without_numbers_while_the_reader_hangs_for_long_is_no_s
 
 def test_a_step_that_must_be_decided_before_the_reader_is_up_says_how_little_is_known_of_it() -> None:
     """No room is left for frames that wait; whichever clock was right, the uncertainty covers it."""
-    clock = FrameClock()
+    clock = FrameLine(in_real_time=True)
     image = np.zeros((1024, 2048), np.uint8)
     true = [n * INTERVAL_NS + 5 * INTERVAL_NS * (n >= 120) for n in range(200)]
     host = arrivals(true)
@@ -193,9 +193,9 @@ def test_a_step_that_must_be_decided_before_the_reader_is_up_says_how_little_is_
         host[n] = host[199] + 10_000 * (n - 199)
     seen = [clock.take(Frame(image, n, t, host[n])) for n, t in enumerate(true)]
     frames = [frame for one in seen for frame in one.frames]
-    (step,) = (one.step for one in seen if one.step is not None)
+    (step,) = (step for one in seen for step in one.steps)
     assert len(frames) > 190
-    assert all(abs(one.device_time_ns - true[one.sequence]) <= step.u_ns for one in frames[120:])
+    assert all(abs(one.device_time_ns - true[one.sequence]) <= step.u_step_ns for one in frames[120:])
 
 
 @pytest.mark.parametrize("shows", ["frozen", "nothing", "anything"])
@@ -229,17 +229,13 @@ def test_a_clock_that_never_shows_a_time_is_given_up_at_the_start() -> None:
 
 
 def test_a_step_says_its_size_and_what_is_not_known_of_it() -> None:
-    clock, steps = FrameClock(), []
+    clock, steps = FrameLine(in_real_time=True), []
     for n, t in enumerate(steady()):
         shown = (t + 130_000_000 * (n >= 120)) % 2**32
-        step = clock.take(Frame(IMAGE.copy(), n, shown, 10**12 + n * INTERVAL_NS)).step
-        steps += [step] if step is not None else []
-    wraps = [step for step in steps if step.step_ns == -(2**32)]
-    others = [step for step in steps if step.step_ns != -(2**32)]
-    assert len(wraps) == 3
-    assert all(step.u_ns == 0 for step in wraps)
-    assert len(others) == 1
-    assert abs(others[0].step_ns - 130_000_000) < 4 * others[0].u_ns < 100_000
+        steps += clock.take(Frame(IMAGE.copy(), n, shown, 10**12 + n * INTERVAL_NS)).steps
+    assert clock.wraps == 2
+    (step,) = steps
+    assert abs(step.step_ns - 130_000_000) < 4 * step.u_step_ns < 100_000
 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 10.0, 30.0])
@@ -348,9 +344,92 @@ def test_a_step_belongs_to_the_frame_after_it_however_many_waited_before(gap: in
     """As recorded, it is taken off the times from that frame on."""
     true = rising_by([INTERVAL_NS * (1 + gap * (n == 120)) for n in range(1, 300)])
     shown = [10**9 + t + 130_000_000 * (n >= 135) for n, t in enumerate(true)]
-    clock, places = FrameClock(), []
+    clock, steps, times = FrameLine(in_real_time=True), [], {}
     for n, (time_ns, host_ns) in enumerate(zip(shown, hanging(true, 110, 160), strict=True)):
         seen = clock.take(Frame(IMAGE, n, time_ns, host_ns))
-        if seen.step is not None:
-            places.append(seen.frames[seen.after_step].sequence)
-    assert places == [135]
+        steps += seen.steps
+        times |= {one.sequence: one.time_ns for one in seen.frames}
+    assert [step.time_ns for step in steps] == [times[135]]
+
+
+def joined_one(line: FrameLine, number: int, device_ns: int, host_ns: int) -> tuple[Frame, str]:
+    """The frame that the line makes of one whose time is sure, and what is said."""
+    passed = line.take(Frame(IMAGE, number, device_ns, host_ns))
+    (frame,) = passed.frames
+    return frame, "; ".join(text for _, text in passed.notes)
+
+
+def test_a_clock_that_began_again_is_shifted_and_said_so() -> None:
+    line = FrameLine()
+    for number in range(10):
+        joined_one(line, number, 10**12 + number * 10**7, 5 * 10**9 + number * 10**7)
+    line.begin_again()
+    host_ns = 5 * 10**9 + 9 * 10**7 + 2 * 10**9
+    frame, note = joined_one(line, 0, 12345, host_ns)
+    assert frame.device_time_ns == 10**12 + 9 * 10**7 + 2 * 10**9
+    assert frame.sequence == 9 + 200
+    assert "clock restarted" in note
+    later, note = joined_one(line, 1, 12345 + 10**7, host_ns + 10**7)
+    assert (later.sequence, later.device_time_ns - frame.device_time_ns, note) == (210, 10**7, "")
+
+
+def test_a_clock_that_another_one_set_meanwhile_is_shifted_too() -> None:
+    """As by a network's clock, decades ahead of the camera's own."""
+    line = FrameLine(in_real_time=True)
+    for number in range(10):
+        joined_one(line, number, 10**9 + number * 10**7, 5 * 10**9 + number * 10**7)
+    line.begin_again()
+    passed = line.take(Frame(IMAGE, 0, 1_700_000_000 * 10**9, 5 * 10**9 + 9 * 10**7 + 10**9))
+    (frame,), (step,), ((_, note),) = passed.frames, passed.steps, passed.notes
+    assert (frame.sequence, frame.device_time_ns) == (109, 10**9 + 9 * 10**7 + 10**9)
+    assert "clock restarted" in note
+    assert (step.time_ns, step.step_ns > 1_600_000_000 * 10**9) == (frame.time_ns, True)
+
+
+@pytest.mark.parametrize("senseless", [3, 40])
+def test_a_camera_that_comes_back_without_times_continues_its_numbers_all_the_same(senseless: int) -> None:
+    """Some first frames, or all, show no time; then a clock that began again, or the computer's."""
+    line = FrameLine(in_real_time=True)
+    for number in range(20):
+        joined_one(line, number, 10**12 + number * 10**7, 5 * 10**9 + number * 10**7)
+    line.begin_again()
+    passed = [
+        line.take(Frame(IMAGE, n, 2**62 if n < senseless else 500 + n * 10**7, 6 * 10**9 + n * 10**7))
+        for n in range(40)
+    ]
+    frames = [frame for one in passed for frame in one.frames]
+    for frame in frames:
+        # 5.19 s was the last before it, which is 10**12 + 0.19 s by the camera
+        assert frame.device_time_ns - 10**12 == pytest.approx((frame.sequence) * 10**7, abs=1000)
+    assert (len(frames), line.rejected) == ((37, 3) if senseless == 3 else (40, 0))
+    assert any("opened again" in text for one in passed for _, text in one.notes)
+
+
+def test_what_waits_when_a_camera_is_lost_is_counted() -> None:
+    line = FrameLine(in_real_time=True)
+    for number in range(20):
+        joined_one(line, number, 10**12 + number * 10**7, 5 * 10**9 + number * 10**7)
+    assert line.take(Frame(IMAGE, 20, 7, 5 * 10**9 + 20 * 10**7)).frames == []
+    assert (line.waiting, line.rejected) == (1, 0)
+    line.begin_again()
+    assert (line.waiting, line.rejected) == (0, 1)
+
+
+def test_a_camera_that_is_lost_after_its_first_frame_continues_its_numbers() -> None:
+    line = FrameLine()
+    first, _ = joined_one(line, 0, 10**12, 5 * 10**9)
+    line.begin_again()
+    again, note = joined_one(line, 0, 7, 8 * 10**9)
+    assert (first.sequence, again.sequence) == (0, 1)
+    assert again.device_time_ns == first.device_time_ns + 3 * 10**9
+    assert "opened again after 3.000 s" in note
+
+
+def test_the_middle_of_the_exposure_continues_over_a_clock_that_began_again() -> None:
+    line = FrameLine(time_shift_ns=-(10**6))
+    joined = [joined_one(line, n, 10**12 + n * 10**7, 5 * 10**9 + n * 10**7)[0] for n in range(10)]
+    assert [frame.device_time_ns for frame in joined] == [10**12 - 10**6 + n * 10**7 for n in range(10)]
+    line.begin_again()
+    again, _ = joined_one(line, 0, 500, 5 * 10**9 + 9 * 10**7 + 10**9)
+    assert (again.device_time_ns - joined[-1].device_time_ns, again.sequence) == (10**9, 9 + 100)
+    assert joined_one(line, 1, -1, 6 * 10**9)[0].device_time_ns == -1
