@@ -11,9 +11,10 @@ import sys
 from difflib import get_close_matches
 from importlib import metadata
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from processing.errors import ConfigurationError, RigError
 from rig.commands import (
@@ -21,7 +22,6 @@ from rig.commands import (
     calibration,
     camera,
     campaign,
-    films,
     fitting,
     init,
     light,
@@ -35,8 +35,31 @@ from rig.terminal import reason_of, spell_out_what_is_missing, terminated_by_sig
 
 _MADE_BETWEEN_COLLECTIONS = 10_000
 
+GROUPS = {
+    "Measure": ("run", "demo", "desk", "balance", "camera", "calibrate", "light"),
+    "Look": ("view", "replay", "record"),
+    "Results": ("fit", "report", "export", "compare", "campaign", "plan", "paper", "archive"),
+    "Care": ("init", "doctor"),
+}
+"""The commands in the order and under the headings of `rig --help`."""
+
+
+class _InGroups(TyperGroup):
+    """Lists the commands under the headings of `GROUPS`."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return [name for names in GROUPS.values() for name in names]
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        for heading, names in GROUPS.items():
+            with formatter.section(heading):
+                limit = formatter.width - 6 - max(map(len, self.commands))
+                formatter.write_dl([(name, self.commands[name].get_short_help_str(limit)) for name in names])
+
+
 app = typer.Typer(
     name="rig",
+    cls=_InGroups,
     help=(
         "Optical pendulum rig: measure, replay, view and analyse the free decay of a pendulum on one ball."
         "\n\nBegin with rig demo, a whole measurement on a simulated rig, or with rig init for your own."
@@ -53,7 +76,6 @@ for module in (
     records,
     fitting,
     planning,
-    films,
     calibration,
     reporting,
     campaign,

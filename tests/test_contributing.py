@@ -87,9 +87,9 @@ def run_all(tree: Path, title: str) -> dict[str, str]:
 
 def test_a_camera_is_found_and_delivers_frames(tree: Path) -> None:
     said = run_all(tree, "Adding a camera")
-    assert "swinging_spot  Swinging spot  serial SW-1" in said["rig devices"]
+    assert "swinging_spot  Swinging spot  serial SW-1" in said["rig doctor"]
     assert "camera.frame_rate_hz = 40.0" in said["rig camera show swinging-spot.toml"]
-    assert re.search(r"/spot +8\d\d\n", said["rig info runs/swinging-spot/run-1.mcap"])
+    assert re.search(r"/spot +8\d\d\n", said["rig record info runs/swinging-spot/run-1.mcap"])
     tested = said["pytest tests/acquisition/cameras/test_swinging_spot.py"]
     assert re.search(r"\b1\d passed", tested), tested
 

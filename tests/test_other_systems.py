@@ -52,7 +52,7 @@ print(*find_cameras()[1], sep="\\n")
 
 
 def test_every_module_is_there_without_what_only_posix_has() -> None:
-    """And so is the search for cameras, which `rig devices` and `rig init` begin with."""
+    """And so is the search for cameras, which `rig doctor` and `rig init` begin with."""
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT_POSIX, *PACKAGES],
         env={**os.environ, "PYTHONPATH": str(ROOT)},

@@ -19,7 +19,7 @@ ALLOWED = {
     # names that being_written or folder_being_written gave
     "rig/export/tables.py": "under the name that being_written gives",
     "rig/export/nexus.py": "under the name that being_written gives",
-    "rig/wizards/configuration_file.py": "under the name that being_written gives",
+    "rig/settings/written_file.py": "under the name that being_written gives",
     "rig/measure/plain_record.py": "in the folder that folder_being_written gives",
     # lines that are added, never changed
     "rig/balance/history.py": "a history to which lines are added",

@@ -1,7 +1,7 @@
 """Registry of the camera drivers: name, settings, class of the camera, search for cameras.
 
 To add a driver, add one entry. It determines the values of ``camera.driver``, the section ``[camera.NAME]``
-of the configuration, and what ``rig devices`` lists. Modules with settings are imported with the
+of the configuration, and what ``rig doctor`` lists. Modules with settings are imported with the
 configuration, all others when the driver is used.
 """
 
@@ -60,25 +60,25 @@ DRIVERS: dict[str, Driver] = {
     # any USB3 Vision camera, through pyusb
     "usb3vision": Driver(
         camera="acquisition.cameras.usb3vision.camera:Usb3VisionCamera",
-        settings=("acquisition.cameras.usb3vision.settings:Usb3VisionSettings",),
+        settings=("acquisition.cameras.device_settings:Usb3VisionSettings",),
         find="acquisition.cameras.usb3vision.discovery:list_cameras",
     ),
     # UVC and other Video4Linux cameras; on Windows and macOS through OpenCV
     "v4l2": Driver(
         camera="acquisition.cameras.v4l2.camera:V4l2Camera",
-        settings=("acquisition.cameras.v4l2.settings:V4l2Settings",),
+        settings=("acquisition.cameras.device_settings:V4l2Settings",),
         find="acquisition.cameras.v4l2.devices:list_cameras",
     ),
     # Basler cameras through the vendor's pypylon, an optional package
     "pylon": Driver(
         camera="acquisition.cameras.pylon.camera:PylonCamera",
-        settings=("acquisition.cameras.pylon.settings:PylonSettings",),
+        settings=("acquisition.cameras.device_settings:PylonSettings",),
         find="acquisition.cameras.pylon.camera:list_cameras",
     ),
     # GigE Vision and USB3 Vision cameras through libaravis and PyGObject, which are optional
     "aravis": Driver(
         camera="acquisition.cameras.aravis.camera:AravisCamera",
-        settings=("acquisition.cameras.aravis.settings:AravisSettings",),
+        settings=("acquisition.cameras.device_settings:AravisSettings",),
         find="acquisition.cameras.aravis.library:list_cameras",
     ),
 }

@@ -103,7 +103,7 @@ def _check_file(file: ReadFile, frames: Mapping[str, _Frames]) -> list[Finding]:
         where = f": {lost} bytes after the last complete record at {utc_text(contents.end_ns)}"
         if not contents.end_ns:
             where = f" before anything was measured, after {contents.readable_bytes} bytes"
-        findings += _errors(f"{name} was cut short{where}; rig recover makes a complete file of it")
+        findings += _errors(f"{name} was cut short{where}; rig record recover makes a complete file of it")
     findings += _check_chunks(file, frames)
     for attached, places in contents.attachment_places.items():
         for place in places:

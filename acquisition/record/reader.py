@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
-from acquisition.frame_losses import FrameLosses
+from acquisition.frames.losses import FrameLosses
 from acquisition.record import is_pixels, pixels_beside
 from acquisition.record.events import Event
 from acquisition.record.file_lock import is_being_written
@@ -174,7 +174,7 @@ class RecordReader:
             return ""
         return (
             f"{cut[0]}: was cut short (it has no ending); its complete part is used, "
-            f"rig recover {self.path} makes a complete file of it"
+            f"rig record recover {self.path} makes a complete file of it"
         )
 
     def doubts(self) -> list[str]:

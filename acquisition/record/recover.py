@@ -16,7 +16,7 @@ from acquisition.record.writer import number_schemas, pixel_schemas, write_metad
 from processing.errors import RecordError
 
 RECOVERY = "recovery"
-"""Name of the metadata of a record that `rig recover` made; of a second recovery "recovery 2"."""
+"""Name of the metadata of a record that `rig record recover` made; of a second recovery "recovery 2"."""
 _RESERVE_BYTES = 1024 * 1024
 
 

@@ -115,7 +115,7 @@ class CameraTemperature(NamedTuple):
 
 
 class RecordedLosses(NamedTuple):
-    """Numbers of frames lost since the beginning, by cause; see `acquisition.frame_losses.FrameLosses`."""
+    """Numbers of frames lost since the beginning, by cause; see `acquisition.frames.losses.FrameLosses`."""
 
     time_ns: int
     by_camera: int
@@ -205,6 +205,20 @@ class RecordedEstimate(NamedTuple):
     value: float
     u_value: float
     quantity: str
+
+
+class RecordedFittedPoint(NamedTuple):
+    """A turning point beside the live fit of `time_ns`, or the full period about it; NaN for the other one.
+
+    Residuals are (data - fit) in standard uncertainties of the data. Of many points some hundred are told.
+    """
+
+    time_ns: int
+    turn_time_ns: int
+    amplitude_rad: float = math.nan
+    amplitude_residual: float = math.nan
+    period_s: float = math.nan
+    period_residual: float = math.nan
 
 
 class RecordedWindow(NamedTuple):
@@ -346,6 +360,7 @@ PHASE = message_type_of(RecordedPhase, f"{PACKAGE}.RecordedPhase", "/phase")
 LIGHT = message_type_of(RecordedLight, f"{PACKAGE}.RecordedLight", "/light")
 HEALTH = message_type_of(RecordedHealth, f"{PACKAGE}.RecordedHealth", "/health")
 ESTIMATE = message_type_of(RecordedEstimate, f"{PACKAGE}.RecordedEstimate", "/estimate")
+FITTED = message_type_of(RecordedFittedPoint, f"{PACKAGE}.RecordedFittedPoint", "/fitted")
 CAMERA_TEMPERATURE = message_type_of(CameraTemperature, f"{PACKAGE}.CameraTemperature", "/camera_temperature")
 
 
@@ -359,7 +374,7 @@ class Timed(Protocol):
 
 Recorded: TypeAlias = tuple[MessageType, Timed]
 """A value with the kind of its message."""
-SESSION_KINDS: Final = (PHASE, LIGHT, HEALTH, ESTIMATE)
+SESSION_KINDS: Final = (PHASE, LIGHT, HEALTH, ESTIMATE, FITTED)
 """Kinds of messages by which a session says how it stands while it measures."""
 
 

@@ -355,7 +355,7 @@ class RecordWriter:
     def _not_closed(self, error: OSError) -> RecordError:
         return RecordError(
             f"{self.path}: could not be closed properly: {error.strerror or error}; "
-            "rig recover makes a complete file of it"
+            "rig record recover makes a complete file of it"
         )
 
 

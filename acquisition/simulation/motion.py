@@ -5,9 +5,18 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.simulation import collocation, equation_of_motion
-from acquisition.simulation.collocation import COLUMNS, LENGTH, POLYNOMIAL, START
-from acquisition.simulation.equation_of_motion import ANGLE, DIRECTION, RATE, TIME, ModeConstants
+from acquisition.simulation import equation_of_motion
+from acquisition.simulation.equation_of_motion import (
+    ANGLE,
+    COLUMNS,
+    DIRECTION,
+    LENGTH,
+    POLYNOMIAL,
+    RATE,
+    START,
+    TIME,
+    ModeConstants,
+)
 from acquisition.simulation.ground import ground_of
 from acquisition.simulation.settings import ARCSEC_RAD, ContactTruth, FastModeTruth, SimulationSettings
 from acquisition.simulation.smooth_series import Pieces, SmoothSeries, no_pieces
@@ -100,7 +109,7 @@ class Motion:
         self._mode = mode
         self._ground = ground
         self._still = no_pieces()
-        self._rule = collocation.collocation()
+        self._rule = equation_of_motion.collocation()
         self._rows = np.zeros((_ROWS, COLUMNS))
         self._turns = np.zeros((_TURNS, 2))
         self._state = np.zeros(4)
@@ -147,7 +156,7 @@ class Motion:
         rates = np.empty(len(times_s))
         reached = 0
         while True:
-            self._row, reached = collocation.sample(
+            self._row, reached = equation_of_motion.sample(
                 self._rows, self._row, self._n_rows, times_s, reached, angles, rates
             )
             if reached == len(times_s):
@@ -224,7 +233,9 @@ class Motion:
     def _return_to(self, time_s: float) -> None:
         """Discard the motion that was integrated beyond `time_s`."""
         angles, rates = np.empty(1), np.empty(1)
-        row, _ = collocation.sample(self._rows, self._row, self._n_rows, np.array([time_s]), 0, angles, rates)
+        row, _ = equation_of_motion.sample(
+            self._rows, self._row, self._n_rows, np.array([time_s]), 0, angles, rates
+        )
         begin_s = self._rows[row, START]
         self._rows[row, LENGTH:] = self._cut(self._rows[row], time_s - begin_s)
         self._n_rows = row + 1

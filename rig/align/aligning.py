@@ -16,7 +16,7 @@ from rich.text import Text
 from acquisition import atomic_write
 from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.frame import Frame
-from acquisition.frame_queue import FrameQueue
+from acquisition.frames.queue import FrameQueue
 from processing.errors import ConfigurationError, DeviceError
 from processing.spot import Spot, SpotTracker
 from processing.ticks import nanoseconds

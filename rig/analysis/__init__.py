@@ -9,7 +9,7 @@ from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, evaluate, fit
 from rig.analysis.curves import Curves, curves_of
 from rig.analysis.decay_values import decay_lines
 from rig.analysis.encoding import JsonObject, units_of
-from rig.analysis.film_positions import FilmAsked, film_needs_rate, film_trajectory, films_in
+from rig.analysis.film_positions import FilmAsked, film_trajectory, films_in, is_filmed
 from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.fitted_drag import evidence_of, known_drag

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from acquisition.camera import CameraSettings
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.settings import FilesSettings
-from acquisition.cameras.files.sources import images_in, is_film, natural_key, open_source
-from acquisition.cameras.files.timestamps import timestamps_beside
+from acquisition.cameras.files.sources import IMAGES, images_in, is_film, natural_key
 from acquisition.frame import Image
 from processing.arrays import Floats
 from processing.errors import ConfigurationError, DataError
@@ -220,16 +219,16 @@ def _follow(
     return found
 
 
-def film_needs_rate(path: Path) -> bool:
-    """Whether the frames have no times, in themselves or in a file beside them.
-
-    Raises DeviceError for what cannot be read.
-    """
-    source = open_source(path)
-    try:
-        return source.times is None and not timestamps_beside(path).is_file()
-    finally:
-        source.close()
+def is_filmed(path: Path) -> bool:
+    """Whether a file is a film, images or a stack of them, or a folder holds some: by their names."""
+    if path.is_dir():
+        return bool(images_in([each.name for each in path.iterdir()])) or bool(films_in(path))
+    if path.suffix.lower() == ".npy":
+        try:
+            return bool(np.load(path, mmap_mode="r").ndim > 2)
+        except (OSError, ValueError):
+            return False
+    return path.suffix.lower() in IMAGES or is_film(path)
 
 
 def films_in(path: Path) -> list[Path]:

@@ -10,7 +10,7 @@ from math import isfinite, nan
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-from acquisition.frame_losses import FrameLosses
+from acquisition.frames.losses import FrameLosses
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import Budget, Combined, Disagreement, Drag, WitnessUse, Work
 from processing.quantity import STATED, Quantity

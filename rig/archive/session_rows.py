@@ -107,7 +107,9 @@ def _of_record(path: Path, run: RunResults | None) -> Row:
             contents = reader.contents
             if reader.truncated:
                 row["state"] = "cut"
-                row["flaw"] = "no footer: it is being measured, or was cut short (rig recover completes it)"
+                row["flaw"] = (
+                    "no footer: it is being measured, or was cut short (rig record recover completes it)"
+                )
             elif not reader.sound:
                 row |= {"state": "damaged", "flaw": "; ".join(contents.damage) or "its bytes have changed"}
             elif (end := end_of(reader.events())) is None or end.kind in CUT_SHORT:

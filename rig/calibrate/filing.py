@@ -71,6 +71,14 @@ def file_calibration(
     return write_calibration(filing.folder, calibration, atomic_write.write_new)
 
 
+def next_free(folder: Path, stem: str, suffix: str = "") -> Path:
+    """The first of STEM-001, STEM-002 ... that does not exist."""
+    number = 1
+    while (path := folder / f"{stem}-{number:03d}{suffix}").exists():
+        number += 1
+    return path
+
+
 def details_of(found: Any, *left_out: str) -> dict[str, Any]:
     """Fields of a dataclass as plain values for a calibration file: arrays as lists, parts as tables."""
     return {name: _plain(value) for name, value in asdict(found).items() if name not in left_out}

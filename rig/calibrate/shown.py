@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from calibration import CalibrationFile
+from calibration import CalibrationFile, read_calibration, toml_value
 from processing.angle import ARCSEC_RAD
 from rig.presentation import Table
 
@@ -24,14 +25,37 @@ class Residuals:
     u: Sequence[float]
 
 
-def calibration_residuals(found: CalibrationFile) -> list[Residuals]:
-    """What the fit of a calibration has left over, for drawing; none of a lever from lengths."""
-    return [one for one in _left_over(found) if len(one.x)]
+@dataclass(frozen=True, slots=True)
+class Filed:
+    """A calibration that was made, as it is shown.
+
+    Parameters
+    ----------
+    path, calibration
+        The file and its content.
+    tables
+        Values, budget and residuals, as far as this kind has them.
+    residuals
+        What the fit has left over, for drawing; none of a lever from lengths.
+    configuration
+        The lines of the configuration that use it.
+    """
+
+    path: Path
+    calibration: CalibrationFile
+    tables: Sequence[Table]
+    residuals: Sequence[Residuals]
+    configuration: str
 
 
-def calibration_tables(found: CalibrationFile) -> list[Table]:
-    """Values, budget, residuals, as far as this kind has them."""
-    return [table for table in (_values(found), *_of_kind(found)) if table.shown]
+def filed(path: Path) -> Filed:
+    """What to show of a calibration file; raises ConfigurationError for one that cannot be read."""
+    found = read_calibration(path)
+    name = toml_value(path.as_posix())
+    stated = f"checks = [{name}]" if found.kind == "check" else f"{found.kind} = {name}"
+    tables = [table for table in (_values(found), *_of_kind(found)) if table.shown]
+    residuals = [one for one in _left_over(found) if len(one.x)]
+    return Filed(path, found, tables, residuals, f"[calibration]\n{stated}")
 
 
 def _values(found: CalibrationFile) -> Table:

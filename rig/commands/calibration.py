@@ -15,29 +15,20 @@ from rig.commands.outputs import folder_without, output_option
 if TYPE_CHECKING:
     from rig.calibrate import Filing
 
-AskedLadder = Annotated[
+Ladder = Annotated[
     Path,
     typer.Argument(
-        help="Steps or geometry of the lever (TOML file); without it, you are asked.",
+        help="Steps or geometry of the lever (TOML file); docs/calibration.md shows one.",
         show_default=False,
         callback=there,
     ),
 ]
-AskedRecord = Annotated[
+Record = Annotated[
     Path,
     typer.Argument(
-        help="Record (MCAP file), or a folder with one; without it, you are asked.",
+        help="Record (MCAP file), or a folder with one.",
         show_default=False,
         callback=recorded,
-    ),
-]
-Rig = Annotated[
-    Path | None,
-    typer.Option(
-        "--config",
-        help="Configuration of the rig, to make the recordings asked for.",
-        show_default=False,
-        callback=there,
     ),
 ]
 Folder = Annotated[Path, output_option("Folder for the calibration file.", folder_without())]
@@ -49,7 +40,7 @@ Side = Annotated[
     Literal["+", "-"] | None,
     typer.Option(help="Sign of this mode's deflection in the first frame of the record."),
 ]
-Made = Callable[..., Path]
+Made = Callable[..., Path | None]
 """What makes a calibration of a file or record, of a `Filing` and of options of its own, in the order of the
 command's help; its docstring is that help.
 """
@@ -63,26 +54,24 @@ def register(app: typer.Typer) -> None:
     app.add_typer(group, name="calibrate")
 
 
-def lever(ladder: AskedLadder, filing: "Filing") -> Path:
+def lever(ladder: Ladder, filing: "Filing") -> Path:
     """Calibrate pixels to radians.
 
-    From geometry, known tilts or known shifts of the sensor. Without a file it asks step by step, and
-    continues where it was interrupted.
+    From geometry, known tilts or known shifts of the sensor.
 
     \b
-    Examples:
+    Example:
       rig calibrate lever geometry.toml
-      rig calibrate lever --config mine.toml
     """
     from rig.calibrate import calibrate_lever
 
     return calibrate_lever(ladder, filing)
 
 
-def axes(record: AskedRecord, filing: "Filing", slow_began: Side = None, fast_began: Side = None) -> Path:
+def axes(record: Record, filing: "Filing", slow_began: Side = None, fast_began: Side = None) -> Path:
     """Find the directions of both modes on the sensor.
 
-    From a record in which both swing; without one it asks step by step.
+    From a record in which both swing.
 
     \b
     Example:
@@ -97,7 +86,7 @@ def sensor(
     frames: Annotated[
         Path,
         typer.Argument(
-            help="List of dark and evenly lit frames (TOML file); without it, you are asked.",
+            help="List of dark and evenly lit frames (TOML file); docs/calibration.md shows one.",
             show_default=False,
             callback=there,
         ),
@@ -106,7 +95,7 @@ def sensor(
 ) -> Path:
     """Measure the sensor: gain, read noise, dark level.
 
-    By photon transfer. Without a file it asks step by step, and takes the frames if --config is stated.
+    By photon transfer.
 
     \b
     Example:
@@ -118,7 +107,7 @@ def sensor(
 
 
 def clock(
-    record: AskedRecord,
+    record: Record,
     filing: "Filing",
     counter_bits: Annotated[
         int | None,
@@ -129,8 +118,6 @@ def clock(
 ) -> Path:
     """Compare the camera's clock with the host's.
 
-    Without a record it asks step by step.
-
     \b
     Example:
       rig calibrate clock runs/first/run-1.mcap
@@ -140,10 +127,10 @@ def clock(
     return calibrate_clock(one_record(record), filing, counter_bits)
 
 
-def shutter(record: AskedRecord, filing: "Filing") -> Path:
+def shutter(record: Record, filing: "Filing") -> Path:
     """Measure the row time of a rolling shutter.
 
-    From a run in which the spot swings across the rows; without one it asks step by step.
+    From a run in which the spot swings across the rows.
     """
     from rig.calibrate import calibrate_shutter
 
@@ -152,34 +139,56 @@ def shutter(record: AskedRecord, filing: "Filing") -> Path:
 
 def air(
     vanes: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
-            help="Runs with their vanes or pressures (TOML file); without it, you are asked.",
+            help="Runs with their vanes or pressures (TOML file); docs/calibration.md shows one.",
             show_default=False,
             callback=there,
         ),
-    ],
+    ] = None,
+    *,
     filing: "Filing",
-) -> Path:
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Without a file: say which vanes to cut for the pendulum of this configuration.",
+            show_default=False,
+            callback=there,
+        ),
+    ] = None,
+) -> Path | None:
     """Measure the drag of the air.
 
-    From runs with vanes of stated areas on the pendulum, or at stated pressures. Without a file it says
-    which vanes to cut and where to put them (with --config for this pendulum), and asks for one run after
-    the other.
+    From runs with vanes of stated areas on the pendulum, or at stated pressures.
 
     \b
-    Example:
+    Examples:
+      rig calibrate air --config mine.toml
       rig calibrate air vanes.toml
     """
-    from rig.calibrate import calibrate_air
+    from rig.calibrate import calibrate_air, vanes_to_cut
+    from rig.presentation import print_line
+    from rig.settings import load_configuration
 
-    return calibrate_air(vanes, filing)
+    if vanes is not None:
+        return calibrate_air(vanes, filing)
+    if config is None:
+        raise typer.BadParameter(
+            "a list of runs is needed; docs/calibration.md shows one", param_hint="VANES"
+        )
+    loaded = load_configuration(config)
+    # the period of [simulation] stands for what a rig does not know before its first run
+    vanes_text = vanes_to_cut(loaded, loaded.simulation.contact.period0_s)
+    if vanes_text is None:
+        raise typer.BadParameter(
+            f"{config}: has no [pendulum], whose drag is not known", param_hint="--config"
+        )
+    print_line(vanes_text.text)
+    return None
 
 
-def pointing(record: AskedRecord, filing: "Filing") -> Path:
+def pointing(record: Record, filing: "Filing") -> Path:
     """Measure noise and drift of the spot, the pendulum clamped.
-
-    Without a record it asks step by step.
 
     \b
     Example:
@@ -194,19 +203,19 @@ def check(
     ladder: Annotated[
         Path,
         typer.Argument(
-            help="Known tilts (TOML file); without it, you are asked.", show_default=False, callback=there
+            help="Known tilts (TOML file); docs/calibration.md shows one.", show_default=False, callback=there
         ),
     ],
     *,
     lever: Annotated[
-        Path | None,
+        Path,
         typer.Option(help="Calibration file of the lever to be checked.", show_default=False, callback=there),
-    ] = None,
+    ],
     filing: "Filing",
 ) -> Path:
     """Check the lever against known tilts.
 
-    Before and after a series. Without a file it asks step by step.
+    Before and after a series.
 
     \b
     Example:
@@ -214,8 +223,6 @@ def check(
     """
     from rig.calibrate import check_known_angle
 
-    if lever is None:
-        raise typer.BadParameter(f"is missing: which lever shall {ladder} check?", param_hint="--lever")
     return check_known_angle(ladder, lever, filing)
 
 
@@ -226,78 +233,27 @@ def _filing(output: Folder = Path("calibrations"), valid_days: Days = 90.0, by: 
 
 
 def _command(made: Made) -> Callable[..., None]:
-    """The command of a calibration: it has the options of `_filing`, and asks where no file is named."""
-    named, *others = inspect.signature(made).parameters.values()
+    """The command of a calibration, whose options are those of `made` and of `_filing`."""
     of_filing = inspect.signature(_filing).parameters
 
-    def command(config: Rig = None, **stated: Any) -> None:
+    def command(**stated: Any) -> None:
         filing = _filing(**{name: stated.pop(name) for name in of_filing})
-        given: Path | None = stated.pop(named.name)
-        if given is not None:
-            _say(made(given, filing=filing, **stated))
-            return
-        if lever := stated.get("lever"):
-            raise typer.BadParameter(f"{lever}: is asked for without a file of tilts; leave the option out")
-        _say(_asked(made.__name__, config, filing))
+        if (path := made(filing=filing, **stated)) is not None:
+            _say(path)
 
-    parameters = [named.replace(default=None)]
-    for other in others:
-        parameters += of_filing.values() if other.name == "filing" else [other]
-    parameters.append(inspect.signature(command).parameters["config"])
+    parameters: list[inspect.Parameter] = []
+    for parameter in inspect.signature(made).parameters.values():
+        parameters += of_filing.values() if parameter.name == "filing" else [parameter]
     kind = inspect.Parameter.KEYWORD_ONLY
-    signature = inspect.Signature([parameter.replace(kind=kind) for parameter in parameters])
     command.__name__, command.__doc__ = made.__name__, made.__doc__
-    vars(command)["__signature__"] = signature
+    vars(command)["__signature__"] = inspect.Signature([one.replace(kind=kind) for one in parameters])
     return command
-
-
-def _asked(kind: str, config: Path | None, filing: "Filing") -> Path:
-    """Ask for what is needed, record it where a configuration is stated, and make the calibration.
-
-    The answers are kept until it is made, so that the same command goes on after a break.
-    """
-    import sys
-
-    from processing.errors import RigError
-    from rig.presentation import say
-    from rig.settings import load_configuration
-    from rig.wizards import (
-        as_far_as_it_holds,
-        ask_in_terminal,
-        calibration_wizard,
-        drop_draft,
-        keep_draft,
-        kept_draft,
-        progress,
-        recorder_of,
-    )
-
-    loaded = None if config is None else load_configuration(config)
-    wizard = calibration_wizard(kind, loaded)
-    recorder = None if loaded is None or config is None else recorder_of(loaded, config, filing.folder)
-    kept = filing.folder / f"{kind}-answers.json"
-    draft = as_far_as_it_holds(wizard, kept_draft(kept))
-    if draft.answers:
-        say(f"continues after the {len(draft.answers)} answers in {kept}; remove that file to start over")
-    while True:
-        draft = ask_in_terminal(wizard, draft, lambda answers: keep_draft(kept, answers), recorder)
-        try:
-            path = wizard.file(progress(wizard, draft).values, filing)
-        except RigError as error:
-            draft = draft.without_last()
-            keep_draft(kept, draft)
-            if not sys.stdin.isatty():
-                raise
-            say(f"{error}\nthe last question once more; < goes further back")
-        else:
-            drop_draft(kept)
-            return path
 
 
 def _say(path: Path) -> None:
     """Print the content of the new file."""
+    from rig.calibrate import filed
     from rig.presentation import answer, print_line, print_tables
-    from rig.wizards import filed
 
     made = filed(path)
     found = made.calibration

@@ -1,4 +1,4 @@
-"""`rig devices` and `rig camera`: list what is connected, set up the camera."""
+"""`rig camera`: set up the camera."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,40 +13,13 @@ from rig.commands.pictures import align, expose, focus, frames, record, snap
 
 
 def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command("devices")(in_json(devices))
+    """Add `rig camera`."""
     camera = typer.Typer(help="Show, set and test the camera.", no_args_is_help=True)
     camera.command("show")(in_json(show))
     camera.command("set")(in_json(set_features))
     for command in (snap, record, frames, focus, align, expose, dump):
         camera.command()(in_json(command))
     app.add_typer(camera, name="camera")
-
-
-def devices() -> None:
-    """List the connected cameras and serial ports."""
-    from acquisition.cameras.drivers import find_cameras
-    from rig.control import list_serial_ports
-    from rig.presentation import answer, print_line
-
-    cameras, notes = find_cameras()
-    ports = list_serial_ports()
-    answer(cameras=list(cameras), serial_ports=list(ports), notes=list(notes))
-    for camera in cameras:
-        words = [camera.driver, camera.name, camera.serial and f"serial {camera.serial}", camera.place]
-        print_line("camera  " + "  ".join(word for word in words if word))
-        for mode in camera.modes:
-            print_line(f"          {mode}")
-        if camera.problem:
-            print_line(f"          {camera.problem}")
-    if not cameras:
-        print_line("no camera is plugged in; camera.driver = 'simulated' and 'files' need none")
-    for port in ports:
-        usb = f"USB {port.vendor:04x}:{port.product:04x}" if port.vendor >= 0 else ""
-        words = [port.device, port.description, usb, port.serial and f"serial {port.serial}"]
-        print_line("serial  " + "  ".join(word for word in words if word))
-    for note in notes:
-        print_line(f"note    {note}")
 
 
 def show(config: Config, set_: Set = None) -> None:

@@ -1,102 +1,45 @@
-"""`rig video`."""
+"""`rig fit` of a film, or of a folder of images or of films."""
 
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import Set
-from rig.commands.inputs import there
-from rig.commands.json_answers import in_json
-from rig.commands.outputs import folder_without, output_option
 
 if TYPE_CHECKING:
-    from rig.analysis import AnalysedTable
+    from rig.analysis import AnalysedTable, FilmAsked
 
 
-def register(app: typer.Typer) -> None:
-    """Add `rig video`."""
-    app.command()(in_json(video))
+def fit_film(
+    film: Path,
+    asked: "FilmAsked",
+    output: Path | None,
+    config: Path | None,
+    run: str,
+    overrides: Sequence[str],
+    laws: Sequence[str],
+) -> int:
+    """Follow the object in each film and fit its motion; returns the exit status.
 
-
-def video(
-    film: Annotated[
-        Path,
-        typer.Argument(
-            help="A film, raw pixels, or a folder of images or of films.", show_default=False, callback=there
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        output_option(
-            "Folder for results.json, report.html and positions.csv.",
-            folder_without("results.json", "report.html", "positions.csv"),
-        ),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            help="Configuration with [pendulum] and [fit]; the pixel is an angle then.", callback=there
-        ),
-    ] = None,
-    pixel: Annotated[
-        str,
-        typer.Option(
-            help="Size of a pixel with its unit, or a length over its pixels: '0.142 mm', '3.2 arcsec', "
-            "'85 mm over 600 px'; default: px."
-        ),
-    ] = "",
-    rate: Annotated[
-        float | None, typer.Option(min=0.001, help="Frames per second, for images or a film without times.")
-    ] = None,
-    force_rate: Annotated[
-        bool, typer.Option("--force-rate", help="Use --rate even if the film's own times contradict it.")
-    ] = False,
-    dark: Annotated[
-        bool | None,
-        typer.Option(
-            "--dark/--bright", help="The swinging object is darker, or brighter, than its background."
-        ),
-    ] = None,
-    begin: Annotated[float | None, typer.Option("--from", help="Use it from here on, in s.")] = None,
-    end: Annotated[float | None, typer.Option("--to", help="Use it up to here, in s.")] = None,
-    run: Annotated[
-        str,
-        typer.Option(help="Folder of several films: the one to use, by name or number; default: all."),
-    ] = "",
-    law: Annotated[
-        list[str] | None,
-        typer.Option(help="Compare the paper's law with another one, all or none; may be repeated."),
-    ] = None,
-    set_: Set = None,
-) -> None:
-    """From a film to period, damping and a report.
-
-    \b
-    Examples:
-      rig video swing.mp4 -o runs/swing
-      rig video swing.mp4 --pixel '0.142 mm'
+    `run` is the one of a folder of films, by name or number; empty: all.
     """
-    from rig.analysis import FilmAsked, film_trajectory, films_in, fit_several
+    from rig.analysis import film_trajectory, films_in, fit_several
     from rig.presentation import TimeLeft, print_line
 
-    if set_ and config is None:
-        raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
-    if law and config is None:
-        raise ConfigurationError(f"--law {law[0]}: laws need --config CONFIG with [pendulum], and an angle")
-    if force_rate and rate is None:
+    if overrides and config is None:
+        raise ConfigurationError(f"--set {overrides[0]}: has no effect without --config")
+    if laws and config is None:
+        raise ConfigurationError(f"--law {laws[0]}: laws need --config CONFIG with [pendulum], and an angle")
+    if asked.force and asked.rate_hz is None:
         raise ConfigurationError("--force-rate: needs --rate, the rate to enforce")
-    asked = FilmAsked(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
     films = _chosen_films(film, films_in(film), run)
     if len(films) > 1:
         print_line(f"{film}: {len(films)} films: {', '.join(each.name for each in films)}")
     inputs = [
         (one.stem, one, partial(film_trajectory, one, asked, TimeLeft(f"{one}: frames"))) for one in films
     ]
-    raise typer.Exit(fit_several(inputs, output, config, set_ or [], table_report, law or []))
+    return fit_several(inputs, output, config, overrides, table_report, laws)
 
 
 def _chosen_films(film: Path, inside: Sequence[Path], run: str) -> list[Path]:

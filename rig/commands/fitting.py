@@ -1,6 +1,6 @@
 """`rig fit`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,8 +10,8 @@ import typer
 from acquisition.record import records_in
 from processing.errors import ConfigurationError
 from rig.commands.arguments import ResultsFolder, Set
-from rig.commands.films import table_report
-from rig.commands.inputs import recorded, there
+from rig.commands.films import fit_film, table_report
+from rig.commands.inputs import kind_of, there, to_be_fitted
 from rig.commands.json_answers import in_json
 
 if TYPE_CHECKING:
@@ -27,14 +27,15 @@ def fit(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="Records (.mcap), their folders, or one table of positions (CSV).",
+            help="Records (.mcap), their folders; or one table of positions (CSV), one film, one folder of "
+            "images or films.",
             show_default=False,
-            callback=recorded,
+            callback=to_be_fitted,
         ),
     ],
     output: ResultsFolder = None,
     config: Annotated[
-        Path | None, typer.Option(help="CSV: configuration with [pendulum] and [fit].", callback=there)
+        Path | None, typer.Option(help="CSV, film: configuration with [pendulum] and [fit].", callback=there)
     ] = None,
     time: Annotated[str | None, typer.Option(help="CSV: name or number of the column with the time.")] = None,
     time_unit: Annotated[
@@ -55,19 +56,19 @@ def fit(
     ] = "",
     rate: Annotated[
         float | None,
-        typer.Option(min=0.0, help="CSV without times: rows per second."),
+        typer.Option(min=0.0, help="CSV or film without times: rows or frames per second."),
     ] = None,
     begin: Annotated[
-        float | None, typer.Option("--from", help="CSV: use it from here on, in s since its first row.")
+        float | None, typer.Option("--from", help="CSV, film: use it from here on, in s since its start.")
     ] = None,
     end: Annotated[
-        float | None, typer.Option("--to", help="CSV: use it up to here, in s since its first row.")
+        float | None, typer.Option("--to", help="CSV, film: use it up to here, in s since its start.")
     ] = None,
     decimal: Annotated[
         str, typer.Option(help="CSV: the decimal mark, point or comma, if its numbers are ambiguous.")
     ] = "",
     run: Annotated[
-        str, typer.Option(help="CSV with several runs: the one to use, by its number; default: all.")
+        str, typer.Option(help="CSV or folder of several runs: the one to use, by its number; default: all.")
     ] = "",
     envelope: Annotated[
         str | None,
@@ -99,52 +100,87 @@ def fit(
     witness_time_unit: Annotated[
         str, typer.Option(help="Unit of the time of a witness's table, as --time-unit.", show_default=False)
     ] = "",
+    pixel: Annotated[
+        str,
+        typer.Option(
+            help="Film: size of a pixel with its unit, or a length over its pixels: '0.142 mm', "
+            "'3.2 arcsec', '85 mm over 600 px'; default: px."
+        ),
+    ] = "",
+    force_rate: Annotated[
+        bool, typer.Option("--force-rate", help="Film: use --rate even if its own times contradict it.")
+    ] = False,
+    dark: Annotated[
+        bool | None,
+        typer.Option(
+            "--dark/--bright", help="Film: the swinging object is darker, or brighter, than its background."
+        ),
+    ] = None,
     set_: Set = None,
 ) -> None:
-    """Fit the contact laws to records, or to a CSV table.
+    """Fit records, a table of positions or a film.
+
+    From records come the laws of the contact; from a table or a film the period, the damping and a report,
+    and the laws where --config describes the pendulum and positions are angles.
 
     \b
     Examples:
       rig fit runs/first -o runs/fit
       rig fit decay.csv --unit arcsec --config mine.toml
       rig fit runs/first --witness seismometer.csv
+      rig fit swing.mp4 --pixel '0.142 mm' -o runs/swing
     """
     ground = _witness(witness, witness_column or (), witness_offset, witness_time_unit)
-    if len(files) == 1 and files[0].suffix.lower() != ".mcap" and not files[0].is_dir():
-        if files[0].suffix.lower() in (".json", ".toml"):
-            raise ConfigurationError(
-                f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
-            )
-        from rig.analysis import TableColumns, fit_envelope_table, fit_trajectory
-
-        if law and (config is None or envelope is not None):
-            raise ConfigurationError(f"--law {law[0]}: laws need swings and --config CONFIG with [pendulum]")
-        if set_ and (config is None or envelope is not None):
-            raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
-        if decimal not in ("", ".", ","):
-            raise ConfigurationError(f"--decimal {decimal!r}: a point or a comma")
-        if rate is not None and not rate > 0:
-            raise ConfigurationError(f"--rate {rate:g}: the number of rows per second must be above 0")
-        columns = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, decimal, run)
-        if ground is not None and (config is None or envelope is not None):
-            raise ConfigurationError("--witness: has no effect without --config, which gives the pendulum")
-        if envelope is not None:
-            raise typer.Exit(fit_envelope_table(files[0], output, columns, envelope, frequency))
-        raise typer.Exit(
-            fit_trajectory(files[0], output, config, columns, set_ or [], table_report, law or [], ground)
-        )
-    of_tables = {
-        "--config": config, "--time": time, "--time-unit": time_unit, "--position": position, "--unit": unit,
-        "--envelope": envelope, "--frequency": frequency, "--rate": rate, "--from": begin, "--to": end,
-        "--decimal": decimal, "--run": run,
+    columns = {
+        "--time": time, "--time-unit": time_unit, "--position": position, "--unit": unit,
+        "--decimal": decimal, "--envelope": envelope, "--frequency": frequency,
     }  # fmt: skip
-    if stated := next((name for name, value in of_tables.items() if value), ""):
-        raise ConfigurationError(f"{stated}: has no effect on records, only on a table; leave it out")
-    records = [record for path in files for record in records_in(path)]
-    same = [record for record in records if sum(record.resolve() == other.resolve() for other in records) > 1]
-    if same:
-        raise ConfigurationError(f"{same[0]}: named twice; a run counts once in a series")
-    raise typer.Exit(fit_records(records, output, overrides=set_ or [], laws=law or [], witness=ground))
+    of_films = {"--pixel": pixel, "--force-rate": force_rate, "--dark": dark is not None}
+    both = {"--config": config, "--rate": rate, "--from": begin, "--to": end, "--run": run}
+    kind = "records" if len(files) > 1 else kind_of(files[0])
+    if kind == "records":
+        _refuse("on records, only on a table or a film", columns, of_films, both)
+        records = [record for path in files for record in records_in(path)]
+        same = [one for one in records if sum(one.resolve() == other.resolve() for other in records) > 1]
+        if same:
+            raise ConfigurationError(f"{same[0]}: named twice; a run counts once in a series")
+        raise typer.Exit(fit_records(records, output, overrides=set_ or [], laws=law or [], witness=ground))
+    if rate is not None and not rate > 0:
+        raise ConfigurationError(f"--rate {rate:g}: the number of rows or frames per second must be above 0")
+    if kind == "film":
+        from rig.analysis import FilmAsked
+
+        _refuse("on a film", columns, {"--witness": witness})
+        asked = FilmAsked(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
+        raise typer.Exit(fit_film(files[0], asked, output, config, run, set_ or [], law or []))
+    if files[0].suffix.lower() in (".json", ".toml"):
+        raise ConfigurationError(
+            f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
+        )
+    from rig.analysis import TableColumns, fit_envelope_table, fit_trajectory
+
+    _refuse("on a table", of_films)
+    if law and (config is None or envelope is not None):
+        raise ConfigurationError(f"--law {law[0]}: laws need swings and --config CONFIG with [pendulum]")
+    if set_ and (config is None or envelope is not None):
+        raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
+    if decimal not in ("", ".", ","):
+        raise ConfigurationError(f"--decimal {decimal!r}: a point or a comma")
+    asked_of = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, decimal, run)
+    if ground is not None and (config is None or envelope is not None):
+        raise ConfigurationError("--witness: has no effect without --config, which gives the pendulum")
+    if envelope is not None:
+        raise typer.Exit(fit_envelope_table(files[0], output, asked_of, envelope, frequency))
+    raise typer.Exit(
+        fit_trajectory(files[0], output, config, asked_of, set_ or [], table_report, law or [], ground)
+    )
+
+
+def _refuse(where: str, *options: Mapping[str, object]) -> None:
+    """Raise ConfigurationError for the first stated option of those that have no effect there."""
+    for name, value in (pair for stated in options for pair in stated.items()):
+        if value:
+            raise ConfigurationError(f"{name}: has no effect {where}; leave it out")
 
 
 def _witness(

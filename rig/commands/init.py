@@ -1,8 +1,9 @@
 """`rig init`: a first configuration."""
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -30,54 +31,59 @@ def init(
             show_default=False,
         ),
     ] = None,
+    instruments: Annotated[
+        bool, typer.Option("--instruments", help="List the kinds of pendulum, for instrument.kind, and end.")
+    ] = False,
 ) -> None:
     """Write a configuration for your rig.
 
-    Finds the camera and the serial ports and asks for what must be known; a film or table recorded earlier
-    can take the camera's place. Nothing is written before the last answer. Lines from a file or pipe are
-    accepted as answers.
+    Finds the camera and the serial ports, asks five questions (camera, ports, light lever, sample, folder)
+    and writes a file in which every other key stands commented out. Nothing is written before the last
+    answer. Lines from a file or pipe are accepted as answers.
 
     \b
     Examples:
       rig init my-rig.toml
       rig init --example basement
     """
+    if instruments:
+        _list_instruments()
+        return
     if example is not None:
         _write_example(example, file)
         return
     file = file or Path("my-rig.toml")
     from acquisition.cameras.drivers import find_cameras
+    from rig.commands.first_configuration import ask
     from rig.control import list_serial_ports
     from rig.presentation import answer, say
-    from rig.wizards import (
-        FirstConfiguration,
-        ask_in_terminal,
-        progress,
-        refuse_existing,
-        stated_keys,
-        steps_of_file,
-        write_configuration,
-    )
+    from rig.settings import refuse_existing, write_configuration
 
     refuse_existing(file)
     # the first thing that is said is the first question
     cameras, _ = find_cameras()
-    ports = [(port.device, port.description) for port in list_serial_ports()]
-    wizard = FirstConfiguration(cameras, ports)
-    answers = ask_in_terminal(wizard)
-    config = write_configuration(file, stated_keys(progress(wizard, answers).values))
+    stated = ask(cameras, [(port.device, port.description) for port in list_serial_ports()])
+    config = write_configuration(file, stated)
     sys.stderr.flush()
     print(file)
     answer(written=[file])
-    steps = steps_of_file(file, config, answers)
-    steps = steps or next_steps(file, lever=config.lever is not None, simulated=config.simulated)
-    for line in ("next:", *(f"  {step}" for step in steps)):
+    lit = config.laser.kind != "none"
+    for line in ("next:", *(f"  {step}" for step in _next_steps(file, stated, lit=lit))):
         say(line)
+
+
+def _list_instruments() -> None:
+    from processing.instruments import INSTRUMENTS
+    from rig.presentation import answer, print_line
+
+    answer(instruments={each.kind: each.sentence for each in INSTRUMENTS.values()})
+    for description in INSTRUMENTS.values():
+        print_line(f"{description.kind:<15} {description.sentence}")
 
 
 def _write_example(name: str, file: Path | None) -> None:
     from rig.presentation import answer, say
-    from rig.wizards import copy_shipped, refuse_existing
+    from rig.settings import copy_shipped, refuse_existing
 
     file = file or Path(f"{name}.toml")
     refuse_existing(file)
@@ -88,11 +94,13 @@ def _write_example(name: str, file: Path | None) -> None:
     say(f"  rig run {file} -o runs/{file.stem}: measure")
 
 
-def next_steps(file: Path, *, lever: bool, simulated: bool) -> list[str]:
+def _next_steps(file: Path, stated: Mapping[str, Any], *, lit: bool) -> list[str]:
     """What to do with a new configuration."""
-    steps = [f"rig doctor {file}: is everything there"]
+    simulated = stated["camera.driver"] == "simulated"
+    edited = "[pendulum] (mass, radius, materials)" + (" and the limits of [laser]" if lit else "")
+    steps = [f"edit {file}: {edited}", f"rig doctor {file}: is everything there"]
     if not simulated:
         steps.append(f"rig camera expose {file}, then rig camera align {file}: the light on the sensor")
-        if not lever:
-            steps.append(f"rig calibrate lever --config {file}: px to radians, asked step by step")
+        if "lever.arm_m" not in stated:
+            steps.append("rig calibrate lever geometry.toml: px to radians (docs/calibration.md)")
     return [*steps, f"rig run {file} -o runs/{file.stem}: measure"]

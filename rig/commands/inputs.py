@@ -6,11 +6,11 @@ they got, or raise ConfigurationError.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import typer
 
-from acquisition.record import records_in
+from acquisition.record import records_in, records_of
 from processing.errors import ConfigurationError
 
 _Given = TypeVar("_Given", Path, list[Path], Path | None, list[Path] | None)
@@ -43,7 +43,7 @@ def configuration(ctx: typer.Context, given: _Given) -> _Given:
     for path in _paths(there(given)):
         if path.suffix.lower() == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
             kind = "is a folder with records" if path.is_dir() else "is a record"
-            instead = _OF_RECORDS.get(ctx.command.name or "", "rig info {} says how it was made")
+            instead = _OF_RECORDS.get(ctx.command.name or "", "rig record info {} says how it was made")
             if path.is_dir() and ctx.command.name == "run":
                 instead = "rig run --resume {} continues its session"
             raise ConfigurationError(
@@ -57,6 +57,32 @@ def recorded(given: _Given) -> _Given:
     for path in _paths(there(given)):
         records_in(path)
     return given
+
+
+def to_be_fitted(given: _Given) -> _Given:
+    """The same, for what `rig fit` takes: records, a table, a film, folders of them."""
+    for path in _paths(there(given)):
+        if kind_of(path) == "records":
+            records_in(path)
+    return given
+
+
+def kind_of(path: Path) -> Literal["records", "table", "film"]:
+    """What a file or folder is to `rig fit`, by its name and, of an array, by its dimensions.
+
+    A folder without records, images or films counts as one of records, of which none is there.
+    """
+    suffix = path.suffix.lower()
+    if suffix in (".mcap", ".csv", ".txt", ".toml", ".json"):
+        return "records" if suffix == ".mcap" else "table"
+    if path.is_dir() and (records_of(path) or any(path.glob("results*.json"))):
+        return "records"
+    # the readers of films take a second
+    from rig.analysis import is_filmed
+
+    if path.is_dir():
+        return "film" if is_filmed(path) else "records"
+    return "film" if is_filmed(path) else "table"
 
 
 def recorded_or_fitted(given: _Given) -> _Given:

@@ -8,10 +8,10 @@ import typer
 
 from acquisition.record import records_in
 from processing.errors import ConfigurationError
-from rig.commands.arguments import MODES, Config, JsonLines, NewRecord, Record, ResultsFolder, Set, View
+from rig.commands.arguments import MODES, JsonLines, Record, ResultsFolder, Set, View
 from rig.commands.inputs import configuration, one_record, recorded, there
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import folder_without, new_file, output_option
+from rig.commands.outputs import folder_or_record, folder_without, new_file, output_option
 
 Rrd = Annotated[
     Path | None,
@@ -29,7 +29,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     for in_lines in (demo, run):  # as it goes
         app.command()(in_lines)
-    for command in (replay, view, simulate):
+    for command in (replay, view):
         app.command()(in_json(command))
 
 
@@ -58,7 +58,12 @@ def run(
         Path | None,
         typer.Argument(help="Configuration (TOML file).", show_default=False, callback=configuration),
     ] = None,
-    output: RunsFolder = None,
+    output: Annotated[
+        Path | None,
+        output_option(
+            "Folder for the files written, without a run yet; or one new record.", folder_or_record
+        ),
+    ] = None,
     runs: Annotated[int | None, typer.Option(help="Number of runs; default: session.runs.", min=1)] = None,
     set_: Set = None,
     view: View = None,
@@ -83,6 +88,12 @@ def run(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Measure even if a preflight check fails.")] = False,
+    record_only: Annotated[
+        bool,
+        typer.Option(
+            "--record-only", help="Simulated rig: record one run into the file -o NAME.mcap, without fits."
+        ),
+    ] = False,
     json_lines: JsonLines = False,
 ) -> None:
     """Measure a session: record, fit, report.
@@ -94,7 +105,12 @@ def run(
       rig run --resume runs/first
       rig run --resume runs/first --set camera.exposure_us=80
       rig run --resume runs/first --config corrected.toml
+      rig run configs/demo.toml --record-only -o one.mcap --set session.max_duration_s=60
     """
+    if record_only:
+        _refuse_all_but_a_record(config, output, runs, resume, plan, view)
+    elif output is not None and output.suffix.lower() == ".mcap":
+        raise ConfigurationError(f"{output}: one record is written with --record-only; else name a folder")
     if instead is not None and resume is None:
         raise typer.BadParameter("--config goes with --resume DIR; else name the file as CONFIG")
     if config is None and resume is None and plan is None:
@@ -127,9 +143,25 @@ def run(
     from rig.settings import load_configuration
 
     loaded = load_configuration(config, overrides)
-    from rig.measure import measure_session  # after the faults of the configuration, as it takes a second
+    # after the faults of the configuration, as it takes a second
+    from rig.measure import measure_session, simulate_record
 
+    if record_only:
+        assert output is not None
+        raise typer.Exit(simulate_record(loaded, config, output))
     raise typer.Exit(measure_session(loaded, config, output, force=force, json_lines=json_lines))
+
+
+def _refuse_all_but_a_record(
+    config: Path | None, output: Path | None, runs: int | None, *others: object
+) -> None:
+    """Raise where what is stated beside `--record-only` is not one configuration and one new record."""
+    if config is None or output is None or runs is not None or any(others):
+        raise typer.BadParameter(
+            "--record-only takes CONFIG, -o NAME.mcap and --set alone: it records one run"
+        )
+    if output.suffix.lower() != ".mcap":
+        raise ConfigurationError(f"{output}: name a file that ends in .mcap")
 
 
 def replay(
@@ -214,20 +246,3 @@ def view(
     if rrd is not None and not follow:
         answer(written=[rrd])
         print(f"Rerun file   {rrd}")
-
-
-def simulate(
-    config: Config,
-    output: NewRecord,
-    set_: Set = None,
-) -> None:
-    """Record one run of the simulated rig, without fitting it.
-
-    \b
-    Example:
-      rig simulate configs/demo.toml -o one.mcap --set session.max_duration_s=60
-    """
-    from rig.measure import simulate_record
-    from rig.settings import load_configuration
-
-    raise typer.Exit(simulate_record(load_configuration(config, set_ or []), config, output))

@@ -70,6 +70,13 @@ def folder_without(*patterns: str) -> Check:
     return check
 
 
+def folder_or_record(path: Path | None) -> Path | None:
+    """For the folder of a session, in which no run may be, or a record that must not exist (MCAP file)."""
+    if path is not None and path.suffix.lower() == ".mcap":
+        return new_file(".mcap", makes_folders=True)(path)
+    return folder_without("run-*.mcap", "results.json")(path)
+
+
 def new_folder(path: Path | None) -> Path | None:
     """For a folder that must not exist."""
     if path is not None:

@@ -140,7 +140,7 @@ def focus(
     import sys
     import time
 
-    from acquisition.frame_queue import FrameQueue
+    from acquisition.frames.queue import FrameQueue
     from rig.devices import picture as camera_picture
     from rig.devices import watch_latest
     from rig.presentation import answer

@@ -1,4 +1,4 @@
-"""`rig plan`, `rig instruments`."""
+"""`rig plan`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,9 +13,8 @@ from rig.commands.outputs import folder_without, output_option
 
 
 def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    for command in (plan, instruments):
-        app.command()(in_json(command))
+    """Add the command of this module."""
+    app.command()(in_json(plan))
 
 
 def plan(
@@ -127,13 +126,3 @@ def plan(
     print_plan(planned, ageing)
     if output is not None:
         save_plan(planned, output, ageing)
-
-
-def instruments() -> None:
-    """List the kinds of pendulum, for instrument.kind."""
-    from processing.instruments import INSTRUMENTS
-    from rig.presentation import answer, print_line
-
-    answer(instruments={each.kind: each.sentence for each in INSTRUMENTS.values()})
-    for description in INSTRUMENTS.values():
-        print_line(f"{description.kind:<15} {description.sentence}")

@@ -1,4 +1,4 @@
-"""What `rig info`, `rig check` and `rig recover` print."""
+"""What `rig record info`, `rig record check` and `rig record recover` print."""
 
 from pathlib import Path
 
@@ -28,7 +28,11 @@ def print_info(path: Path) -> None:
     sizes = []
     for file in files:
         held = file.contents
-        state = "whole" if held.whole else f"cut short after {_size(held.readable_bytes)} (see rig recover)"
+        state = (
+            "whole"
+            if held.whole
+            else f"cut short after {_size(held.readable_bytes)} (see rig record recover)"
+        )
         sizes.append(f"{file.path}: {_size(held.size)}, {state}")
     print_line(sizes[0])
     for name, text in (("amplitude", amplitude), ("half-cycles", half_cycles), ("result", result)):

@@ -1,4 +1,4 @@
-"""`rig info`, `rig check` and `rig recover`."""
+"""`rig record info`, `check` and `recover`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,9 +13,11 @@ from rig.commands.outputs import new_file, output_option
 
 
 def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
+    """Add `rig record`."""
+    record = typer.Typer(help="Describe, verify and recover records.", no_args_is_help=True)
     for command in (info, check, recover):
-        app.command()(in_json(command))
+        record.command()(in_json(command))
+    app.add_typer(record, name="record")
 
 
 def info(record: Record) -> None:
@@ -23,7 +25,7 @@ def info(record: Record) -> None:
 
     \b
     Example:
-      rig info runs/first
+      rig record info runs/first
     """
     from rig.commands.record_screen import print_info
 
@@ -45,7 +47,7 @@ def check(
 
     \b
     Example:
-      rig check runs/first
+      rig record check runs/first
     """
     from rig.commands.record_screen import print_check
 
@@ -62,7 +64,7 @@ def recover(
 
     \b
     Example:
-      rig recover runs/first/run-1.mcap
+      rig record recover runs/first/run-1.mcap
     """
     from rig.commands.record_screen import recover_record
 

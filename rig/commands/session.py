@@ -1,4 +1,4 @@
-"""`rig desk`, `rig balance`, `rig preflight`, `rig doctor`: preparing a measurement."""
+"""`rig desk`, `rig balance`, `rig doctor`: preparing a measurement."""
 
 from contextlib import nullcontext
 from pathlib import Path
@@ -15,7 +15,7 @@ from rig.commands.outputs import appended_file, new_file, old_folder
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    for command in (desk, balance, preflight, doctor):
+    for command in (desk, balance, doctor):
         app.command()(command)
 
 
@@ -99,30 +99,18 @@ def desk(
     raise typer.Exit(open_desk(config, tuple(set_ or ()), port, browser=browser, archive=Path(archive)))
 
 
-def preflight(
-    config: Config,
-    json_lines: JsonLines = False,
-    set_: Set = None,
-) -> None:
-    """Make the checks that precede a run, without a run.
-
-    Lights the laser; moves nothing and records nothing.
-
-    \b
-    Example:
-      rig preflight mine.toml
-    """
-    from rig.measure import preflight_rig
-    from rig.settings import load_configuration
-
-    raise typer.Exit(preflight_rig(load_configuration(config, set_ or []), json_lines=json_lines))
-
-
 def doctor(
     config: Annotated[
         Path | None,
         typer.Argument(help="Configuration (TOML file).", show_default=False, callback=there),
     ] = None,
+    preflight: Annotated[
+        bool,
+        typer.Option(
+            "--preflight",
+            help="Light the laser and make the checks that precede a run, without a run; moves nothing.",
+        ),
+    ] = False,
     install_udev: Annotated[
         bool,
         typer.Option("--install-udev", help="Linux: write the udev rules that let users open the devices."),
@@ -140,9 +128,13 @@ def doctor(
 ) -> None:
     """Check devices, disk, clock and processor; suggest remedies.
 
+    Without a configuration it lists the connected cameras and serial ports.
+
     \b
     Examples:
+      rig doctor
       rig doctor mine.toml
+      rig doctor mine.toml --preflight
       sudo .venv/bin/rig doctor --install-udev
     """
     from rig.devices import RULES_FOLDER, examine, install_rules
@@ -159,5 +151,43 @@ def doctor(
         if config is None:
             return
     if config is None:
-        raise ConfigurationError("rig doctor: name the configuration to check, or --install-udev")
-    raise typer.Exit(examine(load_configuration(config, set_ or []), json_lines=json_lines))
+        if preflight or set_:
+            raise ConfigurationError("rig doctor: --preflight and --set need the configuration to check")
+        _list_devices(json_lines=json_lines)
+        return
+    loaded = load_configuration(config, set_ or [])
+    if preflight:
+        from rig.measure import preflight_rig
+
+        raise typer.Exit(preflight_rig(loaded, json_lines=json_lines))
+    raise typer.Exit(examine(loaded, json_lines=json_lines))
+
+
+def _list_devices(*, json_lines: bool) -> None:
+    from dataclasses import asdict
+
+    from acquisition.cameras.drivers import find_cameras
+    from rig.control import list_serial_ports
+    from rig.presentation import print_json_line, print_line
+
+    cameras, notes = find_cameras()
+    ports = list_serial_ports()
+    if json_lines:
+        listed = {"cameras": [one._asdict() for one in cameras], "serial_ports": list(map(asdict, ports))}
+        print_json_line("devices", {**listed, "notes": list(notes)})
+        return
+    for camera in cameras:
+        words = [camera.driver, camera.name, camera.serial and f"serial {camera.serial}", camera.place]
+        print_line("camera  " + "  ".join(word for word in words if word))
+        for mode in camera.modes:
+            print_line(f"          {mode}")
+        if camera.problem:
+            print_line(f"          {camera.problem}")
+    if not cameras:
+        print_line("no camera is plugged in; camera.driver = 'simulated' and 'files' need none")
+    for port in ports:
+        usb = f"USB {port.vendor:04x}:{port.product:04x}" if port.vendor >= 0 else ""
+        words = [port.device, port.description, usb, port.serial and f"serial {port.serial}"]
+        print_line("serial  " + "  ".join(word for word in words if word))
+    for note in notes:
+        print_line(f"note    {note}")

@@ -45,7 +45,7 @@ class ControllerSettings(BaseModel, frozen=True, extra="forbid"):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.kind == "serial" and not self.port:
-            raise ValueError("port is missing; name the controller's serial port, or see `rig devices`")
+            raise ValueError("port is missing; name the controller's serial port, or see `rig doctor`")
         if self.watchdog_s < 2 * self.heartbeat_s:
             raise ValueError(
                 f"watchdog_s {self.watchdog_s:g} is too short for heartbeat_s {self.heartbeat_s:g};"
@@ -86,7 +86,7 @@ class WitnessSettings(BaseModel, frozen=True, extra="forbid"):
     @model_validator(mode="after")
     def _complete(self) -> Self:
         if self.kind == "serial" and not self.port:
-            raise ValueError("port is missing; name the witness's serial port, or see `rig devices`")
+            raise ValueError("port is missing; name the witness's serial port, or see `rig doctor`")
         if self.kind == "file" and self.file is None:
             raise ValueError("file is missing; name the file to which its lines are appended")
         if len(set(self.columns)) < len(self.columns) or not 1 <= len(self.components) <= _MOST_COLUMNS:
@@ -131,5 +131,5 @@ class EnvironmentSettings(BaseModel, frozen=True, extra="forbid"):
     @model_validator(mode="after")
     def _port_named(self) -> Self:
         if self.kind == "serial" and not self.port:
-            raise ValueError("port is missing; name the sensor's serial port, or see `rig devices`")
+            raise ValueError("port is missing; name the sensor's serial port, or see `rig doctor`")
         return self

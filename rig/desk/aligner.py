@@ -9,11 +9,12 @@ from collections.abc import Callable
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus
 from acquisition.frame import Frame
-from acquisition.frame_queue import FrameQueue
+from acquisition.frames.guard import Delivered
+from acquisition.frames.queue import FrameQueue
 from processing.errors import DeviceError, RigError
 from rig.align import AlignmentFrame, take_look
 from rig.control import LightPermit, LightRefused, SafetyNow, SafetyState, Stage
-from rig.devices import Delivered, Devices, LightWatch, find_exposure, watch_latest
+from rig.devices import Devices, LightWatch, find_exposure, watch_latest
 from rig.instrument import complete, optics_of, prepare_kernels
 from rig.settings import Configuration
 

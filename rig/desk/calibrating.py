@@ -1,178 +1,265 @@
-"""The wizards of the calibrations as the desk has them: their answers in files, what is being recorded."""
+"""Calibrations at the desk: what each kind needs, what is being recorded for it, and what was filed."""
 
-import time
 import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from processing.errors import ConfigurationError, RigError
-from rig.calibrate import Filing
-from rig.desk.jobs import Job
-from rig.wizards import (
-    KINDS,
-    CalibrationWizard,
-    Draft,
+from acquisition import atomic_write
+from processing.errors import ConfigurationError, DataError, RecordError, RigError
+from rig.calibrate import (
     Filed,
-    Progress,
-    answered,
-    as_far_as_it_holds,
-    calibration_wizard,
-    drop_draft,
+    Filing,
+    calibrate_air,
+    calibrate_axes,
+    calibrate_clock,
+    calibrate_lever,
+    calibrate_pointing,
+    calibrate_sensor,
+    calibrate_shutter,
+    check_known_angle,
     filed,
-    keep_draft,
-    kept_draft,
-    place_for,
-    progress,
+    next_free,
 )
+from rig.desk.jobs import Job
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk
 
 FOLDER = Path("calibrations")
+Stated = Mapping[str, str]
+"""What was typed into the fields of a kind, by their names."""
+_SIDES = ("unknown", "+", "-")
+
+
+@dataclass(frozen=True)
+class CalibrationKind:
+    """One kind of calibration as a form over ``rig calibrate KIND``.
+
+    Parameters
+    ----------
+    title
+        What it measures.
+    do
+        What is to be done at the rig, for a person.
+    make
+        Makes the calibration from its input file and the typed fields; returns the calibration file.
+    seconds
+        Length of a record that it needs; None: it needs whole frames.
+    list_text
+        The list of measured values (TOML) to begin with; empty where the input is one record.
+    fields
+        Further fields by name: what is asked for, and the choices, if there are any.
+    """
+
+    title: str
+    do: str
+    make: Callable[[Path, Filing, Stated], Path]
+    seconds: float | None = None
+    list_text: str = ""
+    fields: Mapping[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
+
+
+def kinds() -> dict[str, CalibrationKind]:
+    """All kinds by the word after ``rig calibrate``, in the order in which a rig is calibrated."""
+    return {
+        "lever": CalibrationKind(
+            "Lever: from px to radians",
+            "Measure both lengths with a tape or a rod; 1 mm in 1 m is 0.1 % of every angle. Or clamp the "
+            'pendulum, set known tilts, and list them: kind = "tilt", then [[step]] for each.',
+            lambda path, filing, _: calibrate_lever(path, filing),
+            20.0,
+            "[geometry]\narm_m = 1.0\nu_arm_m = 0.001\npixel_pitch_m = 4.8e-6\nu_pixel_pitch_m = 1e-9\n",
+        ),
+        "axes": CalibrationKind(
+            "Axes: directions of both modes on the sensor",
+            "Decide which end and which side of the pendulum, moving down, count as positive. Push it gently "
+            "in both directions, so that both modes swing, remember to which sides, and record from then on.",
+            lambda path, filing, stated: calibrate_axes(
+                path, filing, _side(stated["slow mode"]), _side(stated["fast mode"])
+            ),
+            60.0,
+            fields={
+                "slow mode": ("sign of the slow mode's tilt in the first frame", _SIDES),
+                "fast mode": ("sign of the fast mode's tilt in the first frame", _SIDES),
+            },
+        ),
+        "sensor": CalibrationKind(
+            "Sensor: gain, read noise, dark level",
+            "Laser off, lamp off, lens cap on: record dark frames. Then cap off, a lamp behind a diffuser, "
+            "a metre away, and two frames or more at each of five exposures or more, from almost dark to "
+            "almost saturated.",
+            lambda path, filing, _: calibrate_sensor(path, filing),
+            None,
+            'darks = "records/sensor-001"\n\n[[level]]\nframes = "records/sensor-002"\nexposure_us = 50.0\n',
+        ),
+        "clock": CalibrationKind(
+            "Clock: the camera's against the computer's",
+            "Any long run of a real camera will do; half an hour gives a few parts in 10⁷.",
+            lambda path, filing, stated: calibrate_clock(path, filing, _bits(stated["counter bits"])),
+            1800.0,
+            fields={"counter bits": ("width of the camera's nanosecond counter, if it rolls over", ())},
+        ),
+        "shutter": CalibrationKind(
+            "Rolling shutter: the time from row to row",
+            "Let the spot swing across the rows by a large part of the picture, without [shutter] in the "
+            "configuration.",
+            lambda path, filing, _: calibrate_shutter(path, filing),
+            120.0,
+        ),
+        "air": CalibrationKind(
+            "Drag of the air: vanes on the pendulum, or several pressures",
+            "Make two runs without vanes, two with the smaller and two with the larger ones, in turn, from "
+            "one start, without lifting the ball off its place. rig calibrate air says which to cut.",
+            lambda path, filing, _: calibrate_air(path, filing),
+            1500.0,
+            '[[run]]\nrecord = "records/air-001.mcap"\narea_m2 = 0.0\n\n'
+            '[[run]]\nrecord = "records/air-002.mcap"\narea_m2 = 0.067\n',
+        ),
+        "pointing": CalibrationKind(
+            "Pointing: noise and drift of the spot",
+            "Clamp the pendulum, close the cover, and let nobody walk around during the recording.",
+            lambda path, filing, _: calibrate_pointing(path, filing),
+            120.0,
+        ),
+        "check": CalibrationKind(
+            "Check of the lever against known tilts",
+            "Clamp the pendulum and set known tilts of both signs, before and after a series.",
+            lambda path, filing, stated: check_known_angle(path, Path(stated["lever"]), filing),
+            20.0,
+            'kind = "tilt"\nunit = "arcsec"\npixel_pitch_m = 4.8e-6\nu_reference = 0.05\n\n'
+            "[[step]]\nreference = -60.0\nx_px = 160.02\ny_px = 441.21\nu_px = 0.02\n",
+            fields={"lever": ("calibration file of the lever to be checked", ())},
+        ),
+    }
 
 
 class Calibrating:
-    """All wizards of a desk. Their answers are the files that `rig calibrate` keeps in `FOLDER`, too.
+    """The calibrations of a desk: one recording at a time, and what was filed.
 
-    `made` are the calibrations filed at this desk, `problems` what went wrong last, both by kind.
+    `made` are the calibrations filed at this desk, `problems` what went wrong last, both by kind; `recorded`
+    is what was recorded last for a kind.
     """
 
     def __init__(self, desk: "Desk") -> None:
         self._desk = desk
-        self._recording: dict[str, tuple[Path, Job]] = {}
-        self._wanted_s: dict[str, float | None] = {}
-        self._begun_s: dict[str, float] = {}
+        self._recording: tuple[str, Path, Job] | None = None
+        self.kinds = kinds()
         self.made: dict[str, Filed] = {}
+        self.recorded: dict[str, Path] = {}
         self.problems: dict[str, str] = {}
 
-    def wizard(self, kind: str) -> CalibrationWizard:
-        """The wizard of a kind."""
-        return calibration_wizard(kind, self._desk.config)
+    def record(self, kind: str, amount: str, exposure_us: str = "") -> None:
+        """Record by `rig camera record` or `frames`, into a new file; may wait until the camera is free.
 
-    def draft(self, kind: str) -> Draft:
-        """The answers so far; raises RigError for a file that holds something else."""
-        return as_far_as_it_holds(self.wizard(kind), kept_draft(_kept(kind)))
-
-    def progress(self, kind: str) -> Progress:
-        """Where the wizard stands."""
-        return progress(self.wizard(kind), self.draft(kind))
-
-    def answer(self, kind: str, text: str) -> None:
-        """Take one answer; raises RigError, one line, for one that cannot be."""
-        keep_draft(_kept(kind), answered(self.wizard(kind), self.draft(kind), text))
-        self.problems.pop(kind, None)
-
-    def back(self, kind: str) -> None:
-        """One question back."""
-        keep_draft(_kept(kind), self.draft(kind).without_last())
-        self.problems.pop(kind, None)
-
-    def record(self, kind: str) -> None:
-        """Record what is asked for, by `rig camera record` or `frames`; what was recorded is the answer.
-
-        May wait until the camera is free.
+        `amount` is the length in s, or the number of frames. Raises ConfigurationError while another one is
+        recorded.
         """
-        question = self.progress(kind).question
-        wanted = None if question is None else question.recording
-        if wanted is None:
-            raise ConfigurationError("there is nothing to record here")
-        path = place_for(wanted, FOLDER)
+        if self.recording():
+            raise ConfigurationError("a recording is under way; wait, or cancel it")
+        form = self.kinds[kind]
+        path = next_free(FOLDER / "records", kind, "" if form.seconds is None else ".mcap")
         path.parent.mkdir(parents=True, exist_ok=True)
         self.problems.pop(kind, None)
-        if wanted.kind == "record":
-            words = ["camera record", "-o", str(path), "--seconds", f"{wanted.seconds:g}"]
-            values = {}
+        if form.seconds is None:
+            words, values = ["camera frames", "-o", str(path), "-n", amount], {}
+            if exposure_us.strip():
+                values["camera.exposure_us"] = _number("exposure / us", exposure_us)
         else:
-            words = ["camera frames", "-o", str(path), "-n", str(wanted.frames)]
-            values = {} if wanted.exposure_us is None else {"camera.exposure_us": wanted.exposure_us}
-        self._wanted_s[kind] = wanted.seconds if wanted.kind == "record" else None
-        self._begun_s.pop(kind, None)
-        self._recording[kind] = path, self._desk.start(*words, values=values)
+            words, values = ["camera record", "-o", str(path), "--seconds", amount], {}
+        self._recording = kind, path, self._desk.start(*words, values=values)
 
-    def stop(self, kind: str) -> None:
-        """End the recording, and darken; what was not recorded to its end is no answer."""
-        if kind in self._recording:
-            self._recording[kind][1].end()
+    def stop(self) -> None:
+        """End the recording, and darken; what was not recorded to its end is not offered."""
+        if self._recording is not None:
+            self._recording[2].end()
 
-    def recording(self, kind: str) -> str:
-        """What is being recorded; empty if nothing is.
-
-        What was recorded becomes the answer here.
-        """
-        if kind not in self._recording:
+    def recording(self) -> str:
+        """What is being recorded, and what the command said last; empty if nothing is."""
+        if self._recording is None:
             return ""
-        path, job = self._recording[kind]
+        kind, path, job = self._recording
         if job.status is None:
-            return f"{path} is recorded"
-        del self._recording[kind]
+            return f"{path} is recorded{f': {job.said[-1]}' if job.said else ''}"
+        self._recording = None
         if job.status == 0 and not job.ending:
-            try:
-                self.answer(kind, str(path))
-            except RigError as error:
-                self.problems[kind] = str(error)
+            self.recorded[kind] = path
         elif job.ending:
             self.problems[kind] = "the recording was stopped"
         else:
             self.problems[kind] = job.said[-1].removeprefix("rig: ") if job.said else "it was not recorded"
         return ""
 
-    def recorded_part(self, kind: str) -> float | None:
-        """Part of the time that has passed of what is recorded; None where nothing says how long it takes.
-
-        It counts from when the file is there: until then the camera is opened.
-        """
-        wanted_s = self._wanted_s.get(kind)
-        if not wanted_s or kind not in self._recording:
-            return None
-        if kind not in self._begun_s and not self._recording[kind][0].exists():
-            return 0.0
-        begun_s = self._begun_s.setdefault(kind, time.monotonic())
-        return min((time.monotonic() - begun_s) / wanted_s, 1.0)
-
-    def last_words(self, kind: str) -> str:
-        """What the command that records has said last; empty if nothing is recorded."""
-        said = self._recording[kind][1].said if kind in self._recording else ()
-        return said[-1] if said else ""
-
     @property
     def watched(self) -> Path | None:
-        """The record that is being made, whose folder's channel shows how it looks; None while none is."""
-        running = [path for path, job in tuple(self._recording.values()) if job.running and path.suffix]
-        return running[0] if running else None
+        """The record that is being made, whose picture is shown; None while none is."""
+        if self._recording is None or not self._recording[1].suffix or not self._recording[2].running:
+            return None
+        return self._recording[1]
 
-    def start_over(self, kind: str) -> None:
-        """Forget the answers; what was recorded stays."""
-        self.stop(kind)
-        drop_draft(_kept(kind))
+    def file(self, kind: str, given: str, stated: Stated, filing: Filing) -> None:
+        """Make the calibration and file it; takes seconds.
+
+        `given` is the name of a record, or the text of a list, which is first written to a file.
+        Raises RigError where the measurement does not serve.
+        """
+        form = self.kinds[kind]
         self.problems.pop(kind, None)
+        try:
+            path = _written(kind, given) if form.list_text else _record(given)
+            self.made[kind] = filed(form.make(path, filing, stated))
+        except RigError as error:
+            self.problems[kind] = str(error)
+            raise
 
     def use(self, kind: str) -> str:
         """The calibration made last holds for all that this desk starts; returns what to state for good."""
         made = self.made.get(kind)
         if made is None:
-            raise ConfigurationError(f"no calibration of the {kind} was made here yet: answer, then file it")
+            raise ConfigurationError(f"no calibration of the {kind} was made here yet")
         (table, keys), *_ = tomllib.loads(made.configuration).items()
         own = {f"{table}.{key}": _from_anywhere(stated) for key, stated in keys.items()}
         self._desk.checked(own)
         self._desk.kept.update(own)
         return made.configuration.replace("\n", "  ")
 
-    def file(self, kind: str, filing: Filing) -> None:
-        """Make the calibration and file it; takes seconds.
 
-        Raises RigError where the measurement does not serve; the last question is then asked again.
-        """
-        found = self.progress(kind)
-        if found.question is not None:
-            raise ConfigurationError(f"not everything is answered: {found.question.text}")
-        try:
-            self.made[kind] = filed(self.wizard(kind).file(found.values, filing))
-        except RigError as error:
-            self.problems[kind] = str(error)
-            keep_draft(_kept(kind), self.draft(kind).without_last())
-            raise
-        drop_draft(_kept(kind))
-        self.problems.pop(kind, None)
+def _written(kind: str, text: str) -> Path:
+    """The typed list as a new file; raises RecordError where it cannot be written."""
+    path = next_free(FOLDER, f"{kind}-list", ".toml")
+    try:
+        FOLDER.mkdir(parents=True, exist_ok=True)
+        atomic_write.write_new(path, text.encode())
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
+    return path
+
+
+def _record(text: str) -> Path:
+    path = Path(text.strip()).expanduser()
+    if path.suffix != ".mcap" or not path.is_file():
+        raise DataError(f"{text or 'record'}: there is no such record; name an MCAP file, or record one")
+    return path
+
+
+def _number(what: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ConfigurationError(f"{what}: {text!r} is no number") from None
+
+
+def _side(text: str) -> Literal["+", "-"] | None:
+    return None if text not in ("+", "-") else text  # type: ignore[return-value]
+
+
+def _bits(text: str) -> int | None:
+    if not text.strip():
+        return None
+    if not text.strip().isdecimal() or not 16 <= int(text) <= 62:
+        raise ConfigurationError(f"counter bits: {text!r} should be a whole number from 16 to 62")
+    return int(text)
 
 
 def _from_anywhere(stated: object) -> object:
@@ -180,9 +267,3 @@ def _from_anywhere(stated: object) -> object:
     if isinstance(stated, list):
         return [_from_anywhere(one) for one in stated]
     return Path(str(stated)).absolute().as_posix()
-
-
-def _kept(kind: str) -> Path:
-    if kind not in KINDS:
-        raise ConfigurationError(f"{kind!r}: no such calibration; there are {', '.join(KINDS)}")
-    return FOLDER / f"{kind}-answers.json"

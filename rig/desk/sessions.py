@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 from acquisition.record import records_of
 from processing.errors import ConfigurationError, RigError
+from rig.calibrate import next_free
 from rig.desk.jobs import Job
 from rig.measure import STATE_NAME, RunState, read_session, state_of
-from rig.wizards import next_free
 
 SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""

@@ -4,16 +4,13 @@ from rig.devices import picture
 from rig.devices.audit import AUDIT_NAME, Audited, check_log
 from rig.devices.camera_features import feature_lines
 from rig.devices.clock_rate import ClockRate
-from rig.devices.delivered import Delivered
 from rig.devices.doctor import examine
-from rig.devices.frame_clock import MendedTimes, mended_times
 from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import (
-    MOST_PPM,
     U_FREE_RUNNING,
     U_QUARTZ,
     U_SYNCHRONISED,
-    kernel_clock,
+    ClockAnchors,
     ntp_state,
     wrong_rate,
 )

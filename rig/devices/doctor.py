@@ -11,9 +11,9 @@ from typing import Literal, cast
 from rich.console import Console
 
 from acquisition.camera import CameraStatus, FrameTimeout
+from acquisition.cameras.device_settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.discovery import FoundCamera, UsbSpeed, find_cameras
-from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
-from acquisition.frame_losses import FrameLosses
+from acquisition.frames.losses import FrameLosses
 from processing.errors import ConfigurationError, DeviceError, RigError
 from processing.ticks import seconds
 from rig.control import (

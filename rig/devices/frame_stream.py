@@ -6,22 +6,30 @@ import time
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, CameraStatus, FrameTimeout
 from acquisition.frame import Frame
-from acquisition.frame_losses import FrameLosses
-from acquisition.frame_queue import FrameQueue, Policy
+from acquisition.frames.guard import (
+    ClockWatch,
+    Counts,
+    Delivered,
+    HangingRead,
+    asking,
+    ended,
+)
+from acquisition.frames.line import FrameLine
+from acquisition.frames.losses import FrameLosses
+from acquisition.frames.queue import Backlog, FrameQueue, Policy, most_waiting
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError, RigError, in_one_line
 from rig.control import LightPermit, Stage
-from rig.devices.delivered import Counts, Delivered, asking, ended
-from rig.devices.frame_clock import FrameClock, Seen
-from rig.devices.frame_line import FrameLine
-from rig.devices.hanging_read import HangingRead, awaited, beside
-from rig.devices.host_clock import ClockWatch, wait_for_network_clock
+from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.standstill import Standstill
 from rig.instrument import setting_differences, with_read_back
 
 _log = logging.getLogger(__name__)
 _LOOK_NS = 250_000_000
+_WAIT_S = 0.05
+_FIRST_S = 0.5
+"""For the first frame a camera is asked again and again, so that a stop is noticed."""
 
 
 class FrameStream:
@@ -60,10 +68,11 @@ class FrameStream:
         self._backlog: Backlog | None = None
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
         self._clock = ClockWatch()
-        self._times = FrameClock()
         self._delivered = Delivered(in_real_time=policy != "wait")
         self._counts = Counts(lambda: camera.status)
         self._thread: threading.Thread | None = None
+        self._begun = threading.Event()
+        self._first: Frame | None = None
         self._events: list[tuple[EventKind, str]] = []
         self._standstill = Standstill(lambda text: self._events.append((EventKind.STANDSTILL, text)))
         self._steps: list[RecordedClockStep] = []
@@ -86,21 +95,13 @@ class FrameStream:
         Raises FrameTimeout if no frame arrives within the timeout, DeviceError if the driver hangs.
         """
         # whoever closes the stream waits for it: a camera that is being read is not closed
-        self._thread, coming = beside(self._first_frames)
-        frames = awaited(coming, self._raise_if_it_hangs, self._stop)
-        if not frames:
-            return None
-        first = frames[0]
-        self.permit.frame_read(first.image)
-        capacity = most_waiting(first, self.policy)
-        self._queue = FrameQueue(capacity, self.policy)
-        # what is made on demand waits for whoever takes it
-        self._backlog = None if self.policy == "wait" else Backlog(capacity, first.image.nbytes)
-        for frame in frames:
-            self._queue.put(frame)
         self._thread = threading.Thread(target=self._acquire, name="camera", daemon=True)
         self._thread.start()
-        return first
+        while not (self._begun.wait(_WAIT_S) or self._stop.is_set()):
+            self._raise_if_it_hangs(_WAIT_S)
+        if self._first is None and self.failure is not None:
+            raise self.failure
+        return self._first
 
     def take(self, at_most: int, timeout_s: float) -> list[Frame]:
         """Up to `at_most` frames in order; empty after the timeout, and if drained."""
@@ -164,7 +165,7 @@ class FrameStream:
             status,
             unqueued=unqueued,
             while_unplugged=self._line.missing,
-            wrong_time=self._times.rejected + self._times.waiting,
+            wrong_time=self._line.rejected + self._line.waiting,
         )
 
     def __len__(self) -> int:
@@ -177,82 +178,66 @@ class FrameStream:
             self._fail(error, hangs)
             raise error
 
-    def _first_frames(self) -> list[Frame]:
-        waited_s = 0.0
-        while not self._stop.is_set():
-            step_s = min(self._timeout_s, 0.5)
-            self._hanging.begins()
-            try:
-                frame = self._camera.read(step_s)
-                if frame is None:
-                    return []
-                if frames := self._joined(self._delivered.checked(frame)):
-                    return frames
-            except FrameTimeout as lost:
-                waited_s += step_s
-                if waited_s >= self._timeout_s:
-                    raise self._said_with_reasons(lost) from None
-            except Exception as error:
-                self._fail(error, self._named(error))
-                raise self.failure or error from None
-        return []
-
     def _acquire(self) -> None:
         """Read and hand over, reconnect after an unplugging."""
-        queue = self._queue
-        assert queue is not None
         line = self._line
         silent_s = 0.0
         opened_again = False
         try:
             while not self._stop.is_set():
+                begun = self._queue is not None
                 # a source on demand may be slow; silence of a free-running camera is reported early
                 patience_s = self._timeout_s if self.policy == "wait" else line.patience_s(self._timeout_s)
-                patience_s = min(patience_s, self._timeout_s - silent_s)
+                patience_s = min(patience_s if begun else _FIRST_S, self._timeout_s - silent_s)
                 self._hanging.begins()
                 try:
-                    frame = self._camera.read(patience_s)
+                    read = self._camera.read(patience_s)
                 except (FrameTimeout, CameraLost) as lost:
                     if isinstance(lost, FrameTimeout):
                         lost = self._said_with_reasons(lost)
-                        if silent_s == 0.0 and patience_s < self._timeout_s:
+                        if begun and silent_s == 0.0 and patience_s < self._timeout_s:
                             self._events.append((EventKind.CAMERA_SILENT, str(lost)))
                         silent_s += patience_s
                         if silent_s < self._timeout_s - 1e-6:
                             continue
-                        # drivers notice an unplugged cable after seconds, or never: one that can be opened
-                        # again was there all the time if it stays silent
-                        if self.policy == "wait" or opened_again:
-                            raise lost from None
-                        opened_again = True
+                    # drivers notice an unplugged cable after seconds, or never: one that can be opened
+                    # again was there all the time if it stays silent
+                    stays_silent = self.policy == "wait" or opened_again
+                    if not begun or (isinstance(lost, FrameTimeout) and stays_silent):
+                        raise lost from None
+                    opened_again = opened_again or isinstance(lost, FrameTimeout)
                     self._events.append((EventKind.CAMERA_LOST, str(lost)))
                     self._hanging.is_elsewhere()
                     self._reconnect(lost)
                     line.begin_again()
                     self._clock.begin_again()
-                    self._times.begin_again()
                     self._delivered.begin_again()
                     silent_s = 0.0
                     continue
-                if frame is None:
+                if read is None:
                     self.ended = self.ended or "the camera delivered its last frame"
                     break
-                frame = self._delivered.checked(frame)
+                frame = self._delivered.checked(read)
                 self.permit.frame_read(frame.image)
                 if self.policy != "wait":
                     self._standstill.raise_if_slept()
                     self._clock.see(frame)
-                if silent_s:
+                if silent_s and begun:
                     self._events.append(
                         (EventKind.CAMERA_SPEAKS, f"after more than {silent_s:.2f} s of silence")
                     )
-                    silent_s = 0.0
+                silent_s = 0.0
                 opened_again = False
                 if frame.host_time_ns >= self._look_ns:
                     self._look_ns = frame.host_time_ns + _LOOK_NS
                     self._at_last_look = self.losses
-                for joined in self._joined(frame):
+                passed = line.take(frame)
+                self._events.extend(passed.notes)
+                self._steps.extend(passed.steps)
+                for joined in passed.frames:
+                    queue = self._queue or self._first_queue(joined)
                     queue.put(joined)
+                    self._begun.set()
         except FrameTimeout as error:
             unused = self.losses.since(self._at_last_look)
             why = "the camera has stalled" if not unused.came else f"of those that came {unused.came_text}"
@@ -260,24 +245,16 @@ class FrameStream:
         except Exception as error:
             self._fail(error, self._named(error))
         finally:
-            queue.close()
+            if self._queue is not None:
+                self._queue.close()
+            self._begun.set()
 
-    def _joined(self, frame: Frame) -> list[Frame]:
-        """The frames whose times are sure with this one, in the line; those made on demand have their own."""
-        seen = Seen([frame]) if self.policy == "wait" else self._times.take(frame)
-        if seen.note:
-            self._events.append((EventKind.CAMERA_CLOCK, seen.note))
-        joined = []
-        for place, sure in enumerate(seen.frames):
-            frame, note = self._line.join(sure)
-            if note:
-                self._events.append((EventKind.CAMERA_BACK, note))
-            for known in (seen.step if place == seen.after_step else None, self._line.take_step()):
-                # a counter's new round is known exactly, and no step of the clock
-                if known is not None and known.u_ns:
-                    self._steps.append(RecordedClockStep(frame.time_ns, known.step_ns, known.u_ns))
-            joined.append(frame)
-        return joined
+    def _first_queue(self, first: Frame) -> FrameQueue:
+        capacity = most_waiting(first, self.policy)
+        # what is made on demand waits for whoever takes it
+        self._backlog = None if self.policy == "wait" else Backlog(capacity, first.image.nbytes)
+        self._first, self._queue = first, FrameQueue(capacity, self.policy)
+        return self._queue
 
     def _said_with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
         """The same, with the frames that came and could not be used: the trigger is no cause of those."""
@@ -334,55 +311,3 @@ class FrameStream:
         if self.failure is None:
             self.failure = error
             self.ended = reason
-
-
-MOST_BYTES = 256 * 1024 * 1024
-"""What waits for a processor that is late: 1.7 s of 500 frames/s of 640 x 480."""
-_OWN_BYTES = 1024
-"""What a frame takes beside its pixels, about."""
-_FEWEST = 8
-_FEWEST_ON_DEMAND = 64
-_LATE = 0.125
-"""Part of the memory from which on it is said."""
-
-
-def most_waiting(frame: Frame, policy: Policy) -> int:
-    """Number of frames for a bounded amount of memory, a few at least.
-
-    Frames on demand are not lost while the queue is full; a short one keeps them in the processor's cache.
-    """
-    most = max(_FEWEST, MOST_BYTES // (frame.image.nbytes + _OWN_BYTES))
-    return min(_FEWEST_ON_DEMAND, most) if policy == "wait" else most
-
-
-class Backlog:
-    """Notices when many frames wait, and when they no longer do.
-
-    Parameters
-    ----------
-    capacity
-        Number of frames for which there is memory.
-    frame_bytes
-        Size of one of them.
-    """
-
-    def __init__(self, capacity: int, frame_bytes: int) -> None:
-        self._capacity = capacity
-        self._frame_mb = frame_bytes / 1e6
-        self._most = 0
-
-    def see(self, waiting: int) -> str:
-        """What is to be said of so many waiting frames; nothing as long as they are few, or still many."""
-        if waiting > max(_LATE * self._capacity, self._most):
-            begins, self._most = not self._most, waiting
-            if begins:
-                memory_mb = self._capacity * self._frame_mb
-                return (
-                    f"{waiting} frames wait for the processor, {waiting * self._frame_mb:.0f} of "
-                    f"{memory_mb:.0f} MB; once full, frames are lost and counted: close other programs, or "
-                    "set a lower camera.frame_rate_hz or a smaller region"
-                )
-        elif self._most and waiting <= 0.1 * _LATE * self._capacity:
-            most, self._most = self._most, 0
-            return f"caught up; at most {most} frames waited, {most * self._frame_mb:.0f} MB"
-        return ""

@@ -1,4 +1,4 @@
-"""Clocks: how closely the host's follows UTC, how fast the camera's runs, and its wait for the network's."""
+"""Clocks: how closely the host's follows UTC, in a record too, and the camera's wait for the network's."""
 
 import ctypes
 import math
@@ -7,16 +7,17 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Final, NamedTuple
 
 from acquisition.camera import CLOCK_STATES, Camera, HasFeatures
-from acquisition.frame import Frame
+from acquisition.frames.guard import MOST_PPM, as_fast
+from acquisition.record.events import Event, EventKind
+from acquisition.record.topics import ClockAnchor
 from calibration import ClockRelation
 from processing.errors import DeviceError
+from processing.ticks import seconds
 
 U_FREE_RUNNING: Final = 50e-6
 """Relative standard uncertainty of a computer's free-running quartz oscillator."""
@@ -25,8 +26,6 @@ U_SYNCHRONISED: Final = 1e-6
 U_QUARTZ: Final = 0.7e-6
 """Of a quartz that follows the room, 1 ppm up and down in an hour: no record of minutes shows it."""
 _PATIENCE_S = 3.0
-NO_TIME_NS: Final = 1 << 62
-"""Later than any clock, 146 years; sums of times no longer fit."""
 _TIME_ERROR, _UNSYNCHRONISED = 5, 0x40
 
 
@@ -115,83 +114,11 @@ def _ask(*command: str) -> str:
     return done.stdout if done.returncode == 0 else ""
 
 
-MOST_PPM: Final = 1000.0
-"""A quartz is right within 100 ppm: a clock that runs otherwise counts in another unit than was believed."""
-_WINDOW_NS: Final = 3_000_000_000
-"""Between the middles of its first and last third are 2 s: a delay of 2 ms, kept up, makes `MOST_PPM`."""
-_FEWEST: Final = 60
-_IN_A_ROW: Final = 3
-_SPREAD: Final = 0.2
-"""A wrong unit shows the same each time; a busy computer's delays do not within a fifth of themselves."""
-
-
 def wrong_rate(relation: ClockRelation) -> str:
     """How fast the camera's clock runs, if that is not possible for one that counts ns; else empty."""
     if abs(relation.drift_ppm) - 3.0 * relation.u_drift_ppm <= MOST_PPM:
         return ""
-    return _as_fast(relation.drift_ppm)
-
-
-def _as_fast(drift_ppm: float) -> str:
-    return f"the camera's clock runs {1.0 + 1e-6 * drift_ppm:.6g} times as fast as the computer's"
-
-
-def _drift_ppm(seen: NDArray[np.int64]) -> float:
-    """Rate of camera times against host times, (n, 2) in ns, minus 1; NaN if the host's do not rise.
-
-    From the medians of the first and the last third, which frames that come late now and then do not move.
-    The thread that reads the camera waits for it: a fit of all frames would cost some of them.
-    """
-    since_ns, third = seen - seen[0], len(seen) // 3
-    device_ns, host_ns = np.median(since_ns[-third:], axis=0) - np.median(since_ns[:third], axis=0)
-    return (device_ns / host_ns - 1.0) * 1e6 if host_ns > 0 else math.nan
-
-
-class ClockWatch:
-    """Compares the clocks over the first seconds of frames, whatever the driver.
-
-    A wrong unit shows in any stretch of frames, each time as much. Frames that a busy computer takes late,
-    and then catches up with, can look like one in a single stretch: the clock is refused only if three in a
-    row, of `window_ns` each, show the same.
-    """
-
-    def __init__(self, window_ns: int = _WINDOW_NS) -> None:
-        self._window_ns = window_ns
-        self._frames: list[tuple[int, int]] = []
-        self._found: list[float] = []
-        self._done = False
-
-    def begin_again(self) -> None:
-        """The camera was opened again: the stretch begins again."""
-        self._frames.clear()
-
-    def see(self, frame: Frame) -> None:
-        """Take the next frame into account; raises DeviceError if the clock cannot be right."""
-        if self._done:
-            return
-        if frame.device_time_ns < 0:
-            self._done = True
-            return
-        if frame.device_time_ns >= NO_TIME_NS:
-            return
-        seen = self._frames
-        seen.append((frame.device_time_ns, frame.host_time_ns))
-        if seen[-1][1] - seen[0][1] < self._window_ns or len(seen) < _FEWEST:
-            return
-        drift_ppm = _drift_ppm(np.array(seen, dtype=np.int64))
-        seen.clear()
-        if not abs(drift_ppm) > MOST_PPM:
-            # times that do not rise are for the preflight and rig calibrate clock to report
-            self._done = not math.isnan(drift_ppm)
-            return
-        self._found = [*self._found, drift_ppm][-_IN_A_ROW:]
-        mean = sum(self._found) / len(self._found)
-        same = all(abs(drift - mean) < _SPREAD * abs(mean) for drift in self._found)
-        if len(self._found) == _IN_A_ROW and same:
-            raise DeviceError(
-                f"{_as_fast(mean)}, at most {MOST_PPM:g} ppm are possible: its times cannot be used; "
-                "the driver misreads its unit, or the computer's clock was set: see rig doctor"
-            )
+    return as_fast(relation.drift_ppm)
 
 
 _FOLLOWS: Final = "Slave"
@@ -224,3 +151,55 @@ def _state(camera: Camera) -> str:
             if value is not None:
                 return str(value)
     return ""
+
+
+_PERIOD_NS = 10_000_000_000
+_LEAST_STEP_NS = 2_000_000
+_FASTEST_SLEW = 1e-3
+"""Systems that correct their clock without a step change its rate by at most 0.5 per mille."""
+
+
+class HostClockReading(NamedTuple):
+    """Both clocks of the computer at the same moment, and how far apart in time they were read."""
+
+    host_time_ns: int
+    utc_ns: int
+    apart_ns: int
+
+
+def read_clocks() -> HostClockReading:
+    """Read the clock of the day between two readings of the monotonic one."""
+    before = time.monotonic_ns()
+    utc_ns = time.time_ns()
+    after = time.monotonic_ns()
+    return HostClockReading((before + after) // 2, utc_ns, after - before)
+
+
+class ClockAnchors:
+    """Anchors every 10 s and after every step."""
+
+    def __init__(self, read: Callable[[], HostClockReading] = read_clocks) -> None:
+        self._read = read
+        self._last: HostClockReading | None = None
+        self._due_ns = 0
+
+    def take(self, time_ns: int) -> tuple[ClockAnchor | None, list[Event]]:
+        """An anchor, if one is due, and an event, if the clock of the day has stepped; `time_ns` is the time
+        of the latest frame.
+        """
+        now, before = self._read(), self._last
+        self._last = now
+        events: list[Event] = []
+        if before is not None:
+            elapsed_ns = now.host_time_ns - before.host_time_ns
+            step_ns = (now.utc_ns - before.utc_ns) - elapsed_ns
+            allowed_ns = _LEAST_STEP_NS + _FASTEST_SLEW * elapsed_ns + now.apart_ns + before.apart_ns
+            if abs(step_ns) > allowed_ns:
+                text = f"the computer's clock of the day moved by {seconds(step_ns):+.3f} s"
+                events.append(Event(time_ns, EventKind.CLOCK_STEP, text))
+        if now.host_time_ns < self._due_ns and not events:
+            return None, []
+        self._due_ns = now.host_time_ns + _PERIOD_NS
+        state = kernel_clock()
+        u_utc_s = math.hypot(state.u_s, 0.5e-9 * now.apart_ns)
+        return ClockAnchor(time_ns, now.host_time_ns, now.utc_ns, u_utc_s, state.synchronised), events

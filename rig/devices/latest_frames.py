@@ -6,8 +6,8 @@ from collections.abc import Generator
 
 from acquisition.camera import Camera
 from acquisition.frame import Frame
-from acquisition.frame_queue import FrameQueue
-from rig.devices.delivered import Delivered
+from acquisition.frames.guard import Delivered
+from acquisition.frames.queue import FrameQueue
 
 _LOOK_S = 0.2
 _TIMEOUT_S = 5.0

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.frame import Frame, Image
+from acquisition.frames.guard import Delivered
 from processing.errors import DeviceError
-from rig.devices.delivered import Delivered
 
 _FLOOR = 0.1
 # sqrt(A / B) for exp(-u) - 0.1 where it is positive, u = r^2 / (2 s^2), u0 = ln 10:

@@ -9,6 +9,7 @@ from typing import NamedTuple, Self
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.frames.guard import asking, checked_info, checked_settings, ended
 from acquisition.record.events import EventKind
 from acquisition.simulation.inputs import RigInputs
 from processing.errors import ConfigurationError, DeviceError
@@ -22,7 +23,6 @@ from rig.control import (
     make_laser,
     simulated_controller,
 )
-from rig.devices.delivered import asking, checked_info, checked_settings, ended
 from rig.devices.frame_stream import FrameStream
 from rig.devices.ground_witness import GroundWitness, ground_witness
 from rig.devices.host_clock import wait_for_network_clock

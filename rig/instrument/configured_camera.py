@@ -5,7 +5,7 @@ import re
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.cameras import drivers
-from acquisition.frame_queue import Policy
+from acquisition.frames.queue import Policy
 from calibration import GLOBAL, Shutter
 from processing.errors import ConfigurationError
 from rig.settings import Configuration

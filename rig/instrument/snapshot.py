@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from acquisition.frame_losses import FrameLosses
+from acquisition.frames.losses import FrameLosses
 from processing.estimate import Estimate
 from rig.control import DevicesNow
 from rig.instrument.camera_clock import CameraClock

@@ -1,4 +1,4 @@
-"""The frames of one run, numbered and counted, and what the record gets for them."""
+"""The frames of one run, counted, and what the record gets for them."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ _LOST_FOR_S = 5.0
 
 
 class FrameCounts:
-    """Counts of one run; its frames are numbered from its first frame, not by the camera's numbers."""
+    """Counts of one run, whose record counts the frames' numbers from its first one."""
 
     def __init__(self, first: Frame, full_frame_interval_ns: int, *, keep_windows: bool) -> None:
         self.start_ns = first.time_ns
@@ -32,7 +32,7 @@ class FrameCounts:
         self._next_image_ns = first.time_ns
         self._next_lost_image_ns = first.time_ns
         self._next_preview_ns = first.time_ns
-        self._sequence = -1
+        self._next = self._first_number
         self._lost = False
         self._seen_ns = first.time_ns
 
@@ -54,43 +54,36 @@ class FrameCounts:
         """The model of the beam, and whether it is chosen yet."""
         return self.beam.text if self._model is not None else f"{self.beam.text}, being judged"
 
-    def numbered(self, frames: Sequence[Frame]) -> list[Frame]:
-        """The frames with numbers counted from the first frame of the run."""
-        if not self._first_number:
-            return list(frames)
-        return [frame._replace(sequence=frame.sequence - self._first_number) for frame in frames]
-
     def entry(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> Entry:
-        """The entry that the record gets for these (numbered) frames."""
+        """The entry that the record gets for these frames."""
+        numbers = [frame.sequence - self._first_number for frame in frames]
         events: list[Event] = []
         images: list[Frame] = []
         windows = []
-        for frame, spot in zip(frames, block.spots, strict=True):
+        for number, frame, spot in zip(numbers, frames, block.spots, strict=True):
             time_ns = frame.time_ns
-            gap = frame.sequence - self._sequence - 1
+            gap = frame.sequence - self._next
             if gap > 0:
                 self.missing += gap
-                events.append(
-                    Event(time_ns, EventKind.GAP, f"frames missing before frame {frame.sequence}: {gap}")
-                )
-            self._sequence = frame.sequence
+                events.append(Event(time_ns, EventKind.GAP, f"frames missing before frame {number}: {gap}"))
+            self._next = frame.sequence + 1
             lost = bool(spot.flags & SpotFlag.LOST)
             if lost != self._lost:
                 events.append(
                     Event(
                         time_ns,
                         EventKind.SPOT_LOST if lost else EventKind.SPOT_FOUND,
-                        f"at frame {frame.sequence}",
+                        f"at frame {number}",
                     )
                 )
             self._lost = lost
             self._seen_ns = self._seen_ns if lost else time_ns
             self.lost_spots += lost
             if time_ns >= self._next_image_ns:
-                images.append(frame)
+                images.append(frame._replace(sequence=number))
                 self._next_image_ns = time_ns + self._interval_ns
             elif lost and time_ns >= self._next_lost_image_ns:
-                images.append(frame)
+                images.append(frame._replace(sequence=number))
                 self._next_lost_image_ns = time_ns + nanoseconds(_LOST_IMAGE_INTERVAL_S)
             bounds = (
                 None
@@ -98,14 +91,15 @@ class FrameCounts:
                 else pipeline.tracker.record_window(spot, frame.image.shape)
             )
             windows.append(cut_window(frame, spot, bounds))
-        preview = frames[-1] if frames[-1].time_ns >= self._next_preview_ns else None
-        if preview is not None:
+        preview = None
+        if frames[-1].time_ns >= self._next_preview_ns:
+            preview = frames[-1]._replace(sequence=numbers[-1])
             self._next_preview_ns = preview.time_ns + _PREVIEW_NS
-        events += self._beam_events(frames, block, pipeline)
+        events += self._beam_events(numbers, block, pipeline, frames[-1].time_ns)
         self.frames += len(frames)
         self.last_ns = frames[-1].time_ns
         return Entry(
-            sequences=[frame.sequence for frame in frames],
+            sequences=numbers,
             device_times_ns=[frame.device_time_ns for frame in frames],
             host_times_ns=[frame.host_time_ns for frame in frames],
             block=block,
@@ -115,11 +109,13 @@ class FrameCounts:
             events=events,
         )
 
-    def _beam_events(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> list[Event]:
+    def _beam_events(
+        self, numbers: Sequence[int], block: Block, pipeline: Pipeline, time_ns: int
+    ) -> list[Event]:
         """An event when the tracker has chosen its model of the beam, or has begun to choose again."""
-        self.beam.take([frame.sequence for frame in frames], [spot.flags for spot in block.spots])
+        self.beam.take(numbers, [spot.flags for spot in block.spots])
         before, self._model = self._model, pipeline.tracker.model
         if self._model is before:
             return []
         text = self.beam.text if self._model is not None else "it has changed; its model is chosen again"
-        return [Event(frames[-1].time_ns, EventKind.BEAM, text)]
+        return [Event(time_ns, EventKind.BEAM, text)]

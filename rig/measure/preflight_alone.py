@@ -1,4 +1,4 @@
-"""The command `rig preflight`: the checks that precede a run, without the run."""
+"""The command `rig doctor --preflight`: the checks that precede a run, without the run."""
 
 import queue
 from concurrent.futures import ThreadPoolExecutor
@@ -7,7 +7,6 @@ from pathlib import Path
 from rich.console import Console
 
 from processing.errors import DataError, DeviceError
-from rig.channel import light_told
 from rig.devices import Devices, LightWatch, ask_leave
 from rig.instrument import (
     Snapshot,
@@ -18,6 +17,7 @@ from rig.instrument import (
 )
 from rig.measure.end_of_run import StopRequest
 from rig.measure.phases import PhasesBeforeRecord
+from rig.orders import light_told
 from rig.presentation import Verdict, failures, print_json_line, print_verdicts, say, table_tree
 from rig.settings import Configuration
 
@@ -33,7 +33,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     check_materials(config)
     folder = config.session.output
     with (
-        Devices(config, folder, "rig preflight") as devices,
+        Devices(config, folder, "rig doctor --preflight") as devices,
         light_told(devices, config, folder),
         devices.camera(config) as camera,
     ):

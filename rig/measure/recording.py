@@ -25,10 +25,9 @@ from processing.spot import SpotFlag
 from processing.step_watch import KickWatch, StepWatch
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
-from rig.devices import ClockRate
+from rig.devices import ClockAnchors, ClockRate
 from rig.instrument import Block, CameraClock, LessBeam, Phase, Snapshot, Wall
 from rig.measure.camera_state import TemperatureWatch, features_json
-from rig.measure.clock_anchors import ClockAnchors
 from rig.measure.end_of_run import EndOfRun, StopRequest
 from rig.measure.frame_counts import FrameCounts
 from rig.measure.recorder import Entry, Recorder
@@ -181,16 +180,15 @@ class Recording:
                 self._raise_if_unwritable()
                 self._end_in_darkness()
                 continue
-            frames = counts.numbered(taken)
-            block = pipeline.process(frames)
+            block = pipeline.process(taken)
             # what is shown, and what a run is judged and ended by; the record is as seen
             shown, said = block, []
             if less is not None:
-                shown = self._wall.past(_LESS_BEAM, block, less.shown, [one.time_ns for one in frames], block)
-                said = [Event(frames[-1].time_ns, EventKind.BEAM, text) for text in less.take_news()]
+                shown = self._wall.past(_LESS_BEAM, block, less.shown, [one.time_ns for one in taken], block)
+                said = [Event(taken[-1].time_ns, EventKind.BEAM, text) for text in less.take_news()]
             if parts.posterior is not None:
                 self._wall.past(_LIVE_FIT, None, parts.posterior.take, shown.swings, shown.deflections)
-            entry = counts.entry(frames, block, pipeline)
+            entry = counts.entry(taken, block, pipeline)
             self._last = taken[-1]
             notes = self._notes(counts)
             nothing: tuple[ClockAnchor | None, list[Event]] = (None, [])
@@ -199,7 +197,7 @@ class Recording:
                 clock, clock_steps = self._wall.past(_ANCHORS, nothing, anchors.take, counts.last_ns)
             camera_steps = [one for one in stream.take_clock_steps() if one.time_ns > counts.start_ns]
             if rate is not None:
-                self._clock = self._wall.past(_CLOCK_RATE, self._clock, rate.take, frames, camera_steps)
+                self._clock = self._wall.past(_CLOCK_RATE, self._clock, rate.take, taken, camera_steps)
             stepped: list[Event] = self._wall.past("the watch for steps", [], steps.take, block)
             new = [*entry.events, *said, *stepped, *clock_steps, *self._device_events(counts.last_ns)]
             warmth = (
@@ -224,7 +222,7 @@ class Recording:
             if shown.swings or stream.policy == "wait" or taken_ns - published_ns > _PUBLISHED_NS:
                 published_ns = taken_ns
                 self._publish(Phase.MEASURING, counts, shown.swings, age_s)
-            status.tell(counts.start_ns, frames, shown, [*new, *(note.event for note in notes)])
+            status.tell(counts.start_ns, taken, shown, [*new, *(note.event for note in notes)])
             self._raise_if_unwritable()
             self._end_in_darkness()
             if self._judge is not None:

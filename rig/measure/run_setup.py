@@ -9,7 +9,6 @@ from processing import decay_forecast
 from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
-from rig.channel import SessionNews
 from rig.devices import Devices, OpenCamera, TypedLeave
 from rig.instrument import Snapshot, optics_of, prepare_kernels
 from rig.measure.disk_room import free_bytes
@@ -22,6 +21,7 @@ from rig.measure.run import Run
 from rig.measure.run_parts import RunOutcome, RunParts, Watcher
 from rig.measure.screen import RunDisplay
 from rig.measure.start_judge import start_limits
+from rig.orders import SessionNews
 from rig.posterior import LivePosterior
 from rig.presentation import Verdict, say
 from rig.settings import Configuration
@@ -113,7 +113,7 @@ def _execute(
     )
     session_news = plan.session_news
     if session_news is not None:
-        session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied)
+        session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied, record)
         watchers = [*watchers, session_news]
 
     def show_table(verdicts: Sequence[Verdict]) -> None:

@@ -7,10 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, replace
 
 from acquisition.frame import Frame
-from acquisition.frame_losses import FrameLosses
+from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import (
     ESTIMATE,
+    FITTED,
     HEALTH,
     LIGHT,
     PHASE,
@@ -168,6 +169,8 @@ class RunStatus:
                 (ESTIMATE, RecordedEstimate(time_ns, state.estimated_from, value, u, name))
                 for name, (value, u) in state.estimates.items()
             ]
+            if state.decay is not None:
+                found += [(FITTED, point) for point in state.decay.points(time_ns)]
         now_ns = time_ns if on_demand else time.monotonic_ns()
         if now_ns >= self._health_due_ns:
             self._health_due_ns = now_ns + _INTERVAL_NS

@@ -17,7 +17,6 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.channel import Channel, SessionNews, devices_now
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
@@ -28,6 +27,7 @@ from rig.measure.phases import NoGo
 from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import RunState, SessionFile, withdraw_unrecorded
 from rig.measure.session_orders import await_leave, orders
+from rig.orders import OrderSocket, SessionNews, devices_now
 from rig.presentation import answer, failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
 from rig.terminal import Terminated, reason_of
@@ -98,12 +98,14 @@ def make_runs(
 ) -> Made:
     """Make the missing runs. Raises `Terminated` after everything is closed and session.json is written.
 
-    Meanwhile the session can be watched, and takes orders, through its channel.
+    Meanwhile the session can be watched, and takes orders, through its order socket.
     """
     session_news, notes = SessionNews(config), Notes(file.folder, config.session.operator)
-    with Channel(file.folder, session_news, orders(devices, notes), lambda: devices_now(devices)) as channel:
-        if channel.problem:
-            say(channel.problem)
+    with OrderSocket(
+        file.folder, session_news, orders(devices, notes), lambda: devices_now(devices)
+    ) as watched:
+        if watched.problem:
+            say(watched.problem)
         try:
             return _make_runs(config, source, file, devices, manner, session_news, notes)
         except KeyboardInterrupt:
@@ -268,13 +270,13 @@ def simulate_record(config: Configuration, source: Path, record: Path) -> int:
     """Record one run of the simulated rig, without viewer and fits; returns the exit status."""
     if not config.simulated:
         raise ConfigurationError(
-            f"camera.driver = {config.camera.driver!r}: rig simulate needs the simulated camera; "
-            "use rig run for a real one"
+            f"camera.driver = {config.camera.driver!r}: --record-only needs the simulated camera; "
+            "rig camera record records a real one"
         )
     quiet = config.view.model_copy(update={"mode": "none", "file": False})
     record.parent.mkdir(parents=True, exist_ok=True)
     config = complete(config.model_copy(update={"view": quiet}))
-    with Devices(config, task="rig simulate") as devices:
+    with Devices(config, task="rig run") as devices:
         outcome = measure_run(
             RunPlan(config, source, record, "simulation", fitted=bool(config.session.stop_when)), devices
         )

@@ -1,14 +1,14 @@
-"""What a person may order while a session runs, at its terminal or through its channel."""
+"""What a person may order while a session runs, at its terminal or through its order socket."""
 
 import _thread
 import time
 
 from acquisition.record.events import Level
 from processing.errors import RigError
-from rig.channel import Orders, SessionNews
 from rig.control import LightRefused
 from rig.devices import Audited, Devices, ask_leave, at_terminal, wait_for_command
 from rig.measure.notes import Notes
+from rig.orders import Orders, SessionNews
 
 _LOOK_S = 0.1
 

@@ -2,7 +2,6 @@
 
 from rig.settings.balance import BalanceSettings
 from rig.settings.calibration import TimebaseSettings
-from rig.settings.commented_keys import commented_file
 from rig.settings.configuration import (
     Configuration,
     FitSettings,
@@ -30,3 +29,4 @@ from rig.settings.stop_conditions import StopCondition
 from rig.settings.toml_file import read_toml
 from rig.settings.typed import number, optional, quantity
 from rig.settings.wording import in_words, validated, wanted
+from rig.settings.written_file import copy_shipped, refuse_existing, write_configuration

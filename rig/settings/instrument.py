@@ -12,7 +12,7 @@ _Value = TypeVar("_Value", float, float | None)
 
 
 class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
-    """`kind` selects a built-in description (see `rig instruments`); a key left out keeps its value."""
+    """`kind` selects a description (see `rig init --instruments`); a key left out keeps its value."""
 
     kind: str = "single_ball"
     mass_kg: float | None = Field(

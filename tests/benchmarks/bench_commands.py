@@ -34,7 +34,7 @@ def run(quick: bool = False) -> dict[str, Any]:
         spots = DAY_SPOTS // 24 if quick else DAY_SPOTS
         record = _made(folder / "day.mcap", spots)
         results["day, spots"] = spots
-        for command in ("info", "check", "fit"):
+        for command in ("record info", "record check", "fit"):
             options = ["-o", str(folder / "day")] if command == "fit" else []
             used = _rig(command, str(record), *options)
             results[f"day, rig {command}, MiB resident"] = used.resident_mib

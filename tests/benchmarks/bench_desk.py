@@ -19,12 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from rig.channel import Channel, SessionNews
-from rig.channel.server import _Handler
 from rig.desk.sessions import SessionIndex
 from rig.instrument.snapshot import Snapshot
 from rig.measure.screen import RunDisplay
 from rig.measure.session_file import RunEntry, RunState, SessionState
+from rig.orders import OrderSocket, SessionNews
 from rig.settings import load_configuration
 from tests.benchmarks.bench_pipeline import real_time
 from tests.benchmarks.desk_in_browser import first_paint_s, random_use
@@ -132,8 +131,8 @@ def measured(seconds: float, *, desk: bool, page: bool = False) -> dict[str, Any
         def show(snapshot: Snapshot) -> None:
             session_news.state(display.values(snapshot), display.facts(snapshot))
 
-        stack.enter_context(Channel(folder, session_news, {}))
-        answering = stack.enter_context(own_time(_Handler, "do_GET"))
+        stack.enter_context(OrderSocket(folder, session_news, {}))
+        answering = stack.enter_context(own_time(OrderSocket, "_answer"))
         keeping = stack.enter_context(own_time(SessionNews, "block"))
         looking = stack.enter_context(Desk(source, page=page)) if desk else None
         found = real_time(WIDTH, HEIGHT, 8, RATE_HZ, seconds, watchers=[display, session_news], show=show)
@@ -154,10 +153,11 @@ def own_time(kind: type, name: str) -> Iterator[list[float]]:
     """Processor time in s that a method of a class takes in all threads, as the one number of a list."""
     original, spent_s = getattr(kind, name), [0.0]
 
-    def timed(*words: Any) -> None:
+    def timed(*words: Any) -> Any:
         began_s = time.thread_time()
-        original(*words)
+        found = original(*words)
         spent_s[0] += time.thread_time() - began_s
+        return found
 
     setattr(kind, name, timed)
     try:

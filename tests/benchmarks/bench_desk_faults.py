@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.alarms import CATALOGUE, AlarmKey
-from rig.channel import CHANNEL_NAME, Line, NoSession
+from rig.orders import ORDERS_NAME, Line, NoSession
 from tests.benchmarks.told_session import BEGUN
 from tests.rig.desk.conftest import RIG
 from tests.rig.desk.desk_page import DeskProcess, Page
@@ -364,7 +364,7 @@ def first_frame_s(folder: Path, limit_s: float = 180.0) -> float:
     deadline_s = time.monotonic() + limit_s
     while time.monotonic() < deadline_s:
         with contextlib.suppress(NoSession):
-            if (folder / CHANNEL_NAME).exists():
+            if (folder / ORDERS_NAME).exists():
                 with Line(folder) as line:
                     elapsed_s = (line.news()["state"] or {}).get("elapsed_s") or 0.0
                     if elapsed_s:

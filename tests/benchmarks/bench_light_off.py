@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from processing.errors import RigError
-from rig.channel import Line
+from rig.orders import Line
 from tests.rig.desk.board_process import BoardProcess, board_process
 from tests.rig.desk.conftest import RIG
 from tests.rig.desk.desk_page import Page, desk_page
@@ -104,7 +104,7 @@ def _lit_again(page: Page, board: BoardProcess) -> None:
 def _ordered_again(runs: Path, board: BoardProcess) -> None:
     """Acknowledge and ask for light until there is light: a session that was stopped trips once more."""
     end_s = time.monotonic() + 120.0
-    with Line(next(runs.glob("*/.channel.json")).parent) as line:
+    with Line(next(runs.glob("*/.orders.json")).parent) as line:
         while not board.lit:
             assert time.monotonic() < end_s, line.news()["safety"]
             trip = line.news()["safety"]["trip"]
@@ -138,5 +138,5 @@ def _clicked(page: Page, board: BoardProcess, runs: Path, frozen: bool, busy: bo
 
 
 def _signal(runs: Path, number: signal.Signals) -> None:
-    stated = json.loads(next(runs.glob("*/.channel.json")).read_text())
+    stated = json.loads(next(runs.glob("*/.orders.json")).read_text())
     os.kill(int(stated["pid"]), number)

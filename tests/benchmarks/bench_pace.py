@@ -14,11 +14,11 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rig.channel import Channel, SessionNews
 from rig.instrument.snapshot import Snapshot
 from rig.measure import run as run_module
 from rig.measure.run_parts import Watcher
 from rig.measure.screen import RunDisplay
+from rig.orders import OrderSocket, SessionNews
 from rig.settings import load_configuration
 from tests.benchmarks.bench_desk import Desk
 from tests.benchmarks.bench_pipeline import real_time
@@ -73,7 +73,7 @@ def desk_and_viewer() -> Iterator[Company]:
         def show(snapshot: Snapshot) -> None:
             news.state(display.values(snapshot), display.facts(snapshot))
 
-        stack.enter_context(Channel(folder, news, {}))
+        stack.enter_context(OrderSocket(folder, news, {}))
         stack.enter_context(Desk(source))
         yield Company([display, news], show)
 

@@ -123,7 +123,7 @@ def _started(desk: Desk, path: str, folder: Path) -> "subprocess.Popen[bytes]":
     words = {
         "session": ["run", str(desk.source), "-o", str(folder)],
         "balance": ["balance", str(desk.source)],
-        "preflight": ["preflight", str(desk.source)],
+        "preflight": ["doctor", str(desk.source), "--preflight"],
     }[path]
     words += [word for one in desk.overridden() for word in ("--set", one)]
     quiet = subprocess.DEVNULL

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from acquisition.camera import CameraSettings
+from acquisition.cameras.device_settings import Usb3VisionSettings
 from acquisition.cameras.pixel_formats import BY_NAME
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.discovery import find_camera
 from acquisition.cameras.usb3vision.link import UsbLink
 from acquisition.cameras.usb3vision.registers import plan_transfers
-from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.stream import ExpectedFrames, UsbFrameStream
 from acquisition.cameras.usb3vision.transfers import Arrived, Bytes
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend

@@ -134,7 +134,7 @@ def begin(path: str, config: Path, folder: Path, fault: str) -> None:
         "plan": ["run", "--plan", str(config.with_name("plan.toml")), "-o", str(folder)],
         "resume": ["run", "--resume", str(folder)],
         "balance": ["balance", str(config), "--follow", "3"],
-        "preflight": ["preflight", str(config)],
+        "preflight": ["doctor", str(config), "--preflight"],
         "doctor": ["doctor", str(config)],
     }.get(path)
     if words is not None:

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from acquisition.camera import CameraSettings
+from acquisition.cameras.device_settings import V4l2Settings
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.camera import V4l2Camera
 from acquisition.cameras.v4l2.devices import list_devices
-from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.frame import Frame
 from rig.devices.frame_stream import FrameStream
 from tests.kernel.scenarios import run_scenarios

@@ -83,5 +83,5 @@ CASES: Sequence[Case] = (
     _session("live", {**SIMULATED_TIME, **_TO_300_S}),
     _session("faults", {**SIMULATED_TIME, **_TO_300_S}, status=1),
     Case("table", ("fit", "decay.csv"), prepare=write_table),
-    Case("film", ("video", "film", "--rate", "20"), prepare=write_film),
+    Case("film", ("fit", "film", "--rate", "20"), prepare=write_film),
 )

@@ -330,7 +330,7 @@ def sources(for_everyone: Path) -> Path:
 def test_a_record_is_shown_where_no_cache_can_be_written(sources: Path) -> None:
     record = make_long_record(sources / "records" / "run.mcap", 200)
     record.chmod(0o644)
-    assert "full_scale_dn" in run_as_nobody(sources, "-m", "rig", "info", "records/run.mcap")
+    assert "full_scale_dn" in run_as_nobody(sources, "-m", "rig", "record", "info", "records/run.mcap")
 
 
 def test_threads_that_first_call_a_kernel_at_the_same_time_get_the_same_code() -> None:

@@ -215,7 +215,7 @@ def test_the_snippet_about_records_runs(tmp_path: Path, monkeypatch: pytest.Monk
 def test_the_commands_of_the_tutorial(tmp_path: Path, measured_series: Path) -> None:
     """A series measured for all tests stands for those that `rig run` would measure for minutes."""
     lines = [line for line in indented(ROOT / "docs" / "tutorial.md") if line.startswith("rig ")]
-    assert [line.split()[1] for line in lines] == ["run", "info", "view", "replay", "run", "compare"]
+    assert [line.split()[1] for line in lines] == ["run", "record", "view", "replay", "run", "compare"]
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
     text = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
     for name, block in re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", text, re.MULTILINE | re.DOTALL):

@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
@@ -17,7 +17,7 @@ from acquisition.camera import (
     FrameTimeout,
 )
 from acquisition.cameras import wiring
-from acquisition.cameras.aravis.buffers import BufferReader, FrameNumbering
+from acquisition.cameras.aravis.buffers import SHORT_IDS, BufferReader
 from acquisition.cameras.aravis.features import AravisFeatures
 from acquisition.cameras.aravis.library import (
     AravisDevice,
@@ -25,15 +25,16 @@ from acquisition.cameras.aravis.library import (
     find_camera,
     load_library,
 )
-from acquisition.cameras.aravis.parting import Parting, nothing
-from acquisition.cameras.aravis.settings import AravisSettings
-from acquisition.cameras.kept_frames import kept_frames
+from acquisition.cameras.device_settings import AravisSettings, kept_frames
 from acquisition.frame import Frame
+from acquisition.frames.numbers import BlockNumbers
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
 
 _POLL_US: Final = 50_000
+_PATIENCE_S: Final = 0.4
+_LONGEST_S: Final = 15.0
 # libaravis takes 6 s to notice the loss of a GigE camera, and may not monitor a USB camera at all: after a
 # silence of this length a register is read
 _ASK_AFTER_S: Final = 1.0
@@ -67,7 +68,7 @@ class AravisCamera:
         self._closings = 0
         self._gone = threading.Event()
         self._halted = threading.Event()
-        self._parting = Parting()
+        self._parting = _Parting()
         self._asking: threading.Thread | None = None
         self._heard_s = 0.0
         self._buffers: BufferReader | None = None
@@ -95,7 +96,7 @@ class AravisCamera:
             with self._translated():
                 info, features = self._take_control(self._library, found)
             if closings != self._closings:
-                self._parting.leave(nothing, features.give_up(), self._library.error)
+                self._parting.leave(_nothing, features.give_up(), self._library.error)
                 raise DeviceError(f"{self._name}: was closed while it was opened")
             self._features = features
             return info
@@ -171,7 +172,7 @@ class AravisCamera:
                 width_px,
                 height_px,
                 self._has_clock,
-                FrameNumbering(short_ids=bool(camera.is_gv_device())),
+                BlockNumbers(self._name, (SHORT_IDS,) if camera.is_gv_device() else ()),
                 features.plane,
             )
             self._halted.clear()
@@ -239,7 +240,7 @@ class AravisCamera:
         camera = None if features is None else features.camera
         if held[0] is None or camera is None or self._library is None:
             return
-        action = nothing if gone.is_set() else camera.stop_acquisition
+        action = _nothing if gone.is_set() else camera.stop_acquisition
         del camera
         self._parting.leave(action, held, self._library.error)
 
@@ -248,15 +249,17 @@ class AravisCamera:
         self.stop()
         features, self._features = self._features, None
         if features is not None and self._library is not None:
-            self._parting.leave(nothing, features.give_up(), self._library.error)
+            self._parting.leave(_nothing, features.give_up(), self._library.error)
 
     # ---- beyond the protocol
 
     @property
     def status(self) -> CameraStatus:
         """Counts since `start`, continued after a reconnection."""
-        buffers = self._buffers
-        return self._before if buffers is None else self._before + buffers.numbering.status
+        if self._buffers is None:
+            return self._before
+        numbers = self._buffers.numbers
+        return self._before + numbers.status(numbers.whole)
 
     def feature_values(self) -> dict[str, FeatureValue]:
         with self._lock, self._translated():
@@ -292,3 +295,54 @@ class AravisCamera:
             raise DeviceError(
                 f"{self._name}: {text}; is it in use by another program, or has it lost its cable?"
             ) from None
+
+
+class _Parting:
+    """Runs the final actions on a camera in threads, one after the other, and waits for them only briefly:
+    libaravis waits 2.5 s for each reply of one that is gone.
+    """
+
+    def __init__(self) -> None:
+        self._threads: list[threading.Thread] = []
+
+    def leave(self, action: Callable[[], None], held: list[Any], error: type[Exception]) -> None:
+        """Run the action, then clear the list `held`; returns soon, whether this is finished or not.
+
+        There must be no other references to the objects in the list, because dropping the last reference to a
+        camera waits for its reply.
+        """
+        self._threads = [thread for thread in self._threads if thread.is_alive()]
+        thread = threading.Thread(
+            target=_leave, args=(action, held, error, list(self._threads)), name="leaves camera", daemon=True
+        )
+        del action
+        self._threads.append(thread)
+        thread.start()
+        thread.join(_PATIENCE_S)
+
+    def wait(self, name: str) -> None:
+        """Wait until all actions are finished; a camera that is still being released must not be opened.
+
+        Raises DeviceError if that takes too long.
+        """
+        deadline_s = time.monotonic() + _LONGEST_S
+        for thread in list(self._threads):
+            thread.join(max(deadline_s - time.monotonic(), 0.0))
+            if thread.is_alive():
+                raise DeviceError(f"{name}: does not answer, and is still being closed; wait")
+
+
+def _nothing() -> None:
+    """Empty action."""
+
+
+def _leave(
+    action: Callable[[], None], held: list[Any], error: type[Exception], before: list[threading.Thread]
+) -> None:
+    for other in before:
+        other.join()
+    try:
+        action()
+    except error as refused:
+        logger.info("%s", refused)
+    held.clear()

@@ -69,7 +69,7 @@ def find_cameras() -> tuple[AravisDevice, ...]:
 
 
 def list_cameras() -> list[PluggedCamera]:
-    """All cameras found by libaravis, for ``rig devices``."""
+    """All cameras found by libaravis, for ``rig doctor``."""
     return [
         PluggedCamera("aravis", f"{found.vendor} {found.model}", found.serial, found.place)
         for found in find_cameras()
@@ -85,12 +85,12 @@ def find_camera(wanted: str | None) -> AravisDevice:
     chosen = [camera for camera in there if wanted in (None, camera.serial, camera.identity)]
     listed = "; ".join(camera.name for camera in there)
     if not there:
-        raise DeviceError("aravis: no camera answers; check cable, power and network, then: rig devices")
+        raise DeviceError("aravis: no camera answers; check cable, power and network, then: rig doctor")
     if not chosen:
         raise DeviceError(f"aravis: no camera has the serial number {wanted!r}; there are: {listed}")
     if len(chosen) > 1:
         raise DeviceError(
             f"aravis: several cameras: {listed}; set camera.serial to one of them "
-            "(where two share one, to its id: rig devices)"
+            "(where two share one, to its id: rig doctor)"
         )
     return chosen[0]

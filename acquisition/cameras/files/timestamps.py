@@ -48,7 +48,7 @@ def frame_times(settings: FilesSettings, source: "FrameSource") -> FrameTimes:
         if source.times is not None:
             return source.times
         raise DeviceError(
-            f"{settings.path}: when were the frames taken? State camera.files.frame_rate_hz (rig video: "
+            f"{settings.path}: when were the frames taken? State camera.files.frame_rate_hz (rig fit: "
             f"--rate) or write {path}"
         )
     return _read(path, source.count, source.names)

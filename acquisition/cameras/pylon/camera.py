@@ -22,14 +22,18 @@ from acquisition.camera import (
 )
 from acquisition.cameras import wiring
 from acquisition.cameras.colour_plane import plane_of
-from acquisition.cameras.kept_frames import kept_frames
+from acquisition.cameras.device_settings import PylonSettings, kept_frames
 from acquisition.cameras.pixel_formats import Format
 from acquisition.cameras.pylon.features import PylonFeatures
-from acquisition.cameras.pylon.settings import PylonSettings
 from acquisition.frame import Frame
+from acquisition.frames.numbers import BlockNumbers
 from processing.errors import DeviceError, MissingPackage
 
 _POLL_MS: Final = 100
+_NO_BLOCK: Final = 2**64 - 1
+"""A block whose number pylon does not know."""
+_GIGE_BLOCKS: Final = 65535
+"""GigE cameras count from 65535 to 1, USB cameras on."""
 
 
 class PylonCamera:
@@ -52,9 +56,8 @@ class PylonCamera:
         self._tick_ns = 0.0
         self._halted = threading.Event()
         self._started = self._was_lost = False
-        self._last_block = NO_BLOCK
-        self._next = 0
-        self._counts = CameraStatus()
+        self._numbers = BlockNumbers(self._name, ())
+        self._before = CameraStatus()
 
     def open(self) -> CameraInfo:
         self.close()
@@ -115,9 +118,8 @@ class PylonCamera:
             features, camera = self._opened(), self._camera
             if camera.IsGrabbing():
                 raise DeviceError(f"{self._name}: is running already; stop it first")
-            self._counts, self._was_lost = self._counts.to_begin_with(lost=self._was_lost), False
-            self._next = 0
-            self._last_block = NO_BLOCK
+            self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
+            self._numbers = BlockNumbers(self._name, (_GIGE_BLOCKS,))
             self._halted.clear()
             self._started = True
             self._seen = (features.present_format(), features.plane)
@@ -159,16 +161,14 @@ class PylonCamera:
                     raise CameraLost(f"{self._name}: is no longer connected; plug it in again")
                 return None
             try:
+                if not result.GrabSucceeded():
+                    self._numbers.lost_parts += 1
+                    self._numbers.faulty += 1
+                    return None
                 # pylon counts skipped images only where it skips; the numbers of blocks show every loss
-                skipped = missing_blocks(self._last_block, int(result.GetBlockID()))
-                self._last_block = int(result.GetBlockID())
-                number = self._next + skipped
-                self._next = number + 1
-                good = result.GrabSucceeded()
-                self._counts += CameraStatus(
-                    delivered=int(good), dropped_by_bus=skipped, error_status=int(not good)
-                )
-                if not good:
+                block = int(result.GetBlockID())
+                number = self._numbers.number(None if block == _NO_BLOCK else block, "dropped_by_bus")
+                if number is None:
                     return None
                 image = np.array(result.GetArray(), copy=True)
                 pixel_format, plane = self._seen
@@ -196,7 +196,7 @@ class PylonCamera:
     @property
     def status(self) -> CameraStatus:
         """Counts since `start`, continued after a reconnection."""
-        return self._counts
+        return self._before + self._numbers.status(self._numbers.whole)
 
     def _opened(self) -> PylonFeatures:
         if self._features is None:
@@ -238,22 +238,3 @@ def list_cameras() -> list[PluggedCamera]:
         PluggedCamera("pylon", device.GetModelName(), device.GetSerialNumber(), device.GetDeviceClass())
         for device in devices
     ]
-
-
-NO_BLOCK: Final = 2**64 - 1
-"""A block whose number pylon does not know."""
-_GIGE_BLOCKS: Final = 65535
-_MOST_MISSING: Final = 1000
-
-
-def missing_blocks(last: int, block: int) -> int:
-    """Number of blocks between two numbers; GigE cameras count from 65535 to 1, USB cameras on.
-
-    0 for numbers that pylon does not know, and after a counter that began again.
-    """
-    if NO_BLOCK in (last, block):
-        return 0
-    if block > last:
-        return block - last - 1
-    past_end = block + _GIGE_BLOCKS - last
-    return past_end - 1 if 0 < past_end <= _MOST_MISSING else 0

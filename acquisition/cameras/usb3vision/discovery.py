@@ -84,7 +84,7 @@ def find_cameras(backend: usb.backend.IBackend | None = None) -> tuple[FoundCame
 
 
 def list_cameras() -> list[PluggedCamera]:
-    """All connected USB3 Vision cameras for ``rig devices``, with the USB speed as `place`."""
+    """All connected USB3 Vision cameras for ``rig doctor``, with the USB speed as `place`."""
     remedy = "no permission: run rig doctor --install-udev, and plug the camera in again"
     if sys.platform == "win32":
         remedy = WINUSB
@@ -116,7 +116,7 @@ def find_camera(serial: str | None, backend: usb.backend.IBackend | None = None)
     """
     cameras = find_cameras(backend)
     if not cameras:
-        raise DeviceError("no USB3 Vision camera is plugged in; check cable and power, then: rig devices")
+        raise DeviceError("no USB3 Vision camera is plugged in; check cable and power, then: rig doctor")
     listed = "; ".join(camera.name for camera in cameras)
     if serial is None:
         if len(cameras) > 1:

@@ -22,7 +22,6 @@ from acquisition.camera import CameraLost, CameraStatus, ColourPlane
 from acquisition.cameras.colour_plane import plane_of
 from acquisition.cameras.pixel_formats import Format
 from acquisition.cameras.reading import Reading
-from acquisition.cameras.usb3vision.block_numbers import BlockNumbers
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
 from acquisition.cameras.usb3vision.packets import (
     TRAILER_START,
@@ -34,12 +33,15 @@ from acquisition.cameras.usb3vision.packets import (
 from acquisition.cameras.usb3vision.registers import TransferPlan
 from acquisition.cameras.usb3vision.transfers import Transfers
 from acquisition.frame import Frame
+from acquisition.frames.numbers import BlockNumbers, Place
 from processing.errors import DeviceError, RigError
 
 logger = logging.getLogger(__name__)
 
 # Bus errors for longer than this without a frame in between: the connection is lost.
 _PATIENCE_S: Final = 0.3
+# Sizes of block counters that are shorter than the standard's 64 bits.
+_COUNTERS: Final = (1 << 16, 1 << 32)
 # So many frames in a row that are sent in another way than planned: this camera does so.
 _LEARNED_AFTER: Final = 2
 _UNLEARNED_AFTER: Final = 6
@@ -135,7 +137,8 @@ class UsbFrameStream:
         self._deviations, self._deviated = 0, False
         self._misfits = 0
         self._trouble_since_s: float | None = None
-        self._numbers = BlockNumbers(link.name, has_clock=expected.has_clock)
+        self._numbers = BlockNumbers(link.name, _COUNTERS, has_clock=expected.has_clock)
+        self._disturbed = False
         self.reading = Reading(self._step, transfers.cancel)
         with suppress(RigError):  # the first step meets it again, and deals with it
             self._fill()
@@ -165,7 +168,7 @@ class UsbFrameStream:
             frame = self._take_trailer(data, arrived.host_time_ns)
             if part is _Part.EMPTY:  # which this camera sends, but not at this size
                 self._parts = self._planned_parts
-                self._numbers.disturbed = True
+                self._disturbed = True
                 self._resume_at(0)
             return frame
         else:
@@ -220,7 +223,7 @@ class UsbFrameStream:
         elif now_s - self._trouble_since_s > _PATIENCE_S:
             raise CameraLost(f"{trouble}, again and again; unplug it and plug it in again")
         self._lose_frame()
-        self._numbers.disturbed = True
+        self._disturbed = True
         self._resume_at(-1)
         self._link.clear_halt(self._link.stream_in)
         time.sleep(0.01)
@@ -245,7 +248,7 @@ class UsbFrameStream:
         *before, trailer = self._parts
         if self._deviates():
             self._parts = (*before, (_Part.EMPTY, trailer[1]), trailer)
-        self._numbers.disturbed = True
+        self._disturbed = True
         self._resume_at(len(self._parts) - 1)
         if self._next_part < 0:
             self._lose_frame()
@@ -256,7 +259,7 @@ class UsbFrameStream:
         self._arrived = _Payload()
         if leader is None:
             self._refuse_other_payload(data[:256].tobytes())
-            self._numbers.disturbed = True
+            self._disturbed = True
             if in_rhythm:
                 self._numbers.lost_parts += 1
             # A trailer is followed by a leader; after any other data the next part is unknown.
@@ -268,7 +271,7 @@ class UsbFrameStream:
             self._resume_at(1)
             if self._next_part != 1:
                 self._lose_frame()
-                self._numbers.disturbed = True
+                self._disturbed = True
 
     def _refuse_other_payload(self, leader: bytes) -> None:
         kind = announced_type(leader)
@@ -297,7 +300,7 @@ class UsbFrameStream:
                 frame = self._take_trailer(data[at:], host_time_ns)
                 if is_new:
                     self._parts = sent if is_learned else self._parts
-                    self._numbers.disturbed = True
+                    self._disturbed = True
                     self._resume_at(0)
                 return frame
         # A short transfer may be a trailer (the camera ended the frame early) or a leader (the rest of the
@@ -308,7 +311,7 @@ class UsbFrameStream:
             is_short = self._arrived.byte_count + data.size < self._expected.image_bytes
             if is_short and trailer is not None and self._leader and trailer.block == self._leader.block:
                 self._lose_frame()
-                self._numbers.disturbed = True
+                self._disturbed = True
                 self._resume_at(0)
                 return None
             if is_short and parse_leader(head) is not None:
@@ -322,7 +325,7 @@ class UsbFrameStream:
         assert leader is not None
         trailer = parse_trailer(data[:256].tobytes()) if data.size <= self._plan.trailer else None
         if trailer is None:
-            self._numbers.disturbed = True
+            self._disturbed = True
             if parse_leader(data[:256].tobytes()) is not None:
                 self._take_leader(data, in_rhythm=False)
             else:
@@ -361,9 +364,11 @@ class UsbFrameStream:
         return False
 
     def _delivered_frame(self, leader: Leader, host_time_ns: int) -> Frame | None:
-        number = self._numbers.number(leader)
+        lost: Place = "dropped_by_bus" if self._disturbed else "dropped_by_camera"
+        number = self._numbers.number(leader.block, lost, leader.timestamp)
         if number is None:
             return None
+        self._disturbed = False
         self._trouble_since_s = None
         self._deviations, self._deviated = self._deviations * self._deviated, False
         wanted = self._expected

@@ -13,12 +13,12 @@ from acquisition.camera import (
     FeatureValue,
     FrameTimeout,
 )
+from acquisition.cameras.device_settings import V4l2Settings
 from acquisition.cameras.reading import Reading
 from acquisition.cameras.v4l2.opencv import OpenCvSource
-from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.cameras.v4l2.source import FrameDevice, RawFrame
 from acquisition.frame import Frame
-from acquisition.frame_queue import FrameQueue
+from acquisition.frames.queue import FrameQueue
 from processing.errors import DeviceError
 
 if TYPE_CHECKING:

@@ -43,7 +43,7 @@ def list_devices() -> list[VideoDevice]:
 
 
 def list_cameras() -> list[PluggedCamera]:
-    """The same for ``rig devices``; DeviceError on systems without Video4Linux."""
+    """The same for ``rig doctor``; DeviceError on systems without Video4Linux."""
     if sys.platform != "linux":
         raise DeviceError("v4l2: OpenCV cannot list devices; try camera.v4l2.device = '0', '1', ...")
     cameras = []

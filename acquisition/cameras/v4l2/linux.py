@@ -20,11 +20,10 @@ from acquisition.camera import (
     without_wires,
 )
 from acquisition.cameras.colour_plane import in_plane_px, in_sensor_px
-from acquisition.cameras.kept_frames import kept_frames
+from acquisition.cameras.device_settings import V4l2Settings, kept_frames
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import VideoDevice, find_again, find_device, refusal
 from acquisition.cameras.v4l2.layouts import LAYOUTS, choose, image_bytes, possible, to_image
-from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.cameras.v4l2.source import RawFrame
 from processing.errors import DeviceError
 

@@ -16,7 +16,7 @@ from acquisition.camera import (
     PixelFormat,
     without_features,
 )
-from acquisition.cameras.v4l2.settings import V4l2Settings
+from acquisition.cameras.device_settings import V4l2Settings
 from acquisition.cameras.v4l2.source import RawFrame
 from acquisition.frame import Image
 from processing.errors import DeviceError

@@ -55,9 +55,7 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
     @model_validator(mode="after")
     def _within_limits(self) -> Self:
         if self.kind in LASERS and not self.port:
-            raise ValueError(
-                "port is missing; name the laser's serial port (or usbtmc), or see `rig devices`"
-            )
+            raise ValueError("port is missing; name the laser's serial port (or usbtmc), or see `rig doctor`")
         if self.power_w > self.max_power_w:
             raise ValueError(f"power_w {self.power_w:g} is above max_power_w {self.max_power_w:g}")
         if self.current_a > self.max_current_a:

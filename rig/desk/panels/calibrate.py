@@ -1,12 +1,12 @@
-"""Calibrate: what to do, one question after the other; what is recorded, what came out, where it is filed."""
+"""Calibrate: a form for each kind over `rig calibrate`; what is recorded for it, and what came out."""
 
 import html
 from functools import partial
 
 from nicegui import run, ui
 
-from processing.errors import ConfigurationError, RigError
-from rig.calibrate import Filing
+from processing.errors import ConfigurationError
+from rig.calibrate import Filed, Filing
 from rig.desk import tables
 from rig.desk.calibrating import FOLDER, Calibrating
 from rig.desk.chart_options import Curve
@@ -15,165 +15,155 @@ from rig.desk.desk import Desk
 from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.tab import DELIBERATE, Tab
 from rig.settings import number
-from rig.wizards import KINDS, Filed, Progress, Question
 
-_DAYS = 90.0
+_DAYS, _DARK_FRAMES = 90.0, 16
 _SIZE = (480, 240)
 
 
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
-    calibrating = desk.calibrating
-    kind = KINDS[0]
-    drawn: object = None
+    kinds = desk.calibrating.kinds
+    forms: dict[str, CalibrationForm] = {}
 
-    def choose(name: str) -> None:
-        nonlocal kind
-        kind = name
-        refresh()
-
-    def answer(text: str) -> None:
-        calibrating.answer(kind, text)
-        refresh()
-
-    def back() -> None:
-        calibrating.back(kind)
-        refresh()
-
-    async def record() -> None:
-        await run.io_bound(calibrating.record, kind)
-        refresh()
-
-    def stop() -> None:
-        calibrating.stop(kind)
-
-    async def file() -> None:
-        working.set_visibility(True)
-        try:
-            filing = Filing(FOLDER, _days(days.value), str(by.value or ""))
-            await run.io_bound(calibrating.file, kind, filing)
-        finally:
-            working.set_visibility(False)
-            refresh()
-
-    def over() -> None:
-        calibrating.start_over(kind)
-        refresh()
-
-    def use() -> None:
-        stated = calibrating.use(kind)
-        ui.notify(
-            f"used by everything this desk starts; to keep it permanently, state: {stated}", multi_line=True
-        )
+    def choose(chosen: str) -> None:
+        for name, form in forms.items():
+            form.box.set_visibility(name == chosen)
+            buttons[name].props(remove="outline") if name == chosen else buttons[name].props("outline")
 
     async def look() -> None:
         await run.io_bound(desk.begin_aligning)
 
+    def refresh() -> None:
+        busy = desk.calibrating.recording()
+        for form in forms.values():
+            form.refresh(busy)
+        lighting.set_visibility(not busy and not _seen(desk))
+
     with ui.row().classes("items-center"):
-        kinds = {name: ui.button(name, on_click=partial(choose, name)) for name in KINDS}
-    for name, button in kinds.items():
+        buttons = {name: ui.button(name, on_click=partial(choose, name)) for name in kinds}
+    for name, button in buttons.items():
         button.props(f'dense aria-label="{name}, calibrate it"')
     with ui.element("div").classes("grid halves"):
-        with ui.column().classes("box"):
-            title = ui.html(tag="h3", sanitize=False).classes("middle")
-            steps = ui.html(sanitize=False)
-            asked = ui.column().classes("full-width")
-            going = ui.label().classes("middle").props('role="status" aria-live="polite"')
-            words = ui.label().classes("dim")
-            part = ui.linear_progress(show_value=False).props('aria-label="part of the recording done"')
-            stopping = tab.button("Cancel the recording", stop).props('color="negative"')
-            wrong = ui.label().classes("no").props('role="alert"')
-            with ui.row().classes("full-width items-center") as last:
-                by = ui.input("made by", value=desk.config.session.operator).props("dense outlined")
-                days = ui.input("valid for / days", value=f"{_DAYS:g}").props(
-                    'dense outlined data-key="days"'
-                )
-                tab.button("File it", file).props('color="positive" size="lg"')
-                working = ui.spinner().props('aria-label="the calibration is made"')
-                working.set_visibility(False)
-            with ui.row():
-                tab.button("Back", back).props('outline aria-label="Back one question"')
-                tab.button("Start over", over).props("outline")
-            given = ui.html(sanitize=False).classes("full-width")
+        with ui.column().classes("full-width"):
+            for name in kinds:
+                forms[name] = CalibrationForm(desk, tab, name)
         with ui.column().classes("box"):
             ui.html("what the camera sees", tag="h3", sanitize=False).classes("title")
             with ui.element("div").classes("full-width"):
                 LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk))
             lighting = tab.button("Live picture", look).props(f"outline {DELIBERATE}")
-            ui.html("result", tag="h3", sanitize=False).classes("title")
-            using = tab.button("Use it", use).props('color="positive" size="lg"')
-            result = ui.html(sanitize=False).classes("full-width")
-            drawn_here = ui.column().classes("full-width")
-
-    def ask(question: Question) -> None:
-        """The elements of one question."""
-        if question.do:
-            ui.label(question.do)
-        ui.label(question.text).classes("text-weight-bold")
-        if question.recording is not None:
-            wanted = question.recording
-            what = f"{wanted.frames} frames" if wanted.kind == "frames" else f"{wanted.seconds:g} s"
-            tab.button(f"Record {what} now", record).props(
-                f'color="positive" aria-label="record what is asked for" {DELIBERATE}'
-            )
-        for choice in question.choices:
-            words = choice.answer + (f": {choice.text}" if choice.text else "")
-            tab.button(words, partial(answer, choice.answer)).props("outline no-caps align=left")
-        if question.choices and not question.open_choice:
-            return
-        field = ui.input(value=question.suggested or "").props(
-            f'outlined dense data-key="answer" aria-label="{question.text.replace(chr(34), chr(39))}"'
-        )
-        field.classes("full-width")
-
-        def typed() -> None:
-            try:
-                answer(str(field.value or ""))
-            except RigError as error:
-                field.props(f'error error-message="{str(error).replace(chr(34), chr(39))}"')
-
-        field.on("keydown.enter", tab.act(typed))
-        tab.button("Answer", typed).props("outline")
-
-    def refresh() -> None:
-        nonlocal drawn
-        try:
-            busy = calibrating.recording(kind)
-            found = calibrating.progress(kind)
-        except RigError as error:
-            wrong.set_text(str(error))
-            return
-        going.set_text(busy)
-        words.set_text(calibrating.last_words(kind))
-        stopping.set_visibility(bool(busy))
-        done = calibrating.recorded_part(kind)
-        part.set_visibility(bool(busy) and done is not None)
-        part.set_value(round(done or 0.0, 2))
-        lighting.set_visibility(not busy and not _seen(desk))
-        wrong.set_text(calibrating.problems.get(kind, ""))
-        now = (kind, calibrating.draft(kind), bool(busy), calibrating.made.get(kind))
-        if now == drawn:
-            return
-        drawn = now
-        wizard = calibrating.wizard(kind)
-        title.set_content(html.escape(wizard.title))
-        steps.set_content(_steps(found, bool(busy), calibrating.made.get(kind) is not None))
-        using.set_visibility(calibrating.made.get(kind) is not None)
-        for name, button in kinds.items():
-            button.props(remove="outline") if name == kind else button.props("outline")
-        asked.clear()
-        last.set_visibility(found.question is None)
-        if found.question is not None and not busy:
-            with asked:
-                ask(found.question)
-        given.set_content(_given(calibrating, kind, found))
-        result.set_content(_result(calibrating, kind))
-        drawn_here.clear()
-        with drawn_here:
-            _draw(calibrating.made.get(kind))
-
+    choose(next(iter(kinds)))
     tab.every(0.5, refresh)
     refresh()
+
+
+class CalibrationForm:
+    """The form of one kind, and the calibration that was filed with it."""
+
+    def __init__(self, desk: Desk, tab: Tab, name: str) -> None:
+        self._calibrating: Calibrating = desk.calibrating
+        self._name, self._kind = name, desk.calibrating.kinds[name]
+        self._offered: object = None
+        self._drawn: Filed | None = None
+        kind = self._kind
+        with ui.column().classes("box full-width") as self.box:
+            ui.html(html.escape(kind.title), tag="h3", sanitize=False).classes("middle")
+            ui.label(kind.do)
+            with ui.row().classes("items-center"):
+                amount = f"{_DARK_FRAMES}" if kind.seconds is None else f"{kind.seconds:g}"
+                what = "frames" if kind.seconds is None else "length / s"
+                self._amount = _field(what, amount, f"{name} amount")
+                if kind.seconds is None:
+                    self._exposure = _field("exposure / us", "", f"{name} exposure")
+                tab.button("Record now", self._record).props(
+                    f'color="positive" aria-label="record for {name}" {DELIBERATE}'
+                )
+                self._stopping = tab.button("Cancel the recording", self._calibrating.stop).props(
+                    'color="negative"'
+                )
+            self._going = ui.label().classes("dim").props('role="status" aria-live="polite"')
+            if kind.list_text:
+                given: ui.input | ui.textarea = ui.textarea(
+                    "list of measured values (TOML)", value=kind.list_text
+                )
+                given.props(f'outlined autogrow data-key="{name} list" input-class="number"')
+            else:
+                given = ui.input("record").props(f'outlined dense data-key="{name} record"')
+            self._given = given.classes("full-width")
+            self._fields = {key: _choice(name, key, *asked) for key, asked in kind.fields.items()}
+            if name == "check" and desk.config.calibration.lever is not None:
+                self._fields["lever"].set_value(str(desk.config.calibration.lever))
+            with ui.row().classes("full-width items-center"):
+                self._by = _field("made by", desk.config.session.operator, f"{name} by")
+                self._days = _field("valid for / days", f"{_DAYS:g}", f"{name} days")
+                tab.button("File it", self._file).props(
+                    f'color="positive" size="lg" aria-label="file {name}"'
+                )
+                self._working = ui.spinner().props('aria-label="the calibration is made"')
+                self._working.set_visibility(False)
+            self._wrong = ui.label().classes("no").props('role="alert"')
+            self._using = tab.button("Use it", self._use).props(
+                f'color="positive" size="lg" aria-label="use {name}"'
+            )
+            self._result = ui.html(sanitize=False).classes("full-width")
+            self._charts = ui.column().classes("full-width")
+
+    def refresh(self, busy: str) -> None:
+        """Show what is recorded, what went wrong and what was filed."""
+        self._going.set_text(busy)
+        self._stopping.set_visibility(bool(busy))
+        self._wrong.set_text(self._calibrating.problems.get(self._name, ""))
+        recorded = self._calibrating.recorded.get(self._name)
+        if recorded is not None and not busy:
+            if self._kind.list_text:
+                self._going.set_text(
+                    f'recorded: name it in the list as "{recorded.relative_to(FOLDER).as_posix()}"'
+                )
+            elif recorded != self._offered:
+                self._given.set_value(str(recorded))
+            self._offered = recorded
+        made = self._calibrating.made.get(self._name)
+        self._using.set_visibility(made is not None)
+        if made is not None and made != self._drawn:
+            self._drawn = made
+            self._result.set_content(_result(made))
+            self._charts.clear()
+            with self._charts:
+                _draw(made)
+
+    async def _record(self) -> None:
+        exposure = self._exposure.value if self._kind.seconds is None else ""
+        await run.io_bound(self._calibrating.record, self._name, str(self._amount.value or ""), exposure)
+
+    async def _file(self) -> None:
+        filing = Filing(FOLDER, _days(self._days.value), str(self._by.value or ""))
+        stated = {key: str(field.value or "") for key, field in self._fields.items()}
+        self._working.set_visibility(True)
+        try:
+            await run.io_bound(
+                self._calibrating.file, self._name, str(self._given.value or ""), stated, filing
+            )
+        finally:
+            self._working.set_visibility(False)
+            self.refresh(self._calibrating.recording())
+
+    def _use(self) -> None:
+        stated = self._calibrating.use(self._name)
+        ui.notify(
+            f"used by everything this desk starts; to keep it permanently, state: {stated}", multi_line=True
+        )
+
+
+def _field(label: str, value: str, key: str) -> ui.input:
+    return ui.input(label, value=value).props(f'dense outlined data-key="{key}" aria-label="{label}"')
+
+
+def _choice(name: str, key: str, label: str, choices: tuple[str, ...]) -> ui.input | ui.select:
+    if not choices:
+        return _field(label, "", f"{name} {key}").classes("full-width")
+    return ui.select(list(choices), label=label, value=choices[0]).props(
+        f'dense outlined aria-label="{label}"'
+    )
 
 
 def _days(text: str | None) -> float:
@@ -184,16 +174,7 @@ def _days(text: str | None) -> float:
         raise ConfigurationError(f"valid for / days: {error}") from None
 
 
-def _given(calibrating: Calibrating, kind: str, found: Progress) -> str:
-    answers = dict(calibrating.draft(kind).answers)
-    rows = [[question.text, answers[question.name]] for question in reversed(found.asked)]
-    return tables.table(rows, "answers so far")
-
-
-def _result(calibrating: Calibrating, kind: str) -> str:
-    made = calibrating.made.get(kind)
-    if made is None:
-        return tables.table([["nothing filed at this desk yet", ""]], "result")
+def _result(made: Filed) -> str:
     parts = [
         tables.table(
             [
@@ -211,28 +192,11 @@ def _result(calibrating: Calibrating, kind: str) -> str:
     return "".join(parts)
 
 
-def _draw(made: Filed | None) -> None:
+def _draw(made: Filed) -> None:
     """A chart of what each fit has left over."""
-    for left in () if made is None else made.residuals:
+    for left in made.residuals:
         chart = Chart(left.title, left.x_name, (Curve(left.y_name, style="intervals"),), height="200px")
         chart.show([list(zip(left.x, left.y, left.u, strict=True))])
-
-
-def _steps(found: Progress, busy: bool, made: bool) -> str:
-    """Where the wizard stands: answers, recording, filing, use."""
-    answered = len(found.asked)
-    asking = found.question is not None
-    steps = (
-        (f"answers ({answered} given)", asking and not busy and not (made and not answered)),
-        ("recording", busy),
-        ("file it", not asking and not busy),
-        ("use it", made and asking and not answered),
-    )
-    lines = "".join(
-        f"<li{' aria-current=step' if current else ''}>{k}. {html.escape(words)}</li>"
-        for k, (words, current) in enumerate(steps, 1)
-    )
-    return f"<ol class='steps'>{lines}</ol>"
 
 
 def _seen(desk: Desk) -> bool:

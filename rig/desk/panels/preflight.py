@@ -25,11 +25,11 @@ def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
 
     async def start() -> None:
-        await run.io_bound(desk.start, "preflight", "--json")
+        await run.io_bound(desk.start, "doctor", "--preflight", "--json")
 
     def end() -> None:
-        if "preflight" in desk.jobs:
-            desk.jobs["preflight"].end()
+        if "doctor" in desk.jobs:
+            desk.jobs["doctor"].end()
 
     async def plan() -> None:
         working.set_visibility(True)
@@ -63,7 +63,7 @@ def build(desk: Desk, tab: Tab) -> None:
             expected = ui.html(sanitize=False).classes("full-width")
 
     def refresh() -> None:
-        job = desk.jobs.get("preflight")
+        job = desk.jobs.get("doctor")
         news = desk.following.news
         found: Sequence[Mapping[str, Any]] = ()
         said = "Run preflight: it checks whether a run can be made"

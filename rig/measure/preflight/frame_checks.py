@@ -8,11 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from acquisition.frame import Frame
+from acquisition.frames.guard import MOST_PPM
 from calibration import relate_clocks
 from processing.errors import DataError
 from processing.spot import FixedLight, Spot, SpotFlag, fixed_light
 from processing.ticks import seconds
-from rig.devices import MOST_PPM, wrong_rate
+from rig.devices import wrong_rate
 from rig.instrument import beam_quality
 from rig.measure.preflight.rest_checks import ground, plane_of_swing, rest_position, stillness
 from rig.measure.preflight.trial_frames import TrialFrames

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Camera, CameraSettings, FrameTimeout, PixelFormat
-from acquisition.cameras.pylon.camera import PylonCamera, missing_blocks
-from acquisition.cameras.pylon.settings import PylonSettings
+from acquisition.cameras.device_settings import PylonSettings
+from acquisition.cameras.pylon.camera import PylonCamera
 from processing.errors import DeviceError
 from rig.instrument import setting_differences
 from tests.acquisition.cameras.conformance import CameraConformance
@@ -137,15 +137,6 @@ def test_a_value_out_of_range_says_the_range() -> None:
     with pytest.raises(DeviceError, match="are possible"):
         camera.configure(CameraSettings(exposure_us=1e12))
     camera.close()
-
-
-def test_losses_are_seen_in_the_numbers_of_blocks() -> None:
-    assert missing_blocks(2**64 - 1, 5) == missing_blocks(5, 2**64 - 1) == 0
-    assert missing_blocks(5, 6) == 0
-    assert missing_blocks(5, 9) == 3
-    assert missing_blocks(65535, 1) == 0, "GigE counts from 65535 to 1"
-    assert missing_blocks(65534, 2) == 2
-    assert missing_blocks(500, 0) == 0, "a counter that began again"
 
 
 def test_features_and_settings_are_those_of_the_camera() -> None:

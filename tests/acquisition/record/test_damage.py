@@ -294,7 +294,7 @@ def test_a_record_whose_summary_is_damaged_is_read_by_walking_through_it(
 
 
 def overview(path: Path) -> dict[str, Any]:
-    """What `rig info` prints of a record."""
+    """What `rig record info` prints of a record."""
     names = ("whole", "library", "start_ns", "end_ns", "attachments", "damage")
     with RecordReader(path) as reader:
         read = {"counts": reader.counts, "losses": reader.losses(), "chunks": len(reader.contents.chunks)}

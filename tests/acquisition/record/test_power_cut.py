@@ -69,7 +69,9 @@ def test_what_was_flushed_survives(drive: tuple[Path, Path], tmp_path: Path) -> 
         if index == 59:
             writer.flush()
     cut_power(folder)
-    with pytest.raises(RecordError, match="Input/output error; rig recover makes a complete file of it"):
+    with pytest.raises(
+        RecordError, match="Input/output error; rig record recover makes a complete file of it"
+    ):
         writer.flush()
     writer.close()
     assert _run(["umount", str(folder)]) == ""

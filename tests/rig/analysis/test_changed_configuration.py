@@ -42,9 +42,9 @@ def test_without_an_intact_copy_the_record_is_refused(record: Path, tmp_path: Pa
     ):
         with pytest.raises(RecordError, match="its configuration is damaged and no copy is intact"):
             use()
-    said = rig("recover", path)
+    said = rig("record", "recover", path)
     assert "lost: attachment configuration.json: its checksum does not match" in said.stdout
-    checked = rig("check", tmp_path / "run-1-recovered.mcap")
+    checked = rig("record", "check", tmp_path / "run-1-recovered.mcap")
     assert "warning: recovered from run-1.mcap; " in checked.stdout
     assert "attachment configuration.json" in checked.stdout
 
@@ -61,14 +61,14 @@ def test_the_chain_from_record_to_report(record: Path, tmp_path: Path) -> None:
     shown = page.read_text(encoding="utf-8")
     assert run.sha256 in shown
     assert run.inputs_sha256["configuration.json"] in shown
-    sound = rig("check", path).stdout
+    sound = rig("record", "check", path).stdout
     assert "SHA-256 is the one in results.json, also of configuration.json" in sound
     assert "report.html was made from results.json" in sound
     results = tmp_path / "results.json"
     tree = json.loads(results.read_text())
     tree["runs"][0]["inputs_sha256"]["configuration.json"] = "0" * 64
     results.write_text(json.dumps(tree))
-    wrong = rig("check", path)
+    wrong = rig("record", "check", path)
     assert wrong.returncode == 1
     assert "states another SHA-256 of configuration.json than the record's" in wrong.stdout
     assert "report.html was made from other results than results.json" in wrong.stdout

@@ -40,7 +40,7 @@ def test_a_cut_record_is_named_with_its_remedy(
         READERS[name](cut, tmp_path)
     said = capsys.readouterr()
     joined = " ".join((said.out + said.err).split())
-    assert f"was cut short (it has no ending); its complete part is used, rig recover {cut}" in joined
+    assert f"was cut short (it has no ending); its complete part is used, rig record recover {cut}" in joined
     assert sorted(path.name for path in cut.parent.iterdir()) == ["run-1.mcap", "whole.mcap"]
 
 
@@ -65,5 +65,5 @@ def test_resume_looks_at_the_records_that_were_complete(
     said = capsys.readouterr().err
     (line,) = (line for line in said.splitlines() if "cut short" in line)
     assert line.startswith(f"{record}: ")
-    assert f"rig recover {record}" in line
+    assert f"rig record recover {record}" in line
     assert "no run is missing" in said

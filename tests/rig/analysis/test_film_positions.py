@@ -44,7 +44,7 @@ def swing(dark: bool = False, count: int = 450) -> list[np.ndarray]:
 
 def test_from_a_film_to_a_report_with_one_command(tmp_path: Path) -> None:
     film = write_film(tmp_path / "swing.mkv", swing(), Film())
-    done = rig("video", film, "-o", tmp_path / "out", figures=True)
+    done = rig("fit", film, "-o", tmp_path / "out", figures=True)
     assert done.returncode == 0, done.stderr
     assert "450 frames in 14.9667 s, 30 frames/s, ffv1, gray" in done.stdout
     assert "followed: a bright spot; 0 frames without one" in done.stdout
@@ -184,7 +184,7 @@ def test_a_spot_smaller_than_a_pixel_is_named(tmp_path: Path, sigma_px: float) -
 
 def test_what_was_followed_is_named_where_there_is_no_decay(tmp_path: Path) -> None:
     still = write_film(tmp_path / "still.mkv", swing(count=1) * 60, Film())
-    done = rig("video", still)
+    done = rig("fit", still)
     assert done.returncode == 1
     assert (
         "Followed: a bright spot; 0 frames without one, x 80.31 to 80.31 px and y 47.79 to 47.79 px"
@@ -261,7 +261,7 @@ def test_compression_is_a_line_in_the_budget_of_a_films_laws(
     path = write_film(tmp_path / f"swing.{ending}", pictures, film)
     config = tmp_path / "mine.toml"
     config.write_text("[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n")
-    done = rig("video", path, "--pixel", "2 arcsec", "--config", config, "-o", tmp_path / "out")
+    done = rig("fit", path, "--pixel", "2 arcsec", "--config", config, "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     budget = json.loads((tmp_path / "out" / "results.json").read_text())["budget"]["n"]["sources"]
     lines = [line for line in budget if line["source"] == "common_amplitude_rad"]

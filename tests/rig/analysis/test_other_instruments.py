@@ -40,7 +40,7 @@ def simulate(name: str, record: Path, *overrides: str) -> Path:
 
 
 def test_every_kind_is_listed_with_a_sentence() -> None:
-    shown = CliRunner().invoke(app, ["instruments"])
+    shown = CliRunner().invoke(app, ["init", "--instruments"])
     assert shown.exit_code == 0
     lines = shown.output.splitlines()
     assert [line.split()[0] for line in lines] == list(INSTRUMENTS)

@@ -163,7 +163,7 @@ def test_the_films_of_a_folder_are_runs(tmp_path: Path) -> None:
     for name in ("swing10.mkv", "swing9.mkv"):
         write_film(films / name, swing(count=300), Film())
     (films / "notes.txt").write_text("two swings")
-    done = rig("video", films, "-o", tmp_path / "out", figures=True)
+    done = rig("fit", films, "-o", tmp_path / "out", figures=True)
     assert done.returncode == 0, done.stderr
     assert f"{films}: 2 films: swing9.mkv, swing10.mkv" in done.stdout
     results = [
@@ -171,9 +171,9 @@ def test_the_films_of_a_folder_are_runs(tmp_path: Path) -> None:
     ]
     assert results[0]["period_s"] == results[1]["period_s"]
     for word in ("2", "swing10", "swing10.mkv"):
-        one = rig("video", films, "--run", word)
+        one = rig("fit", films, "--run", word)
         assert one.returncode == 0, one.stderr
         assert f"{films / 'swing10.mkv'}: 300 samples" in one.stdout
-    refused = rig("video", films, "--run", "3")
+    refused = rig("fit", films, "--run", "3")
     assert "holds no such film; there are swing9.mkv, swing10.mkv" in refused.stderr
-    assert "leave the option out" in rig("video", films / "swing9.mkv", "--run", "1").stderr
+    assert "leave the option out" in rig("fit", films / "swing9.mkv", "--run", "1").stderr

@@ -145,7 +145,7 @@ def test_a_folder_of_images_is_analysed_and_known_again(tmp_path: Path) -> None:
     frames.mkdir()
     for k, picture in enumerate(swing(count=240)):
         cv2.imwrite(str(frames / f"f{k:04d}.png"), picture)
-    done = rig("video", frames, "--rate", "30", "-o", tmp_path / "out")
+    done = rig("fit", frames, "--rate", "30", "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert len(results["sha256"]) == 64

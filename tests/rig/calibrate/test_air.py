@@ -8,11 +8,10 @@ import pytest
 from calibration import read_calibration
 from processing.errors import ConfigurationError, DataError
 from rig.analysis import analyse_record, remarks
-from rig.calibrate import Filing, calibrate_air, calibration_residuals, vanes_to_cut
+from rig.calibrate import Filing, calibrate_air, filed, vanes_to_cut
 from rig.instrument import complete
 from rig.measure.session import simulate_record
 from rig.settings import validate_configuration
-from rig.wizards import Draft, answered, calibration_wizard, progress
 
 DRAG_S = 1.7e-3
 
@@ -54,7 +53,7 @@ def test_the_drag_is_measured_filed_and_used(vanes: Path, tmp_path: Path) -> Non
     assert found.method == "2 runs, 2 areas of vanes"
     assert [source.name for source in found.sources] == ["vanes.toml", "0.mcap", "1.mcap"]
     assert any("at three" in note for note in found.notes)
-    (left,) = calibration_residuals(found)
+    (left,) = filed(path).residuals
     assert left.x == [0.0, 1000.0]
     assert found.details["expected_drag_s"] == pytest.approx(DRAG_S, rel=0.2)
     stated = configuration(0.0, calibration={"air": str(path)})
@@ -120,11 +119,3 @@ def test_vanes_are_advised_and_asked_for() -> None:
     # half of the paper's pendulum, 0.55 m; what they add follows from Stokes's oscillating wall
     assert advised.distance_m == pytest.approx(0.27, abs=0.02)
     assert 0.03 < advised.area_m2 < 0.1
-    wizard = calibration_wizard("air", config)
-    draft = answered(wizard, Draft(), "vanes")
-    question = progress(wizard, draft).question
-    assert question is not None
-    assert advised.text in question.do
-    assert "two runs without vanes" in question.do
-    in_general = progress(calibration_wizard("air"), Draft())
-    assert in_general.question is not None

@@ -19,8 +19,8 @@ from rig.calibrate import (
     calibrate_lever,
     calibrate_pointing,
     calibrate_sensor,
-    calibration_residuals,
     check_known_angle,
+    filed,
 )
 from rig.calibrate.clock import off_line
 from rig.calibrate.filing import Filing
@@ -250,12 +250,12 @@ def test_a_clock_from_a_record_in_real_time_fills_the_timebase(tmp_path: Path) -
     assert timebase.camera_rate == pytest.approx(1 / (1 + 30e-6), abs=4 * timebase.u_camera_rate)
     assert found.details["ntp"]
     assert found.details["frame_jitter_limit_s"] == 15e-6
-    (left,) = calibration_residuals(found)
+    (left,) = filed(path).residuals
     assert left.y_name == "off the line, µs"
     assert max(abs(y) / u for y, u in zip(left.y, left.u, strict=True)) < 8
-    asked = rig("calibrate", "clock", cwd=tmp_path, typed=f"{record}\n\n")
-    assert asked.returncode == 0, asked.stderr
-    assert "arrivals of frames" in asked.stdout
+    by_command = rig("calibrate", "clock", str(record), cwd=tmp_path)
+    assert by_command.returncode == 0, by_command.stderr
+    assert "arrivals of frames" in by_command.stdout
     assert read_calibration(tmp_path / "calibrations" / "clock-001.toml").values == found.values
 
 

@@ -8,11 +8,10 @@ import pytest
 from acquisition.camera import CameraInfo
 from acquisition.frame import Frame
 from acquisition.record.writer import RecordWriter
-from calibration import read_calibration
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.spot import Spot
-from rig.calibrate import Filing, calibrate_shutter, calibration_residuals
+from rig.calibrate import Filing, calibrate_shutter, filed
 from rig.instrument import configuration_attachments, session_metadata
 from rig.settings import validate_configuration
 
@@ -51,12 +50,13 @@ def pulsed_record(path: Path, exposure: dict[str, str]) -> Path:
 
 def test_the_brightness_along_the_rows_gives_the_row_time(tmp_path: Path) -> None:
     record = pulsed_record(tmp_path / "run.mcap", {"exposure_us": str(EXPOSURE_US)})
-    found = read_calibration(calibrate_shutter(record, Filing(tmp_path / "calibrations")))
+    shown = filed(calibrate_shutter(record, Filing(tmp_path / "calibrations")))
+    found = shown.calibration
     assert found.method == "brightness of a pulsed spot"
     assert found.values["row_time_s"] == pytest.approx(1e-6 * ROW_TIME_US, rel=0.01)
     assert found.values["first_row"] == "top"
     assert found.values["u_row_time_s"] < 0.04e-6 * ROW_TIME_US
-    assert [one.title for one in calibration_residuals(found)] == ["brightness by row"]
+    assert [one.title for one in shown.residuals] == ["brightness by row"]
 
 
 def test_without_the_exposure_it_is_refused(tmp_path: Path) -> None:

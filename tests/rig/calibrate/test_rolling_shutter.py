@@ -48,7 +48,7 @@ def test_a_record_gives_the_row_time_and_is_corrected_with_it(tmp_path: Path) ->
     record = tmp_path / "run.mcap"
     assert simulate_record(config, DEMO, record) == 0
     values = read_calibration(calibrate_shutter(record, Filing(tmp_path / "calibrations"))).values
-    asked = rig("calibrate", "shutter", cwd=tmp_path, typed=f"{record}\n")
+    asked = rig("calibrate", "shutter", str(record), cwd=tmp_path)
     assert asked.returncode == 0, asked.stderr
     assert "row time by stretch" in asked.stdout
     assert read_calibration(tmp_path / "calibrations" / "shutter-002.toml").values == values

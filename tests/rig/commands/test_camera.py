@@ -1,4 +1,4 @@
-"""`rig devices` and `rig camera` with the simulated rig."""
+"""`rig doctor` and `rig camera` with the simulated rig."""
 
 import json
 import re
@@ -88,7 +88,7 @@ def test_a_dark_camera_says_what_to_look_at() -> None:
 
 
 def test_devices_lists_and_says_nothing_is_there_where_it_is_so() -> None:
-    done = CliRunner().invoke(app, ["devices"])
+    done = CliRunner().invoke(app, ["doctor"])
     assert done.exit_code == 0
     assert "camera" in done.output
 

@@ -87,7 +87,7 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
             ("doctor", DEMO, "--set", "max_duration_s=3"),
             "unknown key; did you mean session.max_duration_s or",
         ),
-        (("info", "."), ".: holds no record (run-1.mcap, ...)"),
+        (("record", "info", "."), ".: holds no record (run-1.mcap, ...)"),
         (("doctor", DEMO, "rig.toml"), "extra argument (rig.toml); put a name with spaces in quotes"),
         (("compare", ".", "."), ".: holds no results.json; rig run makes one"),
         (("report", "secnd"), "secnd: no such file or folder"),
@@ -222,15 +222,15 @@ def test_a_key_that_is_used_is_never_refused(measured_series: Path, tmp_path: Pa
 
 
 def test_folders_work_wherever_records_do(measured_series: Path, tmp_path: Path) -> None:
-    shown = rig("info", measured_series, cwd=tmp_path).stdout
+    shown = rig("record", "info", measured_series, cwd=tmp_path).stdout
     assert shown.count(".mcap: ") == shown.count(", whole\n") == 4
-    assert rig("check", measured_series, cwd=tmp_path).stdout.count(" is sound\n") == 2
-    for command in ("replay", "recover", "plan"):
-        several = said(command, measured_series, cwd=tmp_path)
+    assert rig("record", "check", measured_series, cwd=tmp_path).stdout.count(" is sound\n") == 2
+    for command in (("replay",), ("record", "recover"), ("plan",)):
+        several = said(*command, measured_series, cwd=tmp_path)
         assert "holds 2 records; name one of them: run-1.mcap, run-2.mcap" in several
     (tmp_path / "one").mkdir()
     (tmp_path / "one" / "run-1.mcap").symlink_to(measured_series / "run-1.mcap")
-    assert "nothing to recover" in rig("recover", "one", cwd=tmp_path).stdout
+    assert "nothing to recover" in rig("record", "recover", "one", cwd=tmp_path).stdout
     assert "is not a results file" in said("report", "one/run-1.mcap", cwd=tmp_path, status=1)
 
 
@@ -256,7 +256,7 @@ def test_info_begins_with_the_decay_and_its_result(tmp_path: Path, sample: str, 
     if sample == "alone":
         shutil.copy(folder / "run-1.mcap", tmp_path)
         folder = tmp_path
-    lines = rig("info", folder).stdout.splitlines()
+    lines = rig("record", "info", folder).stdout.splitlines()
     assert lines[0].endswith(", whole")
     assert [line[: len(begin)] for line, begin in zip(lines[1:4], begins, strict=True)] == begins
 
@@ -267,10 +267,11 @@ def test_a_group_alone_prints_its_help_and_every_command_has_a_whole_sentence(
 ) -> None:
     alone = rig(*group, cwd=tmp_path)
     assert (alone.returncode, alone.stdout) == (2, "")
-    assert "\nCommands:\n" in alone.stderr
+    heading = "\nCommands:\n" if group else "\nMeasure:\n"
+    assert heading in alone.stderr
     assert alone.stderr == rig(*group, "--help", cwd=tmp_path).stdout
     assert not [line for line in alone.stderr.splitlines()[1:] if line.endswith("...")]
-    commands = alone.stderr.partition("\nCommands:\n")[2].split("\n")
+    commands = alone.stderr.partition(heading)[2].split("\n")
     assert "Example" in rig(*group, commands[0].split()[0], "--help", cwd=tmp_path).stdout
 
 

@@ -16,18 +16,18 @@ from tests.rig.pseudo_terminal import Terminal, rig_at_terminal
 WIDTH = 80
 DEMO = CONFIGS / "demo.toml"
 SCREENS = {
-    "info": "info SERIES/run-1.mcap",
-    "check": "check SERIES",
+    "info": "record info SERIES/run-1.mcap",
+    "check": "record check SERIES",
     "fit": "-v fit SERIES -o fitted",
     "fit of laws": "fit SERIES/run-1.mcap -o fitted --law masing --law viscous",
     "replay": "replay SERIES/run-1.mcap --retrack --set sensor.read_noise_e=40",
     "plan": f"plan {DEMO} --first 124 --last 30",
     "compare": "compare SERIES other",
     "campaign": "campaign SERIES",
-    "instruments": "instruments",
-    "devices": "devices",
+    "instruments": "init --instruments",
+    "devices": "doctor",
     "doctor": f"doctor {DEMO}",
-    "preflight": f"preflight {DEMO}",
+    "preflight": f"doctor {DEMO} --preflight",
     "balance": f"balance {DEMO} --history --history-file turns.jsonl",
     "camera show": f"camera show {DEMO}",
     "light show": f"light show {DEMO}",

@@ -71,33 +71,27 @@ def photograph(page: Page, name: str) -> None:
 
 def test_a_lever_is_typed_in_and_a_resting_spot_is_recorded(page: Page, place: Path) -> None:
     page.click("Calibrate")
-    page.wait_text("Calibration of the lever")
-    page.click("geometry")
-    page.wait_text("Mirror to sensor")
-    page.fill("answer", "1 yard")
-    page.click("Answer")
-    page.wait_text("has the unit yard; m is meant")
+    page.wait_text("Lever: from px to radians")
+    page.fill("lever list", "[geometry]\narm_m = -1.0\npixel_pitch_m = 4.8e-6\n")
+    page.click("File it")
+    page.wait_text("arm_m = -1.0: should be greater than 0")
     photograph(page, "calibrate-wrong")
-    page.fill("answer", "1 m ± 1 mm")
-    page.click("Answer")
-    page.wait_text("Distance of neighbouring pixels")
-    page.fill("answer", "4.8 um")
-    page.click("Answer")
-    page.wait_text("right angles")
-    page.click("yes")
+    page.click("close")
+    page.wait("document.querySelector('.errors > *') === null")
+    page.fill("lever list", "[geometry]\narm_m = 1.0\nu_arm_m = 1e-3\npixel_pitch_m = 4.8e-6\n")
     for typed, said in (
         ("soon", "should be a number"),
         ("1e9", "should be from 0.01"),
         ("7,5", "a point: 7.5"),
     ):
-        page.fill("days", typed)
+        page.fill("lever days", typed)
         page.click("File it")
         page.wait_text(said)
         assert "lever-001.toml" not in page.text()
         page.click("close")
         # one that is just going away would be closed in place of the next
         page.wait("document.querySelector('.errors > *') === null")
-    page.fill("days", "30")
+    page.fill("lever days", "30")
     page.click("File it")
     page.wait_text("lever-001.toml")
     page.wait_text("contribution, %")
@@ -107,9 +101,12 @@ def test_a_lever_is_typed_in_and_a_resting_spot_is_recorded(page: Page, place: P
     assert (found.valid_until - found.measured_at).days == 30
     assert found.values["arm_m"] == pytest.approx(1.0)
     page.click("pointing")
-    page.wait_text("Clamp the pendulum")
-    page.click("Record 120 s now")
-    page.wait_text("calibrations/records/pointing-001.mcap")
+    page.wait_text("Clamp the pendulum, close the cover")
+    page.click("File it")
+    page.wait_text("there is no such record")
+    page.click("Record now")
+    page.wait_text("pointing-001.mcap is recorded")
+    page.wait("document.querySelector('[data-key=\"pointing record\"]').value.includes('pointing-001.mcap')")
     page.click("File it")
     page.wait_text("ALLAN DEVIATION OF X")
     photograph(page, "calibrate-pointing")

@@ -23,7 +23,7 @@ def lines(done: Done) -> list[dict[str, Any]]:
 
 def test_preflight_alone_judges_and_records_nothing(tmp_path: Any) -> None:
     output = {"session.output": f'"{tmp_path.as_posix()}"'}
-    done = rig("preflight", SIMULATED, "--json", *set_words({**SMALL, **output}))
+    done = rig("doctor", "--preflight", SIMULATED, "--json", *set_words({**SMALL, **output}))
     assert done.returncode == 0, done.stderr
     (table,) = [line["table"] for line in lines(done) if line["kind"] == "preflight"]
     named = {row["name"]: row for row in table}
@@ -34,7 +34,7 @@ def test_preflight_alone_judges_and_records_nothing(tmp_path: Any) -> None:
 
 def test_preflight_alone_says_no_go_with_a_remedy() -> None:
     # the light is far too bright
-    done = rig("preflight", SIMULATED, *set_words({**SMALL, "simulation.optics.peak_dn": "2000"}))
+    done = rig("doctor", "--preflight", SIMULATED, *set_words({**SMALL, "simulation.optics.peak_dn": "2000"}))
     assert done.returncode == 1
     assert "no-go: " in done.stderr
     assert "lower the exposure (exposure_us)" in done.stderr

@@ -47,7 +47,7 @@ def rig(desk_configuration: Callable[[str], Path], browser: HeadlessBrowser) -> 
                 yield board, desk, page, config
         finally:
             # a session outlives its desk, and would take the port when the next board gets the same name
-            for channel in (config.parent / "runs").glob("*/.channel.json"):
+            for channel in (config.parent / "runs").glob("*/.orders.json"):
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(int(json.loads(channel.read_text())["pid"]), signal.SIGKILL)
 
@@ -63,7 +63,7 @@ def start(page: Page) -> None:
 
 def session_of(config: Path) -> tuple[Path, int]:
     """Folder and process of the session that runs."""
-    folder = next((config.parent / "runs").glob("*/.channel.json"))
+    folder = next((config.parent / "runs").glob("*/.orders.json"))
     return folder.parent, int(json.loads(folder.read_text())["pid"])
 
 
@@ -207,7 +207,7 @@ def test_text_that_is_typed_at_anything_lights_nothing(rig: Rig) -> None:
             assert board.changes == [], f"panel {key}, {number} of what can have the focus"
     assert walked > 50
     assert page.text().count("session is starting") == 0
-    assert not list((config.parent / "runs").glob("*/.channel.json"))
+    assert not list((config.parent / "runs").glob("*/.orders.json"))
 
 
 def escape(page: Page) -> None:
@@ -221,8 +221,8 @@ def test_a_trip_in_a_calibrations_recording_is_an_alarm_and_the_recording_can_be
     board, _, page, _ = rig
     page.click("Calibrate")
     page.click("pointing")
-    page.wait_text("Clamp the pendulum")
-    page.click("Record 120 s now")
+    page.wait_text("Clamp the pendulum, close the cover")
+    page.click("Record now")
     board.wait_lit(True, 120)
     page.wait(f"{LAMP.format('recording')}.includes('camera record')")
     page.wait(f"{LAMP.format('laser')} === 'laser on'")

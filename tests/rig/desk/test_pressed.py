@@ -60,7 +60,7 @@ def test_pressed_while_nothing_runs_nothing_is_started_until_it_is_acknowledged(
     assert trip is not None
     assert trip.text == "trip 1 (PERSON): LIGHT OFF was pressed at the desk"
     with pytest.raises(ConfigurationError, match="acknowledge it first"):
-        desk.start("preflight")
+        desk.start("doctor", "--preflight")
 
 
 def test_a_laser_that_is_switched_by_hand_is_not_said_to_be_off(

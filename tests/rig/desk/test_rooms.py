@@ -123,7 +123,7 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
         trip = desk.safety.trip
         assert trip is not None
         with pytest.raises(ConfigurationError, match="acknowledge it first"):
-            desk.start("preflight")
+            desk.start("doctor", "--preflight")
         desk.lighting.acknowledge(trip.number)
         until(lambda: desk.lighting.waits)
         desk.lighting.again()

@@ -13,11 +13,10 @@ import pytest
 
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, FrameTimeout
 from acquisition.frame import Frame
+from acquisition.frames.guard import ClockWatch, Counts, Delivered, HangingRead, asking, checked_info, ended
 from processing.errors import DeviceError
 from rig.devices import Devices, OpenCamera, frame_stream
-from rig.devices.delivered import Counts, Delivered, asking, checked_info, ended
 from rig.devices.frame_stream import FrameStream
-from rig.devices.hanging_read import HangingRead
 from rig.settings import validate_configuration
 
 
@@ -96,6 +95,33 @@ def test_numbers_of_numpy_become_plain_ones_and_the_same_image_may_come_again() 
         assert [type(value) for value in found[1:]] == [int, int, int]
     delivered.begin_again()
     assert delivered.checked(Frame(still, 0, -1, 3)).sequence == 0
+
+
+def clock_at(rate: float, late_s: float = 0.0) -> list[Frame]:
+    """15 s of frames with a clock at this rate, on a computer that lags for a while and catches up."""
+    number = np.arange(1500)
+    lag_s = late_s * np.interp(number, [100, 250, 300], [0, 1, 0])
+    host_s = number / 100.0 + np.random.default_rng(1).exponential(1e-4, 1500) + lag_s
+    times_ns = np.rint(1e9 * np.column_stack((rate * number / 100.0, host_s))).astype(np.int64).tolist()
+    image = np.zeros((2, 2), np.uint8)
+    return [Frame(image, i, device, host) for i, (device, host) in enumerate(times_ns)]
+
+
+def watch_clock(frames: list[Frame]) -> None:
+    watch = ClockWatch()
+    for frame in frames:
+        watch.see(frame)
+
+
+@pytest.mark.parametrize("rate", [8.0, 1.002, 0.5])
+def test_a_clock_that_cannot_be_right_is_refused(rate: float) -> None:
+    with pytest.raises(DeviceError, match="times as fast as the computer's"):
+        watch_clock(clock_at(rate))
+
+
+@pytest.mark.parametrize(("rate", "late_s"), [(1.0, 0.0), (1.0005, 0.0), (1.0, 0.4)])
+def test_a_quartz_and_a_computer_that_lags_are_not_refused(rate: float, late_s: float) -> None:
+    watch_clock(clock_at(rate, late_s))
 
 
 @dataclass
@@ -201,7 +227,7 @@ def test_a_read_that_never_returns_ends_the_stream(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_slow_camera_is_waited_for_two_frame_times_whoever_reads_it(tmp_path: Path) -> None:
-    """`rig preflight` called one of a frame in ten seconds stalled after five; a run would have taken it."""
+    """A preflight called one of a frame in ten seconds stalled after five; a run would have taken it."""
     reads: list[float] = []
 
     def nothing(number: int) -> object:

@@ -16,16 +16,14 @@ from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus,
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.frame import Frame
-from acquisition.frame_losses import FrameLosses
-from acquisition.frame_queue import Policy
+from acquisition.frames.guard import HangingRead
+from acquisition.frames.losses import FrameLosses
+from acquisition.frames.queue import Policy
 from acquisition.record.reader import RecordReader
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
-from rig.devices.frame_line import FrameLine
 from rig.devices.frame_stream import FrameStream
-from rig.devices.hanging_read import HangingRead
-from rig.devices.host_clock import ClockWatch
 from rig.measure.session import simulate_record
 from rig.settings import load_configuration
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until
@@ -226,59 +224,6 @@ def test_unplugging_leaves_a_gap_of_the_right_length(real_time: bool) -> None:
     assert stream.losses == FrameLosses(while_unplugged=longest - 1)
 
 
-def test_a_clock_that_began_again_is_shifted_and_said_so() -> None:
-    line = FrameLine()
-    image = np.zeros((2, 2), np.uint8)
-    for number in range(10):
-        line.join(Frame(image, number, 10**12 + number * 10**7, 5 * 10**9 + number * 10**7))
-    line.begin_again()
-    host_ns = 5 * 10**9 + 9 * 10**7 + 2 * 10**9
-    frame, note = line.join(Frame(image, 0, 12345, host_ns))
-    assert frame.device_time_ns == 10**12 + 9 * 10**7 + 2 * 10**9
-    assert frame.sequence == 9 + 200
-    assert "clock restarted" in note
-    later, note = line.join(Frame(image, 1, 12345 + 10**7, host_ns + 10**7))
-    assert (later.sequence, later.device_time_ns - frame.device_time_ns, note) == (210, 10**7, "")
-
-
-def test_a_clock_that_another_one_set_meanwhile_is_shifted_too() -> None:
-    """As by a network's clock, decades ahead of the camera's own."""
-    line = FrameLine(in_real_time=True)
-    image = np.zeros((2, 2), np.uint8)
-    for number in range(10):
-        line.join(Frame(image, number, 10**9 + number * 10**7, 5 * 10**9 + number * 10**7))
-    line.begin_again()
-    frame, note = line.join(Frame(image, 0, 1_700_000_000 * 10**9, 5 * 10**9 + 9 * 10**7 + 10**9))
-    assert (frame.sequence, frame.device_time_ns) == (109, 10**9 + 9 * 10**7 + 10**9)
-    assert "clock restarted" in note
-    step = line.take_step()
-    assert step is not None
-    assert step.step_ns > 1_600_000_000 * 10**9
-    assert line.take_step() is None
-
-
-def test_a_camera_that_is_lost_after_its_first_frame_continues_its_numbers() -> None:
-    line = FrameLine()
-    image = np.zeros((2, 2), np.uint8)
-    first, _ = line.join(Frame(image, 0, 10**12, 5 * 10**9))
-    line.begin_again()
-    again, note = line.join(Frame(image, 0, 7, 8 * 10**9))
-    assert (first.sequence, again.sequence) == (0, 1)
-    assert again.device_time_ns == first.device_time_ns + 3 * 10**9
-    assert "opened again after 3.000 s" in note
-
-
-def test_the_middle_of_the_exposure_continues_over_a_clock_that_began_again() -> None:
-    line = FrameLine(time_shift_ns=-(10**6))
-    image = np.zeros((2, 2), np.uint8)
-    joined = [line.join(Frame(image, n, 10**12 + n * 10**7, 5 * 10**9 + n * 10**7))[0] for n in range(10)]
-    assert [frame.device_time_ns for frame in joined] == [10**12 - 10**6 + n * 10**7 for n in range(10)]
-    line.begin_again()
-    again, _ = line.join(Frame(image, 0, 500, 5 * 10**9 + 9 * 10**7 + 10**9))
-    assert (again.device_time_ns - joined[-1].device_time_ns, again.sequence) == (10**9, 9 + 100)
-    assert line.join(Frame(image, 1, -1, 6 * 10**9))[0].device_time_ns == -1
-
-
 def test_a_run_goes_on_after_unplugging_with_the_gap_in_its_record(tmp_path: Path) -> None:
     demo = Path(__file__).resolve().parents[3] / "configs" / "demo.toml"
     words = {
@@ -325,33 +270,6 @@ def test_what_a_stalled_consumer_leaves_is_the_hosts_loss_and_nothing_is_missing
     # the frame that was being read when the stream was closed is in neither
     assert status.delivered - len(frames) - lost.by_host in (0, 1)
     camera.close()
-
-
-def clock_at(rate: float, late_s: float = 0.0) -> list[Frame]:
-    """15 s of frames with a clock at this rate, on a computer that lags for a while and catches up."""
-    number = np.arange(1500)
-    lag_s = late_s * np.interp(number, [100, 250, 300], [0, 1, 0])
-    host_s = number / RATE_HZ + np.random.default_rng(1).exponential(1e-4, 1500) + lag_s
-    times_ns = np.rint(1e9 * np.column_stack((rate * number / RATE_HZ, host_s))).astype(np.int64).tolist()
-    image = np.zeros((2, 2), np.uint8)
-    return [Frame(image, i, device, host) for i, (device, host) in enumerate(times_ns)]
-
-
-def watch_clock(frames: list[Frame]) -> None:
-    watch = ClockWatch()
-    for frame in frames:
-        watch.see(frame)
-
-
-@pytest.mark.parametrize("rate", [8.0, 1.002, 0.5])
-def test_a_clock_that_cannot_be_right_is_refused(rate: float) -> None:
-    with pytest.raises(DeviceError, match="times as fast as the computer's"):
-        watch_clock(clock_at(rate))
-
-
-@pytest.mark.parametrize(("rate", "late_s"), [(1.0, 0.0), (1.0005, 0.0), (1.0, 0.4)])
-def test_a_quartz_and_a_computer_that_lags_are_not_refused(rate: float, late_s: float) -> None:
-    watch_clock(clock_at(rate, late_s))
 
 
 class EightTimesAsFast(ScriptedCamera):

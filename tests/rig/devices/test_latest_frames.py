@@ -10,7 +10,7 @@ import pytest
 
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
 from acquisition.frame import Frame
-from acquisition.frame_queue import FrameQueue
+from acquisition.frames.queue import FrameQueue
 from processing.errors import DeviceError
 from rig.control import LightPermit
 from rig.desk.aligner import LitCamera

@@ -21,7 +21,7 @@ from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.settings import FilesSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.frame import Frame
-from acquisition.frame_losses import FrameLosses
+from acquisition.frames.losses import FrameLosses
 from processing.errors import DeviceError
 from rig.devices.frame_stream import FrameStream
 from tests.acquisition.cameras.usb3vision import description as layout

@@ -71,7 +71,12 @@ def test_a_laser_of_no_controller_is_refused_and_nothing_is_confirmed(
     keys = {**SHORT, "controller.kind": "none", **{f"laser.{name}": value for name, value in laser.items()}}
     said = f"laser.{key} = 'controller', but controller.kind = 'none': nothing switches the laser"
     remedy = f"set controller.kind to serial or simulated, or {instead}"
-    for words in (("run", LIVE, "-o", "out"), ("light", "show", LIVE), ("preflight", LIVE), ("desk", LIVE)):
+    for words in (
+        ("run", LIVE, "-o", "out"),
+        ("light", "show", LIVE),
+        ("doctor", LIVE, "--preflight"),
+        ("desk", LIVE),
+    ):
         done = rig(*words, *set_words(keys), cwd=tmp_path)
         assert (done.returncode, done.stderr) == (2, f"rig: {said}; {remedy}\n")
     assert not any(tmp_path.iterdir())

@@ -34,7 +34,10 @@ def test_a_camera_that_comes_back_costs_the_frames_between(tmp_path: Path) -> No
     assert "stop" in kinds
     run = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]
     assert run["losses"]["while_unplugged"] == run["dropped_frames"] > 0
-    assert f"{run['dropped_frames']} while unplugged" in rig("info", tmp_path / "out" / "run-1.mcap").stdout
+    assert (
+        f"{run['dropped_frames']} while unplugged"
+        in rig("record", "info", tmp_path / "out" / "run-1.mcap").stdout
+    )
 
 
 @pytest.mark.slow

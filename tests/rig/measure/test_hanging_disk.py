@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from acquisition.frame import Frame
-from acquisition.frame_queue import FrameQueue
+from acquisition.frames.queue import FrameQueue
 from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from acquisition.frame_losses import FrameLosses
+from acquisition.frames.losses import FrameLosses
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit, no_deflections

@@ -266,7 +266,7 @@ def test_a_slow_camera_ends_at_the_time_limit(tmp_path: Path, real_time: bool) -
         "preflight.when": '"never"',
     })  # fmt: skip
     record = tmp_path / "slow.mcap"
-    assert rig("simulate", CONFIGS / "demo.toml", "-o", record, *words).returncode == 0
+    assert rig("run", CONFIGS / "demo.toml", "--record-only", "-o", record, *words).returncode == 0
     with RecordReader(record) as reader:
         assert reader.events()[-1].text == f"time limit of {limit_s} s reached"
         assert sum(map(len, reader.spot_blocks())) == rate_hz * limit_s + 1

@@ -82,7 +82,7 @@ def test_what_may_block_is_no_file(tmp_path: Path) -> None:
 def test_a_perfect_rig_is_a_go_at_every_rate(tmp_path: Path, rate_hz: int) -> None:
     output = {"session.output": f"'{tmp_path.as_posix()}'"}
     words = set_words({**SMALL, **output, "camera.frame_rate_hz": str(rate_hz), "preflight.duration_s": "3"})
-    done = rig("preflight", CONFIGS / "live.toml", "--json", *words)
+    done = rig("doctor", "--preflight", CONFIGS / "live.toml", "--json", *words)
     assert done.returncode == 0, done.stderr
     assert "too few" not in done.stdout
 
@@ -105,7 +105,7 @@ def test_an_unread_terminal_does_not_hold_a_preflight_up(
 
     monkeypatch.setattr(FrameStream, "close", close)
     monkeypatch.setattr(preflight_alone, "print_json_line", read_late)
-    done = rig("preflight", CONFIGS / "live.toml", "--json", *set_words(words))
+    done = rig("doctor", "--preflight", CONFIGS / "live.toml", "--json", *set_words(words))
     assert done.returncode == 0, done.stderr
     kinds = [json.loads(line)["kind"] for line in done.stdout.splitlines()]
     assert kinds == ["state", "preflight"]

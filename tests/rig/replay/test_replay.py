@@ -274,7 +274,7 @@ def test_a_cut_record_is_replayed_and_the_remedy_named(
     assert replay_record(cut, None, retrack=False, overrides=[]) in (0, 1)
     said = capsys.readouterr()
     (line,) = (line for line in said.err.splitlines() if "cut short" in line)
-    assert f"rig recover {cut}" in line
+    assert f"rig record recover {cut}" in line
 
 
 @pytest.mark.parametrize("text", ["fast", "0", "-1", "nan", ""])

@@ -72,13 +72,13 @@ for wrong in ("camera.still.levl_dn=8", "camera.driver=stil"):
         load_configuration(Path("still.toml"), [wrong])
     except ConfigurationError as error:
         print(error)
-print(CliRunner().invoke(app, ["devices"]).output)
+print(CliRunner().invoke(app, ["doctor"]).output)
 from rig.control import make_laser
 
 added = ["laser.kind=torch", "laser.port=p", "instrument.kind=plumb_line"]
 config = load_configuration(Path("still.toml"), added)
 print(type(make_laser(config.laser)).__name__, config.instrument.description().report)
-print(CliRunner().invoke(app, ["instruments"]).output)
+print(CliRunner().invoke(app, ["init", "--instruments"]).output)
 for wrong in ("laser.kind=torhc", "instrument.kind=plum_line"):
     try:
         load_configuration(Path("still.toml"), [wrong])

@@ -12,11 +12,11 @@ import pytest
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
 from acquisition.cameras import drivers
-from acquisition.cameras.aravis.buffers import FrameNumbering
 from acquisition.cameras.aravis.camera import AravisCamera
 from acquisition.cameras.aravis.library import find_cameras, load_library
-from acquisition.cameras.aravis.settings import AravisSettings
+from acquisition.cameras.device_settings import AravisSettings
 from acquisition.frame import Frame
+from acquisition.frames.numbers import BlockNumbers, Place
 from processing.errors import DeviceError
 from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import wait_for_network_clock
@@ -106,13 +106,13 @@ def test_frames_come_whole_while_their_ids_roll_over(
     fake.plug_in()  # its ids begin again, some hundred frames before they roll over
     wait_for_camera()
     ids: list[int] = []
-    number = FrameNumbering.number
+    number = BlockNumbers.number
 
-    def noted(self: FrameNumbering, frame_id: int, *rest: int) -> int | None:
+    def noted(self: BlockNumbers, frame_id: int, lost: Place) -> int | None:
         ids.append(frame_id)
-        return number(self, frame_id, *rest)
+        return number(self, frame_id, lost)
 
-    monkeypatch.setattr(FrameNumbering, "number", noted)
+    monkeypatch.setattr(BlockNumbers, "number", noted)
     camera = AravisCamera()
     camera.open()
     camera.configure(PLAIN)

@@ -12,8 +12,8 @@ import pytest
 import usb.backend
 import usb.core
 
+from acquisition.cameras.device_settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
-from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from tests.acquisition.cameras.usb3vision import descriptors
 from tests.acquisition.cameras.usb3vision.device import (
     OverrunError,

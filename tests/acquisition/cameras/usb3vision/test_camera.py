@@ -12,12 +12,12 @@ import pytest
 import usb.backend.libusb1
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
+from acquisition.cameras.device_settings import Usb3VisionSettings
 from acquisition.cameras.drivers import make_camera
 from acquisition.cameras.usb3vision import camera as driver
 from acquisition.cameras.usb3vision import discovery
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.discovery import find_camera, find_cameras
-from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from processing.errors import DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 from tests.acquisition.cameras.usb3vision import description

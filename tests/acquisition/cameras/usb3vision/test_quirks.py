@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from acquisition.camera import CameraSettings, CameraStatus
-from acquisition.cameras.usb3vision.block_numbers import BlockNumbers
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
-from acquisition.cameras.usb3vision.packets import Leader
 from acquisition.frame import Frame
 from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
@@ -133,14 +131,3 @@ def test_a_loss_across_the_end_of_a_short_counter_is_counted(bits: int) -> None:
     frames, status = frames_of(device)
     assert status.dropped == status.dropped_by_camera == 4
     assert frames[-1].sequence == COUNT + 3
-
-
-def test_frames_of_which_parts_came_count_at_once_and_only_once() -> None:
-    numbers = BlockNumbers("camera", has_clock=True)
-    numbers.number(Leader(5, 1000, 0, 256, 128, 0))
-    numbers.lost_parts, numbers.faulty = 3, 1
-    before = numbers.status(1)
-    assert (before.incomplete, before.error_status, before.dropped_by_camera) == (2, 1, 0)
-    assert numbers.number(Leader(10, 6000, 0, 256, 128, 0)) == 5
-    after = numbers.status(2)
-    assert (after.incomplete, after.error_status, after.dropped_by_camera) == (2, 1, 1)

@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from acquisition.camera import CameraLost, CameraSettings, FrameTimeout, PixelFormat
+from acquisition.cameras.device_settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision import camera as driver
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
-from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend

@@ -1,0 +1,77 @@
+"""What `rig fit` and `rig run --record-only` take, by what a file is, and what they refuse."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.cli import GROUPS, app
+from rig.commands.inputs import kind_of
+from tests.rig.command_line import CONFIGS, rig
+
+
+def test_every_command_stands_under_one_heading() -> None:
+    import typer
+
+    listed = [name for names in GROUPS.values() for name in names]
+    assert sorted(listed) == sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+
+
+def test_a_file_is_fitted_as_what_it_is(tmp_path: Path) -> None:
+    for name in ("run.mcap", "decay.csv", "decay.tsv", "swing.mp4", "swing.gif", "one.tif", "mine.toml"):
+        (tmp_path / name).touch()
+    np.save(tmp_path / "columns.npy", np.zeros((5, 2)))
+    np.save(tmp_path / "stack.npy", np.zeros((5, 4, 4), np.uint8))
+    for folder, name in (
+        ("images", "f1.png"),
+        ("films", "a.mkv"),
+        ("session", "run-1.mcap"),
+        ("fit", "results.json"),
+    ):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / name).touch()
+    (tmp_path / "session" / "picture.png").touch()
+    (tmp_path / "fit" / "figure.png").touch()
+    kinds = {path.name: kind_of(path) for path in tmp_path.iterdir()}
+    assert {name for name, kind in kinds.items() if kind == "film"} == {
+        "swing.mp4", "swing.gif", "one.tif", "stack.npy", "images", "films",
+    }  # fmt: skip
+    assert {name for name, kind in kinds.items() if kind == "records"} == {"run.mcap", "session", "fit"}
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "said"),
+    [
+        ("run.mcap", ("--pixel", "1 mm"), "--pixel: has no effect on records, only on a table or a film"),
+        ("run.mcap", ("--unit", "mrad"), "--unit: has no effect on records"),
+        ("decay.csv", ("--dark",), "--dark: has no effect on a table"),
+        ("swing.mp4", ("--time", "t"), "--time: has no effect on a film"),
+        ("swing.mp4", ("--force-rate",), "--force-rate: needs --rate"),
+        ("mine.toml", (), "mine.toml: is not a table"),
+    ],
+)
+def test_what_has_no_effect_is_refused(name: str, words: tuple[str, ...], said: str, tmp_path: Path) -> None:
+    (tmp_path / name).touch()
+    done = rig("fit", name, *words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert said in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--record-only",), "takes CONFIG, -o NAME.mcap and --set alone"),
+        (("--record-only", "-o", "one.mcap", "--runs", "2"), "takes CONFIG, -o NAME.mcap and --set alone"),
+        (("--record-only", "-o", "one"), "one: name a file that ends in .mcap"),
+        (("-o", "one.mcap"), "one.mcap: one record is written with --record-only; else name a folder"),
+        (
+            ("--record-only", "-o", "one.mcap", "--set", "camera.driver=v4l2"),
+            "rig camera record records a real one",
+        ),
+    ],
+)
+def test_one_record_alone(words: tuple[str, ...], said: str, tmp_path: Path) -> None:
+    done = rig("run", CONFIGS / "demo.toml", *words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert not list(tmp_path.iterdir())
