@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.frame_losses import FrameLosses
+from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import EventKind
 from acquisition.record.reader import Piece, RecordReader
 from acquisition.record.topics import (
