@@ -77,7 +77,7 @@ class LooksView:
             self._view.event(Event(0, EventKind.START, "first frame"))
         else:
             self._shown_ns += _PAUSE_NS
-            self._view.jump(self._shown_ns, f"measured again at {seconds(self._shown_ns):.1f} s")
+            self._view.jump(self._shown_ns, f"restarted at {seconds(self._shown_ns):.1f} s")
         self._shift_ns = first.time_ns - self._shown_ns
 
     def block(self, frames: Sequence[Frame], block: Block) -> None:

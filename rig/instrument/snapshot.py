@@ -13,7 +13,7 @@ from rig.instrument.fitted_decay import FittedDecay
 
 
 class Phase(StrEnum):
-    """What a run, or the replay of a record, is doing."""
+    """What a run is doing."""
 
     WAITING = "waiting for the first frame"
     REST = "rest"
@@ -23,8 +23,6 @@ class Phase(StrEnum):
     MEASURING = "measuring"
     CLOSING = "closing the record"
     DONE = "done"
-    REPLAYING = "replaying"
-    PAUSED = "paused"
 
 
 @dataclass(frozen=True, slots=True)

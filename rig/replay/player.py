@@ -3,12 +3,12 @@
 import math
 import time
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from acquisition.record.events import Event
 from processing.spot import SpotFlag
 from processing.ticks import nanoseconds
-from rig.instrument import Phase, Snapshot
+from rig.instrument import CameraClock
 from rig.presentation import Keys
 from rig.replay.replay import Replay, Replayed, ReplayStep
 from rig.view import ScratchView
@@ -23,10 +23,26 @@ MOST_FRAMES = {False: 10_000, True: 64}
 """Frames processed between two checks of the keys: with recorded spots, and tracked again or shown."""
 
 
+class ReplayState(NamedTuple):
+    """A replay at one moment: time from the record's first frame, and what was found since it was begun.
+
+    `amplitude` is that of the last good half-cycle, in arcsec (px without a lever).
+    """
+
+    elapsed_s: float
+    paused: bool = False
+    frames: int = 0
+    dropped_frames: int = 0
+    lost_spots: int = 0
+    half_cycles: int = 0
+    amplitude: float = math.nan
+    clock: CameraClock = CameraClock()
+
+
 class Display(Protocol):
     """Shows the progress of a replay."""
 
-    def show(self, snapshot: Snapshot, length_s: float, remaining_s: float, prompt: str | None) -> None:
+    def show(self, state: ReplayState, length_s: float, remaining_s: float, prompt: str | None) -> None:
         """Show state, length of the record, remaining time (NaN: unknown) and the text being typed."""
 
 
@@ -136,7 +152,6 @@ class Player:
             self._half_cycles += 1
             if not swing.flags:
                 self._amplitude = swing.amplitude / block.deflections.unit.shown_size
-                self._period_s = 2.0 * swing.half_period_s
         self._draw(step)
         if not self._begun:
             # the first frames wait for what is loaded and compiled, and say nothing of the others
@@ -204,7 +219,7 @@ class Player:
         start_ns, begun_s = self._replay.start_ns, self._replay.begun_s
         begun_ns = start_ns + nanoseconds(begun_s)
         self._frames = self._missing = self._lost = self._half_cycles = 0
-        self._amplitude = self._period_s = math.nan
+        self._amplitude = math.nan
         self._last_sequence = self._replay.next_sequence - 1
         self._next_event = sum(event.time_ns < begun_ns for event in self._events) if begun_s > 0 else 0
         self._resume()
@@ -219,16 +234,6 @@ class Player:
         gone_s, host_s = position_s - self._base_s, self._clock() - self._base_clock_s
         known = gone_s > 0 and host_s > _SEEN_S and not self.paused
         remaining_s = (replay.length_s - position_s) * host_s / gone_s if known else math.nan
-        snapshot = Snapshot(
-            phase=Phase.PAUSED if self.paused else Phase.REPLAYING,
-            elapsed_s=position_s,
-            frames=self._frames,
-            dropped_frames=self._missing,
-            lost_spots=self._lost,
-            beam=replay.beam.text,
-            clock=replay.clock,
-            half_cycles=self._half_cycles,
-            amplitude=self._amplitude,
-            period_s=self._period_s,
-        )
-        self._display.show(snapshot, replay.length_s, remaining_s, self._typed)
+        counts = (self._frames, self._missing, self._lost, self._half_cycles)
+        state = ReplayState(position_s, self.paused, *counts, self._amplitude, replay.clock)
+        self._display.show(state, replay.length_s, remaining_s, self._typed)

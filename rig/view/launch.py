@@ -17,8 +17,8 @@ from rig.presentation import say
 from rig.terminal import LOOPBACK, free_port, start_python
 from rig.view.values import LayoutName, Mode
 
-_END_S = 10.0
-"""So long a view may take to draw what is left of its record, then it is ended."""
+_SHOW_END_S, _WRITE_END_S = 10.0, 30.0
+"""So long a window or page, and a Rerun file, may take for what is left of their record of a run."""
 _PORT, _WEB_PORT = 9876, 9090
 
 
@@ -66,12 +66,12 @@ class RunningView:
         """Numbers of the processes that were started."""
         return tuple(one.pid for one in (self._writing, self._showing) if one is not None)
 
-    def close(self) -> str:
+    def close(self, *, patient: bool = False) -> str:
         """Let the processes draw what is left, after the record is closed; what the Rerun file lacks, if
-        anything.
+        anything. `patient`: it is waited for as long as it takes.
         """
-        self._ended(self._showing)
-        said = self._ended(self._writing)
+        self._ended(self._showing, _SHOW_END_S)
+        said = self._ended(self._writing, None if patient else _WRITE_END_S)
         if said is None:
             return ""
         return said or f"the Rerun file {self.rrd} is not whole: its writer was ended"
@@ -82,14 +82,14 @@ class RunningView:
         program = ("-m", "rig", "view", str(self.record), "--follow")
         return start_python(*program, *words, stdin=null, stdout=null, stderr=subprocess.PIPE)
 
-    def _ended(self, process: "subprocess.Popen[Any] | None") -> str | None:
+    def _ended(self, process: "subprocess.Popen[Any] | None", limit_s: float | None) -> str | None:
         """Wait for the end of a process; None where all is well, else what it said last."""
         if process is None:
             return None
         if not self.record.exists():
             process.terminate()
         try:
-            _, said = process.communicate(timeout=_END_S)
+            _, said = process.communicate(timeout=limit_s)
         except subprocess.TimeoutExpired:
             process.kill()
             _, said = process.communicate()

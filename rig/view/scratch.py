@@ -69,7 +69,7 @@ class ScratchView:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._end()
-        problem = self._view.close()
+        problem = self._view.close(patient=True)
         self._folder.cleanup()
         if problem and error is None:
             raise RecordError(problem)

@@ -1,7 +1,6 @@
 """`rig view`: draws records into a window, a page or a Rerun file, and follows one that is being written."""
 
 import os
-import socket
 import time
 import uuid
 from collections.abc import Callable, Sequence
@@ -21,22 +20,19 @@ from processing.errors import ConfigurationError, RecordError
 from rig.instrument import pendulum_on_ball
 from rig.presentation import say
 from rig.settings import Configuration
-from rig.terminal import LOOPBACK
-from rig.view.launch import no_window, page_address, ports_of_view
 from rig.view.values import LayoutName, Setup, ShowMode
 
 if TYPE_CHECKING:
     from rig.view.drawing import Drawing
     from rig.view.follower import Follower
+    from rig.view.rerun_program import ViewerProgram
 
 _LOOK_S = 0.05
 """Interval of looks at a record that is being written."""
-_FLUSH_LIMIT_S, _START_LIMIT_S = 5.0, 30.0
+_FLUSH_LIMIT_S = 5.0
 _LIVE_GATHER_S, _LIVE_GATHER_ROWS = 0.2, 2000
 _FILE_GATHER_S, _FILE_GATHER_ROWS, _FILE_PICTURE_S = 10.0, 8000, 10.0
 _NICE = 5
-_SERVER_MEMORY = "200MiB"
-"""What the page's server keeps for a browser that comes late."""
 
 
 def show_records(
@@ -76,11 +72,13 @@ def show_records(
     processing.errors.ConfigurationError
         No screen for a window, or `rrd` exists already.
     """
+    from rig.view.rerun_program import ViewerProgram
+
     if paths and all(path.suffix == ".rrd" for path in paths):
         for path in paths:
             if not path.is_file():
                 raise RecordError(f"{path}: no such Rerun file")
-        with _Program(mode, ports, [str(path) for path in paths]) as program:
+        with ViewerProgram(mode, ports, [str(path) for path in paths]) as program:
             program.wait()
         return
     if follow:
@@ -95,7 +93,7 @@ def show_records(
 
     if not follow:
         _check(paths)
-    with _Program(mode, ports) as program:
+    with ViewerProgram(mode, ports) as program:
         going = not follow or _await_record(paths[0], None, program)
         while going:
             records = _Records(paths, layout, live=True, going=lambda: program.is_open)
@@ -121,62 +119,6 @@ def write_rrd(
         rrd.rename(rrd.with_stem(f"{rrd.stem}-start-{attempt}"))
         if not _await_record(paths[0], records.shown):
             return
-
-
-class _Program:
-    """The viewer's program, with files or as the server of a stream: a window, or a page on the loopback."""
-
-    def __init__(self, mode: ShowMode, ports: tuple[int, int] | None, files: Sequence[str] = ()) -> None:
-        from rig.view.rerun_program import start_program
-
-        if mode == "spawn" and (missing := no_window()):
-            raise ConfigurationError(missing)
-        self._is_page = mode == "web"
-        port, web_port = ports or ports_of_view()
-        self.url = f"rerun+http://{LOOPBACK}:{port}/proxy"
-        words = ["--port", str(port), "--hide-welcome-screen", *files]
-        if self._is_page:
-            words += [
-                "--serve-web",
-                "--web-viewer-port",
-                str(web_port),
-                "--server-memory-limit",
-                _SERVER_MEMORY,
-            ]
-        self._process = start_program(*words, alone=not self._is_page)
-        if self._is_page:
-            self._await_page(web_port)
-            print(f"the view is at {page_address(port, web_port)} (Ctrl-C ends it)", flush=True)
-
-    def __enter__(self) -> "_Program":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
-        if self._is_page or kind is not None:
-            self._process.kill()
-            self._process.wait()
-        elif self._process.poll() is None:
-            # a window stays until it is closed; nothing waits for it any more
-            self._process.returncode = 0
-
-    def _await_page(self, web_port: int) -> None:
-        deadline_s = time.monotonic() + _START_LIMIT_S
-        while self.is_open and time.monotonic() < deadline_s:
-            with suppress(OSError), socket.create_connection((LOOPBACK, web_port), _LOOK_S):
-                return
-            time.sleep(_LOOK_S)
-
-    @property
-    def is_open(self) -> bool:
-        """Whether it has not been closed."""
-        return self._process.poll() is None
-
-    def wait(self) -> None:
-        """Wait until it is closed, or Ctrl-C ends it."""
-        try:
-            self._process.wait()
-        except KeyboardInterrupt:
-            self._process.kill()
 
 
 def _drawn_into(records: "_Records", rrd: Path) -> bool:
@@ -369,7 +311,7 @@ def _identity(file: Path | int) -> tuple[int, int] | None:
     return state.st_dev, state.st_ino
 
 
-def _await_record(path: Path, shown: tuple[int, int] | None, program: _Program | None = None) -> bool:
+def _await_record(path: Path, shown: tuple[int, int] | None, program: "ViewerProgram | None" = None) -> bool:
     """Wait for a record at this path other than the one that was shown.
 
     False if its maker is gone, or what would show it.
