@@ -88,7 +88,8 @@ class ReplayLine:
         amplitude = "" if math.isnan(state.amplitude) else f"  {state.amplitude:.2f} {self._unit}"
         clock = f"  clock {state.clock.text}" if state.clock.text else ""
         left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
-        begin = f"{'paused' if state.paused else 'replaying'}  {state.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
+        doing = "paused" if state.paused else "replaying"
+        begin = f"{doing}  {state.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
         half_cycles = f"  {state.half_cycles} half-cycles"
         texts = [f"  {state.frames} frames", clock, half_cycles, amplitude, left]
         # a line that is wrapped could not be written over; the first of these is missed least
