@@ -159,11 +159,6 @@ class Replay:
         return 0 if math.isinf(self.next_s) else int(self._table["sequence"][self._row])
 
     @property
-    def beam(self) -> BeamUse:
-        """What the spots so far say of the beam."""
-        return self._beam
-
-    @property
     def clock(self) -> CameraClock:
         """The camera's clock as the frames so far show it; not of frames made on demand."""
         known = [step for time_ns, step in self._steps if time_ns <= self._position_ns]

@@ -154,6 +154,9 @@ class Follower:
         self._drawing.samples(self._run, time_s, deflections.shown_x, deflections.shown_y, flags)
         self._spots.append(rows[["sequence", "x_px", "y_px"]])
         sequence = rows["sequence"]
+        if not self.frames:
+            # a part that is replayed begins later
+            self._next_sequence = int(sequence[0])
         self.missing += int(sequence[-1]) + 1 - self._next_sequence - len(rows)
         self.lost += int(np.count_nonzero(flags & SpotFlag.LOST))
         self.frames += len(rows)
