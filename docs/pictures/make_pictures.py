@@ -25,10 +25,10 @@ from rig.instrument import complete  # noqa: E402
 from rig.plan import expected_of, plan_expected  # noqa: E402
 from rig.plan.figure import plan_figure  # noqa: E402
 from rig.report import png, styled  # noqa: E402
-from rig.rerun import LayoutName  # noqa: E402
-from rig.rerun.layout import TIMELINE  # noqa: E402
 from rig.settings import load_configuration  # noqa: E402
-from rig.view.recorded import write_rrd  # noqa: E402
+from rig.view import LayoutName  # noqa: E402
+from rig.view.layout import TIMELINE  # noqa: E402
+from rig.view.show import write_rrd  # noqa: E402
 from tests.rig.drawn_pictures import (  # noqa: E402
     CONFIGURATION,
     DRAWN,

@@ -74,6 +74,7 @@ class LooksView:
             metadata = session_metadata(config, info, first)
             attachments = configuration_attachments(config, Path())
             self._view.begin(0, ScratchHead(metadata, attachments, config.deflection_unit))
+            self._view.event(Event(0, EventKind.START, "first frame"))
         else:
             self._shown_ns += _PAUSE_NS
             self._view.jump(self._shown_ns, f"measured again at {seconds(self._shown_ns):.1f} s")

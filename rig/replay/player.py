@@ -10,7 +10,7 @@ from processing.spot import SpotFlag
 from processing.ticks import nanoseconds
 from rig.instrument import Phase, Snapshot
 from rig.presentation import Keys
-from rig.replay.replay import Replay, ReplayStep
+from rig.replay.replay import Replay, Replayed, ReplayStep
 from rig.view import ScratchView
 
 HELP: Final = "space pause  → frame  h half-cycle  + - 10 s  g go to  q end"
@@ -20,7 +20,7 @@ _LATEST_S = 0.5
 _SEEN_S = 2.0
 """After so long it is known how fast a replay goes."""
 MOST_FRAMES = {False: 10_000, True: 64}
-"""Frames processed between two checks of the keys: with recorded spots, and tracked again."""
+"""Frames processed between two checks of the keys: with recorded spots, and tracked again or shown."""
 
 
 class Display(Protocol):
@@ -60,7 +60,8 @@ class Player:
         self._speed = speed
         self._keys = keys
         self._display = display
-        self._most = MOST_FRAMES[retrack]
+        # a view is drawn as the run was, piece by piece
+        self._most = MOST_FRAMES[retrack or view is not None]
         self._view = view
         self._events = sorted(events or [], key=lambda event: event.time_ns)
         self._clock = clock
@@ -84,6 +85,14 @@ class Player:
             self._show()
             wait_s = self._go_on()
         self._show()
+
+    def finish(self) -> Replayed:
+        """Complete the last half-cycles, which are shown too."""
+        result = self._replay.finish()
+        if self._view is not None:
+            self._view.half_cycles(result.swings[self._half_cycles :])
+            self._view.flush()
+        return result
 
     def _go_on(self) -> float:
         """Process the frames that are due; returns the time in s until the next one."""

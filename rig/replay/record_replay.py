@@ -84,9 +84,8 @@ def replay_record(
         with ExitStack() as stack:
             view = None
             if wants_view:
-                view = stack.enter_context(
-                    ScratchView(f"replay of {record.stem}", mode, rrd, "measuring", math.inf)
-                )
+                name = f"replay of {record.stem}"
+                view = stack.enter_context(ScratchView(name, mode, rrd, "measuring", math.inf))
                 attachments = {**reader.attachments, **configuration_attachments(config, Path())}
                 metadata = {name: texts for name, texts in reader.metadata.items() if name != "record"}
                 view.begin(replay.start_ns, ScratchHead(metadata, attachments, config.deflection_unit))
@@ -102,12 +101,10 @@ def replay_record(
                 events=_events(reader) if wants_view else [],
             )
             player.play()
+            result = player.finish()
             if mode == "web" and not player.ended_by_user:
-                if view is not None:
-                    view.flush()
                 say("the page has all of it and stays until q or Ctrl-C; the results follow then")
                 _stay(keys)
-        result = replay.finish()
         partial = replay.partial or replay.sought or player.ended_by_user
         run = replace(_analysed(reader, config, result), watched=watched)
         if partial:

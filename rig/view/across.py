@@ -60,9 +60,10 @@ class AcrossTheSwing:
 
     def samples(self, time_s: Floats, x: Floats, y: Floats) -> Across | None:
         """Separate samples, and those that have waited; None while no balance is known."""
-        self._waiting.append((time_s, x, y))
-        if not self._lines:
-            while self._waiting and time_s[-1] - self._waiting[0][0][-1] > _WAITS_S:
+        if len(time_s):
+            self._waiting.append((time_s, x, y))
+        if not self._lines or not self._waiting:
+            while self._waiting and len(time_s) and time_s[-1] - self._waiting[0][0][-1] > _WAITS_S:
                 self._waiting.pop(0)
             return None
         waiting, self._waiting = self._waiting, []

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from acquisition.record.events import Event, EventKind, Level
 from processing.angle import ARCSEC_RAD
-from processing.balance import Balance
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
-from rig.presentation import Shown, balance_drawn, balance_numbers, balance_table, palette, quantity
+from rig.presentation import Shown, balance_drawn, balance_table, palette, quantity
 from rig.view import layout
 from rig.view.across import AcrossTheSwing
 from rig.view.gathering import Breaks, Decimator, Gathering
@@ -176,11 +175,13 @@ class Drawing:
                 label = f"{path} / {unit}"
                 self._gather_uncertain(run, path, time_s[good], value[good], u[good], label, colour)
 
-    def balance(self, run: str, time_s: float, balance: Balance) -> None:
-        """The balance at one moment, as curves and as a table."""
-        numbers, unit = balance_numbers(balance), self.setup.unit
+    def balance(self, run: str, time_s: float, numbers: Mapping[str, tuple[float, float]]) -> None:
+        """The balance at one moment (see `balance_numbers`), as curves and as a table."""
+        unit = self.setup.unit
         size = ARCSEC_RAD if unit == "arcsec" else 1.0
         self._across.setdefault(run, AcrossTheSwing()).balance(time_s, numbers, size)
+        # what has waited for the first balance
+        self._draw_across(run, *[np.empty(0)] * 3)
         for name, (value, u) in numbers.items():
             shown, drawn = quantity(name, unit), balance_drawn(name)
             if np.isfinite(value):

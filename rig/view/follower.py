@@ -7,36 +7,44 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import EventKind
 from acquisition.record.reader import Piece, RecordReader
 from acquisition.record.topics import (
     BALANCE,
+    CAMERA_STEP,
     ESTIMATE,
     EVENT,
     HEALTH,
+    LOSSES,
     NOTE,
     PHASE,
     REFERENCE,
     SPOT,
     SWING,
+    RecordedClockStep,
     RecordedEstimate,
     RecordedHealth,
+    RecordedLosses,
     RecordedNote,
     RecordedPhase,
 )
 from processing.balance import Balance
+from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
 from rig.instrument import CameraClock, advice_for, recorded_configuration
+from rig.presentation import balance_numbers
 from rig.settings import Configuration
 from rig.view import layout
 from rig.view.drawing import Drawing
@@ -71,6 +79,8 @@ class Follower:
         self._shown_losses = (-1, -1)
         self._phase: RecordedPhase | None = None
         self._health: RecordedHealth | None = None
+        self._clock = CameraClock()
+        self._losses = FrameLosses()
         self._estimates: dict[str, Estimate] = {}
         self._swing: Swing | None = None
         self._advised = self._balanced = False
@@ -177,18 +187,24 @@ class Follower:
         for balance in balances:
             self._balanced = True
             at_s = self._at(balance.time_ns)
-            self._drawing.balance(self._run, at_s, balance)
+            self._drawing.balance(self._run, at_s, balance_numbers(balance))
             if not self._advised and (advice := self._advise(balance)):
                 self._drawing.text(self._run, layout.ADVICE, at_s, advice)
 
     def _draw_session(self, piece: Piece) -> None:
         """What the session says of itself: phase, health, estimates."""
         reader, drawing, run = self._reader, self._drawing, self._run
+        for step in reader.decoded(CAMERA_STEP.topic, RecordedClockStep, piece.get(CAMERA_STEP.topic, ())):
+            clock, largest_s = self._clock, max(self._clock.largest_step_s, seconds(step.step_ns), key=abs)
+            self._clock = replace(clock, steps=clock.steps + 1, largest_step_s=largest_s)
+        for losses in reader.decoded(LOSSES.topic, RecordedLosses, piece.get(LOSSES.topic, ())):
+            self._losses = FrameLosses(*losses[1:])
         for health in reader.decoded(HEALTH.topic, RecordedHealth, piece.get(HEALTH.topic, ())):
-            before, self._health = self._health, health
-            clock, known = _clock(health), None if before is None else _clock(before)
-            if clock.known and clock != known:
-                drawing.clock(run, self._at(health.time_ns), clock.drift_ppm, clock.u_drift_ppm)
+            self._health, before = health, self._clock
+            drift_ppm, u_ppm = health.clock_drift_ppm, health.u_clock_drift_ppm
+            self._clock = clock = replace(before, drift_ppm=drift_ppm, u_drift_ppm=u_ppm)
+            if clock.known and clock != before:
+                drawing.clock(run, self._at(health.time_ns), drift_ppm, u_ppm)
         rows = reader.decoded(ESTIMATE.topic, RecordedEstimate, piece.get(ESTIMATE.topic, ()))
         for time_ns in dict.fromkeys(row.time_ns for row in rows):
             of_one = {
@@ -247,11 +263,12 @@ class Follower:
                 lines.append(f"period {2.0 * swing.half_period_s:.4f} s")
         lines.append(f"{self.frames} frames, {self.missing} dropped, {self.lost} spots lost")
         if health is not None:
-            clock = _clock(health).text
-            lines += [f"camera's clock {clock}"] if clock else []
+            lines += [f"camera's clock {self._clock.text}"] if self._clock.text else []
             lines += [f"beam: {health.beam}"] if health.beam else []
             if not math.isnan(health.frame_age_s):
                 lines.append(f"frames were {health.frame_age_s * 1e3:.0f} ms old when they were processed")
+        if self._losses.total:
+            lines.append(f"lost: {self._losses}")
         lines.append(f"{self.half_cycles} half-cycles")
         lines += self._empty_panels()
         alarm = f"# {health.alarm.upper()}\n\n" if health is not None and health.alarm else ""
@@ -268,7 +285,7 @@ class Follower:
         parameters = self._drawing.setup.parameters
         if not self.half_cycles:
             found.append("amplitude and period are empty until a half-cycle has been measured")
-        if self._health is not None and not _clock(self._health).known:
+        if self._health is not None and not self._clock.known:
             found.append(
                 "the clock is empty until the rate of the camera's is known; frames on demand have none"
             )
@@ -282,6 +299,8 @@ class Follower:
             if not is_drawn(*self._estimates.get(key, Estimate(math.nan, math.nan)))
         ]:
             found.append(f"not known to a half of their values yet, hence not drawn: {', '.join(vague)}")
+        if self._reader.deflection_unit is DeflectionUnit.PX:
+            found.append("no parameters are fitted: without [lever] pixels are not angles")
         return found
 
     def _times_s(self, times_ns: NDArray[np.int64]) -> Floats:
@@ -301,7 +320,3 @@ def _adviser(config: Configuration | None) -> Callable[[Balance], str]:
     if config is None:
         return lambda _: ""
     return lambda balance: advice_for(config, balance).markdown
-
-
-def _clock(health: RecordedHealth) -> CameraClock:
-    return CameraClock(health.clock_drift_ppm, health.u_clock_drift_ppm)

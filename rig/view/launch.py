@@ -4,9 +4,11 @@ Nothing of theirs can end, slow or darken what measures: they get no more than t
 """
 
 import os
+import signal
 import subprocess
 import sys
 import urllib.parse
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,7 +17,7 @@ from rig.presentation import say
 from rig.terminal import LOOPBACK, free_port, start_python
 from rig.view.values import LayoutName, Mode
 
-_END_S = 20.0
+_END_S = 10.0
 """So long a view may take to draw what is left of its record, then it is ended."""
 _PORT, _WEB_PORT = 9876, 9090
 
@@ -91,6 +93,10 @@ class RunningView:
         except subprocess.TimeoutExpired:
             process.kill()
             _, said = process.communicate()
+        if os.name == "posix":
+            # a page's server that a killed view has left
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
         if process.returncode == 0 or not self.record.exists():
             return None
         lines = said.decode(errors="replace").strip().splitlines()

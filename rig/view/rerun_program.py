@@ -2,7 +2,7 @@
 
 The executable inside the package is started directly: the `rerun` command is a Python wrapper, and the viewer
 would continue to run after the wrapper is ended. By default the viewer listens on all interfaces and sends
-usage data; both are switched off here.
+usage data; both are switched off here. The page, which has settings of its own in the browser, sends them.
 """
 
 import os
@@ -47,32 +47,15 @@ def quiet_environment() -> dict[str, str]:
     return environment
 
 
-def display_missing() -> str:
-    """Reason for which no window can be opened here; empty if one can be."""
-    if sys.platform.startswith("linux") and not (
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    ):
-        return (
-            "no window was opened: there is no screen here (neither DISPLAY nor WAYLAND_DISPLAY is set); "
-            "use --view web, or open the .rrd file on another machine"
-        )
-    return ""
-
-
-def open_window(url: str, port: int) -> subprocess.Popen[bytes]:
-    """Open a window that shows a live stream and stays after the run. It accepts commands on `port`."""
-    return start_program("--port", str(port), "--hide-welcome-screen", "--connect", url)
-
-
 def start_program(
-    *arguments: str, environment: dict[str, str] | None = None, host: str = LOOPBACK
+    *arguments: str, environment: dict[str, str] | None = None, alone: bool = True
 ) -> subprocess.Popen[bytes]:
-    """Start the program on a loopback address, without output and without Ctrl-C from the terminal."""
+    """Start the program on 127.0.0.1, without output; `alone`: it outlives this one's process group."""
     return subprocess.Popen(
-        [program(), "--bind", host, *arguments],
+        [program(), "--bind", LOOPBACK, *arguments],
         env=environment if environment is not None else quiet_environment(),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        **own_group(),
+        **(own_group() if alone else {}),
     )

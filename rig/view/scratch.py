@@ -19,6 +19,7 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot, SpotFlag
+from processing.swing import Swing
 from rig.instrument import Block
 from rig.presentation import say
 from rig.view.launch import RunningView
@@ -67,7 +68,7 @@ class ScratchView:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._end(EventKind.STOP)
+        self._end()
         problem = self._view.close()
         self._folder.cleanup()
         if problem and error is None:
@@ -89,7 +90,6 @@ class ScratchView:
             attachments=head.attachments,
             deflection_unit=head.unit,
         )
-        self.event(Event(time_ns, EventKind.START, "first frame"))
 
     def block(
         self,
@@ -129,6 +129,12 @@ class ScratchView:
             self._picture_due_ns = frame.time_ns + _PICTURE_NS
             self._written(lambda writer: writer.write_preview(frame))
 
+    def half_cycles(self, swings: list[Swing]) -> None:
+        """Half-cycles that are complete only at the end."""
+        none = np.empty(0)
+        nothing = Deflections(np.empty(0, dtype=np.int64), none, none, none, none, self._unit)
+        self.block(Block([], nothing, swings, []))
+
     def look(self, frame: Frame, spot: Spot) -> None:
         """A frame and the spot in it, where no deflection is measured."""
         self._picture_due_ns = frame.time_ns
@@ -148,7 +154,9 @@ class ScratchView:
         if self._head is None or self._failed:
             return
         try:
-            self._end(EventKind.REJECTED)
+            # as of a rejected start, so that the view goes on with the next
+            self.event(Event(self._last_ns, EventKind.REJECTED, "restarted"))
+            self._end()
             aside = self._path.with_suffix(".old")
             # not removed before the next is there, which the system might give the same number
             self._path.rename(aside)
@@ -183,8 +191,7 @@ class ScratchView:
         self._failed = True
         say(f"the view ends: {error}")
 
-    def _end(self, kind: EventKind) -> None:
-        if self._writer is not None and not self._failed:
+    def _end(self) -> None:
+        if self._writer is not None:
             with suppress(RecordError):
-                self._writer.write_event(self._last_ns, kind, "")
                 self._writer.close()

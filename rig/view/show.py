@@ -1,10 +1,11 @@
 """`rig view`: draws records into a window, a page or a Rerun file, and follows one that is being written."""
 
 import os
+import socket
 import time
 import uuid
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 _LOOK_S = 0.05
 """Interval of looks at a record that is being written."""
-_FLUSH_LIMIT_S = 5.0
+_FLUSH_LIMIT_S, _START_LIMIT_S = 5.0, 30.0
 _LIVE_GATHER_S, _LIVE_GATHER_ROWS = 0.2, 2000
 _FILE_GATHER_S, _FILE_GATHER_ROWS, _FILE_PICTURE_S = 10.0, 8000, 10.0
 _NICE = 5
@@ -86,21 +87,20 @@ def show_records(
         # a program that measures comes first
         with suppress(AttributeError, OSError):
             os.nice(_NICE)
-        if not _await_record(paths[0], None):
-            return
     if rrd is not None:
-        write_rrd(paths, rrd, layout=layout, follow=follow)
+        if not follow or _await_record(paths[0], None):
+            write_rrd(paths, rrd, layout=layout, follow=follow)
         return
     import rerun as rr
 
     if not follow:
         _check(paths)
     with _Program(mode, ports) as program:
-        going = True
+        going = not follow or _await_record(paths[0], None, program)
         while going:
             records = _Records(paths, layout, live=True, going=lambda: program.is_open)
             rejected = records.drawn(rr.GrpcSink(program.url))
-            going = follow and rejected and _await_record(paths[0], records.shown)
+            going = follow and rejected and _await_record(paths[0], records.shown, program)
         if not follow:
             program.wait()
 
@@ -143,21 +143,28 @@ class _Program:
                 "--server-memory-limit",
                 _SERVER_MEMORY,
             ]
-        self._process = start_program(*words)
+        self._process = start_program(*words, alone=not self._is_page)
         if self._is_page:
+            self._await_page(web_port)
             print(f"the view is at {page_address(port, web_port)} (Ctrl-C ends it)", flush=True)
 
     def __enter__(self) -> "_Program":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
-        # a window stays until it is closed, unless Ctrl-C was meant for it
         if self._is_page or kind is not None:
             self._process.kill()
-        if self._process.poll() is None and not self._is_page:
-            self._process.returncode = 0  # left to itself
-        else:
             self._process.wait()
+        elif self._process.poll() is None:
+            # a window stays until it is closed; nothing waits for it any more
+            self._process.returncode = 0
+
+    def _await_page(self, web_port: int) -> None:
+        deadline_s = time.monotonic() + _START_LIMIT_S
+        while self.is_open and time.monotonic() < deadline_s:
+            with suppress(OSError), socket.create_connection((LOOPBACK, web_port), _LOOK_S):
+                return
+            time.sleep(_LOOK_S)
 
     @property
     def is_open(self) -> bool:
@@ -231,7 +238,8 @@ class _Records:
                 if reader.truncated:
                     say(reader.cut_notice)
             self._draw_ends(followers, drawing)
-            stream.flush(timeout_sec=_FLUSH_LIMIT_S)
+            with suppress(RuntimeError, TimeoutError) if self._live else nullcontext():
+                stream.flush(timeout_sec=_FLUSH_LIMIT_S)
             end = end_of(readers[-1].events())
             stream.disconnect()
             return end is not None and end.kind == EventKind.REJECTED
@@ -361,11 +369,14 @@ def _identity(file: Path | int) -> tuple[int, int] | None:
     return state.st_dev, state.st_ino
 
 
-def _await_record(path: Path, shown: tuple[int, int] | None) -> bool:
-    """Wait for a record at this path other than the one that was shown; False if its maker is gone."""
+def _await_record(path: Path, shown: tuple[int, int] | None, program: _Program | None = None) -> bool:
+    """Wait for a record at this path other than the one that was shown.
+
+    False if its maker is gone, or what would show it.
+    """
     parent = os.getppid()
     while (found := _identity(path)) is None or found == shown:
-        if os.getppid() != parent:
+        if os.getppid() != parent or (program is not None and not program.is_open):
             return False
         time.sleep(_LOOK_S)
     return True

@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,6 +31,7 @@ from rig.measure.recorder import Entry, Recorder
 from rig.measure.run import Run
 from rig.measure.run_parts import RunParts, Watcher
 from rig.settings import validate_configuration
+from rig.view import RunningView
 from tests.benchmarks.memory_camera import MemoryCamera, drawn_frames
 from tests.benchmarks.process_camera import ProcessCamera
 
@@ -47,6 +49,7 @@ def real_time(
     of: type[MemoryCamera] | type[ProcessCamera] = MemoryCamera,
     watchers: Sequence[Watcher] = (),
     show: Callable[[Snapshot], None] = lambda _: None,
+    viewed: bool = False,
 ) -> dict[str, Any]:
     """One run in real time: frames lost, latency from frame to record, share of one core.
 
@@ -68,7 +71,11 @@ def real_time(
             into = begin_ms if number < _BEGIN_S * rate_hz else latencies_ms
             into.append((now_ns - due_ns) * 1e-6)
 
-    with tempfile.TemporaryDirectory() as folder:
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        if viewed:
+            record = Path(folder) / "run.mcap"
+            stack.enter_context(RunningView(record, "web", record.with_suffix(".rrd"), "measuring"))
         camera = of(frames, full_scale_dn, rate_hz, duration_s)
         opened = OpenCamera(camera, camera.open(), ())
         sensor = SensorModel(10_000.0 / full_scale_dn, 7.0, full_scale_dn)
