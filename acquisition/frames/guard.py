@@ -72,7 +72,7 @@ class Delivered:
         if not isinstance(frame, Frame):
             raise _refusal(f"read() returned {type(frame).__name__}", "return a Frame, or None at the end")
         image, *numbers = frame
-        if not all(type(one) is int and -_MOST <= one < _MOST for one in numbers):
+        if set(map(type, numbers)) != {int} or not -_MOST <= min(numbers) <= max(numbers) < _MOST:
             numbers = [_whole(name, one) for name, one in zip(Frame._fields[1:], numbers, strict=True)]
             frame = Frame(image, *numbers)
         number, _, host_time_ns = numbers
@@ -309,8 +309,8 @@ def _whole(name: str, value: object) -> int:
 
 def _some(image: NDArray[Any]) -> NDArray[Any]:
     """Some thousand of the pixels, from everywhere; nothing is copied."""
-    down, across = (max(size // _SEEN_ALONG, 1) | 1 for size in image.shape)
-    return image[::down, ::across]
+    ny, nx = image.shape
+    return image[:: max(ny // _SEEN_ALONG, 1) | 1, :: max(nx // _SEEN_ALONG, 1) | 1]
 
 
 def _refusal(what: str, remedy: str) -> DeviceError:

@@ -235,7 +235,7 @@ class FrameStream:
                 self._events.extend(passed.notes)
                 self._steps.extend(passed.steps)
                 for joined in passed.frames:
-                    queue = self._queue or self._first_queue(joined)
+                    queue = self._first_queue(joined) if self._queue is None else self._queue
                     queue.put(joined)
                     self._begun.set()
         except FrameTimeout as error:

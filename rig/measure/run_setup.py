@@ -11,11 +11,10 @@ from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from rig.devices import Devices, OpenCamera, TypedLeave
 from rig.instrument import Snapshot, optics_of, prepare_kernels
-from rig.measure.disk_room import free_bytes
 from rig.measure.end_of_run import EndLimits
 from rig.measure.live_fit import live_posterior
 from rig.measure.notes import Notes
-from rig.measure.phases import PhasesBeforeRecord, preflight_wanted
+from rig.measure.phases import PhasesBeforeRecord, free_bytes, preflight_wanted
 from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
 from rig.measure.run_parts import RunOutcome, RunParts, Watcher

@@ -4,10 +4,9 @@ import math
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 from acquisition.frame import Frame
-from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import (
     ESTIMATE,
@@ -15,22 +14,20 @@ from acquisition.record.topics import (
     HEALTH,
     LIGHT,
     PHASE,
-    Environment,
     Recorded,
     RecordedEstimate,
     RecordedHealth,
     RecordedLight,
-    RecordedLosses,
     RecordedPhase,
-    RecordedWitness,
 )
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from processing.swing import Swing
-from processing.ticks import nanoseconds
-from rig.devices import Devices, FrameStream, LightWatch
+from rig.devices import Devices, LightWatch
 from rig.instrument import Block, Snapshot, Wall
 from rig.measure.run_parts import Watcher
+
+_HEALTH_NS = 1_000_000_000
 
 
 class RunStatus:
@@ -39,13 +36,11 @@ class RunStatus:
     Parameters
     ----------
     watchers
-        Receive every block, event and snapshot, in the processing thread.
+        Receive every block and event, in the processing thread.
     devices
         Controller, laser and environment sensor; None without devices.
     unit
         Unit of the swings' amplitudes; snapshots contain them in arcsec or px.
-    environment_period_s
-        Time between two recorded readings of the environment.
     wall
         Behind which the watchers stand.
     """
@@ -55,7 +50,6 @@ class RunStatus:
         watchers: Iterable[Watcher],
         devices: Devices | None,
         unit: DeflectionUnit,
-        environment_period_s: float,
         wall: Wall,
     ) -> None:
         self._watchers = tuple(watchers)
@@ -64,8 +58,6 @@ class RunStatus:
         self.light = LightWatch(devices)
         self._noticed: list[tuple[EventKind, str]] = []
         self._unit = unit
-        self._environment_period_ns = nanoseconds(environment_period_s)
-        self._environment_due_ns = 0
         self._instructions: deque[Snapshot] = deque()
         self.snapshot = Snapshot()
         self._begin()
@@ -96,7 +88,6 @@ class RunStatus:
         self.snapshot = self._with_devices(snapshot)
         if snapshot.instruction and snapshot.instruction != instruction_before:
             self._instructions.append(self.snapshot)
-        self._show(self.snapshot)
 
     def publish(self, snapshot: Snapshot, swings: Sequence[Swing]) -> None:
         """Publish the state during the record, with amplitude and period of the last swing."""
@@ -115,11 +106,10 @@ class RunStatus:
         )
 
     def tell(self, start_ns: int, frames: Sequence[Frame], block: Block, events: Iterable[Event]) -> None:
-        """Pass a block, its events and the state after it to the watchers."""
+        """Pass a block and its events to the watchers."""
         for watcher in self._watchers:
             self._wall.past(_name(watcher), None, watcher.block, start_ns, frames, block)
         self.tell_events(start_ns, events)
-        self._show(self.snapshot)
 
     def tell_events(self, start_ns: int, events: Iterable[Event]) -> None:
         """Pass events to the watchers."""
@@ -128,13 +118,8 @@ class RunStatus:
                 self._wall.past(_name(watcher), None, watcher.event, start_ns, event)
 
     def end(self, snapshot: Snapshot) -> None:
-        """Publish the state after the record, the last one, to the watchers too."""
+        """Publish the state after the record, the last one."""
         self.snapshot = snapshot
-        self._show(snapshot)
-
-    def _show(self, snapshot: Snapshot) -> None:
-        for watcher in self._watchers:
-            self._wall.past(_name(watcher), None, watcher.snapshot, snapshot)
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of controller, laser and sensors since the last call, as (kind, text)."""
@@ -142,14 +127,6 @@ class RunStatus:
         happened += [(EventKind.WATCHER_FAILED, text) for text in self._wall.take_news()]
         noticed, self._noticed = self._noticed, []
         return happened + noticed + self.light.look()
-
-    def environment(self, time_ns: int) -> Environment | None:
-        """A reading of the environment, once per period; None in between and without a sensor."""
-        if self._devices is None or time_ns < self._environment_due_ns:
-            return None
-        self._environment_due_ns = time_ns + self._environment_period_ns
-        reading = self._devices.environment()
-        return None if all(map(math.isnan, reading)) else Environment(time_ns, *reading)
 
     def messages(self, time_ns: int, *, on_demand: bool = False) -> list[Recorded]:
         """What the record is to say of the session now: phase and light where they have changed, each new
@@ -173,15 +150,9 @@ class RunStatus:
                 found += [(FITTED, point) for point in state.decay.points(time_ns)]
         now_ns = time_ns if on_demand else time.monotonic_ns()
         if now_ns >= self._health_due_ns:
-            self._health_due_ns = now_ns + _INTERVAL_NS
+            self._health_due_ns = now_ns + _HEALTH_NS
             found.append((HEALTH, _health(time_ns, state)))
         return found
-
-    def witness(self, frame: Frame) -> list[RecordedWitness]:
-        """Samples of the witness of the ground since the last call, up to a frame; none without one."""
-        if self._devices is None or self._devices.witness is None:
-            return []
-        return self._devices.witness.take(frame)
 
     def _with_devices(self, snapshot: Snapshot) -> Snapshot:
         if self._devices is None:
@@ -234,34 +205,3 @@ def _health(time_ns: int, state: Snapshot) -> RecordedHealth:
 
 def _name(watcher: Watcher) -> str:
     return f"watcher {type(watcher).__name__}"
-
-
-_INTERVAL_NS = 1_000_000_000
-
-
-class LossLog:
-    """Losses of a stream since a record began; with `from_start` also those before the record."""
-
-    def __init__(self, stream: FrameStream, *, from_start: bool) -> None:
-        self._stream = stream
-        self._before = FrameLosses() if from_start else stream.losses
-        self._written = FrameLosses()
-        self._due_ns = 0
-
-    @property
-    def now(self) -> FrameLosses:
-        """Losses so far."""
-        return self._stream.losses.since(self._before)
-
-    def due(self, time_ns: int) -> RecordedLosses | None:
-        """The losses to be recorded now, if they have changed; at most once per second of frame time."""
-        now = self.now
-        if now == self._written or time_ns < self._due_ns:
-            return None
-        self._due_ns = time_ns + _INTERVAL_NS
-        return self.last(time_ns)
-
-    def last(self, time_ns: int) -> RecordedLosses:
-        """The present losses, to be recorded in any case."""
-        self._written = self.now
-        return RecordedLosses(time_ns, *astuple(self._written))

@@ -101,9 +101,6 @@ class RunDisplay:
             said = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
             self._to_print.append(lambda: self.line("event", said))
 
-    def snapshot(self, snapshot: Snapshot) -> None:
-        """Does nothing; the main thread shows snapshots."""
-
     def show_preflight(self, verdicts: Sequence[Verdict]) -> None:
         """Have the preflight table printed above the live screen."""
         shown = list(verdicts)

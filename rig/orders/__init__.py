@@ -6,6 +6,5 @@ without one nothing is prepared.
 """
 
 from rig.orders.line import Line, NoSession, SessionBusy, running_sessions
-from rig.orders.of_commands import devices_now, light_told
-from rig.orders.server import LOOPBACK, ORDERS_NAME, Orders, OrderSocket
+from rig.orders.server import LOOPBACK, ORDERS_NAME, Orders, OrderSocket, devices_now, light_told
 from rig.orders.session_news import SessionNews, SessionPicture

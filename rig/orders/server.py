@@ -1,20 +1,23 @@
 """The order socket of whoever has the devices: a loopback port that answers those who have its key."""
 
-import contextlib
 import json
 import os
 import secrets
 import socket
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
 from multiprocessing import AuthenticationError
 from multiprocessing.connection import Connection, answer_challenge, deliver_challenge
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from rig.devices import Devices
 from rig.orders.session_news import SessionNews
 from rig.presentation import plain_values
+from rig.settings import Configuration
 
 ORDERS_NAME = ".orders.json"
 LOOPBACK = "127.0.0.1"
@@ -75,7 +78,7 @@ class OrderSocket:
         # who is connected already would be answered for as long as the process fits what was measured
         self._over.set()
         if self._socket is not None:
-            with contextlib.suppress(OSError):
+            with suppress(OSError):
                 self._path.unlink()
         self._close()
 
@@ -98,7 +101,7 @@ class OrderSocket:
 
     def _serve(self, connection: Connection) -> None:
         # who has gone is no event
-        with connection, contextlib.suppress(OSError, EOFError, AssertionError, AuthenticationError):
+        with connection, suppress(OSError, EOFError, AssertionError, AuthenticationError):
             answer_challenge(connection, self._key)
             deliver_challenge(connection, self._key)
             while not self._over.is_set():
@@ -119,6 +122,36 @@ class OrderSocket:
             # whatever it is, it is reported to who ordered, and ends no session
             return False, str(error) or type(error).__name__
         return False, f"{name!r}: this session knows no such order"
+
+
+def devices_now(devices: Devices) -> dict[str, Any]:
+    """State of laser, controller and interlock as plain values; never blocks."""
+    return {
+        "devices": asdict(devices.now()),
+        "darkness": devices.darkness(),
+        "safety": asdict(devices.safety()),
+    }
+
+
+@contextmanager
+def light_told(
+    devices: Devices, config: Configuration, folder: Path, session_news: SessionNews | None = None
+) -> Iterator[None]:
+    """While a command that is no session has the devices: the desk shows its light, and can darken it.
+
+    `folder` is the one that the devices were opened with, which the rig's lock names. A rig without one
+    (simulated) is not found by it, and tells nothing, unless it has `session_news` for who knows the folder:
+    pictures of what is recorded.
+    """
+    if devices.state.path is None and session_news is None:
+        yield
+        return
+    with suppress(OSError):
+        # without it nobody watches
+        folder.mkdir(parents=True, exist_ok=True)
+    orders = {"dark": lambda _: devices.light_off("the desk")}
+    with OrderSocket(folder, session_news or SessionNews(config), orders, lambda: devices_now(devices)):
+        yield
 
 
 def _write(path: Path, values: Mapping[str, object]) -> None:

@@ -17,7 +17,7 @@ from acquisition.record.events import Event, Level
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.ticks import NS_PER_S
-from rig.instrument import Block, Snapshot
+from rig.instrument import Block
 from rig.presentation import Verdict, table_tree
 from rig.settings import Configuration
 
@@ -137,9 +137,6 @@ class SessionNews:
 
     def event(self, start_ns: int, event: Event) -> None:
         """The record has it."""
-
-    def snapshot(self, snapshot: Snapshot) -> None:
-        """The rest of the snapshot is in the display's values."""
 
     # -- for those that answer -----------------------------------------------
 

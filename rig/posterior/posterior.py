@@ -13,7 +13,7 @@ from processing.estimate import Estimate
 from processing.fit import Evidence
 from processing.swing import HarmonicsWatch, Swing, SwingHarmonics
 from rig.instrument import FittedDecay
-from rig.posterior.messages import Asked, FittedModel, FittedParameters
+from rig.posterior.worker import Asked, FittedModel, FittedParameters
 from rig.terminal import start_python
 
 

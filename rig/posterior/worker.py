@@ -7,23 +7,68 @@ import os
 import pickle
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from calibration import Axes
 from processing.balance import Balance
-from processing.contact import AMPLITUDE, TIME, PendulumOnBall, turning_points_of
+from processing.contact import AMPLITUDE, DEFAULT_LAW, TIME, PendulumOnBall, turning_points_of
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
-from processing.fit import FitOfSwings, FitResult, fitted_twice, with_misfit
+from processing.estimate import Estimate
+from processing.fit import NO_EVIDENCE, Evidence, FitOfSwings, FitResult, fitted_twice, with_misfit
+from processing.least_squares import Loss
 from processing.periods import full_periods, mean_period
 from processing.swing import Swing, TurningPoints, turning_points
 from rig.analysis import PassingDeflections, PlaneBalances, follow_plane
 from rig.instrument import FittedDecay
-from rig.posterior.messages import Asked, FittedModel, FittedParameters
+
+
+class FittedModel(NamedTuple):
+    """The exact fit as the final analysis makes it.
+
+    `clock_rate` is how many true seconds pass in one of the swings' clock, `axes` are the pendulum's.
+    """
+
+    pendulum: PendulumOnBall
+    drag: bool = True
+    loss: Loss = "linear"
+    clock_rate: float = 1.0
+    axes: Axes | None = None
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Keys of what is estimated, without the run's first amplitude and time."""
+        return DEFAULT_LAW.fit_names(calibrated=True, drag=self.drag)[:-2]
+
+
+class Asked(NamedTuple):
+    """What has come since the last message: half-cycles without a flag, and the deflections, in rad.
+
+    All of the same `run` are fitted, restrained by the `evidence`.
+    """
+
+    run: int
+    swings: Sequence[Swing]
+    deflections: Deflections
+    evidence: Evidence = NO_EVIDENCE
+
+
+class FittedParameters(NamedTuple):
+    """Parameters by key, or why there are none; `cpu_s` is the processor time of the fit.
+
+    `decay` are the half-cycles beside the fit, None without one.
+    """
+
+    estimates: Mapping[str, Estimate]
+    problem: str
+    cpu_s: float
+    decay: FittedDecay | None = None
+
 
 _MOST = 300
 """Half-cycles that are told: more than a chart has pixels for are no news."""

@@ -24,6 +24,7 @@ from tests.rig.analysis.spinning import (
     analysed,
     analysed_table,
     configuration,
+    held_by,
     positions,
 )
 
@@ -88,7 +89,7 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
                 continue
             by_name = {name: found.budget[name] for name in NAMES}
             pulls.append([(b.value - true[n]) / b.standard_uncertainty for n, b in by_name.items()])
-            inside.append([_held(found, name, true[name]) for name in NAMES])
+            inside.append([held_by(found, name, true[name]).inside for name in NAMES])
     return {
         "case": case.name,
         "seeds": seeds,
@@ -96,13 +97,6 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
         "withheld": withheld,
         **named(NAMES, coverage(pulls, inside) if pulls else {"one_u": [0.0] * len(NAMES)}),
     }
-
-
-def _held(found: RunResults, name: str, true: float) -> list[bool]:
-    """Whether one standard uncertainty, and the interval of 95 % that is shown, hold the truth."""
-    row = found[name]
-    value, u = row if row.determined else found.fits["exact"].estimate(name)
-    return [abs(value - true) < u, not row.lower > true and not row.upper < true]
 
 
 def run(quick: bool = False, seeds: int = 20, only: Sequence[str] = ()) -> dict[str, Any]:

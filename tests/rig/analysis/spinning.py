@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -99,6 +100,20 @@ def analysed(seen: Deflections, config: Configuration, file: Path) -> AnalysedRu
     blocks = [seen[first : first + 4096] for first in range(0, len(seen), 4096)]
     passing = PassingDeflections(blocks, seen.unit)
     return analyse_swings(file, swings_of_blocks(blocks), config, passing, Surroundings())
+
+
+class Held(NamedTuple):
+    """Error over u, and whether one standard uncertainty and the interval that is shown hold the truth."""
+
+    pull: float
+    inside: tuple[bool, bool]
+
+
+def held_by(found: RunResults, name: str, true: float) -> Held:
+    """Of a parameter; where only a bound is shown, value and u are those of the exact fit."""
+    row = found[name]
+    value, u = row if row.determined else found.fits["exact"].estimate(name)
+    return Held((value - true) / u, (abs(value - true) < u, not row.lower > true and not row.upper < true))
 
 
 def analysed_table(seen: Deflections, config: Configuration | None, file: Path) -> RunResults:

@@ -103,6 +103,28 @@ def test_a_silence_is_named_within_two_frame_times_and_half_a_second() -> None:
     assert camera.asked_s[0] < 2 / RATE_HZ + 0.4
 
 
+class AfterTaken(ScriptedCamera):
+    """A frame for each one that was taken, so that the queue is empty whenever one comes."""
+
+    def __init__(self, frames: int) -> None:
+        super().__init__(frames, silences=0)
+        self.taken = threading.Semaphore(1)
+
+    def read(self, timeout_s: float) -> Frame | None:
+        self.taken.acquire()
+        return super().read(timeout_s)
+
+
+def test_who_waits_for_a_frame_is_given_it_as_soon_as_it_comes() -> None:
+    camera = AfterTaken(300)
+    stream = scripted(camera)
+    for number in range(701, 1001):
+        (frame,) = stream.take(1, 30.0)
+        assert frame.sequence == number
+        camera.taken.release()
+    stream.close()
+
+
 class Hanging(ScriptedCamera):
     """A driver whose first `read` does not return."""
 

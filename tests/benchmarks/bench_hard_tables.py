@@ -1,0 +1,103 @@
+"""Tables that are hard to judge: short runs, a contact that ages, times that jitter; do the intervals hold?
+
+Run as ``python -m tests.benchmarks hard_tables [--quick] [--seeds N] [CASE...]``. Decays come from an
+integration of the tests' own (`tests.processing.fit.changing`), on quiet ground and in air, seen 25 times a
+second with 0.005 arcsec, written as a table and fitted as `rig fit TABLE` does. Counted are values and 95 %
+intervals that are shown; a parameter that is only bounded counts where its interval holds the truth.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from processing.contact.laws import PAPER
+from processing.deflections import Deflections, DeflectionUnit
+from tests.benchmarks.cases import chosen, run_told
+from tests.benchmarks.coverage import coverage, lines, named
+from tests.processing.fit.changing import World, changing_path
+from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.rig.analysis.spinning import analysed_table, configuration, held_by
+
+FRAMES_PER_S, NOISE_ARCSEC, Q = 25.0, 0.005, 1e-9
+DRAG_S = 1.7e-3
+PARAMETERS, PENDULUM = paper_pair("glass_k8", DRAG_S)
+NAMES = PAPER.names()
+
+
+class Case(NamedTuple):
+    """A world, how long it is watched, and how far the stated times are off."""
+
+    name: str
+    world: World = World()
+    lasting_s: float = 600.0
+    jitter_s: float = 0.0
+    stated: tuple[str, ...] = ()
+
+
+CASES = (
+    Case("short: 75 s", lasting_s=75.0),
+    Case("short: 75 s, drag open", lasting_s=75.0, stated=("fit.drag=open",)),
+    Case("short: 150 s", lasting_s=150.0),
+    Case("ageing: b grows by 1 %", World(ageing=0.01, lasting_s=600.0), stated=("fit.u_ageing=0.01",)),
+    Case(
+        "ageing: drag drifts by 2 %",
+        World(drag_drift=0.02, lasting_s=600.0),
+        stated=("fit.u_drag_drift=0.02",),
+    ),
+    Case("jitter: 1 ms", jitter_s=1e-3),
+)
+
+
+def table(case: Case, seed: int) -> Deflections:
+    """Positions at the times at which they were taken, under the times that are stated."""
+    path = changing_path(PARAMETERS, PENDULUM, case.world, q=Q, seed=seed, frames_per_s=FRAMES_PER_S)[2]
+    path = path[: round(case.lasting_s * FRAMES_PER_S)]
+    random = np.random.default_rng([seed, 79])
+    times_s = np.arange(len(path)) / FRAMES_PER_S + case.jitter_s * random.standard_normal(len(path))
+    x = path + NOISE_ARCSEC * ARCSEC * random.standard_normal(len(path))
+    y = NOISE_ARCSEC * ARCSEC * random.standard_normal(len(path))
+    u = np.full(len(path), NOISE_ARCSEC * ARCSEC)
+    times_ns = np.rint((times_s - times_s.min()) * 1e9).astype(np.int64)
+    return Deflections(times_ns, x, y, u, u, DeflectionUnit.RAD)
+
+
+def measure(case: Case, seeds: int) -> dict[str, Any]:
+    """Shares of seeds whose intervals hold the truth, and rms errors over u, of all that were fitted."""
+    pulls, inside, refused = [], [], 0
+    config = configuration(*case.stated).model_copy(update={"lever": None, "axes": None})
+    with TemporaryDirectory() as folder:
+        for seed in range(seeds):
+            found = analysed_table(
+                table(case, 1000 * CASES.index(case) + seed), config, Path(folder) / "t.csv"
+            )
+            if found.problem:
+                refused += 1
+                print(f"  seed {seed}: {found.problem}", flush=True)
+                continue
+            true = {name: float(getattr(PARAMETERS, name)) for name in NAMES}
+            both = [held_by(found, name, true[name]) for name in NAMES]
+            inside.append([one.inside for one in both])
+            pulls.append([one.pull for one in both])
+    return {
+        "case": case.name,
+        "seeds": seeds,
+        "failed": refused,
+        **named(NAMES, coverage(pulls, inside) if pulls else {"one_u": [0.0] * len(NAMES)}),
+    }
+
+
+def run(quick: bool = False, seeds: int = 20, only: Sequence[str] = ()) -> dict[str, Any]:
+    """All cases, or those that are named."""
+    found = []
+    for case in chosen(CASES, tuple(only), lambda one: one.name):
+        one = measure(case, 2 if quick else seeds)
+        found.append(one)
+        print(f"{case.name}: {one['failed']} of {one['seeds']} refused", *lines(one), sep="\n", flush=True)
+    return {"cases": found}
+
+
+if __name__ == "__main__":
+    run_told(__doc__, run, 20)
