@@ -83,7 +83,7 @@ class Follower:
         self._losses = FrameLosses()
         self._estimates: dict[str, Estimate] = {}
         self._swing: Swing | None = None
-        self._advised = self._balanced = False
+        self._advised = self._balanced = self._ended = False
         self.frames = self.missing = self.lost = self.half_cycles = 0
 
     def take(self) -> None:
@@ -102,6 +102,7 @@ class Follower:
     def finish(self) -> None:
         """Draw what is left of a record that has ended."""
         self.take()
+        self._ended = True
         if self._start_ns is not None:
             self._draw_pictures(at_end=True)
             self._draw_losses()
@@ -276,10 +277,14 @@ class Follower:
         lines += self._empty_panels()
         alarm = f"# {health.alarm.upper()}\n\n" if health is not None and health.alarm else ""
         doing = "recorded"
-        if phase is not None:
+        if self._ended:
+            doing = "cut short" if self._reader.truncated else "done"
+        elif phase is not None:
             doing = " ".join(filter(None, (phase.phase, phase.progress)))
         reason = f": {phase.reason}" if phase is not None and phase.reason else ""
-        asked = f"{phase.instruction}\n\n" if phase is not None and phase.instruction else ""
+        asked = ""
+        if phase is not None and phase.instruction and not self._ended:
+            asked = f"{phase.instruction}\n\n"
         return f"{alarm}**{doing}**{reason}\n\n{asked}" + "\n".join(f"- {line}" for line in lines) + "\n"
 
     def _empty_panels(self) -> list[str]:

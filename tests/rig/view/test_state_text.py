@@ -33,7 +33,7 @@ HEALTHY = RecordedHealth(0, 1000, 4, 0, 0, 0, 10**6, 0.0123, 1e9, 0.0, 31.204, 0
 def state_of(
     folder: Path, *, calibrated: bool = True, estimates: dict[str, tuple[float, float]] | None = None
 ) -> str:
-    """The last text of a run of one spot, whose session has said something of itself."""
+    """The last text but that of the end of a run of one spot, whose session says something of itself."""
     config = complete(load_configuration(CONFIG))
     if not calibrated:
         config = config.model_copy(update={"lever": None})
@@ -51,7 +51,7 @@ def state_of(
         for name, (value, u) in (estimates or {}).items():
             writer.write(ESTIMATE, RecordedEstimate(0, 80, value, u, name), 0)
     write_rrd([folder / "run.mcap"], folder / "run.rrd")
-    ((text,),) = column(folder / "run.rrd", "/state", "TextDocument:text")[1][-1:]
+    ((text,),) = column(folder / "run.rrd", "/state", "TextDocument:text")[1][-2:-1]
     return str(text)
 
 
