@@ -208,15 +208,15 @@ class RecordedEstimate(NamedTuple):
 
 
 class RecordedFittedPoint(NamedTuple):
-    """A turning point beside the live fit of `time_ns`, or the full period about it; NaN for the other one.
+    """A turning point and the full period about it beside the live fit of `time_ns`; NaN without a period.
 
     Residuals are (data - fit) in standard uncertainties of the data. Of many points some hundred are told.
     """
 
     time_ns: int
     turn_time_ns: int
-    amplitude_rad: float = math.nan
-    amplitude_residual: float = math.nan
+    amplitude_rad: float
+    amplitude_residual: float
     period_s: float = math.nan
     period_residual: float = math.nan
 

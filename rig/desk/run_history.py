@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.record.topics import RecordedFittedPoint
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, joined
 from processing.estimate import Estimate
 from processing.swing import Swing
 from processing.ticks import NS_PER_S, seconds
-from rig.instrument import FittedDecay
 
 Array = NDArray[np.float64]
 _MOST = 800
@@ -85,7 +85,7 @@ class RunHistory:
         self._start_ns = 0
         self._waiting: list[Deflections] = []
         self._waiting_samples = 0
-        self._decay: FittedDecay | None = None
+        self._fitted: list[RecordedFittedPoint] = []
         self._estimates: dict[str, deque[tuple[float, float, float]]] = {}
 
     def motion(self, start_ns: int, deflections: Deflections) -> None:
@@ -119,9 +119,10 @@ class RunHistory:
             kept = self._estimates.setdefault(key, deque(maxlen=_ESTIMATES))
             kept.append((elapsed_s, one.value, one.standard_uncertainty))
 
-    def decay(self, fitted: FittedDecay) -> None:
-        """The half-cycles beside their last fit."""
-        self._decay = fitted
+    def fitted(self, points: Sequence[RecordedFittedPoint]) -> None:
+        """Half-cycles beside their fit; those of an earlier fit are forgotten."""
+        last_ns = points[-1].time_ns if points else None
+        self._fitted = [one for one in (*self._fitted, *points) if last_ns in (None, one.time_ns)]
 
     def told(self) -> dict[str, Any]:
         """Everything as plain values, deflections and amplitudes as they are shown."""
@@ -132,27 +133,25 @@ class RunHistory:
             "y": self._motion.curve(1),
             "swings": [(round(t, 3), *map(_rounded, rest)) for t, *rest in swings],
             "estimates": {key: list(kept) for key, kept in self._estimates.items()},
-            "fit": _drawn(self._decay, self._start_ns),
+            "fit": _drawn(self._fitted, self._start_ns),
         }
 
 
-def _drawn(decay: FittedDecay | None, start_ns: int) -> dict[str, list[tuple[float, float]]]:
+def _drawn(points: Sequence[RecordedFittedPoint], start_ns: int) -> dict[str, list[tuple[float, float]]]:
     """The fit's curves and what it leaves over as they are shown; empty before the first fit."""
-    if decay is None:
+    if not points:
         return {}
-    at_s = [round(seconds(one - start_ns), 3) for one in decay.turn_times_ns]
-    period_at_s = [round(seconds(one - start_ns), 3) for one in decay.period_times_ns]
-    shown = [round(one / ARCSEC_RAD, _DIGITS) for one in decay.fitted_rad]
-    return {
-        "amplitude": list(zip(at_s, shown, strict=True)),
-        "amplitude_residual": list(zip(at_s, _few_digits(decay.amplitude_residual), strict=True)),
-        "period": list(zip(period_at_s, decay.fitted_period_s, strict=True)),
-        "period_residual": list(zip(period_at_s, _few_digits(decay.period_residual), strict=True)),
+    at_s = [round(seconds(one.turn_time_ns - start_ns), 3) for one in points]
+    curves = {
+        "amplitude": [round(one.amplitude_rad / ARCSEC_RAD, _DIGITS) for one in points],
+        "amplitude_residual": [round(one.amplitude_residual, 2) for one in points],
+        "period": [one.period_s for one in points],
+        "period_residual": [round(one.period_residual, 2) for one in points],
     }
-
-
-def _few_digits(residuals: Sequence[float]) -> list[float]:
-    return [round(one, 2) for one in residuals]
+    return {
+        name: [one for one in zip(at_s, values, strict=True) if math.isfinite(one[1])]
+        for name, values in curves.items()
+    }
 
 
 def spectrum(path: Sequence[Deflections]) -> dict[str, list[Any]]:

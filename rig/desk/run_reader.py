@@ -32,7 +32,7 @@ from processing.estimate import Estimate
 from processing.ticks import NS_PER_S, seconds
 from rig.desk.ground_now import GroundNow
 from rig.desk.run_history import RunHistory, spectrum
-from rig.instrument import advice_for, balance_failures, decay_of, recorded_configuration
+from rig.instrument import advice_for, balance_failures, recorded_configuration
 from rig.presentation import balance_numbers, plain_values
 from rig.settings import Configuration
 
@@ -68,7 +68,6 @@ class RunReader:
             self._history = RunHistory()
             self._ground = GroundNow(None if config is None else config.pendulum)
             self._events: deque[tuple[float, Event]] = deque(maxlen=_EVENTS)
-            self._fitted: list[RecordedFittedPoint] = []
             self.balance: dict[str, Any] | None = None
             self.began_s = math.nan
 
@@ -165,12 +164,7 @@ class RunReader:
             self._history.estimate(
                 seconds(row.time_ns - start_ns), row.quantity, Estimate(row.value, row.u_value)
             )
-        for point in reader.decoded(FITTED.topic, RecordedFittedPoint, piece.get(FITTED.topic, ())):
-            if self._fitted and self._fitted[-1].time_ns != point.time_ns:
-                self._fitted.clear()
-            self._fitted.append(point)
-        if FITTED.topic in piece:
-            self._history.decay(decay_of(self._fitted))
+        self._history.fitted(reader.decoded(FITTED.topic, RecordedFittedPoint, piece.get(FITTED.topic, ())))
 
 
 def _told(config: Configuration, balance: Balance) -> dict[str, Any]:

@@ -321,7 +321,7 @@ class Recording:
                 reason=self._stop.reason,
                 estimates=known.estimates,
                 estimated_from=known.half_cycles,
-                decay=known.decay,
+                fitted=known.points,
             ),
             swings,
         )

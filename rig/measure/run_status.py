@@ -146,8 +146,7 @@ class RunStatus:
                 (ESTIMATE, RecordedEstimate(time_ns, state.estimated_from, value, u, name))
                 for name, (value, u) in state.estimates.items()
             ]
-            if state.decay is not None:
-                found += [(FITTED, point) for point in state.decay.points(time_ns)]
+            found += [(FITTED, point._replace(time_ns=time_ns)) for point in state.fitted]
         now_ns = time_ns if on_demand else time.monotonic_ns()
         if now_ns >= self._health_due_ns:
             self._health_due_ns = now_ns + _HEALTH_NS

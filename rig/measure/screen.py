@@ -180,8 +180,8 @@ class RunDisplay:
             **self._numbers(),
         }
         # half-cycles beside their fit are for charts
-        told = asdict(replace(snapshot, decay=None))
-        del told["decay"]
+        told = asdict(replace(snapshot, fitted=()))
+        del told["fitted"]
         return {**told, **own}
 
     def rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:

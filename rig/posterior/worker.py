@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from acquisition.record.topics import RecordedFittedPoint
 from calibration import Axes
 from processing.balance import Balance
 from processing.contact import AMPLITUDE, DEFAULT_LAW, TIME, PendulumOnBall, turning_points_of
@@ -25,7 +26,6 @@ from processing.least_squares import Loss
 from processing.periods import full_periods, mean_period
 from processing.swing import Swing, TurningPoints, turning_points
 from rig.analysis import PassingDeflections, PlaneBalances, follow_plane
-from rig.instrument import FittedDecay
 
 
 class FittedModel(NamedTuple):
@@ -61,48 +61,41 @@ class Asked(NamedTuple):
 class FittedParameters(NamedTuple):
     """Parameters by key, or why there are none; `cpu_s` is the processor time of the fit.
 
-    `decay` are the half-cycles beside the fit, None without one.
+    `points` are the half-cycles beside the fit.
     """
 
     estimates: Mapping[str, Estimate]
     problem: str
     cpu_s: float
-    decay: FittedDecay | None = None
+    points: Sequence[RecordedFittedPoint] = ()
 
 
 _MOST = 300
 """Half-cycles that are told: more than a chart has pixels for are no news."""
 
 
-def fitted_decay(
+def fitted_points(
     swings: Sequence[Swing], points: TurningPoints, fit: FitResult, pendulum: PendulumOnBall
-) -> FittedDecay:
-    """The exact fit beside its data: `points` are the unflagged `swings` in true time."""
-    times_ns = np.array([swing.turn_time_ns for swing in swings if not swing.flags], dtype=np.int64)
+) -> list[RecordedFittedPoint]:
+    """The exact fit beside its data: `points` are the unflagged `swings` in true time.
+
+    Times of the fit are 0.
+    """
+    times_ns = [swing.turn_time_ns for swing in swings if not swing.flags]
     index = points.index - points.index[0]
     start = fit.estimate(AMPLITUDE.key).value
     amplitude, time_s = turning_points_of(fit.parameters, pendulum, start, int(index[-1]))
     fitted, time_s = amplitude[index], time_s[index] + fit.estimate(TIME.key).value
+    left = (points.amplitude - fitted) / points.u_amplitude
     periods = full_periods(points)
     at = periods.where
-    fitted_period_s = time_s[at + 1] - time_s[at - 1]
-    left = (points.amplitude - fitted) / points.u_amplitude
-    left_of_period = (periods.period_s - fitted_period_s) / periods.u_period_s
+    period_s, left_of_period = np.full((2, len(index)), np.nan)
+    period_s[at] = time_s[at + 1] - time_s[at - 1]
+    left_of_period[at] = (periods.period_s - period_s[at]) / periods.u_period_s
     # where the law says that friction holds it, it says nothing of the motion
-    few = np.flatnonzero(np.isfinite(left))[_every(len(left))]
-    few_periods = np.flatnonzero(np.isfinite(left_of_period))[_every(len(at))]
-    return FittedDecay(
-        times_ns[few].tolist(),
-        fitted[few].tolist(),
-        left[few].tolist(),
-        times_ns[at][few_periods].tolist(),
-        fitted_period_s[few_periods].tolist(),
-        left_of_period[few_periods].tolist(),
-    )
-
-
-def _every(count: int) -> slice:
-    return slice(None, None, -(-count // _MOST) or 1)
+    known = np.flatnonzero(np.isfinite(left))
+    table = np.column_stack((fitted, left, period_s, left_of_period)).tolist()
+    return [RecordedFittedPoint(0, times_ns[k], *table[k]) for k in known[:: -(-len(known) // _MOST) or 1]]
 
 
 MOST_SAMPLES = 1 << 22
@@ -211,8 +204,8 @@ def _fitted(run: MeasuredRun, asked: Asked, model: FittedModel) -> FittedParamet
     how = FitOfSwings(model.pendulum, model.clock_rate, model.drag, asked.evidence, model.loss)
     try:
         swings, fit = run.fitted(how)
-        decay = fitted_decay(swings, how.points(swings), fit, model.pendulum)
+        points = fitted_points(swings, how.points(swings), fit, model.pendulum)
     except DataError as error:
         return FittedParameters({}, str(error), time.process_time() - began_s)
     found = {name: fit.estimate(name) for name in fit.contact_names}
-    return FittedParameters(found, "", time.process_time() - began_s, decay)
+    return FittedParameters(found, "", time.process_time() - began_s, points)

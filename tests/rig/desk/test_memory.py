@@ -14,12 +14,11 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
-from acquisition.record.topics import ESTIMATE, FITTED, RecordedEstimate
+from acquisition.record.topics import ESTIMATE, FITTED, RecordedEstimate, RecordedFittedPoint
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
-from rig.instrument import FittedDecay
 from rig.orders import OrderSocket, SessionNews
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import Page
@@ -79,7 +78,8 @@ class ToldRun:
         estimates = {key: float(self._random.normal(1.0, 0.1)) for key in ("b", "p", "c")}
         for key, value in estimates.items():
             self.record.write(ESTIMATE, RecordedEstimate(end_ns, self._swings, value, 0.1, key), end_ns)
-        for point in FittedDecay(at_ns, few, few, at_ns, few, few).points(end_ns):
+        for turn_ns, value in zip(at_ns, few, strict=True):
+            point = RecordedFittedPoint(end_ns, turn_ns, value, value, value, value)
             self.record.write(FITTED, point, end_ns)
         self.record.write_event(end_ns, "gap", f"{self._swings} frames are missing")
         self.record.flush()

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from acquisition.record.topics import RecordedFittedPoint
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.swing import Swing
 from rig.desk.run_history import Extremes, RunHistory, spectrum
-from rig.instrument import FittedDecay
 
 SECOND_NS = 1_000_000_000
 
@@ -58,13 +58,15 @@ def test_a_fit_is_told_at_the_times_of_the_record_in_arcsec() -> None:
     start_ns = 5 * SECOND_NS
     swing = Swing(0, start_ns + SECOND_NS, 1e-4, 3e-4, 1e-9, 2.0, 1e-4, 0.0, 1, 0)
     history.swing(start_ns, swing, ARCSEC_RAD)
-    decay = FittedDecay(
-        [start_ns + SECOND_NS, start_ns + 3 * SECOND_NS], [3e-4, 2.9e-4], [1.234, -0.5],
-        [start_ns + 2 * SECOND_NS], [4.01], [0.25],
-    )  # fmt: skip
-    history.decay(decay)
+    history.fitted([RecordedFittedPoint(9, start_ns, 3e-4, 0.0)])
+    history.fitted(
+        [
+            RecordedFittedPoint(10, start_ns + SECOND_NS, 3e-4, 1.234),
+            RecordedFittedPoint(10, start_ns + 3 * SECOND_NS, 2.9e-4, -0.5, 4.01, 0.25),
+        ]
+    )
     told = history.told()["fit"]
     assert told["amplitude"][1] == (3.0, pytest.approx(2.9e-4 / ARCSEC_RAD, abs=1e-5))
     assert told["amplitude_residual"] == [(1.0, 1.23), (3.0, -0.5)]
-    assert told["period"] == [(2.0, 4.01)]
-    assert told["period_residual"] == [(2.0, 0.25)]
+    assert told["period"] == [(3.0, 4.01)]
+    assert told["period_residual"] == [(3.0, 0.25)]

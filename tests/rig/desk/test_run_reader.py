@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acquisition.record.topics import ESTIMATE, FITTED, RecordedEstimate
+from acquisition.record.topics import ESTIMATE, FITTED, RecordedEstimate, RecordedFittedPoint
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
 from rig.desk.run_reader import RunReader, newest_first
-from rig.instrument import FittedDecay
 
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
 
@@ -79,16 +78,13 @@ def test_estimates_and_the_fit_are_told_at_the_times_of_the_record(reader: RunRe
         for at_s in (10.0, 12.0):
             time_ns = start_ns + nanoseconds(at_s)
             record.write(ESTIMATE, RecordedEstimate(time_ns, 20, 0.03, 0.01, "b"), time_ns)
-            decay = FittedDecay(
-                [start_ns + nanoseconds(1.0)], [3e-4], [at_s], [start_ns + nanoseconds(2.0)], [4.01], [0.25]
-            )
-            for point in decay.points(time_ns):
-                record.write(FITTED, point, time_ns)
+            point = RecordedFittedPoint(time_ns, start_ns + nanoseconds(1.0), 3e-4, at_s, 4.01, 0.25)
+            record.write(FITTED, point, time_ns)
     until(lambda: bool(reader.history(spectra=False)["fit"].get("period")))
     told = reader.history(spectra=False)
     assert told["estimates"] == {"b": [(10.0, 0.03, 0.01), (12.0, 0.03, 0.01)]}
     assert told["fit"]["amplitude_residual"] == [(1.0, 12.0)]
-    assert told["fit"]["period"] == [(2.0, 4.01)]
+    assert told["fit"]["period"] == [(1.0, 4.01)]
     assert [one[:2] for one in told["swings"]] == [(1.0, 3.0)]
 
 
