@@ -1,7 +1,6 @@
-"""Fits of a contact law to a decay, uncertainties of the results, and series of runs."""
+"""Fits of a contact law to a decay, and uncertainties of the results."""
 
 from processing.derived import Derived
-from processing.fit.ageing_plan import PlannedSeries, planned_series
 from processing.fit.apparatus import InputQuantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.boundary_layer import steeper_drag, with_steeper_drag
@@ -24,7 +23,7 @@ from processing.fit.known_drive import Signals
 from processing.fit.law_comparison import LawComparison, compare_laws
 from processing.fit.law_errors import Change, ChangeKind, Misfit
 from processing.fit.misfit import with_misfit, with_misfit_of
-from processing.fit.planning import Conditions, PlannedRun, planned_run
+from processing.fit.planning import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of
 from processing.fit.reported import (
     FittedContact,
@@ -35,16 +34,6 @@ from processing.fit.reported import (
 )
 from processing.fit.result import FitQuality, FitResult
 from processing.fit.row_times import alternation_of, delay_of_rows, without_alternation
-from processing.fit.series import (
-    Combined,
-    Comparison,
-    Disagreement,
-    SeriesResult,
-    average_curves,
-    combine,
-    combine_runs,
-    compare_series,
-)
 from processing.fit.settling import FitOfSwings, fitted_twice, points_in_true_time, settlement
 from processing.fit.smoothing import super_smooth
 from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties

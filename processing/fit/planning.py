@@ -5,10 +5,9 @@ The information that they hold (Fisher's matrix of the driven model) bounds ever
 the fit comes near to this bound.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot, inf
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from processing.arrays import Floats
 from processing.contact import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, Law, PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import Estimate
+from processing.fit.changes import by_drifts
 from processing.fit.checks import FEWEST_HALF_CYCLES
 from processing.fit.evidence import Evidence, Waveform
 from processing.fit.exact_model import ExactModel
@@ -25,6 +25,10 @@ from processing.fit.witnessed_columns import LEAST_LEFT
 from processing.least_squares import covariance_of
 from processing.swing import HALVES, TurningPoints
 
+_OWN = ("period0_s", AMPLITUDE.key, TIME.key)
+"""Parameters that each run has for itself."""
+_BLIND = 1e6
+"""Relative uncertainty above which nothing is known: what rounding leaves of a matrix that is singular."""
 _LOST = 10.0
 """A run ends where the ground moves the pendulum in a half-swing by more than the amplitude over this."""
 
@@ -69,13 +73,13 @@ class Conditions:
         )
 
     def evidence(self, amplitude_rad: Floats) -> Evidence:
-        """What a run through turning points of these amplitudes is restrained by; its values are nought."""
+        """The waveform of a run through turning points of these amplitudes; its values are zero."""
         if self.of_sine is None:
-            return Evidence(drag_s=self.known_drag_s)
+            return Evidence()
         middle = amplitude_rad[HALVES // 2 :: HALVES]
         covariance = np.tile(self.of_sine, (len(middle), 1, 1))
         nothing = np.zeros((len(middle), len(self.of_sine)))
-        return Evidence(Waveform(middle, nothing, covariance, 1.0), self.known_drag_s)
+        return Evidence(Waveform(middle, nothing, covariance, 1.0))
 
     def on_ground(self, rad_per_s2_rthz: float) -> "Conditions":
         """The same measurement on another ground; the noise of a witness stays what it is, not its ratio."""
@@ -94,6 +98,9 @@ class PlannedRun:
     """One run between two amplitudes: how long it lasts, and the uncertainty of every parameter after it.
 
     `complete` is False where the drive drowns the pendulum before the amplitude at which it should end.
+    `values` are those of every parameter of the fit, and `root` (k, k + 1) is a square root of Fisher's
+    information on relative changes of them (absolute ones of those that are 0), and on a relative growth of
+    the friction over the run. What is known of the drag is no part of it.
     """
 
     first_rad: float
@@ -102,6 +109,8 @@ class PlannedRun:
     half_cycles: int
     u: Mapping[str, float]
     complete: bool = True
+    values: Mapping[str, float] = field(default_factory=dict, repr=False)
+    root: Floats = field(default_factory=lambda: np.zeros((0, 1)), repr=False, compare=False)
 
 
 def planned_run(
@@ -120,46 +129,8 @@ def planned_run(
     DataError
         The pendulum makes too few half-cycles between the two amplitudes, or none ends there.
     """
-    prepared = prepare_run(values, pendulum, conditions, first_rad, last_rad, law=law)
-    model, columns = prepared.model, prepared.columns
-    jacobian = model.about(columns).on_ground(columns, prepared.noise)(columns)[1]
-    to_physical = model.columns.physical(columns)[1]
-    u = np.sqrt(np.diag(to_physical @ covariance_of(jacobian) @ to_physical.T))
-    return prepared.run(dict(zip(model.names[:-2], u.tolist(), strict=False)))
-
-
-class PreparedRun(NamedTuple):
-    """The model of a planned run about its parameters, and the ground under it."""
-
-    model: ExactModel
-    columns: Floats
-    noise: Noise
-    first_rad: float
-    last_rad: float
-    complete: bool
-
-    @property
-    def duration_s(self) -> float:
-        """From the first turning point to the last."""
-        return float(self.model.points.time_s[-1])
-
-    def run(self, u: Mapping[str, float]) -> PlannedRun:
-        """With these uncertainties."""
-        points = self.model.points
-        return PlannedRun(self.first_rad, self.last_rad, self.duration_s, len(points), u, self.complete)
-
-
-def prepare_run(
-    values: Mapping[str, float],
-    pendulum: PendulumOnBall | None,
-    conditions: Conditions,
-    first_rad: float,
-    last_rad: float,
-    *,
-    law: Law = DEFAULT_LAW,
-) -> PreparedRun:
-    """A run from one amplitude to another, with what restrains its fit; raises as `planned_run` does."""
-    names = law.fit_names(calibrated=pendulum is not None, drag=DRAG.key in values)
+    drag = DRAG.key in values
+    names = law.fit_names(calibrated=pendulum is not None, drag=drag)
     known = {**values, AMPLITUDE.key: first_rad, TIME.key: 0.0}
     amplitude, time, complete = _decay(law, known, names, pendulum, first_rad, last_rad, conditions)
     if len(amplitude) < FEWEST_HALF_CYCLES:
@@ -174,12 +145,119 @@ def prepare_run(
         amplitude,
         np.full(len(amplitude), conditions.u_amplitude_rad),
     )
-    evidence = conditions.evidence(amplitude)
-    model = ExactModel(points, pendulum, law=law, drag=DRAG.key in values, evidence=evidence)
-    half_period_s = float(np.diff(time).mean())
-    step = step_of_density(conditions.unknown_rad_per_s2_rthz, half_period_s) / model.reference
-    noise = Noise(step=step, averaged=conditions.averaged)
-    return PreparedRun(model, model.columns.from_physical(known), noise, first_rad, last_rad, complete)
+    model = ExactModel(points, pendulum, law=law, drag=drag, evidence=conditions.evidence(amplitude))
+    step = step_of_density(conditions.unknown_rad_per_s2_rthz, float(np.diff(time).mean())) / model.reference
+    noise, columns = Noise(step=step, averaged=conditions.averaged), model.columns.from_physical(known)
+    all_known = {name: known[name] for name in model.names}
+    root = np.linalg.qr(by_relative_values(model, columns, noise)).R
+    rows = np.vstack([root[:, :-1], *_of_air(conditions.known_drag_s, all_known)])
+    size = np.array([abs(known[name]) or 1.0 for name in model.names])
+    u = np.sqrt(np.diag(covariance_of(rows))) * size
+    told = dict(zip(model.names[:-2], u.tolist(), strict=False))
+    return PlannedRun(first_rad, last_rad, float(time[-1]), len(points), told, complete, all_known, root)
+
+
+def by_relative_values(model: ExactModel, columns: Floats, noise: Noise) -> Floats:
+    """Derivatives (n, k + 1) of a run's residuals by relative changes of the parameters, and by the growth of
+    the friction from its first turning point to its last."""
+    jacobian, drifts = by_drifts(model.about(columns), columns, noise, 1.0)
+    physical, to_physical = model.columns.physical(columns)
+    size = np.where(physical == 0, 1.0, np.abs(physical))
+    by_value = jacobian @ np.linalg.inv(to_physical / size[:, None])
+    return np.column_stack([by_value, drifts[:, :2].sum(axis=1)])
+
+
+def _of_air(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list[Floats]:
+    """What is known of the drag, as a row beside those of a run; none where it is nothing."""
+    if known_drag_s is None or DRAG.key not in values:
+        return []
+    size = abs(values[DRAG.key]) or 1.0
+    row = np.array([name == DRAG.key for name in values], dtype=np.float64)
+    return [row * size / known_drag_s.standard_uncertainty]
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedSeries:
+    """Runs of one contact, whose friction grows evenly while they are made and while one waits.
+
+    In one decay amplitude and time fall together, and the exponent takes up what the age does. Runs that pass
+    the same amplitudes at other times tell them apart: from other first amplitudes, or after waiting.
+
+    Attributes
+    ----------
+    runs, waiting_s
+        In order, and the time between the end of one and the beginning of the next.
+    u
+        Of what the runs share, by parameter, at the middle of all of it, with the ageing unknown.
+    u_steady
+        The same for a contact that is known not to age.
+    u_ageing_per_s
+        Of the relative growth of the friction; infinite where the runs do not tell it.
+    """
+
+    runs: tuple[PlannedRun, ...]
+    waiting_s: float
+    u: Mapping[str, float]
+    u_steady: Mapping[str, float]
+    u_ageing_per_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """Of all runs with the waiting."""
+        return sum(run.duration_s for run in self.runs) + self.waiting_s * (len(self.runs) - 1)
+
+
+def planned_series(
+    runs: Sequence[PlannedRun], waiting_s: float = 0.0, known_drag_s: Estimate | None = None
+) -> PlannedSeries:
+    """What planned runs will tell one after the other.
+
+    Every run has its own period, first amplitude and time; what is known of the air counts once.
+    """
+    names = list(runs[0].values)
+    shared = [name for name in names if name not in _OWN]
+    stacked = by_shared_and_ageing(names, [(run.root, run.duration_s) for run in runs], waiting_s)
+    air = np.zeros((0, stacked.shape[1]))
+    for row in _of_air(known_drag_s, runs[0].values):
+        air = np.zeros((1, stacked.shape[1]))
+        air[0, : len(shared)] = row[[names.index(name) for name in shared]]
+    stacked = np.vstack([stacked, air])
+    u = np.sqrt(np.diag(covariance_of(stacked)))
+    steady = np.sqrt(np.diag(covariance_of(np.delete(stacked, len(shared), axis=1))))
+    size = [abs(runs[0].values[name]) or 1.0 for name in shared]
+    told = float(u[len(shared)]) if u[len(shared)] < _BLIND else inf
+    found = PlannedSeries(
+        tuple(runs), waiting_s,
+        {name: u[k] * size[k] for k, name in enumerate(shared)},
+        {name: steady[k] * size[k] for k, name in enumerate(shared)}, told,
+    )  # fmt: skip
+    return replace(found, u_ageing_per_s=told / found.duration_s)
+
+
+def by_shared_and_ageing(
+    names: Sequence[str], runs: Sequence[tuple[Floats, float]], waiting_s: float
+) -> Floats:
+    """Derivatives of the residuals of runs, one after the other, from those of `by_relative_values` and the
+    duration of each.
+
+    The first columns are relative changes of what the runs share, then the relative growth of the friction
+    from the first turning point of all to the last, then each run's own parameters.
+    """
+    shared = [k for k, name in enumerate(names) if name not in _OWN]
+    own = [k for k, name in enumerate(names) if name in _OWN]
+    friction = [names.index(name) for name in ("b", "c")]
+    ends_s = np.cumsum([duration_s + waiting_s for _, duration_s in runs]) - waiting_s
+    whole_s, rows = float(ends_s[-1]), []
+    for place, ((root, duration_s), end_s) in enumerate(zip(runs, ends_s.tolist(), strict=True)):
+        row = np.zeros((len(root), len(shared) + 1 + len(own) * len(runs)))
+        row[:, : len(shared)] = root[:, shared]
+        # the age of the run's middle makes all of its friction larger, a drift within it comes in addition
+        later_s = end_s - 0.5 * duration_s - 0.5 * whole_s
+        row[:, len(shared)] = (duration_s * root[:, -1] + later_s * root[:, friction].sum(axis=1)) / whole_s
+        begin = len(shared) + 1 + len(own) * place
+        row[:, begin : begin + len(own)] = root[:, own]
+        rows.append(row)
+    return np.concatenate(rows)
 
 
 def _decay(

@@ -18,13 +18,11 @@ from processing.fit import (
     FittedContact,
     InputQuantity,
     RigQuantities,
-    SeriesResult,
-    average_curves,
     budgets,
-    combine_runs,
     drifts_of,
     fit_asymptotic,
 )
+from processing.series import SeriesResult, average_curves, combine_runs
 from processing.swing import TurningPoints
 from rig.analysis.result_rows import series_rows, withheld
 from rig.analysis.results import AveragedCurves, Series

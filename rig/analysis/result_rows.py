@@ -8,8 +8,9 @@ from typing import Annotated, Final
 from processing.contact import DRAG, PendulumOnBall, surface_energy
 from processing.errors import ConfigurationError
 from processing.estimate import WELL_DETERMINED, Determinacy, Estimate
-from processing.fit import Budget, Combined, Determination, FitResult
+from processing.fit import Budget, Determination, FitResult
 from processing.quantity import OF, Quantity
+from processing.series import Combined
 from rig.presentation import Shown, interval, law_parameters, plain, quantity, unit_of
 
 SURFACE_ENERGY: Final = "surface_energy_table2_j_per_m2"

@@ -12,8 +12,9 @@ from typing import Annotated, TypeVar
 
 from acquisition.frames.losses import FrameLosses
 from processing.estimate import NOT_DETERMINED, Estimate
-from processing.fit import Budget, Combined, Disagreement, Drag, WitnessUse, Work
+from processing.fit import Budget, Drag, WitnessUse, Work
 from processing.quantity import STATED, Quantity
+from processing.series import Combined, Disagreement
 from processing.surroundings import Surroundings
 from processing.swing import KnownMotion
 from rig.analysis.amplitude_damping import AmplitudeDamping

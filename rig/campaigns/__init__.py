@@ -1,7 +1,6 @@
 """One model over many runs: `rig campaign`."""
 
 from rig.campaigns.answer import Campaign, answer_of
-from rig.campaigns.cluster import parts_on_cluster
 from rig.campaigns.likelihoods import FoundRun
 from rig.campaigns.page import campaign_tables, save_campaign
 from rig.campaigns.sources import NamedRuns, runs_of_folders

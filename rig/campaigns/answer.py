@@ -2,53 +2,54 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from itertools import combinations
+from math import isfinite, nan, sqrt
 
 import numpy as np
 
 from processing.angle import ARCSEC_RAD
-from processing.campaign import (
+from processing.arrays import Floats
+from processing.contact import surface_energy
+from processing.errors import DataError
+from processing.estimate import NOT_DETERMINED, Estimate
+from processing.fit import FitMethod
+from processing.series import (
     ORDER,
     POSITIVE,
-    CampaignPosterior,
+    SEEN,
     CompressedRun,
-    Effect,
-    InParts,
     Level,
-    Sampled,
+    SeriesModel,
+    SeriesPosterior,
     chance,
     compare_forms,
     find_change,
-    fit_campaign,
-    here,
-    is_limit,
-    is_seen,
+    fit_series,
     parameters,
-    predictive_check,
-    sample_campaign,
-    span_of,
-    within,
+    sample_series,
 )
-from processing.errors import DataError
-from processing.estimate import Estimate
-from processing.fit import FitMethod
 from processing.surroundings import in_other_unit
-from rig.campaigns.contact_values import contact_values
+from rig.analysis import SURFACE_ENERGY, RunResults
 from rig.campaigns.likelihoods import FoundRun, compressed
 from rig.campaigns.results import (
+    CampaignDifference,
     CampaignEffect,
     CampaignResults,
     CampaignRun,
     CampaignSource,
+    CampaignValue,
     SamplerFindings,
     likelihood_tree,
 )
-from rig.campaigns.stated import StatedCampaign, StatedEffect, model_of, names_of, refuse_other_contacts
+from rig.campaigns.stated import StatedCampaign, StatedEffect, model_of
 from rig.presentation import quantity
 
 _BAD = 0.5
 _FEW = 0.05
 """Part of the draws that must count."""
+_NOTHING = 20.0
+"""Width of a 68 % band over its middle from which on nothing is known."""
+_SEED = 8
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,7 +57,7 @@ class Campaign:
     """The answer, and what figures and tables are drawn from beside it."""
 
     results: CampaignResults
-    posterior: CampaignPosterior
+    posterior: SeriesPosterior
     stated: StatedCampaign
 
     def __repr__(self) -> str:
@@ -70,11 +71,8 @@ class Campaign:
         return "\n".join(lines)
 
 
-def answer_of(
-    found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool = False, do: InParts = here
-) -> Campaign:
-    """The answer of a campaign; with `sample` the posterior is a sampler's. `do` does what can be done in
-    parts.
+def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool = False) -> Campaign:
+    """The answer of a campaign; with `sample` the posterior is a sampler's.
 
     Raises
     ------
@@ -84,89 +82,84 @@ def answer_of(
         A parameter is stated that there is not.
     """
     reference_rad = stated.reference_arcsec * ARCSEC_RAD
-    entered: list[tuple[FoundRun, CompressedRun]] = []
-    left_out = []
-    for one in found:
-        run, problem = compressed(one, reference_rad, stated.u)
-        if run is None:
-            left_out.append(problem)
-        else:
-            entered.append((one, run))
+    tried = [(one, *compressed(one, reference_rad, stated.u)) for one in found]
+    entered = [(one, run) for one, run, _ in tried if run is not None]
+    left_out = tuple(problem for _, run, problem in tried if run is None)
     if not entered:
         raise DataError(f"no run can enter the campaign: {'; '.join(left_out)}")
     runs = [run for _, run in entered]
-    refuse_other_contacts(stated, runs)
-    names = names_of(stated, runs)
-    model = model_of(stated, names, reference_rad, runs)
-    sampled = sample_campaign(runs, model, seed=stated.seed) if sample else None
-    posterior = (
-        fit_campaign(runs, model, draws=stated.draws, seed=stated.seed, do=do)
-        if sampled is None
-        else sampled.posterior
-    )
-    alone = fit_campaign(runs, model.without_priors(), draws=stated.draws, seed=stated.seed, do=do)
-    contacts = contact_values(posterior, alone, [one for one, _ in entered], reference_rad)
-    forms = compare_forms(runs, model, stated.candidates, do=do) if stated.candidate else None
-    tried = len(stated.effect) + len(stated.candidate)
-    effects = tuple(_effect(effect, posterior, alone, tried, runs) for effect in stated.effect)
-    candidates = []
-    for place, candidate in enumerate(stated.candidate):
-        with_it = fit_campaign(
-            runs,
-            model.with_effects(*model.effects, candidate.effect()),
-            draws=stated.draws,
-            seed=stated.seed,
-            do=do,
+    model = model_of(stated, reference_rad, runs)
+
+    def fit(of: SeriesModel) -> SeriesPosterior:
+        return fit_series(runs, of, draws=stated.draws, seed=stated.seed)
+
+    sampled = sample_series(runs, model, seed=stated.seed) if sample else None
+    posterior = fit(model) if sampled is None else sampled.posterior
+    alone = fit(model.without_priors())
+    effects = tuple(_effect(one, posterior, alone, stated) for one in stated.effect)
+    candidates, nothing = [], 1.0
+    if stated.candidate:
+        gains, shares, nothing = compare_forms(runs, model, [one.effect() for one in stated.candidate])
+        for one, gain, share in zip(stated.candidate, gains.tolist(), shares.tolist(), strict=True):
+            shown = _effect(one, fit(model.with_effects(one.effect())), None, stated)
+            candidates.append(replace(shown, log_bayes_factor=gain, probability=share))
+    of_contact: dict[str, list[RunResults]] = {}
+    for source, run in entered:
+        of_contact.setdefault(run.contact, []).append(source.run)
+    contacts = {
+        contact: _contact(contact, (posterior, alone), own, reference_rad)
+        for contact, own in of_contact.items()
+    }
+    warnings = [*_unknown(stated, runs), *_warnings(posterior, alone)]
+    sampler = None
+    if sampled is not None:
+        worst = max(sampled.r_hat.values())
+        sampler = SamplerFindings(
+            worst_r_hat=worst, fewest_draws=min(sampled.effective.values()), settled=sampled.settled
         )
-        shown = _effect(candidate, with_it, None, tried, runs)
-        assert forms is not None
-        said = forms.tried[place]
-        candidates.append(
-            replace(shown, log_bayes_factor=said.log_bayes_factor, probability=said.probability)
-        )
+        if not sampled.settled:
+            warnings.append(f"the sampler's chains differ (R-hat {worst:.2f}): do not trust its answer")
     results = CampaignResults(
-        parameters=names,
+        parameters=model.names,
         reference_arcsec=stated.reference_arcsec,
         runs=_runs(entered, posterior, reference_rad),
         contacts=contacts,
-        between_runs=_scatters(posterior, "between runs"),
-        between_contacts=_scatters(posterior, "between contacts"),
+        differences=_differences(posterior, list(contacts)),
+        between_runs=_estimates(posterior, posterior.hyper, "between runs"),
+        between_contacts=_estimates(posterior, posterior.hyper, "between contacts"),
         effects=effects,
         candidates=tuple(candidates),
-        nothing=1.0 if forms is None else forms.nothing,
-        changes=tuple(find_change(runs, model, name, do=do) for name in stated.change_points),
-        shared={
-            level.name: posterior.estimate(level) for level in posterior.levels if level.kind == "shared"
-        },
+        nothing=nothing,
+        changes=tuple(find_change(runs, model, name) for name in stated.change_points),
+        shared=_estimates(posterior, posterior.levels, "shared"),
         budgets={
-            contact: {name: budget_of_level(posterior, name, contact) for name in names}
-            for contact in contacts
+            contact: {name: _budget(posterior, name, contact) for name in model.names} for contact in contacts
         },
         draws=len(posterior.weight),
         draws_that_count=posterior.effective,
-        predictive_p=predictive_check(posterior, seed=stated.seed),
-        sampler=None if sampled is None else _findings(sampled),
-        left_out=tuple(left_out),
-        warnings=(*_unknown(stated, runs), *_warnings(posterior, alone, sampled)),
-        simulated=any(bool(one.run.simulated) for one, _ in entered),
+        predictive_p=posterior.predictive_check(seed=stated.seed),
+        sampler=sampler,
+        left_out=left_out,
+        warnings=tuple(warnings),
+        simulated=any(bool(source.run.simulated) for source, _ in entered),
         stated=stated.model_dump(mode="json", exclude_defaults=True),
     )
     return Campaign(results, posterior, stated)
 
 
+def _estimates(found: SeriesPosterior, levels: Sequence[Level], kind: str) -> dict[str, Estimate]:
+    return {level.name: found.estimate(level) for level in levels if level.kind == kind}
+
+
 def _effect(
-    stated: StatedEffect,
-    found: CampaignPosterior,
-    alone: CampaignPosterior | None,
-    tried: int,
-    runs: Sequence[CompressedRun],
+    one: StatedEffect, found: SeriesPosterior, alone: SeriesPosterior | None, stated: StatedCampaign
 ) -> CampaignEffect:
-    effect: Effect = stated.effect()
+    effect = one.effect()
     level = Level("effect", effect.label)
-    draws = found.draws(level)
+    draws, span = found.draws(level), effect.span(found.runs)
     low, high = found.quantiles(draws, (0.025, 0.975))
     value, u = found.moments(draws)
-    span = span_of(runs, effect)
+    by_chance, tried = chance(found, draws), len(stated.effect) + len(stated.candidate)
     return CampaignEffect(
         label=effect.label,
         parameter=effect.parameter,
@@ -174,33 +167,115 @@ def _effect(
         form=str(effect.form),
         reference=effect.reference,
         slope=Estimate(value, u),
-        slope_without_priors=alone.estimate(level) if alone is not None else Estimate(np.nan, np.nan),
+        slope_without_priors=NOT_DETERMINED if alone is None else alone.estimate(level),
         lower_95=low,
         upper_95=high,
         over_span=Estimate(value * span, u * span),
-        chance=chance(found, level),
-        chance_is_limit=is_limit(found, level),
-        seen=is_seen(found, level, tried),
-        margin=stated.margin,
-        equivalent=np.nan if stated.margin is None else within(found, draws * span, stated.margin),
+        chance=by_chance,
+        # less than one draw lies on the other side of zero
+        chance_is_limit=by_chance <= 1 / found.effective,
+        seen=by_chance * max(tried, 1) < SEEN,
+        margin=one.margin,
+        equivalent=nan if one.margin is None else found.below(np.abs(draws * span), one.margin),
     )
 
 
-def _scatters(found: CampaignPosterior, kind: str) -> dict[str, Estimate]:
-    return {level.name: found.estimate(level) for level in found.hyper if level.kind == kind}
+def _differences(found: SeriesPosterior, contacts: Sequence[str]) -> tuple[CampaignDifference, ...]:
+    """Every contact less every later one, coordinate by coordinate."""
+    names, out = found.model.names, []
+    pairs = list(combinations(contacts, 2))
+    levels = {contact: found.level_draws(contact) for contact in contacts}
+    for first, second in pairs:
+        for name, draws in zip(names, (levels[first] - levels[second]).T, strict=True):
+            low, high = found.quantiles(draws, (0.025, 0.975))
+            by_chance = chance(found, draws)
+            out.append(
+                CampaignDifference(
+                    first=first, second=second, parameter=name, difference=found.moments(draws),
+                    lower_95=low, upper_95=high, chance=by_chance,
+                    seen=by_chance * len(pairs) * len(names) < SEEN,
+                )
+            )  # fmt: skip
+    return tuple(out)
+
+
+def _contact(
+    contact: str,
+    posteriors: tuple[SeriesPosterior, SeriesPosterior],
+    runs: Sequence[RunResults],
+    reference_rad: float,
+) -> dict[str, CampaignValue]:
+    """Quantities of a contact by key, where all effects are zero; the second posterior is without priors."""
+    drawn = [_quantities(one, contact, runs, reference_rad) for one in posteriors]
+    out = {}
+    for name, draws in drawn[0].items():
+        low, high = posteriors[0].quantiles(draws, (0.025, 0.975))
+        value, u = _middle(posteriors[0], draws)
+        out[name] = CampaignValue(
+            value=value, standard_uncertainty=u, lower_95=low, upper_95=high,
+            without_priors=_middle(posteriors[1], drawn[1][name]),
+        )  # fmt: skip
+    return out
+
+
+def _quantities(
+    found: SeriesPosterior, contact: str, runs: Sequence[RunResults], reference_rad: float
+) -> dict[str, Floats]:
+    """Draws of all quantities of a contact by key, those of the catalogue."""
+    names = found.model.names
+    out = dict(zip(names, parameters(names, found.level_draws(contact), reference_rad).T, strict=True))
+    energy = _energy(found, out["c"], runs) if "c" in out else None
+    return out if energy is None else {**out, SURFACE_ENERGY: energy}
+
+
+def _middle(found: SeriesPosterior, draws: Floats) -> Estimate:
+    """Median and half of the 68 % band, which a few far draws of a logarithm do not move; NaN where it is
+    so wide that nothing is known."""
+    low, value, high = found.quantiles(draws, (0.1587, 0.5, 0.8413))
+    if not isfinite(high - low) or high - low > _NOTHING * abs(value):
+        return NOT_DETERMINED
+    return Estimate(value, 0.5 * (high - low))
+
+
+def _energy(found: SeriesPosterior, c: Floats, runs: Sequence[RunResults]) -> Floats | None:
+    """Draws of the surface energy (Table 2's form); None where no run has its budget.
+
+    It is c times what is known of the apparatus. Inputs that runs share have their own draws, those that do
+    not move any fitted parameter get new ones; each enters once, however many runs there are.
+    """
+    ratios: list[float] = []
+    moved: dict[str, float] = {}
+    for run in runs:
+        energy, of_c, pendulum = run.budget.get(SURFACE_ENERGY), run.budget.get("c"), run.pendulum
+        c_of_run = run.fits[FitMethod.EXACT].estimate("c").value
+        if energy is None or of_c is None or pendulum is None or c_of_run == 0:
+            continue
+        ratios.append(surface_energy(Estimate(1.0, 0.0), pendulum).table2.value)
+        for budget, value in ((energy, ratios[-1] * c_of_run), (of_c, -c_of_run)):
+            for one in budget.sources:
+                if isfinite(one.sensitivity):
+                    moved[one.source] = moved.get(one.source, 0.0) + one.sensitivity * one.u_source / value
+    if not ratios:
+        return None
+    rng = np.random.default_rng(_SEED)
+    log_energy = np.full(len(c), float(np.mean(np.log(ratios))))
+    for source, part in moved.items():
+        level = Level("shared", source)
+        draws = found.draws(level) if level in found.levels else rng.standard_normal(len(c))
+        log_energy += draws * (part / len(ratios))
+    return np.asarray(c * np.exp(log_energy))
 
 
 def _runs(
-    entered: Sequence[tuple[FoundRun, CompressedRun]], found: CampaignPosterior, reference_rad: float
+    entered: Sequence[tuple[FoundRun, CompressedRun]], found: SeriesPosterior, reference_rad: float
 ) -> tuple[CampaignRun, ...]:
     together, u_together = found.of_runs
-    names = found.model.names
-    residuals = found.residuals
-    out = []
+    names, out = found.model.names, []
+    values = parameters(names, together, reference_rad)
+    # of b and gamma at a known exponent: that of the coordinate, at the reference amplitude
+    u_values = np.where([name in POSITIVE for name in names], np.abs(values), 1.0) * u_together
     for row, (source, run) in enumerate(entered):
-        fit = source.run.fits[FitMethod.EXACT]
-        values = parameters(names, together[row], reference_rad)
-        slopes = [values[place] if name in POSITIVE else 1.0 for place, name in enumerate(names)]
+        fit, own = source.run.fits[FitMethod.EXACT], [name for name in names if name in run.names]
         out.append(
             CampaignRun(
                 label=run.label,
@@ -209,29 +284,20 @@ def _runs(
                 sha256=source.run.sha256,
                 results_sha256=source.results_sha256,
                 likelihood=likelihood_tree(run),
-                alone={name: fit.estimate(name) for name in names if name in run.names},
-                # of b and gamma at a known exponent: that of the coordinate, at the reference amplitude
+                alone={name: fit.estimate(name) for name in own},
                 together={
-                    name: Estimate(float(values[place]), abs(float(slopes[place] * u_together[row, place])))
+                    name: Estimate(float(values[row, place]), float(u_values[row, place]))
                     for place, name in enumerate(names)
                 },
-                residuals={
-                    name: float(residuals[row, place])
-                    for place, name in enumerate(names)
-                    if name in run.names
-                },
+                residuals={name: float(found.residuals[row, names.index(name)]) for name in own},
                 bad=float(found.bad[row]),
             )
         )
     return tuple(out)
 
 
-def _findings(sampled: Sampled) -> SamplerFindings:
-    return SamplerFindings(
-        worst_r_hat=max(sampled.r_hat.values()),
-        fewest_draws=min(sampled.effective.values()),
-        settled=sampled.settled,
-    )
+def _listed(labels: Sequence[str]) -> str:
+    return f"{', '.join(labels[:3])}{' ...' if len(labels) > 3 else ''}"
 
 
 def _unknown(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> list[str]:
@@ -242,80 +308,69 @@ def _unknown(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> list[str]
         said += filter(None, [in_other_unit(covariate, known)])
         without = [run.label for run in runs if covariate not in run.covariates]
         if without:
-            listed = f"{', '.join(without[:3])}{' ...' if len(without) > 3 else ''}"
             said.append(
-                f"{covariate} is not known of {len(without)} of {len(runs)} runs ({listed}): it is taken "
-                "to be as in the others, by their mean and scatter"
+                f"{covariate} is not known of {len(without)} of {len(runs)} runs ({_listed(without)}): it is "
+                "taken to be as in the others, by their mean and scatter"
             )
     return said
 
 
-def _warnings(found: CampaignPosterior, alone: CampaignPosterior, sampled: Sampled | None) -> tuple[str, ...]:
+def _warnings(found: SeriesPosterior, alone: SeriesPosterior) -> list[str]:
     said: list[str] = []
-    if sampled is not None and not sampled.settled:
-        said.append(
-            f"the sampler's chains differ (R-hat {max(sampled.r_hat.values()):.2f}): do not trust its answer"
-        )
     blind = [run.label for run in found.runs if run.by_growth is None]
     if blind and any(effect.bends_decays for effect in found.model.effects):
         said.append(
-            f"{', '.join(blind[:3])}{' ...' if len(blind) > 3 else ''}: their results do not say how "
-            "growing friction changes the decay, so it is ignored; rig fit --set fit.u_ageing=0.01 adds it"
+            f"{_listed(blind)}: their results do not say how growing friction changes the decay, so it is "
+            "ignored; rig fit --set fit.u_ageing=0.01 adds it"
         )
-    for run, bad in zip(found.runs, found.bad, strict=True):
-        if bad > _BAD:
-            said.append(f"{run.label} is a bad run with probability {100 * bad:.0f} % and counts for little")
-    for one, what in ((found, "the posterior"), (alone, "the answer without priors")):
-        if one.effective < _FEW * len(one.h):
-            said.append(
-                f"{what} is not well described: {one.effective:.0f} of {len(one.h)} draws count; ask for "
-                "more draws, or for the sampler"
-            )
-    wide = [
-        level.name
-        for level in found.hyper
-        if level.kind == "between runs"
-        and found.moments(found.draws(level)).value > found.model.size(level.name)
+    said += [
+        f"{run.label} is a bad run with probability {100 * bad:.0f} % and counts for little"
+        for run, bad in zip(found.runs, found.bad, strict=True)
+        if bad > _BAD
     ]
-    if wide:
+    said += [
+        f"{what} is not well described: {one.effective:.0f} of {len(one.h)} draws count; ask for more draws, "
+        "or for the sampler"
+        for one, what in ((found, "the posterior"), (alone, "the answer without priors"))
+        if one.effective < _FEW * len(one.h)
+    ]
+    between = _estimates(found, found.hyper, "between runs")
+    if wide := [name for name, one in between.items() if one.value > found.model.size(name)]:
         said.append(
             f"runs scatter in {', '.join(wide)} more than is usual: look for what differs between them, "
             "or state a larger size"
         )
-    return tuple(said)
+    return said
 
 
-def budget_of_level(found: CampaignPosterior, name: str, contact: str) -> tuple[CampaignSource, ...]:
+def _budget(found: SeriesPosterior, name: str, contact: str) -> tuple[CampaignSource, ...]:
     """Parts of a contact's level of a coordinate, largest first.
 
     Parts of shared inputs and of effects are what would go if each were known. The rest is the runs': their
     own uncertainties, and how they scatter, which more runs make smaller.
     """
-    level = Level("contact", name, contact)
-    draws = found.draws(level)
-    if Level("mean", name) in found.levels:
-        draws = draws + found.draws(Level("mean", name))
-    variance = found.moments(draws).standard_uncertainty ** 2
+    draws = found.level_draws(contact)[:, found.model.names.index(name)]
+    centred = draws - found.weight @ draws
+    rest = float(found.weight @ centred**2)
     others = [one for one in found.levels if one.kind in ("shared", "effect")]
     parts: dict[str, float] = {}
-    rest = variance
     if others:
         table = np.stack([found.draws(one) for one in others], axis=1)
         table = table - found.weight @ table
-        centred = draws - found.weight @ draws
         weighted = table * found.weight[:, None]
         slopes = np.linalg.lstsq(weighted.T @ table, weighted.T @ centred, rcond=1e-10)[0]
         rest = float(found.weight @ (centred - table @ slopes) ** 2)
-        each = slopes * (weighted.T @ centred)
-        for one, part in zip(others, each.tolist(), strict=True):
-            parts[one.name] = max(part, 0.0)
-    own = [run.u(name) ** 2 for run in found.runs if run.contact == contact and name in run.names]
+        each = np.maximum(slopes * (weighted.T @ centred), 0.0)
+        parts = dict(zip((one.name for one in others), each.tolist(), strict=True))
+    own = [run.u(name) for run in found.runs if run.contact == contact and name in run.names]
     scatter = Level("between runs", name)
     between = found.moments(found.draws(scatter) ** 2).value if scatter in found.hyper else 0.0
-    swings = 1 / float(np.mean(1 / np.array(own))) if own else 0.0
+    swings = 1 / float(np.mean(1 / np.array(own) ** 2)) if own else 0.0
     if swings + between > 0:
-        parts["between runs"] = rest * between / (between + swings)
-        parts["swings"] = rest * swings / (between + swings)
+        parts |= {
+            "between runs": rest * between / (between + swings),
+            "swings": rest * swings / (between + swings),
+        }
     whole = sum(parts.values()) or 1.0
     found_parts = [
         CampaignSource(source=source, contribution=sqrt(part), share=part / whole)

@@ -8,50 +8,50 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from processing.arrays import Floats
-from processing.campaign import ORDER, POSITIVE, CompressedRun, Effect, Form, moved_by
+from processing.series import ORDER, POSITIVE, CompressedRun, Effect, Form, Level
 from rig.campaigns.answer import Campaign
-from rig.campaigns.contact_values import level_draws
 from rig.campaigns.results import CampaignResults
-from rig.campaigns.tables import covariate_words, source_words
+from rig.campaigns.tables import covariate_words, scaled, source_words
 from rig.presentation import palette, quantity
 from rig.report import INK, ReportFigure, canvas
 
 _POINTS = 60
 _BAD = 0.5
+_BANDS = (0.025, 0.16, 0.5, 0.84, 0.975)
 
 
-def coordinate_label(name: str, reference_arcsec: float) -> str:
+def _title(axes: Axes, name: str, reference_arcsec: float) -> None:
     """What the axis of a coordinate shows: of b, c and gamma the change as a fraction."""
-    symbol = quantity(name).symbol
-    if name not in POSITIVE:
-        return quantity(name).label
-    at = f" at {reference_arcsec:g} arcsec" if name in ("b", "gamma_pa") else ""
-    return f"ln {symbol}{at}, from its middle"
+    label = scaled(name)[0]
+    if name in POSITIVE:
+        at = f" at {reference_arcsec:g} arcsec" if name in ("b", "gamma_pa") else ""
+        label = f"{label}{at}, from its middle"
+    axes.set_title(label, fontsize=7.5)
 
 
 def _shown(name: str, values: Floats, middle: float) -> Floats:
     return values - middle if name in POSITIVE else values * quantity(name).factor
 
 
-def _grid(axes_wanted: int, height_in: float = 2.1) -> tuple[Figure, list[Axes]]:
-    columns = min(axes_wanted, 3)
-    rows = (axes_wanted + columns - 1) // columns
-    figure = canvas(0.6 + height_in * rows)
-    panels = figure.subplots(rows, columns, squeeze=False)
+def _grid(panels: int, height_in: float) -> tuple[Figure, list[Axes]]:
+    columns = min(panels, 3)
+    rows = (panels + columns - 1) // columns
+    whole_in = 0.6 + height_in * rows
+    figure = canvas(whole_in)
+    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     figure.subplots_adjust(
-        left=0.1, right=0.985, bottom=0.5 / (0.6 + height_in * rows), top=1 - 0.35 / (0.6 + height_in * rows),
-        wspace=0.42, hspace=0.5,
-    )  # fmt: skip
-    for spare in list(panels.flat)[axes_wanted:]:
+        left=0.1, right=0.985, bottom=0.5 / whole_in, top=1 - 0.35 / whole_in, wspace=0.42, hspace=0.5
+    )
+    for spare in axes[panels:]:
         spare.set_visible(False)
-    return figure, list(panels.flat)[:axes_wanted]
+    return figure, axes[:panels]
 
 
 def _colours(contacts: Sequence[str]) -> dict[str, str]:
     return {name: palette.SEQUENCE[place % len(palette.SEQUENCE)] for place, name in enumerate(contacts)}
 
 
-def covariate_figure(campaign: Campaign) -> ReportFigure | None:
+def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
     """Each coordinate with an effect over its covariate: runs, and the model's 68 and 95 % bands."""
     found, results = campaign.posterior, campaign.results
     wanted = [
@@ -78,9 +78,9 @@ def covariate_figure(campaign: Campaign) -> ReportFigure | None:
         for contact in contacts:
             if effect.contact not in ("", contact):
                 continue
-            level = level_draws(found, contact)[:, place]
-            lines = level[:, None] + moved_by(found, effect, grid)
-            bands = np.array([found.quantiles(line, (0.025, 0.16, 0.5, 0.84, 0.975)) for line in lines.T])
+            slope = found.draws(Level("effect", effect.label))
+            lines = found.level_draws(contact)[:, place, None] + slope[:, None] * effect.value(grid)
+            bands = np.array([found.quantiles(line, _BANDS) for line in lines.T])
             shown = _shown(name, bands, middle)
             colour = colours[contact]
             axes.fill_between(grid * factor, shown[:, 0], shown[:, 4], color=colour, alpha=0.15, lw=0)
@@ -88,8 +88,7 @@ def covariate_figure(campaign: Campaign) -> ReportFigure | None:
             axes.plot(grid * factor, shown[:, 2], color=colour, label=contact)
             own = [i for i, run in enumerate(known) if run.contact == contact]
             values = np.array([known[i].values[known[i].names.index(name)] for i in own])
-            scale = 1.0 if name in POSITIVE else quantity(name).factor
-            u = scale * np.array([known[i].u(name) for i in own])
+            u = scaled(name)[1] * np.array([known[i].u(name) for i in own])
             axes.errorbar(
                 at[own] * factor, _shown(name, values, middle), u, fmt="o", ms=3, color=colour,
                 elinewidth=0.7, mec=INK, mew=0.3,
@@ -97,7 +96,7 @@ def covariate_figure(campaign: Campaign) -> ReportFigure | None:
         if effect.form is Form.LOGARITHM:
             axes.set_xscale("log")
         axes.set_xlabel(label)
-        axes.set_title(coordinate_label(name, results.reference_arcsec), fontsize=7.5)
+        _title(axes, name, results.reference_arcsec)
     figure.subplots_adjust(top=1 - 0.6 / figure.get_figheight())
     figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=4)
     return ReportFigure(
@@ -116,7 +115,7 @@ def _covariate(run: CompressedRun, runs: Sequence[CompressedRun], effect: Effect
     return None if found is None else found.value
 
 
-def shrinkage_figure(campaign: Campaign) -> ReportFigure:
+def _shrinkage_figure(campaign: Campaign) -> ReportFigure:
     """Each run alone beside what the campaign says of it."""
     found, results = campaign.posterior, campaign.results
     names = found.model.names
@@ -130,7 +129,7 @@ def shrinkage_figure(campaign: Campaign) -> ReportFigure:
             continue
         values = np.array([found.runs[row].values[found.runs[row].names.index(name)] for row in own])
         middle = float(np.median(values))
-        scale = 1.0 if name in POSITIVE else quantity(name).factor
+        scale = scaled(name)[1]
         for row, value in zip(own, values.tolist(), strict=True):
             x = row + 1
             colour = colours[found.runs[row].contact]
@@ -140,18 +139,13 @@ def shrinkage_figure(campaign: Campaign) -> ReportFigure:
                 color=colour, elinewidth=0.6,
             )  # fmt: skip
             axes.errorbar(
-                x + 0.17,
-                pair[1],
-                scale * u_together[row, place],
-                fmt="o",
-                ms=2.5,
-                color=colour,
+                x + 0.17, pair[1], scale * u_together[row, place], fmt="o", ms=2.5, color=colour,
                 elinewidth=1.2,
-            )
+            )  # fmt: skip
             axes.plot([x - 0.17, x + 0.17], pair, color=colour, lw=0.5)
         axes.set_xlim(0.4, len(found.runs) + 0.6)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.set_title(coordinate_label(name, results.reference_arcsec), fontsize=7.5)
+        _title(axes, name, results.reference_arcsec)
         axes.set_xlabel("run")
     return ReportFigure(
         "shrinkage", "Each run alone and in the campaign",
@@ -159,7 +153,7 @@ def shrinkage_figure(campaign: Campaign) -> ReportFigure:
     )  # fmt: skip
 
 
-def residual_figure(campaign: Campaign) -> ReportFigure:
+def _residual_figure(campaign: Campaign) -> ReportFigure:
     """Deviations of the runs from the model, by run; bad runs are ringed."""
     results = campaign.results
     names = results.parameters
@@ -190,7 +184,7 @@ def residual_figure(campaign: Campaign) -> ReportFigure:
     )  # fmt: skip
 
 
-def budget_figure(results: CampaignResults) -> ReportFigure:
+def _budget_figure(results: CampaignResults) -> ReportFigure:
     """Shares of the variance of each level of the first contact."""
     contact, budgets = next(iter(results.budgets.items()))
     sources = sorted(
@@ -224,8 +218,8 @@ def budget_figure(results: CampaignResults) -> ReportFigure:
 
 def figures_of(campaign: Campaign) -> list[ReportFigure]:
     """All of them, in the page's order."""
-    over = covariate_figure(campaign)
+    over = _covariate_figure(campaign)
     return [
-        *([] if over is None else [over]), shrinkage_figure(campaign), residual_figure(campaign),
-        budget_figure(campaign.results),
+        *([] if over is None else [over]), _shrinkage_figure(campaign), _residual_figure(campaign),
+        _budget_figure(campaign.results),
     ]  # fmt: skip

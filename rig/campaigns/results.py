@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from math import nan
 from typing import Annotated
 
-from processing.campaign import ChangePoint, CompressedRun
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.quantity import PART
+from processing.series import ChangePoint, CompressedRun
 from rig.analysis import JsonObject
 
 SCHEMA = 1
@@ -71,6 +71,25 @@ class CampaignEffect:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignDifference:
+    """Two contacts where all effects are zero: the first's coordinate less the second's, with the ends of its
+    95 % band. The coordinate of b, c and gamma is the logarithm, of b and gamma at the reference amplitude.
+
+    What runs share cancels. `chance` is that of a difference as large where there is none, `seen` whether it
+    is below 5 %, shared by all differences of the campaign.
+    """
+
+    first: str
+    second: str
+    parameter: str
+    difference: Estimate
+    lower_95: float
+    upper_95: float
+    chance: float
+    seen: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignRun:
     """One run: what it says alone, what the campaign says of it, and how likely it is a bad one.
 
@@ -115,6 +134,7 @@ class CampaignResults:
     reference_arcsec: float
     runs: tuple[CampaignRun, ...]
     contacts: Annotated[Mapping[str, Mapping[str, CampaignValue]], PART]
+    differences: tuple[CampaignDifference, ...] = ()
     between_runs: Mapping[str, Estimate] = field(default_factory=dict)
     between_contacts: Mapping[str, Estimate] = field(default_factory=dict)
     effects: tuple[CampaignEffect, ...] = ()

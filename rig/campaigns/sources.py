@@ -49,12 +49,13 @@ class NamedRuns:
         """The runs; none where nothing is named."""
         if self.archive is None:
             return runs_of_folders(self.folders, by_sample=self.by_sample)
-        return runs_of_archive(self.archive, self.where)
+        return _runs_of_archive(self.archive, self.where)
 
 
 def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list[FoundRun]:
     """All runs of sessions, in the order in which they are named; each folder is a contact, with `by_sample`
-    each sample is one. Of the folder of a night all series are taken, as one contact.
+    each sample is one. Of a folder of several series, which has no results of its own, all series that have
+    some are taken, as one contact.
 
     Raises ConfigurationError where a run or a folder is there twice, or a folder does not tell its sample,
     RecordError where one cannot be read.
@@ -62,20 +63,14 @@ def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list
     names = [folder.resolve().name if folder.is_dir() else folder.resolve().parent.name for folder in folders]
     found: list[FoundRun] = []
     for folder, name in zip(folders, names, strict=True):
-        label = name if names.count(name) == 1 else str(folder)
-        for series in sessions_in(folder):
-            own = label if series == folder else f"{label}/{series.name}"
-            contact = _sample(series) if by_sample else label
-            found += _runs(results_path(series), own, contact)
+        label, sessions = name if names.count(name) == 1 else str(folder), [folder]
+        if folder.is_dir() and not any(folder.glob("results*.json")):
+            sessions = sorted({path.parent for path in folder.glob("*/results*.json")}) or sessions
+        for session in sessions:
+            own = label if session == folder else f"{label}/{session.name}"
+            contact = _sample(session) if by_sample else label
+            found += _runs(results_path(session), own, contact)
     return _different(found)
-
-
-def sessions_in(folder: Path) -> list[Path]:
-    """The folder itself; of a night's, which has no results of its own, its series that have some."""
-    if not folder.is_dir() or any(folder.glob("results*.json")):
-        return [folder]
-    series = sorted({path.parent for path in folder.glob("*/results*.json")})
-    return series or [folder]
 
 
 def _sample(folder: Path) -> str:
@@ -96,11 +91,8 @@ def _sample(folder: Path) -> str:
     return str(sample)
 
 
-def runs_of_archive(archive: Path, where: str) -> list[FoundRun]:
-    """The runs of an archive that meet a condition, in the order of their beginnings; a sample is a contact.
-
-    Raises ConfigurationError for a condition that no run meets.
-    """
+def _runs_of_archive(archive: Path, where: str) -> list[FoundRun]:
+    """The runs of an archive that meet a condition, by their beginnings; a sample is a contact."""
     from rig.archive import selected
 
     found: list[FoundRun] = []
@@ -118,17 +110,14 @@ def runs_of_archive(archive: Path, where: str) -> list[FoundRun]:
 
 
 def _runs(path: Path, folder: str, contact: str) -> list[FoundRun]:
-    results = read_results(path)
-    sha256 = sha256_of(path)
+    results, sha256 = read_results(path), sha256_of(path)
     return [
         FoundRun(
             label="/".join(filter(None, (folder, Path(run.record).stem or f"run-{number}"))),
-            contact=contact,
-            results_sha256=sha256,
-            run=run,
+            contact=contact, results_sha256=sha256, run=run,
         )
         for number, run in enumerate(results.runs, start=1)
-    ]
+    ]  # fmt: skip
 
 
 def _different(runs: list[FoundRun]) -> list[FoundRun]:

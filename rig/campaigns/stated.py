@@ -8,11 +8,11 @@ from typing import Annotated, Final, Self
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
-from processing.campaign import FRICTION, ORDER, POSITIVE, CampaignModel, CompressedRun, Effect, Form
 from processing.contact import DRAG
 from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
+from processing.series import EXPONENT_OF, FRICTION, ORDER, POSITIVE, CompressedRun, Effect, Form, SeriesModel
 from rig.settings import read_toml, validated
 
 SURROUNDING_COVARIATES: Final = ("humidity_percent", "temperature_c", "pressure_pa", "dwell_s", "age_s")
@@ -49,13 +49,7 @@ class StatedEffect(BaseModel, frozen=True, extra="forbid"):
 
     def effect(self) -> Effect:
         """As the model takes it."""
-        return Effect(
-            parameter=self.parameter,
-            covariate=self.covariate,
-            form=self.form,
-            reference=self.reference,
-            contact=self.contact,
-        )
+        return Effect(**self.model_dump(exclude={"margin"}))
 
 
 class StatedLevel(BaseModel, frozen=True, extra="forbid"):
@@ -111,17 +105,9 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
         return self
 
     @property
-    def effects(self) -> tuple[Effect, ...]:
-        return tuple(one.effect() for one in self.effect)
-
-    @property
     def covariates(self) -> set[str]:
         """All that something may depend on."""
         return {one.covariate for one in (*self.effect, *self.candidate)}
-
-    @property
-    def candidates(self) -> tuple[Effect, ...]:
-        return tuple(one.effect() for one in self.candidate)
 
 
 def _refuse_unknown(covariate: str) -> None:
@@ -137,33 +123,22 @@ def read_campaign(path: Path) -> StatedCampaign:
     return found
 
 
-def names_of(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> tuple[str, ...]:
-    """The parameters that are modelled."""
-    known = (*DEFAULT_LAW.names(), DRAG.key)
+def model_of(stated: StatedCampaign, reference_rad: float, runs: Sequence[CompressedRun]) -> SeriesModel:
+    """What is stated, as the model takes it. Raises ConfigurationError for what there is not."""
+    known, contacts = (*DEFAULT_LAW.names(), DRAG.key), list(dict.fromkeys(run.contact for run in runs))
     if unknown := [name for name in stated.parameters if name not in known]:
         raise ConfigurationError(f"parameters: there is no {unknown[0]!r}; a campaign has {', '.join(known)}")
     if unknown := [name for name in stated.size if name not in (*known, FRICTION)]:
         raise ConfigurationError(
             f"size.{unknown[0]}: there is no such parameter; a campaign has {', '.join(known)}"
         )
-    seen = {name for run in runs for name in (*run.names, *run.bounds)}
-    return stated.parameters or tuple(name for name in known if name in seen)
-
-
-def refuse_other_contacts(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> None:
-    """Raise ConfigurationError for an effect of a contact of which no run enters."""
-    contacts = list(dict.fromkeys(run.contact for run in runs))
     for one in (*stated.effect, *stated.candidate):
         if one.contact and one.contact not in contacts:
             raise ConfigurationError(
                 f"contact = {one.contact!r}: no such contact; the runs are of {', '.join(contacts)}"
             )
-
-
-def model_of(
-    stated: StatedCampaign, names: tuple[str, ...], reference_rad: float, runs: Sequence[CompressedRun]
-) -> CampaignModel:
-    """What is stated, as the model takes it."""
+    seen = {name for run in runs for name in (*run.names, *run.bounds)}
+    names = stated.parameters or tuple(name for name in known if name in seen)
     levels = {}
     for name, prior in stated.prior.items():
         if name not in names:
@@ -173,17 +148,15 @@ def model_of(
             if not value > 0:
                 raise ConfigurationError(f"prior.{name}.value = {value:g}: should be above 0")
             value, u = log(value), u / value
+        if name in EXPONENT_OF:
             # beside the middle of what the runs say of the exponent
-            for of, exponent, less in (("b", "p", 1.0), ("gamma_pa", "n", 0.0)):
-                if name == of:
-                    middle = np.median(
-                        [r.values[r.names.index(exponent)] for r in runs if exponent in r.names]
-                    )
-                    value += (float(middle) - less) * log(reference_rad)
+            exponent, less = EXPONENT_OF[name]
+            middle = np.median([r.values[r.names.index(exponent)] for r in runs if exponent in r.names])
+            value += (float(middle) - less) * log(reference_rad)
         levels[name] = Estimate(value, u)
-    return CampaignModel(
+    return SeriesModel(
         names=names,
-        effects=stated.effects,
+        effects=tuple(one.effect() for one in stated.effect),
         sizes=stated.size,
         levels=levels,
         contacts_alike=stated.contacts_alike,

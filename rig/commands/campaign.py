@@ -44,9 +44,6 @@ def campaign(
     by_sample: Annotated[
         bool, typer.Option("--by-sample", help="Folders with the same session.sample are one contact.")
     ] = False,
-    cluster: Annotated[
-        str, typer.Option(help="Dask cluster for the work: tcp://HOST:PORT, as in rig archive refit.")
-    ] = "",
     sample: Annotated[
         bool, typer.Option("--sample", help="Sample the full posterior (emcee), with its R-hat.")
     ] = False,
@@ -76,13 +73,7 @@ def campaign(
 
     stated = StatedCampaign() if config is None else read_campaign(config)
     runs = NamedRuns(folders or [], archive, where, by_sample=by_sample).found()
-    if cluster:
-        from rig.campaigns import parts_on_cluster
-
-        with parts_on_cluster(cluster) as do:
-            found = answer_of(runs, stated, sample=sample, do=do)
-    else:
-        found = answer_of(runs, stated, sample=sample)
+    found = answer_of(runs, stated, sample=sample)
     answer(campaign=encoded(found.results))
     print_tables(campaign_tables(found))
     for line in (*found.results.left_out, *found.results.warnings):

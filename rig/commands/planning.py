@@ -90,10 +90,9 @@ def plan(
 
     from rig.plan import (
         ageing_table,
+        expected_of_run,
         expected_of_table,
-        plan_ageing,
         plan_expected,
-        plan_runs,
         planned_expectation,
         print_plan,
         save_plan,
@@ -102,14 +101,13 @@ def plan(
 
     if source.suffix.lower() == ".toml":
         expected = planned_expectation(source, set_ or [], noise, contact)
-        planned = plan_expected(expected, firsts, lasts, ground, counts, witness)
     elif is_of_table(source):
         if noise is not None or contact is not None or set_:
             raise ConfigurationError(
                 f"{source}: a table's results have their own noise, contact and configuration; leave out "
                 "--noise, --contact and --set"
             )
-        planned = plan_expected(expected_of_table(source), firsts, lasts, ground, counts, witness)
+        expected = expected_of_table(source)
         say("without the waveform of the swings, which results do not hold: uncertainties are upper limits")
     else:
         from rig.analysis import analyse_record, refuse_unread
@@ -119,10 +117,11 @@ def plan(
                 f"{source}: a record has its own noise and contact; leave out --noise and --contact"
             )
         run = analyse_record(one_record(source), set_ or [])
-        planned = plan_runs(run, firsts, lasts, ground, counts, witness)
+        expected = expected_of_run(run)
         refuse_unread([run])
+    planned = plan_expected(expected, firsts, lasts, ground, counts, witness)
     waits_s = [60.0 * minutes for minutes in ([0.0, 60.0] if wait is None else wait)]
-    ageing = ageing_table(plan_ageing(planned, waits_s))
+    ageing = ageing_table(planned, waits_s)
     print_plan(planned, ageing)
     if output is not None:
         save_plan(planned, output, ageing)

@@ -1,3 +1,3 @@
 """`rig paper`: the paper's tables and figures, reproduced with the simulated rig."""
 
-from rig.paper.paper_report import reproduce_paper
+from rig.paper.tables import reproduce_paper

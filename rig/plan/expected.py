@@ -17,7 +17,7 @@ from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import HarmonicsWatch, swings_of_blocks, turning_points
 from processing.ticks import nanoseconds
-from rig.analysis import SessionResults, known_drag, read_results, stated_surroundings
+from rig.analysis import AnalysedRun, SessionResults, known_drag, read_results, stated_surroundings
 from rig.instrument import complete, pendulum_on_ball, sensor_model
 from rig.settings import Configuration, load_configuration
 
@@ -85,6 +85,15 @@ def planned_expectation(
     return expected._replace(values={name: known.get(name, own) for name, own in expected.values.items()})
 
 
+def expected_of_run(run: AnalysedRun) -> Expected:
+    """Contact, noise and ground of a run that was made. Raises DataError where it has no fit."""
+    exact, pendulum = run.fits.get(FitMethod.EXACT), run.results.pendulum
+    if exact is None or pendulum is None:
+        raise DataError(f"{run.record}: a plan needs a fitted run: {run.results.problem or 'it has no fit'}")
+    values = {name: exact.estimate(name).value for name in exact.contact_names}
+    return Expected(values, pendulum, Conditions.of(exact, run.points))
+
+
 def expected_of_table(results: Path) -> Expected:
     """Contact, noise and ground of the longest decay of a table or film, as its results have them.
 
@@ -93,20 +102,20 @@ def expected_of_table(results: Path) -> Expected:
     DataError
         No decay in it has a fit of the contact.
     """
-    fitted = [
-        run
-        for run in read_results(results).runs
-        if FitMethod.EXACT in run.fits and run.pendulum is not None and run.turning_points is not None
-    ]
-    if not fitted:
+    exact, pendulum, stored = max(
+        (
+            (run.fits[FitMethod.EXACT], run.pendulum, run.turning_points)
+            for run in read_results(results).runs
+            if FitMethod.EXACT in run.fits and run.pendulum is not None and run.turning_points is not None
+        ),
+        key=lambda found: len(found[2].time_s),
+        default=(None, None, None),
+    )
+    if exact is None or pendulum is None or stored is None:
         raise DataError(
             f"{results}: no decay in it has a fit of the contact; rig fit TABLE --unit arcsec --config "
             "CONFIG makes one"
         )
-    run = max(fitted, key=lambda run: run.half_cycles)
-    exact, stored, pendulum = run.fits[FitMethod.EXACT], run.turning_points, run.pendulum
-    assert stored is not None
-    assert pendulum is not None
     points, ground = stored.points(), exact.ground
     scale = 1.0 if ground is None else ground.measurement_scale
     conditions = Conditions(
@@ -115,8 +124,7 @@ def expected_of_table(results: Path) -> Expected:
         0.0 if ground is None else ground.density_rad_per_s2_rthz.value,
     )
     names = DEFAULT_LAW.names(drag=DRAG.key in exact.parameters)
-    values = {name: exact.parameters[name].value for name in names}
-    return Expected(values, pendulum, conditions)
+    return Expected({name: exact.parameters[name].value for name in names}, pendulum, conditions)
 
 
 def _contact_of(results: Path) -> dict[str, float]:

@@ -5,21 +5,12 @@ from dataclasses import replace
 from math import isfinite, nan
 from pathlib import Path
 
-import numpy as np
-
 from acquisition import atomic_write
 from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
-from processing.fit import (
-    Combined,
-    Comparison,
-    FitMethod,
-    FittedContact,
-    SeriesResult,
-    combine,
-    compare_series,
-)
+from processing.fit import FitMethod
+from processing.series import Combined, Comparison, combine, compare_series
 from rig.analysis import SURFACE_ENERGY, ResultRow, RunResults, SessionResults, read_results
 from rig.presentation import (
     Cell,
@@ -98,25 +89,24 @@ def _of_origin(session: SessionResults) -> str:
     return " (SIMULATED)" if any(run.simulated for run in session.runs) else ""
 
 
-def series_of(session: SessionResults, folder: Path) -> SeriesResult:
+def series_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
     """The exact parameters of a session: the combined ones of a series, else those of its one fitted run.
 
     Raises RecordError where nothing was fitted.
     """
     combined = _combined_of(session)
     if combined:
-        parameters: Mapping[str, Combined] = combined
-    else:
-        fitted = [run for run in session.runs if run.fits]
-        if not fitted:
-            raise RecordError(f"{folder}: no run of it was fitted ({session.runs[0].problem})")
-        parameters = _single(fitted[0])
-        if not parameters:
-            raise RecordError(f"{folder}: its run determines no parameter of the contact")
-    return _series(parameters)
+        return combined
+    fitted = [run for run in session.runs if run.fits]
+    if not fitted:
+        raise RecordError(f"{folder}: no run of it was fitted ({session.runs[0].problem})")
+    parameters = _single(fitted[0])
+    if not parameters:
+        raise RecordError(f"{folder}: its run determines no parameter of the contact")
+    return parameters
 
 
-def decays_of(session: SessionResults, folder: Path) -> SeriesResult:
+def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
     """Period and decrement of a session of which nothing was fitted: its mean, or those of its one decay.
 
     Raises RecordError where it has no decay.
@@ -132,20 +122,10 @@ def decays_of(session: SessionResults, folder: Path) -> SeriesResult:
         shared = by_clock if name == "mean_period_s" else ()
         dof = max(runs[0].half_cycles - 2, 1)
         parameters[name] = _alone(values[0], dof) if len(values) == 1 else combine(name, values, shared)
-    return _series(parameters)
+    return parameters
 
 
-def _series(parameters: Mapping[str, Combined]) -> SeriesResult:
-    names = tuple(parameters)
-    u = np.array([parameters[name].standard_uncertainty for name in names])
-    together = FittedContact(
-        names, np.array([parameters[name].value for name in names]), np.diag(u**2),
-        float(min(item.degrees_of_freedom for item in parameters.values())), np.zeros(len(names)), nan,
-    )  # fmt: skip
-    return SeriesResult(parameters, (), together)
-
-
-def rows_of(session: SessionResults, series: SeriesResult) -> Mapping[str, ResultRow]:
+def rows_of(session: SessionResults, series: Mapping[str, Combined]) -> Mapping[str, ResultRow]:
     """The table of results of a session: of its series, of its one fitted run, or of its mean decay."""
     if session.rows:
         return session.rows
@@ -158,7 +138,7 @@ def rows_of(session: SessionResults, series: SeriesResult) -> Mapping[str, Resul
             lower=item.value - item.expanded_uncertainty_95,
             upper=item.value + item.expanded_uncertainty_95,
         )
-        for name, item in series.parameters.items()
+        for name, item in series.items()
     }
 
 
@@ -188,7 +168,9 @@ def _alone(estimate: Estimate, dof: int) -> Combined:
     )
 
 
-def values_table(series: Mapping[str, SeriesResult], found: Mapping[str, Mapping[str, ResultRow]]) -> Table:
+def values_table(
+    series: Mapping[str, Mapping[str, Combined]], found: Mapping[str, Mapping[str, ResultRow]]
+) -> Table:
     """One row a quantity, one column a series; what is not determined as interval or bound."""
     known = {name for rows in found.values() for name in rows}
     names = [name for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY, *_OF_ANY_DECAY) if name in known]
@@ -229,8 +211,8 @@ def with_witnesses(table: Table, sessions: Mapping[str, SessionResults]) -> Tabl
     return replace(table, note=f"{table.note} With a witness of the ground: {', '.join(said)}.")
 
 
-def _runs(found: SeriesResult) -> tuple[Estimate, ...]:
-    return next(iter(found.parameters.values())).runs
+def _runs(found: Mapping[str, Combined]) -> tuple[Estimate, ...]:
+    return next(iter(found.values())).runs
 
 
 def differences_table(comparisons: Sequence[Comparison]) -> Table:

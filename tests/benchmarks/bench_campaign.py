@@ -1,7 +1,7 @@
 """Campaigns of made-up runs: are the bands as wide as they should be, are changes found, is nothing invented?
 
 Run as ``python -m tests.benchmarks.bench_campaign [--quick] [PART...]`` from the repository. The runs come
-from `tests/processing/campaign/simulated_campaigns.py`, which shares no formula with the analysis.
+from `tests/processing/series/simulated_series.py`, which shares no formula with the analysis.
 """
 
 import time
@@ -13,27 +13,28 @@ import numpy as np
 from scipy.special import ndtr
 from scipy.stats import kstest
 
-from processing.campaign import (
+from processing.estimate import Estimate
+from processing.fit import Evidence, FitResult, drifts_of, fit_exact
+from processing.series import (
     FRICTION,
-    CampaignModel,
-    CampaignPosterior,
+    SEEN,
     CompressedRun,
     Effect,
     Form,
     Level,
+    SeriesModel,
+    SeriesPosterior,
+    chance,
     find_change,
-    fit_campaign,
-    is_seen,
+    fit_series,
     to_coordinates,
 )
-from processing.estimate import Estimate
-from processing.fit import Evidence, FitResult, drifts_of, fit_exact
 from processing.swing import TurningPoints
 from tests.benchmarks.parts import Parts, run_parts, words_of
-from tests.processing.campaign.simulated_campaigns import NAMES, Floats, Made, World, made
 from tests.processing.fit.changing import World as ChangingWorld
 from tests.processing.fit.changing import changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise
+from tests.processing.series.simulated_series import NAMES, Floats, Made, World, made
 
 LEVELS = {"b": Estimate(-5.6, 0.3), "p": Estimate(0.94, 0.02), "c": Estimate(-18.4, 0.5)}
 SIZES = {"b": 0.1, "p": 0.01, "c": 0.3}
@@ -87,7 +88,7 @@ def from_priors(seed: int) -> FromPriors:
 
 def calibration(count: int) -> dict[str, float]:
     """Ranks of what is true among the draws, where truth is drawn from the priors; p of their uniformity."""
-    model = CampaignModel(
+    model = SeriesModel(
         names=("b", "c"), effects=(HUMIDITY,), sizes=SIZES, levels=LEVELS, contacts_alike=True
     )
     ranks: dict[str, list[float]] = {}
@@ -98,7 +99,7 @@ def calibration(count: int) -> dict[str, float]:
 
     for seed in range(count):
         truth = from_priors(seed)
-        found = fit_campaign(truth.made.runs, model, seed=seed)
+        found = fit_series(truth.made.runs, model, seed=seed)
         effective.append(found.effective)
         of_runs, u_runs = found.of_runs
         for own, (place, name) in enumerate(((0, "b"), (2, "c"))):
@@ -122,7 +123,7 @@ def calibration(count: int) -> dict[str, float]:
     return p_values
 
 
-def effect_of(found: CampaignPosterior) -> Level:
+def effect_of(found: SeriesPosterior) -> Level:
     """The one effect of a campaign."""
     return next(level for level in found.levels if level.kind == "effect")
 
@@ -142,8 +143,8 @@ def coverage(count: int) -> dict[str, float]:
             world = World(
                 levels={"sample": CENTRE}, scatter=np.array([0.02, 0.002, 0.1]), moved=moved, air=rng.normal()
             )
-            model = CampaignModel(names=NAMES, effects=(effect,))
-            found = fit_campaign(made(world, RUNS, rng).runs, model, seed=seed)
+            model = SeriesModel(names=NAMES, effects=(effect,))
+            found = fit_series(made(world, RUNS, rng).runs, model, seed=seed)
             low, high = found.quantiles(found.draws(effect_of(found)), (0.16, 0.84))
             inside.append(low <= slope <= high)
         found_all[name] = float(np.mean(inside))
@@ -157,9 +158,15 @@ def false_slopes(count: int) -> dict[str, float]:
     for seed in range(count):
         rng = np.random.default_rng([5, seed])
         world = World(levels={"sample": CENTRE}, scatter=np.array([0.02, 0.002, 0.1]), air=rng.normal())
-        model = CampaignModel(names=NAMES, effects=(HUMIDITY, WARMTH, AGE))
-        found = fit_campaign(made(world, RUNS, rng).runs, model, seed=seed)
-        seen.append(any(is_seen(found, level, 3) for level in found.levels if level.kind == "effect"))
+        model = SeriesModel(names=NAMES, effects=(HUMIDITY, WARMTH, AGE))
+        found = fit_series(made(world, RUNS, rng).runs, model, seed=seed)
+        seen.append(
+            any(
+                chance(found, found.draws(level)) * 3 < SEEN
+                for level in found.levels
+                if level.kind == "effect"
+            )
+        )
     print(f"  false slopes in {100 * np.mean(seen):.1f} % of {count}; stated 5 %")
     return {"false": float(np.mean(seen))}
 
@@ -167,7 +174,7 @@ def false_slopes(count: int) -> dict[str, float]:
 def changes(count: int) -> dict[str, float]:
     """Part of campaigns in which a change of 0.5 in ln c is found, and within one run; and of false ones."""
     near, false = [], []
-    model = CampaignModel(names=("c",))
+    model = SeriesModel(names=("c",))
     for seed in range(count):
         rng = np.random.default_rng([6, seed])
         place = int(rng.integers(4, 17))
@@ -195,7 +202,7 @@ def speed(_: int) -> dict[str, float]:
     world = World(levels={f"sample {i}": CENTRE for i in range(5)}, scatter=np.array([0.02, 0.002, 0.1]))
     runs = made(world, 100, rng).runs
     began_s = time.monotonic()
-    found = fit_campaign(runs, CampaignModel(names=NAMES, effects=(HUMIDITY, WARMTH, AGE)))
+    found = fit_series(runs, SeriesModel(names=NAMES, effects=(HUMIDITY, WARMTH, AGE)))
     found.of_runs, found.bad  # noqa: B018
     lasted_s = time.monotonic() - began_s
     print(f"  100 runs: {lasted_s:.1f} s, {found.effective:.0f} draws count")
@@ -232,8 +239,7 @@ def compressed_fit(one: _Aged, label: str, age_s: float) -> CompressedRun:
     fit, names = one.fit, ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
     pendulum = paper_pair("glass_k8")[1]
     at = [fit.names.index(name) for name in names]
-    moved = to_coordinates(names, fit.values[at], 60 * ARCSEC)
-    to = moved.by_parameters
+    moved, to = to_coordinates(names, fit.values[at], 60 * ARCSEC)
     air = np.zeros(len(at)) if fit.by_air is None else to @ fit.by_air[at]
     own = to @ fit.covariance[np.ix_(at, at)] @ to.T
     share = float(air @ np.linalg.solve(own, air))
@@ -242,7 +248,7 @@ def compressed_fit(one: _Aged, label: str, age_s: float) -> CompressedRun:
         label=label,
         contact="glass",
         names=names,
-        values=moved.values,
+        values=moved,
         covariance=own - np.outer(air, air),
         shared={"air": air},
         covariates={"age_s": Estimate(age_s, 0.0)},
@@ -271,8 +277,8 @@ def age(count: int) -> dict[str, float]:
                 alone.append((p.value - truth.p) / p.standard_uncertainty)
             clock_s += lasting_s + 120.0
         names = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
-        model = CampaignModel(names=names, effects=(ages,), scatter=("b", "c"), sizes={"b": 0.3})
-        found = fit_campaign(runs, model, seed=campaign)
+        model = SeriesModel(names=names, effects=(ages,), scatter=("b", "c"), sizes={"b": 0.3})
+        found = fit_series(runs, model, seed=campaign)
         p = found.estimate(Level("contact", "p", "glass"))
         slope = found.estimate(effect_of(found))
         together.append((p.value - truth.p) / p.standard_uncertainty)

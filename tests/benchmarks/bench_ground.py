@@ -22,10 +22,11 @@ from processing.contact import PendulumOnBall
 from processing.contact.laws import PAPER
 from processing.deflections import DeflectionUnit
 from processing.errors import RigError
-from processing.fit import FitResult, combine_runs, fit_exact
+from processing.fit import FitResult, fit_exact
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
 from processing.instruments import DEGREE_RAD, damping
+from processing.series import combine_runs
 from processing.swing import TurningPoints, swings_of_blocks, turning_points
 from rig.analysis import settled_swings
 from rig.settings import FitSettings

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from processing.contact import AMPLITUDE, LAWS, TIME
-from processing.fit import Conditions, planned_run, planned_series
-from processing.fit.ageing_plan import by_shared_and_ageing
+from processing.fit import Conditions, PlannedSeries, planned_run, planned_series
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise
-from processing.fit.planning import PreparedRun
+from processing.fit.planning import by_relative_values, by_shared_and_ageing
 from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair, truth, with_noise
 
@@ -21,9 +20,16 @@ CONDITIONS = Conditions(0.005 * ARCSEC, 0.005 * ARCSEC * 4.071 / (2 * np.pi), 1e
 LONG = (124 * ARCSEC, 30 * ARCSEC)
 
 
+def planned(
+    spans: list[tuple[float, float]], wait_s: float = 0.0, conditions: Conditions = CONDITIONS
+) -> PlannedSeries:
+    """Runs of glass between these amplitudes."""
+    return planned_series([planned_run(VALUES, PENDULUM, conditions, *span) for span in spans], wait_s)
+
+
 def test_one_run_is_planned_as_ever_and_does_not_tell_its_age() -> None:
     run = planned_run(VALUES, PENDULUM, CONDITIONS, *LONG)
-    one = planned_series(VALUES, PENDULUM, CONDITIONS, [LONG])
+    one = planned([LONG])
     assert one.duration_s == pytest.approx(run.duration_s)
     for name, u in one.u_steady.items():
         assert u == pytest.approx(run.u[name], rel=0.02)
@@ -31,10 +37,10 @@ def test_one_run_is_planned_as_ever_and_does_not_tell_its_age() -> None:
 
 
 def test_waiting_and_another_first_amplitude_tell_it() -> None:
-    one = planned_series(VALUES, PENDULUM, CONDITIONS, [LONG])
-    again = planned_series(VALUES, PENDULUM, CONDITIONS, [LONG, LONG])
-    waited = planned_series(VALUES, PENDULUM, CONDITIONS, [LONG, LONG], 3600.0)
-    other = planned_series(VALUES, PENDULUM, CONDITIONS, [LONG, (60 * ARCSEC, 30 * ARCSEC)])
+    one = planned([LONG])
+    again = planned([LONG, LONG])
+    waited = planned([LONG, LONG], 3600.0)
+    other = planned([LONG, (60 * ARCSEC, 30 * ARCSEC)])
     assert waited.duration_s == pytest.approx(2 * one.duration_s + 3600.0)
     assert waited.u_ageing_per_s < again.u_ageing_per_s < 0.2 * one.u_ageing_per_s
     assert other.u_ageing_per_s < 0.2 * one.u_ageing_per_s
@@ -45,8 +51,8 @@ def test_waiting_and_another_first_amplitude_tell_it() -> None:
 def test_the_age_between_two_runs_is_seen_as_well_as_their_friction() -> None:
     """Long apart, with all else known, the growth is the difference of two frictions."""
     wait_s = 1e6
-    apart = planned_series(VALUES, PENDULUM, CONDITIONS, [LONG, LONG], wait_s)
-    later = planned_series(VALUES, PENDULUM, CONDITIONS, [LONG, LONG], 2 * wait_s)
+    apart = planned([LONG, LONG], wait_s)
+    later = planned([LONG, LONG], 2 * wait_s)
     assert later.u_ageing_per_s == pytest.approx(apart.u_ageing_per_s / 2, rel=0.01)
 
 
@@ -57,10 +63,9 @@ def test_the_age_of_integrated_runs_is_found_within_its_uncertainty() -> None:
     lasting_s, wait_s, growth = float(still[-1]), 3600.0, 0.002
     whole_s = 2 * lasting_s + wait_s
     first, last = float(np.abs(turn[0])), float(np.abs(turn[-1]))
-    planned = planned_series(
-        VALUES, PENDULUM, replace(CONDITIONS, ground_rad_per_s2_rthz=0.0), [(first, last)] * 2, wait_s
-    )
-    u = planned.u_ageing_per_s * whole_s
+    still_ground = replace(CONDITIONS, ground_rad_per_s2_rthz=0.0)
+    series = planned([(first, last)] * 2, wait_s, still_ground)
+    u = series.u_ageing_per_s * whole_s
     assert u < 0.1 * growth
     paths = []
     for place in (-1, 1):
@@ -77,12 +82,12 @@ def test_the_age_of_integrated_runs_is_found_within_its_uncertainty() -> None:
             model = ExactModel(points, PENDULUM)
             columns = model.columns.from_physical({**VALUES, AMPLITUDE.key: first, TIME.key: 0.0})
             noise = Noise(step=0.0)
-            runs.append(PreparedRun(model, columns, noise, first, last, complete=True))
+            rows = by_relative_values(model, columns, noise)
+            runs.append((rows, float(points.time_s[-1] - points.time_s[0])))
             residuals.append(model.on_ground(columns, noise)(columns)[0])
-        change = -np.linalg.lstsq(by_shared_and_ageing(runs, wait_s), np.concatenate(residuals), rcond=1e-13)[
-            0
-        ]
-        pulls.append((change[len(planned.u)] - growth) / u)
+        stacked = by_shared_and_ageing(list(series.runs[0].values), runs, wait_s)
+        change = -np.linalg.lstsq(stacked, np.concatenate(residuals), rcond=1e-13)[0]
+        pulls.append((change[len(series.u)] - growth) / u)
     # the mean of 20 is known to 0.22, their scatter to 16 %
     assert abs(np.mean(pulls)) < 0.66
     assert 0.6 < np.std(pulls) < 1.4

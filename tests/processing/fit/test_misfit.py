@@ -12,7 +12,6 @@ from processing.fit import (
     Evidence,
     FitResult,
     changes_of,
-    combine_runs,
     compare_laws,
     drifts_of,
     fit_asymptotic,
@@ -25,6 +24,7 @@ from processing.fit import (
 )
 from processing.fit.law_errors import ChangeKind
 from processing.fit.misfit import misfit_of
+from processing.series import combine_runs
 from processing.swing import TurningPoints
 from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise

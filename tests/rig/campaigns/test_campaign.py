@@ -102,6 +102,25 @@ def test_the_energy_is_that_of_c_with_the_inputs_of_both(tmp_path: Path) -> None
         assert abs(c.value - GLASS[2]) < 4 * c.standard_uncertainty
 
 
+def test_what_runs_share_cancels_between_contacts(tmp_path: Path) -> None:
+    """The second contact is rougher by 5 %: the arm that both share is no part of the doubt."""
+    rng, rough = np.random.default_rng(4), GLASS.copy()
+    rough[[0, 2]] *= np.exp([0.05, 0.5])
+    folders = [
+        session(tmp_path / name, [run(number, truth, rng) for number in range(1, 9)])
+        for name, truth in (("smooth", GLASS), ("rough", rough))
+    ]
+    found = answer_of(runs_of_folders(folders), StatedCampaign(parameters=("b", "p", "c"))).results
+    by = {one.parameter: one for one in found.differences}
+    for name, truth in (("b", -0.05), ("p", 0.0), ("c", -0.5)):
+        value, u = by[name].difference
+        assert abs(value - truth) < 3 * u
+        assert by[name].lower_95 < value < by[name].upper_95
+    assert [by[name].seen for name in ("b", "p", "c")] == [True, False, True]
+    # 8 runs of 10 % each and their scatter, without the arm's own u
+    assert by["c"].difference.standard_uncertainty < 0.12
+
+
 def test_a_likelihood_is_that_of_its_results() -> None:
     one = run(1, GLASS, np.random.default_rng(3))
     likelihood, problem = compressed(

@@ -38,7 +38,7 @@ def test_the_commands_and_the_file_of_the_page(tmp_path: Path) -> None:
 def test_forms_and_covariates_that_are_named_exist() -> None:
     from dataclasses import fields
 
-    from processing.campaign import Form
+    from processing.series import Form
     from processing.surroundings import Surroundings
 
     forms = set(re.findall(r"^\| `(\w+)` \|", TEXT, re.MULTILINE))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from processing.angle import ARCSEC_RAD
-from processing.campaign import to_coordinates
 from processing.fit import drifts_of
+from processing.series import to_coordinates
 from rig.analysis import analyse_record
 from rig.campaigns import StatedCampaign, answer_of, runs_of_folders
 from rig.campaigns.likelihoods import FoundRun, compressed
@@ -28,18 +28,18 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     names = found.names
     assert {"b", "p", "gamma_pa"} <= set(names)
     at = [fit.names.index(name) for name in names]
-    there = to_coordinates(names, fit.values[at], REFERENCE_RAD)
-    np.testing.assert_allclose(found.values, there.values)
+    there, to = to_coordinates(names, fit.values[at], REFERENCE_RAD)
+    np.testing.assert_allclose(found.values, there)
     # ageing: the budget's signed slope is the fit's own
     drifts = drifts_of(run.points, pendulum, fit)
-    by = there.by_parameters @ (drifts["ageing"] + drifts["adhesion_ageing"])[at]
+    by = to @ (drifts["ageing"] + drifts["adhesion_ageing"])[at]
     assert found.by_growth is not None
     np.testing.assert_allclose(found.by_growth, by, rtol=0.02, atol=1e-6)
     # the run's own part and what it shares are the fit's covariance again
-    whole = there.by_parameters @ fit.covariance[np.ix_(at, at)] @ there.by_parameters.T
+    whole = to @ fit.covariance[np.ix_(at, at)] @ to.T
     again = found.covariance.copy()
     if fit.by_air is not None:
-        air = there.by_parameters @ fit.by_air[at]
+        air = to @ fit.by_air[at]
         if "air" in found.shared:
             sign = np.sign(air @ found.shared["air"])
             np.testing.assert_allclose(

@@ -8,11 +8,8 @@ import pytest
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.moments import surface_energy
 from processing.estimate import Estimate
-from rig.paper.comparison import CONTRADICTION, _agreement, table1, table2, table3, table4
-from rig.paper.paper_report import write_paper
-from rig.paper.printed import BALL_RADIUS_M, MASS_KG, PAIRS
-from rig.paper.shaken import shaken_pair, table5
-from rig.paper.simulation import PairSeries, simulate_pair
+from rig.paper.simulation import BALL_RADIUS_M, MASS_KG, PAIRS, PairSeries, shaken_pair, simulate_pair
+from rig.paper.tables import CONTRADICTION, _agreement, table1, table2, table3, table4, table5, write_paper
 
 
 @pytest.fixture(scope="module")

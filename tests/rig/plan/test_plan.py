@@ -12,9 +12,8 @@ from processing.fit import LEAST_LEFT, Conditions, PlannedRun
 from rig.analysis import SessionResults, read_results
 from rig.commands.planning import plan
 from rig.instrument import complete, recorded_configuration
-from rig.plan.expected import expected_of, planned_expectation
-from rig.plan.figure import plan_figure
-from rig.plan.plan import Plan, plan_table
+from rig.plan import expected_of, plan_figure, plan_table, planned_expectation
+from rig.plan.plan import Plan
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS
 

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from processing.errors import ConfigurationError, RecordError
-from processing.fit import Combined
+from processing.series import Combined
 from rig.analysis import Series, encoded
 from rig.analysis.result_rows import series_rows
 from rig.report.comparison import compare

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from processing.arrays import Floats
 from processing.estimate import Estimate
-from processing.fit import combine
 from processing.fit.apparatus import InputQuantity
 from processing.fit.uncertainty import Budget, budget_of, sensitivities
 from processing.least_squares import propagate, solve
+from processing.series import combine
 from tests.validation.outside.printed import units_off
 from tests.validation.row import Found
 

@@ -1,4 +1,4 @@
-"""Campaigns that are made up: what is true, what happens to every run, what it measures.
+"""Series that are made up: what is true, what happens to every run, what it measures.
 
 It knows nothing of the analysis but the class that it hands over: values are made one run after the other.
 """
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.campaign import CompressedRun
 from processing.estimate import Estimate
+from processing.series import CompressedRun
 
 Floats = NDArray[np.float64]
 NAMES = ("b", "p", "c")

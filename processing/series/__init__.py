@@ -1,0 +1,28 @@
+"""Runs of one contact combined, series compared, and one model over the runs' compressed likelihoods."""
+
+from processing.series.combined import (
+    Combined,
+    Comparison,
+    Disagreement,
+    SeriesResult,
+    average_curves,
+    combine,
+    combine_runs,
+    compare_series,
+)
+from processing.series.evidence import ALIKE, SEEN, ChangePoint, chance, compare_forms, find_change
+from processing.series.model import GROWTH, Level, SeriesModel
+from processing.series.posterior import Sampled, SeriesPosterior, fit_series, sample_series
+from processing.series.runs import (
+    EXPONENT_OF,
+    FRICTION,
+    ORDER,
+    POSITIVE,
+    Bound,
+    CompressedRun,
+    Effect,
+    Form,
+    Side,
+    parameters,
+    to_coordinates,
+)

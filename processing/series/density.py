@@ -1,0 +1,209 @@
+"""The posterior density of a series, for many draws at once, and where it is largest.
+
+Latent numbers are linear: given the scatters and which runs are bad, all is normal and analytic. Logarithms
+of scatters are `h` (M, H), latent numbers `w` (M, P).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+
+from processing.arrays import Floats
+from processing.errors import DataError
+from processing.series.model import Design
+
+_LOG_2PI = float(np.log(2 * np.pi))
+_STEPS = 60
+_SETTLED = 1e-7
+_TOGETHER = 4_000_000
+"""Numbers of one array: draws are made in parts."""
+_NARROW, _WIDE = 1e-5, 8.0
+"""Scatters that are looked at, over their stated sizes: without priors these are far too large."""
+_STEP = 2e-3
+_OUTER, _INNER = 0.1, 0.02
+"""Steps of second derivatives, over which what Laplace's method leaves out is seen as it is."""
+_LARGEST_U = 1.5
+"""Of a logarithm of a scatter, which the data may leave open towards zero."""
+
+
+class Spread(NamedTuple):
+    """Inverse (M, R, S, k, k) and log determinant (M, R, S) of what a run's values scatter by, and the
+    variance (M, k) between runs that is in it."""
+
+    inverse: Floats
+    log_det: Floats
+    between: Floats
+
+
+def spread(design: Design, h: Floats, w: Floats | None = None) -> Spread:
+    """Of the runs' own covariances, the scatter between runs, and what uncertain covariates leave."""
+    variance = np.zeros((len(h), design.has.shape[1]))
+    inside = design.scatter >= 0
+    variance[:, inside] = np.exp(2 * h[:, design.scatter[inside]])
+    diagonal = variance[:, None, :] * design.has
+    whole = design.covariance + diagonal[:, :, None, :, None] * np.eye(design.has.shape[1])
+    if w is not None and len(design.blurred_by):
+        blur = design.blurred * w[:, design.blurred_by, None, None]
+        whole = whole + np.einsum("merk,merl->mrkl", blur, blur)[:, :, None]
+    # Cholesky's factor also tells a covariance that is none
+    return Spread(np.asarray(np.linalg.inv(whole), dtype=np.float64), log_determinant(whole), variance)
+
+
+def log_determinant(matrices: Floats) -> Floats:
+    """Of positive definite matrices (..., n, n)."""
+    factor = np.linalg.cholesky(matrices)
+    return np.asarray(2 * np.sum(np.log(np.diagonal(factor, axis1=-2, axis2=-1)), axis=-1))
+
+
+def _prior_precision(design: Design, h: Floats) -> Floats:
+    """Of the latent numbers (M, P)."""
+    u = np.tile(design.prior_u, (len(h), 1))
+    varies = design.varies >= 0
+    u[:, varies] = np.exp(h[:, design.varies[varies]])
+    return u**-2
+
+
+def _log_prior(design: Design, h: Floats, w: Floats) -> Floats:
+    """Of scatters and latent numbers (M,)."""
+    precision = _prior_precision(design, h)
+    of_w = 0.5 * np.sum(np.log(precision) - _LOG_2PI - precision * (w - design.prior_mean) ** 2, axis=1)
+    # half-normal over the scatter itself; dh is its logarithm's
+    ratio = h - np.log(design.scales)
+    of_h = np.sum(0.5 * np.log(2 / np.pi) + ratio - 0.5 * np.exp(2 * ratio), axis=1)
+    return np.asarray(of_w + of_h)
+
+
+def log_kinds(design: Design, w: Floats, found: Spread) -> Floats:
+    """Log likelihood (M, R, S, K) of every run, by sub-likelihood and by whether it is bad."""
+    off = design.y - np.tensordot(w, design.x, (1, 2))[:, :, None]
+    squared = np.sum((found.inverse @ off[..., None])[..., 0] * off, axis=-1)[..., None]
+    known = design.has.sum(axis=1)[:, None, None]
+    one = -0.5 * (squared / design.worse**2 + found.log_det[..., None] + known * _LOG_2PI)
+    return np.asarray(one - known * np.log(design.worse) + design.log_share[..., None] + design.log_kind)
+
+
+def chances(kinds: Floats) -> Floats:
+    """Probabilities (M, R, S, K) of sub-likelihoods and kinds of every run."""
+    return np.asarray(np.exp(kinds - logsumexp(kinds, axis=(2, 3), keepdims=True)))
+
+
+def _log_of_bounds(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
+    """Log likelihood of the censored values (M, B), and its first two derivatives by what is censored."""
+    bounds = design.bounds
+    width2 = np.tile(bounds.softness**2, (len(h), 1))
+    place = design.scatter[bounds.coordinate]
+    width2[:, place >= 0] += np.exp(2 * h[:, place[place >= 0]])
+    width = np.sqrt(width2)
+    z = bounds.sign * (bounds.limit - w @ bounds.x.T) / width
+    value = log_ndtr(z)
+    hazard = np.exp(-0.5 * z**2 - 0.5 * _LOG_2PI - value)
+    return value, -bounds.sign * hazard / width, -hazard * (z + hazard) / width2
+
+
+def log_density(design: Design, h: Floats, w: Floats, found: Spread | None = None) -> Floats:
+    """Log of prior times likelihood (M,)."""
+    known = spread(design, h, w) if found is None else found
+    of_runs = logsumexp(log_kinds(design, w, known), axis=(2, 3)).sum(axis=1)
+    return np.asarray(_log_prior(design, h, w) + of_runs + _log_of_bounds(design, h, w)[0].sum(axis=1))
+
+
+def conditional(design: Design, h: Floats, start: Floats) -> tuple[Floats, Floats, Spread]:
+    """Likeliest latent numbers (M, P) for given scatters, the curvature there (M, P, P), and the spread.
+
+    It iterates over which runs are bad: each step is a linear one with the weights of the one before.
+    """
+    w = np.broadcast_to(start, (len(h), len(design.prior_mean))).copy()
+    precision = _prior_precision(design, h)
+    found, curvature = spread(design, h, w), np.empty(0)
+    places = np.arange(w.shape[1])
+    flat, x = design.x.reshape(-1, len(places)), design.bounds.x
+    for _ in range(_STEPS):
+        chance = chances(log_kinds(design, w, found))
+        weighted = np.sum(chance / design.worse**2, axis=3)[..., None, None] * found.inverse
+        pulled = (weighted @ design.y[..., None])[..., 0].sum(axis=2)
+        curvature = flat.T @ (weighted.sum(axis=2) @ design.x).reshape(len(h), *flat.shape)
+        right = pulled.reshape(len(h), -1) @ flat + precision * design.prior_mean
+        curvature[:, places, places] += precision
+        if len(design.bounds.limit):
+            _, slope, second = _log_of_bounds(design, h, w)
+            curvature = curvature + np.einsum("bp,mb,bq->mpq", x, -second, x)
+            right = right + (slope - second * (w @ x.T)) @ x
+        after = np.linalg.solve(curvature, right[..., None])[..., 0]
+        step = np.einsum("mp,mpq,mq->m", after - w, curvature, after - w)
+        w = after
+        if len(design.blurred_by):
+            found = spread(design, h, w)
+        if np.all(step < _SETTLED):
+            break
+    return w, curvature, found
+
+
+def log_marginal(design: Design, h: Floats, start: Floats) -> tuple[Floats, Floats]:
+    """Log density of the scatters with the latent numbers integrated, by Laplace's method (M,), and the
+    likeliest latent numbers of the first."""
+    values: list[Floats] = []
+    first = start
+    for part in in_parts(design, len(h)):
+        w, curvature, found = conditional(design, h[part], start)
+        first = w[0] if not values else first
+        value = log_density(design, h[part], w, found)
+        values.append(value + 0.5 * w.shape[1] * _LOG_2PI - 0.5 * log_determinant(curvature))
+    return np.concatenate(values), first
+
+
+def in_parts(design: Design, draws: int) -> list[slice]:
+    """Draws in parts whose largest arrays are of a bearable size."""
+    runs, subs, size = design.y.shape
+    each = runs * size * max(subs * size * (1 + len(design.blurred_by)), design.x.shape[2])
+    width = max(1, _TOGETHER // max(each, 1))
+    return [slice(begin, begin + width) for begin in range(0, draws, width)]
+
+
+class Laplace(NamedTuple):
+    """Likeliest scatters, inverse curvature there, latent numbers, and log evidence by Laplace's method."""
+
+    h: Floats
+    covariance: Floats
+    w: Floats
+    log_evidence: float
+
+
+def likeliest(design: Design, start: Floats | None = None) -> Laplace:
+    """Likeliest scatters with the latent numbers integrated, and their curvature; `start` are logarithms of
+    scatters from which to begin. Raises DataError where no maximum can be found."""
+    from scipy.optimize import minimize
+
+    begin = np.log(0.2 * design.scales) if start is None else start
+    size, w = len(begin), design.prior_mean
+    if not size:
+        value, w = log_marginal(design, np.zeros((1, 0)), w)
+        return Laplace(np.zeros(0), np.zeros((0, 0)), w, float(value[0]))
+
+    def fall(h: Floats) -> tuple[float, Floats]:
+        nonlocal w
+        value, w = log_marginal(design, np.concatenate([h[None], *_around(h, _STEP)]), w)
+        ahead, behind = np.split(value[1:], 2)
+        return -float(value[0]), -(ahead - behind) / (2 * _STEP)
+
+    low, high = np.log(_NARROW * design.scales), np.log(_WIDE * design.scales)
+    solved = minimize(fall, np.clip(begin, low, high), jac=True, method="L-BFGS-B",
+                      bounds=list(zip(low, high, strict=True)), options={"maxiter": 200})  # fmt: skip
+    if not np.all(np.isfinite(solved.x)) or not np.isfinite(solved.fun):
+        raise DataError("the likelihood of the series has no maximum: state priors, or leave effects out")
+    h = np.asarray(solved.x, dtype=np.float64)
+    # gradients ahead and behind in every direction
+    there = np.concatenate([inner for outer in np.concatenate(_around(h, _OUTER))
+                            for inner in _around(outer, _INNER)])  # fmt: skip
+    value = log_marginal(design, there, w)[0].reshape(2, size, 2, size)
+    gradient = (value[:, :, 0] - value[:, :, 1]) / (2 * _INNER)
+    curvature = -(gradient[0] - gradient[1]) / (2 * _OUTER)
+    values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    values = np.maximum(values, _LARGEST_U**-2)
+    evidence = -float(solved.fun) + 0.5 * size * _LOG_2PI - 0.5 * float(np.sum(np.log(values)))
+    return Laplace(h, (vectors / values) @ vectors.T, w, evidence)
+
+
+def _around(h: Floats, step: float) -> tuple[Floats, Floats]:
+    steps = step * np.eye(len(h))
+    return h + steps, h - steps

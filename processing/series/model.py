@@ -1,0 +1,259 @@
+"""The linear part of a series' model: which latent number moves which value of which run."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from processing.arrays import Floats, Ints
+from processing.errors import DataError
+from processing.estimate import Estimate
+from processing.series.runs import FRICTION, ORDER, CompressedRun, Effect, Form, Side, covariate_of
+
+USUAL_SIZE: Final[Mapping[str, float]] = {
+    "b": 0.2, "p": 0.02, "c": 0.5, "n": 0.1, "period0_s": 0.01, "gamma_pa": 0.2, "drag_s": 5e-4,
+}  # fmt: skip
+"""By how much a parameter may be thought to change over a series, in its coordinate."""
+GROWTH: Final = ("ageing", "adhesion_ageing")
+"""The shared input that a friction growing within every run is, where no effect describes it."""
+_VAGUE = 100.0
+"""A level of which nothing is known lies within so many usual sizes of the data's middle."""
+_WIDENED = 30.0
+"""A prior is none where it is this much wider than stated."""
+_FAR = 0.2
+"""Share of the sub-likelihood on the long side of an uneven one."""
+_BAD_BY = (3.0, 10.0, 30.0)
+"""A bad run lies off by so many times what it and the scatter between runs say; each as likely."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeriesModel:
+    """What is supposed of a series.
+
+    Attributes
+    ----------
+    names
+        The coordinates that are modelled; others of the runs are left out.
+    sizes
+        By coordinate, how far an effect may move it over the series (standard deviation of a normal
+        distribution about zero), and how far runs may scatter (of half a normal distribution).
+    levels
+        Priors of levels by coordinate, where something is known; else nothing is.
+    scatter
+        The coordinates that scatter between runs; None: all.
+    contacts_alike
+        Contacts are of one kind, about whose mean they scatter; else each stands for itself.
+    """
+
+    names: tuple[str, ...]
+    effects: tuple[Effect, ...] = ()
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    levels: Mapping[str, Estimate] = field(default_factory=dict)
+    scatter: tuple[str, ...] | None = None
+    contacts_alike: bool = False
+    bad_run_chance: float = 0.02
+
+    def size(self, name: str) -> float:
+        """The usual size of a coordinate."""
+        return {**USUAL_SIZE, **self.sizes}["b" if name == FRICTION else name]
+
+    def without_priors(self) -> "SeriesModel":
+        """The same with all that is stated made so wide that the data alone decide."""
+        return replace(self, sizes={name: _WIDENED * self.size(name) for name in self.names}, levels={})
+
+    def with_effects(self, *effects: Effect) -> "SeriesModel":
+        """The same with further effects."""
+        return replace(self, effects=(*self.effects, *effects))
+
+
+class Level(NamedTuple):
+    """A latent number: the level of a coordinate (of a contact), the slope of an effect, a shared input, or a
+    scatter."""
+
+    kind: str
+    name: str
+    contact: str = ""
+
+
+class Bounds(NamedTuple):
+    """Censored values: design, limits, +1 for upper ones, softness, place of the coordinate."""
+
+    x: Floats
+    limit: Floats
+    sign: Floats
+    softness: Floats
+    coordinate: Ints
+
+
+class Design(NamedTuple):
+    """Arrays of a series of R runs, k coordinates, P latent numbers, S sub-likelihoods a run.
+
+    `y` (R, S, k), `covariance` (R, S, k, k), `log_share` (R, S): each run's likelihood as a sum of normal
+    ones. Where a run does not have a coordinate `has` (R, k) is 0, its variance 1 and its value 0. `x`
+    (R, k, P). `blurred` (E, R, k) times the latent numbers `blurred_by` (E,) are standard deviations that
+    uncertain covariates leave. `scatter` (k,) and `varies` (P,) are places among `scales`, the scales (H,)
+    of half-normal priors of scatters, or -1. `worse` (K,) are factors on the widths of good and bad runs,
+    `log_kind` their prior probabilities.
+    """
+
+    y: Floats
+    covariance: Floats
+    log_share: Floats
+    has: Floats
+    x: Floats
+    blurred: Floats
+    blurred_by: Ints
+    levels: tuple[Level, ...]
+    prior_mean: Floats
+    prior_u: Floats
+    varies: Ints
+    scatter: Ints
+    scales: Floats
+    hyper: tuple[Level, ...]
+    bounds: Bounds
+    log_kind: Floats
+    worse: Floats
+
+
+def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
+    """The arrays of a model over runs.
+
+    Raises
+    ------
+    DataError
+        No runs, an unknown parameter of an effect, or a coordinate that no run has.
+    """
+    if not runs:
+        raise DataError("a series needs runs")
+    names, count = model.names, len(runs)
+    latent: list[tuple[Level, Floats, float, float, int]] = []
+    scattering = [name for name in names if model.scatter is None or name in model.scatter]
+    hyper = [Level("between runs", name) for name in scattering]
+    contacts = list(dict.fromkeys(run.contact for run in runs))
+    alike = model.contacts_alike and len(contacts) > 1
+    for place, name in enumerate(names):
+        seen = [run.values[run.names.index(name)] for run in runs if name in run.names]
+        seen = seen or [run.bounds[name].limit for run in runs if name in run.bounds]
+        if not seen:
+            raise DataError(f"{name}: no run of the series determines it; leave it out of the parameters")
+        prior = model.levels.get(name, Estimate(float(np.median(seen)), _VAGUE * model.size(name)))
+        whole = np.zeros((count, len(names)))
+        whole[:, place] = 1.0
+        if alike:
+            latent.append((Level("mean", name), whole, *prior, -1))
+            hyper.append(Level("between contacts", name))
+        for contact in contacts:
+            own = whole * np.array([run.contact == contact for run in runs])[:, None]
+            about = (0.0, 1.0, len(hyper) - 1) if alike else (*prior, -1)
+            latent.append((Level("contact", name, contact), own, *about))
+    blurred: list[Floats] = []
+    blurred_by: list[int] = []
+    for effect in model.effects:
+        column, blur = _effect(runs, effect, names)
+        if np.any(blur):
+            blurred.append(blur)
+            blurred_by.append(len(latent))
+        size = model.size(effect.parameter) / effect.span(runs)
+        latent.append((Level("effect", effect.label), column, 0.0, size, -1))
+    grows = any(effect.bends_decays for effect in model.effects)
+    for source in dict.fromkeys(source for run in runs for source in run.shared):
+        if grows and source in GROWTH:
+            continue  # what an effect describes is no input of which little is known
+        column = np.zeros((count, len(names)))
+        for row, run in enumerate(runs):
+            _add(column[row], names, run, run.shared.get(source))
+        if np.any(column):
+            latent.append((Level("shared", source), column, 0.0, 1.0, -1))
+    levels, columns, mean, u, varies = zip(*latent, strict=True)
+    x = np.stack(columns, axis=-1)
+    y, covariance, has = _values(runs, names)
+    log_share, y, covariance = _skewed(runs, names, y, covariance)
+    bad = model.bad_run_chance
+    with np.errstate(divide="ignore"):
+        log_kind = np.log([1 - bad, *([bad / len(_BAD_BY)] * len(_BAD_BY))])
+    return Design(
+        y, covariance, log_share, has, x * has[:, :, None],
+        np.array(blurred).reshape(-1, count, len(names)) * has, np.array(blurred_by, dtype=np.int64),
+        levels, np.array(mean), np.array(u), np.array(varies, dtype=np.int64),
+        np.array([scattering.index(name) if name in scattering else -1 for name in names], dtype=np.int64),
+        np.array([model.size(level.name) for level in hyper]), tuple(hyper), _bounds(runs, names, x),
+        log_kind, np.array([1.0, *_BAD_BY]),
+    )  # fmt: skip
+
+
+def _add(row: Floats, names: Sequence[str], run: CompressedRun, moved: Floats | None) -> None:
+    """Add changes of a run's values to a row of the model's coordinates."""
+    for name, by in zip(run.names, () if moved is None else moved, strict=False):
+        if name in names:
+            row[names.index(name)] += by
+
+
+def _values(runs: Sequence[CompressedRun], names: Sequence[str]) -> tuple[Floats, Floats, Floats]:
+    y, has = np.zeros((2, len(runs), len(names)))
+    covariance = np.tile(np.eye(len(names)), (len(runs), 1, 1))
+    for row, run in enumerate(runs):
+        own = [place for place, name in enumerate(run.names) if name in names]
+        there = [names.index(run.names[place]) for place in own]
+        y[row, there], has[row, there] = run.values[own], 1.0
+        covariance[row][np.ix_(there, there)] = run.covariance[np.ix_(own, own)]
+    return y, covariance, has
+
+
+def _skewed(
+    runs: Sequence[CompressedRun], names: Sequence[str], y: Floats, covariance: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Each run as a sum of two normal likelihoods with the first three moments of one that falls by other
+    widths on either side, along the value with the most uneven profile; one for a parabola."""
+    if not any(uneven for run in runs for name, uneven in run.asymmetry.items() if name in names):
+        return np.zeros((len(runs), 1)), y[:, None], covariance[:, None]
+    share = np.full((len(runs), 2), 0.5)
+    both, wide = np.repeat(y[:, None], 2, axis=1), np.repeat(covariance[:, None], 2, axis=1)
+    for row, run in enumerate(runs):
+        found = [(abs(a), a, names.index(name)) for name, a in run.asymmetry.items() if name in names]
+        most, a, place = max(found, default=(0.0, 0.0, 0))
+        if not most > 0:
+            continue
+        u = float(np.sqrt(covariance[row, place, place]))
+        apart, product = 2 * u * a, u**2 * (1 - a**2)
+        mean = float(np.sqrt(2 / np.pi)) * apart
+        variance = (1 - 2 / np.pi) * apart**2 + product
+        third = mean * ((4 / np.pi - 1) * apart**2 + product)
+        between = float(np.cbrt(third / (_FAR * (1 - _FAR) * (1 - 2 * _FAR))))
+        inner = variance - _FAR * (1 - _FAR) * between**2
+        # along the direction in which the others follow this value
+        along = covariance[row][:, place] / u**2
+        share[row] = 1 - _FAR, _FAR
+        both[row] += (mean + between * np.array([-_FAR, 1 - _FAR]))[:, None] * along
+        wide[row] += (inner - u**2) * np.outer(along, along)
+    return np.log(share), both, wide
+
+
+def _effect(runs: Sequence[CompressedRun], effect: Effect, names: Sequence[str]) -> tuple[Floats, Floats]:
+    """Column of an effect, and what its covariate's uncertainty leaves."""
+    moved = [names.index(name) for name in effect.moves() if name in names]
+    if not moved:
+        raise DataError(f"{effect.label}: {effect.parameter} is not one of the parameters {', '.join(names)}")
+    x, u = covariate_of(runs, effect.covariate if effect.form is not Form.DURING else ORDER)
+    here = np.array([effect.contact in ("", run.contact) for run in runs])
+    column, blur = np.zeros((2, len(runs), len(names)))
+    value, u_value = effect.seen(x, u)
+    column[:, moved], blur[:, moved] = (value * here)[:, None], (u_value * here)[:, None]
+    if effect.bends_decays:
+        for row, (run, rate) in enumerate(zip(runs, effect.slope(x) * here, strict=True)):
+            if run.by_growth is not None:
+                _add(column[row], names, run, run.by_growth * rate * run.duration_s)
+    return column, blur
+
+
+def _bounds(runs: Sequence[CompressedRun], names: Sequence[str], x: Floats) -> Bounds:
+    found = [
+        (x[row, names.index(name)], bound.limit, 1.0 if bound.side is Side.UPPER else -1.0, bound.softness,
+         names.index(name))
+        for row, run in enumerate(runs) for name, bound in run.bounds.items() if name in names
+    ]  # fmt: skip
+    columns, limit, sign, softness, place = zip(*found, strict=True) if found else ((), (), (), (), ())
+    return Bounds(
+        np.array(columns).reshape(-1, x.shape[-1]), np.array(limit), np.array(sign), np.array(softness),
+        np.array(place, dtype=np.int64),
+    )  # fmt: skip

@@ -1,0 +1,235 @@
+"""What a series takes of a run: its likelihood, compressed; and forms in which runs depend on covariates.
+
+Coordinates are those in which a decay's likelihood is nearly a parabola: logarithms, b and gamma at one
+amplitude.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from math import inf, log
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from processing.arrays import Floats
+from processing.errors import DataError
+from processing.estimate import Estimate
+
+POSITIVE: Final = ("b", "c", "gamma_pa")
+"""Parameters of which the coordinate is the logarithm: changes of it are relative changes."""
+EXPONENT_OF: Final[Mapping[str, tuple[str, float]]] = {"b": ("p", 1.0), "gamma_pa": ("n", 0.0)}
+"""Their units hold an exponent: ln b + (p - 1) ln A and ln gamma + n ln A are nearly independent of it."""
+FRICTION: Final = "friction"
+"""Of an effect on b and c alike, which also shows within each run (`CompressedRun.by_growth`)."""
+ORDER: Final = "order"
+"""The covariate that every run has: its place in the series, from 0."""
+_LARGEST_EXPONENT = 200.0
+"""Of what is not determined at all."""
+
+
+def to_coordinates(names: Sequence[str], values: Floats, reference_rad: float) -> tuple[Floats, Floats]:
+    """Parameters in coordinates at the reference amplitude, and the derivatives of these by them; positive
+    ones must be above 0."""
+    found, slopes = values.astype(np.float64), np.eye(len(names))
+    for place, name in enumerate(names):
+        if name in POSITIVE:
+            found[place], slopes[place, place] = np.log(values[place]), 1 / values[place]
+        exponent, less = EXPONENT_OF.get(name, ("", 0.0))
+        if exponent in names:
+            other = list(names).index(exponent)
+            found[place] += (values[other] - less) * np.log(reference_rad)
+            slopes[place, other] = np.log(reference_rad)
+    return found, slopes
+
+
+def parameters(names: Sequence[str], found: Floats, reference_rad: float) -> Floats:
+    """The parameters of coordinates, along the last axis."""
+    values = np.array(found, dtype=np.float64)
+    for place, name in enumerate(names):
+        exponent, less = EXPONENT_OF.get(name, ("", 0.0))
+        if exponent in names:
+            values[..., place] -= (found[..., list(names).index(exponent)] - less) * np.log(reference_rad)
+        if name in POSITIVE:
+            values[..., place] = np.exp(np.minimum(values[..., place], _LARGEST_EXPONENT))
+    return values
+
+
+class Side(StrEnum):
+    """Which limit a censored value has."""
+
+    UPPER = "upper"
+    LOWER = "lower"
+
+
+class Bound(NamedTuple):
+    """A value of which a run says only where it ends: softly, over `softness`, in coordinates."""
+
+    limit: float
+    side: Side
+    softness: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompressedRun:
+    """One run as a series sees it, in coordinates.
+
+    Attributes
+    ----------
+    names, values, covariance
+        Maximum of the likelihood and the inverse of its curvature, by the run's own data alone.
+    shared
+        Change of the values for one standard uncertainty of an input that runs have in common, by its name.
+        It is no part of `covariance`.
+    asymmetry
+        By name, (upper - lower)/(upper + lower) of the half-widths of the profile's interval.
+    bounds
+        Values that the run only bounds, by name; they are none of `names`.
+    covariates
+        What the run was measured under; one that is missing is not there.
+    by_growth
+        Change of the values for a relative growth of the friction over the run by 1; None: not known.
+    duration_s
+        From the first turning point to the last.
+    """
+
+    label: str
+    contact: str
+    names: tuple[str, ...]
+    values: Floats
+    covariance: Floats
+    shared: Mapping[str, Floats] = field(default_factory=dict)
+    asymmetry: Mapping[str, float] = field(default_factory=dict)
+    bounds: Mapping[str, Bound] = field(default_factory=dict)
+    covariates: Mapping[str, Estimate] = field(default_factory=dict)
+    by_growth: Floats | None = None
+    duration_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        size = len(self.names)
+        if self.values.shape != (size,) or self.covariance.shape != (size, size):
+            raise DataError(f"{self.label}: {size} names, values {self.values.shape}: they must agree")
+        finite = np.all(np.isfinite(self.values)) and np.all(np.isfinite(self.covariance))
+        if not finite or (size and np.linalg.eigvalsh(self.covariance)[0] <= 0):
+            raise DataError(
+                f"{self.label}: its likelihood has no finite width in {', '.join(self.names)}; leave out "
+                "what it does not determine"
+            )
+
+    def u(self, name: str) -> float:
+        """Standard uncertainty of a coordinate by the run alone; infinite where it has none."""
+        if name not in self.names:
+            return inf
+        place = self.names.index(name)
+        return float(np.sqrt(self.covariance[place, place]))
+
+
+class Form(StrEnum):
+    """How a parameter depends on a covariate x."""
+
+    LINEAR = "linear"
+    """Slope times (x - reference)."""
+    LOGARITHM = "logarithm"
+    """Slope times ln(x / reference): ageing of contacts."""
+    STEP = "step"
+    """One value below the reference, another from there on: a cleaning."""
+    DURING = "during"
+    """Friction that grows within every run alike, per second, and is back at its next beginning."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect:
+    """A parameter that depends on a covariate; several of them add up.
+
+    `reference` is where the effect is zero (`Form.LINEAR`, `Form.LOGARITHM`) or where the step stands.
+    `contact` restrains it to one contact; empty: all have it alike.
+    """
+
+    parameter: str
+    covariate: str
+    form: Form
+    reference: float = 0.0
+    contact: str = ""
+
+    @property
+    def label(self) -> str:
+        of = f" of {self.contact}" if self.contact else ""
+        where = f" at {self.reference:g}" if self.form is Form.STEP else ""
+        over = "" if self.form is Form.DURING else f" over {self.covariate}"
+        return f"{self.parameter}{of}: {self.form}{over}{where}"
+
+    @property
+    def bends_decays(self) -> bool:
+        """Whether friction grows within each run by it."""
+        in_time = self.form is Form.DURING or self.covariate.endswith("_s")
+        return self.parameter == FRICTION and in_time
+
+    def moves(self) -> tuple[str, ...]:
+        """The coordinates that it moves."""
+        return ("b", "c") if self.parameter == FRICTION else (self.parameter,)
+
+    def value(self, x: Floats) -> Floats:
+        """The form with slope 1."""
+        if self.form is Form.LINEAR:
+            return x - self.reference
+        if self.form is Form.STEP:
+            return np.asarray(x >= self.reference, dtype=np.float64)
+        if self.form is Form.DURING:
+            return np.zeros_like(x)
+        if not self.reference > 0 or not np.all(x > 0):
+            raise DataError(
+                f"{self.label}: a logarithm needs {self.covariate} and its reference above 0, got "
+                f"{float(np.min(x)):g} and {self.reference:g}"
+            )
+        return np.log(x / self.reference)
+
+    def slope(self, x: Floats) -> Floats:
+        """Derivative of the form by x."""
+        if self.form is Form.LOGARITHM:
+            return 1 / x
+        return np.zeros_like(x) if self.form is Form.STEP else np.ones_like(x)
+
+    def seen(self, x: Floats, u: Floats) -> tuple[Floats, Floats]:
+        """The form with slope 1 of values that are uncertain by `u`, and its own standard uncertainty.
+
+        An uncertain value lies on the far side of a step with a probability: the form is its mean there.
+        """
+        value = self.value(x)
+        if self.form is not Form.STEP:
+            return value, np.abs(self.slope(x)) * u
+        uncertain = u > 0
+        value[uncertain] = ndtr((x[uncertain] - self.reference) / u[uncertain])
+        return value, np.sqrt(value * (1 - value))
+
+    def span(self, runs: Sequence[CompressedRun]) -> float:
+        """How far the form moves over the series with slope 1."""
+        if self.form is Form.DURING:
+            return max(run.duration_s for run in runs)
+        if self.form is Form.STEP:
+            return 1.0
+        x, _ = covariate_of(runs, self.covariate)
+        low, high = float(np.min(x)), float(np.max(x))
+        width = log(high / low) if self.form is Form.LOGARITHM else high - low
+        if not width > 0:
+            raise DataError(f"{self.label}: {self.covariate} is {low:g} in all runs; there is nothing to see")
+        return width
+
+
+def covariate_of(runs: Sequence[CompressedRun], name: str) -> tuple[Floats, Floats]:
+    """A covariate of every run and its standard uncertainty.
+
+    Where it is missing it is as likely to be as in the runs in which it is known: their mean, their scatter.
+    Raises DataError where it is known of fewer than two runs.
+    """
+    if name == ORDER:
+        return np.arange(len(runs), dtype=np.float64), np.zeros(len(runs))
+    known = [run.covariates[name].value for run in runs if name in run.covariates]
+    if len(known) < 2:
+        raise DataError(
+            f"{name}: known of {len(known)} of {len(runs)} runs, two are needed: leave the effect out, or "
+            "state it"
+        )
+    usual = Estimate(float(np.mean(known)), float(np.std(known, ddof=1)))
+    x, u = np.array([tuple(run.covariates.get(name, usual)) for run in runs], dtype=np.float64).T
+    return x, np.where(np.isfinite(u), u, 0.0)
