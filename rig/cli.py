@@ -21,7 +21,6 @@ from rig.commands import (
     archive,
     calibration,
     camera,
-    campaign,
     fitting,
     init,
     light,
@@ -38,7 +37,7 @@ _MADE_BETWEEN_COLLECTIONS = 10_000
 GROUPS = {
     "Measure": ("run", "demo", "desk", "balance", "camera", "calibrate", "light"),
     "Look": ("view", "replay", "record"),
-    "Results": ("fit", "report", "export", "compare", "campaign", "plan", "paper", "archive"),
+    "Results": ("fit", "report", "export", "compare", "plan", "paper", "archive"),
     "Care": ("init", "doctor"),
 }
 """The commands in the order and under the headings of `rig --help`."""
@@ -78,7 +77,6 @@ for module in (
     planning,
     calibration,
     reporting,
-    campaign,
     camera,
     light,
     archive,

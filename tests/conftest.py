@@ -31,35 +31,26 @@ heed_signals()
 # A test that is killed, by its limit of time or by hand, ends nothing any more.
 leave_no_orphans()
 
+LONG_S = 120
+"""A test that states a limit of its own of so many seconds waits for long, and begins early."""
 LONGER_S = {"kernel": 1500, "slow": 300, "realtime": 300}
 """Limits in s, for a busy machine, of tests that are marked so; the others have the one of pyproject.toml."""
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Three workers more than processors (`-n auto`): the four with what measures real time mostly wait."""
+    """Two workers more than processors (`-n auto`): what measures real time waits, and others do at times."""
     waits = "not realtime" not in config.option.markexpr
-    return (os.cpu_count() or 1) + 3 * waits
+    return (os.cpu_count() or 1) + 2 * waits
 
 
 class FileByFile(LoadScopeScheduling):
-    """A file's tests run in one worker, since they share fixtures; what measures real time, in four."""
+    """A file's tests run in one worker, since they share fixtures; what measures real time, in one."""
 
     def _split_scope(self, nodeid: str) -> str:
         path = nodeid.partition("::")[0]
-        if not measures_real_time(self.config.rootpath / path):
-            return path
-        groups = (group for folder, group in REAL_TIME_GROUPS.items() if path.startswith(f"tests/{folder}/"))
-        return f"{next(groups, 'sessions')} in real time"
+        return "real time" if measures_real_time(self.config.rootpath / path) else path
 
 
-REAL_TIME_GROUPS = {
-    "acquisition": "cameras",
-    "rig/control": "devices",
-    "rig/devices": "devices",
-    "rig/desk": "pages",
-    "rig/view": "pages",
-}
-"""What waits together, by folder; the others are sessions."""
 WHOLE_SESSIONS = {"measured_series", "short_session"}
 """Fixtures for which the first test that wants them may wait as long as a slow one."""
 
@@ -80,7 +71,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> FileByFile:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Limits of time, and the order: real time first, then files with slow tests; short ones end together."""
+    """Limits of time, and the order: real time, long files, slow files; short ones end together."""
+    long_files = {
+        item.path for item in items for mark in item.iter_markers("timeout") if mark.args[0] >= LONG_S
+    }
     for item in items:
         limit_s = max((limit for mark, limit in LONGER_S.items() if item.get_closest_marker(mark)), default=0)
         if WHOLE_SESSIONS & set(getattr(item, "fixturenames", ())):
@@ -88,7 +82,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if limit_s and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(limit_s))
     slow_files = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: (not measures_real_time(item.path), item.path not in slow_files))
+    items.sort(
+        key=lambda item: (
+            not measures_real_time(item.path),
+            item.path not in long_files,
+            item.path not in slow_files,
+        )
+    )
 
 
 @pytest.hookimpl(wrapper=True)

@@ -3,11 +3,11 @@
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from tests.waiting import until
 
 ROOT = Path(__file__).resolve().parents[1]
 KILLED = """
@@ -30,13 +30,6 @@ def test_that_hangs():
 """
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="guarded on Linux only")
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 30.0
-    while not condition():
-        assert time.monotonic() < deadline_s, "it lives on"
-        time.sleep(0.02)
 
 
 def alive(process: int) -> bool:
@@ -66,7 +59,7 @@ def test_what_a_killed_process_has_started_ends_with_it() -> None:
     words = KILLED.format(guard="leave_no_orphans()")
     left = killed_once_it_said([sys.executable, "-c", words], ROOT)
     assert len(left) == 3
-    wait_for(lambda: not any(map(alive, left)))
+    until(lambda: not any(map(alive, left)))
 
 
 def test_every_test_is_guarded(tmp_path: Path) -> None:
@@ -74,4 +67,4 @@ def test_every_test_is_guarded(tmp_path: Path) -> None:
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = realtime\n")
     (tmp_path / "test_one.py").write_text(PYTEST)
     (process,) = killed_once_it_said([sys.executable, "-m", "pytest", "-q", "-s", "-n", "0"], tmp_path)
-    wait_for(lambda: not alive(process))
+    until(lambda: not alive(process))

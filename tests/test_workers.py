@@ -1,4 +1,4 @@
-"""What runs in which worker of pytest-xdist: a file in one, all that measures real time in four."""
+"""What runs in which worker of pytest-xdist: a file in one, all that measures real time in one."""
 
 import os
 import shutil
@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent
-DEVICE = "tests/rig/control/test_device"
 TESTS = """
 import os, pathlib, time, pytest
 pytestmark = {mark}
@@ -26,12 +25,11 @@ def test_files_stay_together_and_those_of_real_time_too(tmp_path: Path) -> None:
     (tmp_path / "conftest.py").write_text((ROOT / "conftest.py").read_text(encoding="utf-8"))
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = realtime\n")
     said = tmp_path / "said"
-    (tmp_path / "tests" / "rig" / "control").mkdir(parents=True)
+    (tmp_path / "tests").mkdir()
     shutil.copy(ROOT / "orphans.py", tmp_path / "tests")
-    for name in ("a", "b", "real", "true", DEVICE):
+    for name in ("a", "b", "real", "true"):
         mark = "[]" if name in ("a", "b") else "pytest.mark.realtime"
-        path = tmp_path / (f"{name}.py" if "/" in name else f"test_{name}.py")
-        path.write_text(TESTS.format(mark=mark, said=said, name=name))
+        (tmp_path / f"test_{name}.py").write_text(TESTS.format(mark=mark, said=said, name=name))
     options = ["-n", "4", "--no-loadscope-reorder", "-q"]
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
     done = subprocess.run(
@@ -52,7 +50,6 @@ def test_files_stay_together_and_those_of_real_time_too(tmp_path: Path) -> None:
         "b": 1,
         "real": 1,
         "true": 1,
-        DEVICE: 1,
     }
     assert workers["real"] == workers["true"]
-    assert not workers["real"] & (workers["a"] | workers["b"] | workers[DEVICE])
+    assert not workers["real"] & (workers["a"] | workers["b"])

@@ -2,15 +2,9 @@
 
 from processing.contact.adhesion import AdhesiveContact, adhesive_contacts
 from processing.contact.air_drag import ExpectedDrag, bar_of, expected_drag_s, vane_drag_s_per_m2
-from processing.contact.decay import decay_path, path_nodes
-from processing.contact.energy_loss import measured_losses, model_losses
+from processing.contact.asymptotic import decay_path, frequency_drop, period
 from processing.contact.free_swing import STEEPER_DRAG, law_harmonics
-from processing.contact.half_swing import (
-    relative_curvature,
-    scaled_contact,
-    stiffness_ratio,
-    turning_points_of,
-)
+from processing.contact.half_swing import TABLE_RATIO, HalfSwings, OneHalfSwing, SwingTable, walk
 from processing.contact.hertz import (
     MATERIALS,
     HertzContact,
@@ -20,14 +14,24 @@ from processing.contact.hertz import (
     material,
     pendulum_on_ball,
 )
-from processing.contact.law import AMPLITUDE, DRAG, TIME, Columns, HalfSwings, HeldColumn, Law, Parameter
+from processing.contact.law import AMPLITUDE, DRAG, TIME, Columns, HeldColumn, Law, Parameter
 from processing.contact.law_of_splines import MomentSplines, spline_law
-from processing.contact.laws import DEFAULT_LAW, LAWS
-from processing.contact.moments import SurfaceEnergy, cycle_work, surface_energy, weight_moment
-from processing.contact.one_half_swing import OneHalfSwing, tabulated_half_swing
-from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
-from processing.contact.period_law import frequency_drop, period
+from processing.contact.laws import DEFAULT_LAW, LAWS, scaled_contact, turning_points_of
+from processing.contact.moments import (
+    SurfaceEnergy,
+    cycle_work,
+    measured_losses,
+    model_losses,
+    moment_loop,
+    surface_energy,
+)
+from processing.contact.parameters import (
+    STANDARD_GRAVITY_M_PER_S2,
+    ContactParameters,
+    PendulumOnBall,
+    relative_curvature,
+    stiffness_ratio,
+    weight_moment,
+)
 from processing.contact.start_values import fit_decay, period_start
-from processing.contact.stated_law import StatedLaw
-from processing.contact.stated_moment import Moment
-from processing.contact.steady_swing import moment_loop
+from processing.contact.stated_law import StatedLaw, StatedMoment

@@ -19,8 +19,7 @@ import numpy as np
 
 from processing.arrays import Complexes, Floats
 from processing.contact.law import DRAG, Law
-from processing.contact.moments import weight_moment
-from processing.contact.parameters import PendulumOnBall
+from processing.contact.parameters import PendulumOnBall, weight_moment
 from processing.errors import DataError
 from processing.swing import HALVES, SwingTerms
 

@@ -1,101 +1,218 @@
-"""The exact map from one turning point to the next (half-swing map), with its derivatives.
+"""Half-swings of any law as a table over ln A, and decays as walks through it.
 
-In Eq. 4 with Eqs. 1 and 3 and a linear drag, divided by m g R, energy is conserved except for the work of
-friction. Between a turning point at the amplitude A and the zero crossing the kinetic term is
+A law without memory of earlier swings (`moments`) or one that follows from its last reversal (`memory`)
+gives for each amplitude A what a half-swing from it leads to: the next amplitude and the duration, with
+their derivatives by the law's parameters. Everything else reads that table: a free decay is a walk through
+it, and where the ground moves the pendulum, the filter goes from any amplitude to the next.
 
-    phi'^2 / (2 w0^2) = (A^2/2) sin^2(theta) g(theta),      phi = A cos(theta)
-
-with g close to 1. The motion away from a turning point and the motion towards one differ only in the sign
-of the work of friction. A half-cycle therefore consists of two quarters, each a function of the amplitude of
-its own turning point only. The kinetic energies of both at the zero crossing must be equal, which gives the
-next amplitude; the times of both add up.
-
-The map (`half_swing_kernel`) is dimensionless: angles in units of a reference amplitude, times in units of
-T0.
+Angles are in units of a reference amplitude, times in units of T0.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import lru_cache
+from math import log
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from processing.arrays import Floats, Ints
-from processing.contact.half_swing_kernel import half_swing_map
-from processing.contact.law import HalfSwings
-from processing.contact.parameters import ContactParameters, PendulumOnBall
-from processing.contact.quadrature import quarter_nodes
-from processing.errors import DataError
+from processing.arrays import Flags, Floats, Ints
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
+TABLE_RATIO = 8.0
+"""Largest amplitude over the smallest one of a table, where nothing else is known of a decay."""
+_MOST_GROWTH = 2.0
+"""Of the first amplitude; a swing that grows by more is no decay, and such a law is searched no further."""
+_NODES = 20
+"""Nodes of a quarter; the error is below 1e-12 of a half period for any exponent above zero."""
 
 
-class ScaledContact(NamedTuple):
-    """Dimensionless parameters of the map, with ``x = phi / reference``; in terms of the SI parameters:
+class HalfSwings(NamedTuple):
+    """Turning points that a law predicts, and their derivatives by the map's parameters.
 
-    ``b = b reference^(p-1)``, ``c = c / reference``, ``kappa = 2 gamma a^2/(m g) reference^n``,
-    ``drag = drag_s w0``, ``rho = R reference / a``.
+    `amplitude` in units of the reference amplitude and `time` in units of T0, shape ``(points,)``,
+    NaN after the pendulum has stopped; the gradients have one column per parameter of the map.
     """
 
-    b: float
-    p: float
-    c: float
-    n: float
-    kappa: float
-    drag: float
-    rho: float
+    amplitude: Floats
+    time: Floats
+    amplitude_gradient: Floats
+    time_gradient: Floats
 
 
-def stiffness_ratio(gamma_pa: float, pendulum: PendulumOnBall) -> float:
-    """Factor of the adhesive moment divided by m g R, in rad^-n: ``kappa = 2 gamma a^2 / (m g)``."""
-    return 2 * gamma_pa * pendulum.contact_radius_m**2 / (pendulum.mass_kg * pendulum.gravity_m_per_s2)
+class OneHalfSwing(NamedTuple):
+    """Loss and duration of a half-swing at the falling amplitudes of a free decay.
+
+    Amplitudes and losses are in units of the reference, durations in units of T0. `loss_slope` and
+    `duration_slope` are derivatives by the amplitude; `loss_gradient` and `duration_gradient`, shape
+    ``(amplitudes, parameters)``, are those by the map's parameters at fixed amplitude. The map's last
+    parameter, the first amplitude, is none of a half-swing: its column is zero.
+    """
+
+    amplitude: Floats
+    loss: Floats
+    loss_slope: Floats
+    loss_gradient: Floats
+    duration: Floats
+    duration_slope: Floats
+    duration_gradient: Floats
+
+    def turning_points(self, first: float, index: Ints) -> HalfSwings:
+        """The decay that these half-swings make, at rising half-cycle numbers of which the first is 0."""
+        by_a, count = 1.0 - self.loss_slope, self.loss_gradient.shape[1]
+        product = np.concatenate([[1.0], np.cumprod(by_a)])
+        summed = np.cumsum(-self.loss_gradient / product[1:, None], axis=0)
+        gradient = product[:, None] * np.concatenate([np.zeros((1, count)), summed])
+        gradient[:, -1] = product
+        by_time = self.duration_slope[:, None] * gradient[:-1] + self.duration_gradient
+        time = np.concatenate([[0.0], np.cumsum(self.duration)])
+        time_gradient = np.concatenate([np.zeros((1, count)), np.cumsum(by_time, axis=0)])
+        last = self.amplitude[-1:] - self.loss[-1:] if len(self.amplitude) else np.array([first])
+        reached = index <= len(self.amplitude)
+        at = index[reached]
+        return HalfSwings(
+            _filled(reached, np.concatenate([self.amplitude, last])[at]),
+            _filled(reached, time[at]),
+            _filled(reached, gradient[at]),
+            _filled(reached, time_gradient[at]),
+        )
 
 
-def relative_curvature(pendulum: PendulumOnBall | None) -> float:
-    """R/a of Eq. 3 in rad^-1; 0 without a calibration (None), because angles are not known in rad then."""
-    return 0.0 if pendulum is None else pendulum.ball_radius_m / pendulum.contact_radius_m
+class SwingTable(NamedTuple):
+    """Half-swings from amplitudes between `lowest` and the highest knot, of a law with k parameters.
+
+    `values` is a function of ln A with 2 + 2 k columns: next amplitude over A, duration (T0), then the
+    derivatives of each by the parameters at fixed A.
+    """
+
+    lowest: float
+    values: "CubicSpline"
+
+    @classmethod
+    def of(cls, log_a: Floats, rows: Floats, fewest: int, beyond: int) -> "SwingTable | None":
+        """The table of rows at evenly rising ln A; None unless the last `fewest` of them are finite.
+
+        Below the highest row that is not finite, the pendulum sticks. The lowest `beyond` are there for the
+        interpolation.
+        """
+        from scipy.interpolate import CubicSpline  # here, because it would slow down every command
+
+        usable = np.all(np.isfinite(rows), axis=1)
+        if not usable[-fewest:].all():
+            return None
+        first = 0 if usable.all() else len(usable) - int(np.argmin(usable[::-1]))
+        return cls(float(np.exp(log_a[first or beyond])), CubicSpline(log_a[first:], rows[first:]))
+
+    def holds(self, amplitude: float) -> bool:
+        """Whether the amplitude lies within the table."""
+        return self.lowest <= amplitude and log(amplitude) <= self.values.x[-1]
 
 
-def scaled_contact(
-    parameters: ContactParameters, pendulum: PendulumOnBall, reference_rad: float
-) -> ScaledContact:
-    """The map's parameters for SI parameters and a reference amplitude."""
-    return ScaledContact(
-        b=parameters.b * reference_rad ** (parameters.p - 1),
-        p=parameters.p,
-        c=parameters.c / reference_rad,
-        n=parameters.n,
-        kappa=stiffness_ratio(parameters.gamma_pa, pendulum) * reference_rad**parameters.n,
-        drag=parameters.drag_s * 2 * np.pi / parameters.period0_s,
-        rho=pendulum.ball_radius_m * reference_rad / pendulum.contact_radius_m,
-    )
+TableMaker = Callable[[Floats, float, float], SwingTable | None]
+"""Of a law: its table for the map's parameters without the first amplitude, from the highest to the lowest
+amplitude or to the one at which the pendulum sticks; None where it does so at once."""
 
 
-def half_swings(parameters: Floats, index: Ints) -> HalfSwings:
-    """`half_swing_map` for the fields of `ScaledContact` and the first amplitude, in one array."""
-    return HalfSwings(*half_swing_map(parameters, index, *quarter_nodes()))
-
-
-def turning_points_of(
-    parameters: ContactParameters,
-    pendulum: PendulumOnBall,
-    initial_amplitude_rad: float,
-    half_cycles: int,
-) -> tuple[Floats, Floats]:
-    """Amplitudes (rad) and times (s) of the first turning points of a free decay.
+def walk(
+    table_from: Callable[[float], SwingTable | None], parameters: int, first: float, count: int
+) -> OneHalfSwing:
+    """The half-swings of a free decay, as many as wanted or until the pendulum stops.
 
     Parameters
     ----------
-    initial_amplitude_rad
-        The first turning point, at time 0; positive.
-    half_cycles
-        Number of half-cycles after it; the arrays have one element more.
-
-    Returns
-    -------
-    amplitude_rad, time_s
-        Shape ``(half_cycles + 1,)``. NaN from the turning point at which the pendulum sticks
-        (friction holds it) onwards.
+    table_from
+        The table for amplitudes from the given one down; None where the pendulum sticks.
+    parameters
+        Number of the map's parameters, with the first amplitude.
+    first
+        The first amplitude.
+    count
+        Number of half-swings.
     """
-    if not initial_amplitude_rad > 0:
-        raise DataError(f"initial amplitude {initial_amplitude_rad} rad: it must be positive")
-    scaled = np.array([*scaled_contact(parameters, pendulum, initial_amplitude_rad), 1.0], dtype=np.float64)
-    index = np.arange(half_cycles + 1, dtype=np.int64)
-    found = half_swings(scaled, index)
-    return found.amplitude * initial_amplitude_rad, found.time * parameters.period0_s
+    most = _MOST_GROWTH * first
+    amplitudes = [first]
+    rows: list[Floats] = []
+    while len(amplitudes) <= count and 0 < amplitudes[-1] <= most:
+        table = table_from(amplitudes[-1])
+        begun = len(amplitudes) - 1
+        if table is not None:
+            _append(table, amplitudes, count, most)
+        if table is None or len(amplitudes) == begun + 1:
+            break
+        log_a = np.log(amplitudes[begun:-1])
+        slope = table.values(log_a, 1)[:, :2]
+        rows.append(np.column_stack([slope, table.values(log_a)]))
+    own = parameters - 1
+    walked = np.concatenate(rows) if rows else np.empty((0, 2 * own + 4))
+    a = np.array(amplitudes[: len(walked)])
+    nothing = np.zeros((len(a), 1))
+    return OneHalfSwing(
+        a,
+        a * (1.0 - walked[:, 2]),
+        1.0 - walked[:, 2] - walked[:, 0],
+        np.concatenate([-a[:, None] * walked[:, 4 : 4 + own], nothing], axis=1),
+        walked[:, 3],
+        walked[:, 1] / a,
+        np.concatenate([walked[:, 4 + own :], nothing], axis=1),
+    )
+
+
+def _filled(where: Flags, values: Floats) -> Floats:
+    out = np.full((len(where), *values.shape[1:]), np.nan)
+    out[where] = values
+    return out
+
+
+def _append(table: SwingTable, amplitudes: list[float], count: int, most: float) -> None:
+    """Append amplitudes until the table or the wanted number ends, or one is larger than `most`."""
+    c3, c2, c1, c0 = (row.tolist() for row in table.values.c[:, :, 0])
+    knots = table.values.x.tolist()
+    origin, step = knots[0], knots[1] - knots[0]
+    here = amplitudes[-1]
+    while len(amplitudes) <= count and table.lowest <= here <= most:
+        log_a = log(here)
+        k = min(max(int((log_a - origin) / step), 0), len(c0) - 1)
+        d = log_a - knots[k]
+        here *= ((c3[k] * d + c2[k]) * d + c1[k]) * d + c0[k]
+        amplitudes.append(here)
+
+
+# The substitution ``phi = A cos(theta)`` removes the square-root singularity of the duration at the turning
+# point. Fractional powers of |phi| leave another one at the zero crossing, which ``pi/2 - theta =
+# (pi/2) v**3`` smooths. A Gauss-Legendre rule in v then converges quickly for every exponent.
+
+
+class QuarterNodes(NamedTuple):
+    """Nodes from the turning point (theta = 0) to the zero crossing (theta = pi/2).
+
+    `weight` are the weights for integration over theta. The square matrix `travelled` maps values f at the
+    nodes to ``integral_0^theta_k sin^2 f dtheta' / sin^2 theta_k``, the work of a moment proportional to the
+    speed; dividing by sin^2 avoids 0/0 at the turning point.
+    """
+
+    weight: Floats
+    cos: Floats
+    sin2: Floats
+    travelled: Floats
+
+
+@lru_cache(maxsize=1)
+def quarter_nodes() -> QuarterNodes:
+    """The nodes; computed once and cached."""
+    x, w = np.polynomial.legendre.leggauss(_NODES)
+    v = (x[::-1] + 1.0) / 2.0  # falling v: rising theta
+    w = w[::-1] / 2.0
+    past_zero = np.pi / 2 * v**3
+    weight = 1.5 * np.pi * v**2 * w
+    sin2 = np.cos(past_zero) ** 2
+    # The integral from v_k to 1 of a polynomial through the nodes, by its Legendre coefficients.
+    legendre = np.polynomial.legendre.legvander(2 * v - 1, _NODES)
+    to_coefficients = ((2 * np.arange(_NODES) + 1)[:, None] * legendre[:, :_NODES].T) * w
+    integral = np.empty((_NODES, _NODES))
+    integral[:, 0] = 1.0 - v
+    for k in range(1, _NODES):
+        # integral_x^1 P_k = (P_{k-1}(x) - P_{k+1}(x)) / (2 k + 1); half of it, for dv = dx/2
+        integral[:, k] = (legendre[:, k - 1] - legendre[:, k + 1]) / (2 * (2 * k + 1))
+    travelled = (integral @ to_coefficients) * (1.5 * np.pi * v**2 * sin2) / sin2[:, None]
+    return QuarterNodes(weight, np.sin(past_zero), sin2, travelled)

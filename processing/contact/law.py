@@ -6,6 +6,7 @@ from math import inf
 from typing import NamedTuple, Protocol
 
 from processing.arrays import Floats, Ints
+from processing.contact.half_swing import TABLE_RATIO, HalfSwings, TableMaker, walk
 from processing.contact.parameters import PendulumOnBall
 from processing.quantity import Quantity
 from processing.swing import TurningPoints
@@ -48,6 +49,13 @@ class Parameter:
         return Quantity(self.symbol, self.description, self.shown, self.unit)
 
 
+PERIOD = "period0_s"
+"""Key of T0, which every law has."""
+FREE_PERIOD = Parameter(
+    PERIOD, "T₀", "s", "period without the contact's moment", "I φ'' = -m g R φ", lower=0.0
+)
+CONSTANT = Parameter("c", "c", "1", "constant friction, over m g R", "M = -m g R c sign(φ')", lower=0.0)
+
 DRAG = Parameter(
     "drag_s",
     "drag",
@@ -70,19 +78,6 @@ TIME = Parameter(
     "start_time_s", "t₀", "s", "time of the first turning point on the clock of the data", "initial value"
 )
 """`AMPLITUDE` and `TIME` are fitted with every law; they describe the run and not the contact."""
-
-
-class HalfSwings(NamedTuple):
-    """Turning points that a law predicts, and their derivatives by the map's parameters.
-
-    `amplitude` in units of the reference amplitude and `time` in units of T0, shape ``(points,)``,
-    NaN after the pendulum has stopped; the gradients have one column per parameter of the map.
-    """
-
-    amplitude: Floats
-    time: Floats
-    amplitude_gradient: Floats
-    time_gradient: Floats
 
 
 class BranchMoments(NamedTuple):
@@ -125,8 +120,9 @@ class Columns(Protocol):
     valley: int | None
 
     def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
-        """The map's parameters (the last: the first amplitude), T0 (s) and the time of the first turning
-        point (s) in one array, and their derivatives by the columns; NaN for columns without a solution."""
+        """The map's parameters, T0 (s) and the time of the first turning point (s) in one array, and their
+        derivatives by the columns; NaN for columns without a solution. The map's are the law's own, the
+        drag, the reference (rad), R/a times it, and the first amplitude."""
 
     def physical(self, columns: Floats) -> tuple[Floats, Floats]:
         """SI values in the order of `Law.fit_names`, and their derivatives by the columns."""
@@ -160,9 +156,9 @@ class Law:
     branch_moments
         Function of the deflections (rad), the sign of phi', the parameters by key and the pendulum, which
         returns the moments.
-    half_swing_map
-        Function of the map's parameters and rising half-cycle numbers (the first 0), which returns the
-        turning points; it calls a compiled kernel.
+    table
+        Function of the map's parameters without the first amplitude, and of a range of amplitudes, which
+        returns the half-swings in that range.
     columns
         Function of the turning points, the pendulum (None: amplitudes not calibrated) and the keys of the
         fit (`fit_names`), which returns the solver's columns.
@@ -175,9 +171,20 @@ class Law:
     source: str
     parameters: tuple[Parameter, ...]
     branch_moments: Callable[[Floats, Floats, Mapping[str, float], PendulumOnBall], BranchMoments]
-    half_swing_map: Callable[[Floats, Ints], HalfSwings]
+    table: TableMaker
     columns: Callable[[TurningPoints, PendulumOnBall | None, tuple[str, ...]], Columns]
     uncalibrated: dict[str, Parameter] = field(default_factory=dict)
+
+    def half_swing_map(self, parameters: Floats, index: Ints) -> HalfSwings:
+        """Turning points of a free decay, for the map's parameters and rising half-cycle numbers, from 0."""
+        first = float(parameters[-1])
+        swings = walk(
+            lambda highest: self.table(parameters[:-1], highest, highest / TABLE_RATIO),
+            len(parameters),
+            first,
+            int(index[-1]),
+        )
+        return swings.turning_points(first, index)
 
     def fitted(self, *, calibrated: bool = True, drag: bool = False) -> tuple[Parameter, ...]:
         """The parameters of a fit, without the initial amplitude and time."""

@@ -1,4 +1,4 @@
-"""Parameters of a contact and of the pendulum on it."""
+"""Parameters of a contact and of the pendulum on it, and the factors that turn them into moments."""
 
 from dataclasses import dataclass
 
@@ -31,3 +31,18 @@ class PendulumOnBall:
     ball_radius_m: float
     contact_radius_m: float
     gravity_m_per_s2: float = STANDARD_GRAVITY_M_PER_S2
+
+
+def stiffness_ratio(gamma_pa: float, pendulum: PendulumOnBall) -> float:
+    """Factor of the adhesive moment divided by m g R, in rad^-n: ``kappa = 2 gamma a^2 / (m g)``."""
+    return 2 * gamma_pa * pendulum.contact_radius_m**2 / (pendulum.mass_kg * pendulum.gravity_m_per_s2)
+
+
+def relative_curvature(pendulum: PendulumOnBall | None) -> float:
+    """R/a of Eq. 3 in rad^-1; 0 without a calibration (None), because angles are not known in rad then."""
+    return 0.0 if pendulum is None else pendulum.ball_radius_m / pendulum.contact_radius_m
+
+
+def weight_moment(pendulum: PendulumOnBall) -> float:
+    """m g R in N m, the unit of the coefficients of Eq. 1."""
+    return pendulum.mass_kg * pendulum.gravity_m_per_s2 * pendulum.ball_radius_m

@@ -1,13 +1,12 @@
 """Start values of the paper's law from a decay: Eq. 5 fitted, Eq. 6 searched over its exponent."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.decay import decay_path, path_nodes
-from processing.contact.period_law import frequency_drop
+from processing.contact.asymptotic import decay_path, frequency_drop
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.least_squares import Loss, Solution, propagate, solve
@@ -133,16 +132,15 @@ def fit_decay(
     u = points.u_amplitude / reference
     s = (points.time_s - points.time_s[0]) * (4 / mean_period)
     first = decay_start(s, x, u, drag=drag)
-    nodes = path_nodes()
 
     def natural(values: Floats) -> tuple[Floats, Floats]:
         """b, p, c, (d,) start, and their derivatives by the solver's columns."""
         out, matrix = values.copy(), np.eye(len(values))
         if drag:
-            coordinates = [_B, _P, _D]
-            out[_P], out[_D], by = from_straight(*values[coordinates].tolist())
-            matrix[_P, coordinates], matrix[_D, coordinates] = by
-            out[_B] = matrix[_B, _B] = np.exp(values[_B])
+            moved = np.column_stack([values, values[:, None] + 1e-30j * matrix])
+            b = np.exp(moved[_B])
+            found = np.array([b, *from_straight(b, moved[_P], moved[_D])])
+            out[[_B, _P, _D]], matrix[[_B, _P, _D]] = found[:, 0].real, found[:, 1:].imag / 1e-30
         return out, matrix
 
     def curve(values: Floats) -> tuple[Floats, Floats]:
@@ -151,7 +149,7 @@ def fit_decay(
         if not -0.6 < p < 6.0:
             return np.full_like(x, np.nan), np.full((len(x), len(values)), np.nan)
         d = now[_D] if drag else 0.0
-        path, gradient = decay_path(s, now[-1], b / (p + 1), p, c, d, *nodes)
+        path, gradient = decay_path(s, now[-1], b / (p + 1), p, c, d)
         jacobian = np.empty((len(s), len(values)))
         jacobian[:, _B] = gradient[:, 1] / (p + 1)
         jacobian[:, _P] = gradient[:, 2] - gradient[:, 1] * b / (p + 1) ** 2
@@ -189,7 +187,7 @@ def fit_decay(
         start = np.array([b, first.p, c, *([first.d * slower] if drag else []), first.start])
         if drag:
             start[_B] = np.log(b)
-            start[_P], start[_D] = to_straight(float(start[_B]), first.p, first.d * slower)
+            start[_P], start[_D] = to_straight(float(b), first.p, first.d * slower)
         start = np.clip(start, lower + 1e-9, upper - 1e-9)
         if np.all(np.isfinite(model(start)[0])):
             break
@@ -217,25 +215,15 @@ def fit_decay(
 # straight and runs along ln b.
 
 
-def from_straight(log_b: float, omega: float, linear: float) -> tuple[float, float, Floats]:
-    """p and drag (in the unit of the linear loss), and the derivatives of both by the coordinates.
+def from_straight(b: Any, omega: Any, linear: Any) -> tuple[Any, Any]:
+    """p and drag (in the unit of the linear loss), of real or complex coordinates.
 
     NaN if no p corresponds to the coordinates.
     """
-    b = float(np.exp(log_b))
-    if not abs(b - omega) > 1e-12 * b:
-        return float("nan"), float("nan"), np.full((2, 3), np.nan)
-    p = (b + omega) / (b - omega)
-    by = np.array(
-        [
-            [-2 * (omega / (b - omega)) * (b / (b - omega)), 2 * b / (b - omega) / (b - omega), 0.0],
-            [-b / 2, 0.5, 1.0],
-        ]
-    )
-    return p, linear - (b - omega) / 2, by
+    rest = np.where(np.abs(b - omega) > 1e-12 * np.abs(b), b - omega, np.nan)
+    return (b + omega) / rest, linear - rest / 2
 
 
-def to_straight(log_b: float, p: float, drag: float) -> tuple[float, float]:
+def to_straight(b: float, p: float, drag: float) -> tuple[float, float]:
     """The coordinates omega and linear; the inverse of `from_straight`."""
-    b = float(np.exp(log_b))
     return b * (p - 1) / (p + 1), b / (p + 1) + drag

@@ -2,41 +2,33 @@
 
     M = -m g R f(|phi|) sign(phi') + m g R e(|phi|) sign(phi)
 
-Half-swings follow as those of `law_of_splines` do, from the works of f and e by quadrature. What of e is
-proportional to phi at the reference amplitude, e(1), weakens gravity, so that in units of the period there
-the other moments are larger by 1/(1 - e(1)).
+The works of f and e follow by quadrature, their derivatives by the parameters by differences.
 """
 
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
-from math import isfinite, log, sqrt
-from typing import NamedTuple
+from functools import cache
+from math import isfinite, log
 
 import numpy as np
 
-from processing.arrays import Floats, Ints
-from processing.contact.branch_columns import PERIOD, BranchColumns, Scaling, logarithms_of
-from processing.contact.branch_law import FREE_PERIOD
-from processing.contact.law import DRAG, BranchMoments, HalfSwings, Law, Parameter
-from processing.contact.law_of_splines import swing_table
-from processing.contact.laws import LAWS, PAPER
-from processing.contact.moments import weight_moment
-from processing.contact.parameters import PendulumOnBall
-from processing.contact.quadrature import quarter_nodes
+from processing.arrays import Floats
+from processing.contact.coordinates import Scaling, logarithms_of
+from processing.contact.law import DRAG, FREE_PERIOD, PERIOD, Law, Parameter
+from processing.contact.laws import LAWS, PAPER, STIFFNESS, elastic_moment
+from processing.contact.memoryless import Moment, Moments, memoryless_law
+from processing.contact.parameters import PendulumOnBall, stiffness_ratio
 from processing.contact.start_values import StartValues
-from processing.contact.stated_moment import Moment, called, refuse_odd
-from processing.contact.tabulated_decay import walk
 from processing.errors import DataError
 from processing.periods import reference_amplitude
 from processing.swing import TurningPoints
 
 _ELASTIC = ("n", "gamma_pa")
 """Of Eq. 3, which is fitted where no other elastic moment is stated."""
-_LOWEST = 1e-5
-"""Angle, over the smallest amplitude, below which the friction is taken as constant."""
-_PER_OCTAVE, _GRID_PER_OCTAVE, _BEYOND = 40, 24, 1.08
+_LOWEST, _PER_OCTAVE = 1e-5, 40
+"""Angle, over the smallest amplitude, below which a moment is taken as constant, and the points at which its
+work is tabulated in a factor of two."""
 _TIMES = (1.0, 0.3, 3.0)
 """Of the stated starts, from which the fit begins one after the other."""
 _COMPARED = 24
@@ -44,141 +36,91 @@ _COMPARED = 24
 _STEP = 1e-4
 """Of a parameter, for derivatives."""
 
+StatedMoment = Callable[..., Floats]
+"""Of |phi| in rad and of parameters by name, over m g R; their defaults are where a fit begins."""
 
-class _Moments:
-    """f and e over an octave or more, in units of the reference, as `law_of_splines.MomentSplines` has them:
-    with one coefficient each, which is 1.
+
+def _called(moment: StatedMoment, name: str) -> StatedMoment:
+    """A stated moment that gives an array of floats, or DataError with what is wrong in it.
+
+    It has angles of its own: what it writes into them reaches nobody else.
     """
 
-    def __init__(self, friction: Moment, elastic: Moment, highest: float, lowest: float) -> None:
+    def result(phi_rad: Floats, **own: float) -> Floats:
+        values = ", ".join(f"{key} = {value:.6g}" for key, value in own.items())
+        try:
+            found = np.asarray(moment(np.array(phi_rad), **own))
+        except Exception as error:
+            raise DataError(
+                f"{name}: raises {type(error).__name__} ({error}) for an array of {phi_rad.size} angles and "
+                f"{values}; a law has a value for each of them"
+            ) from error
+        if found.dtype.kind not in "fiu":
+            raise DataError(
+                f"{name}: returns {found.dtype} for {values}; one real number for each angle is needed"
+            )
+        return np.asarray(found, dtype=np.float64)
+
+    return result
+
+
+def _refuse_odd(moment: StatedMoment, start: Mapping[str, float], points: TurningPoints, name: str) -> None:
+    """Raise DataError unless a moment has a finite value where a fit begins."""
+    probe = np.geomspace(1e-3, 1, 9) * float(points.amplitude.max())
+    found = moment(probe, **start)
+    if found.shape not in ((), probe.shape) or not np.all(np.isfinite(found)):
+        raise DataError(
+            f"{name}: returns an array of shape {found.shape} for {len(probe)} angles, with "
+            f"{int(np.isfinite(found).sum())} finite numbers; one for each angle is needed"
+        )
+
+
+def _by_quadrature(
+    stated: StatedMoment,
+    values: Mapping[str, float],
+    steps: Mapping[str, float],
+    names: tuple[str, ...],
+    reference: float,
+    lowest: float,
+    highest: float,
+) -> Moment:
+    """A stated moment of parameters, some of `names`, in units of the reference."""
+    first = _LOWEST * lowest
+
+    def at(x: Floats, changed: Mapping[str, float]) -> Floats:
+        found = stated(x * reference, **{**values, **changed}) / reference
+        return np.asarray(np.broadcast_to(found, x.shape))
+
+    def moment(x: Floats) -> Floats:
+        x = np.maximum(x, first)
+        out = np.zeros((*x.shape, len(names) + 2))
+        out[..., 0] = at(x, {})
+        for name, value in values.items():
+            high, low = value + steps[name], value - steps[name]
+            by = (at(x, {name: high}) - at(x, {name: low})) / (high - low)
+            out[..., 1 + names.index(name)] = by
+        return out
+
+    @cache
+    def tabulated() -> Callable[[Floats], Floats]:
         from scipy.interpolate import CubicHermiteSpline  # here, as it would slow down every command
 
-        self._f, self._e = friction, elastic
-        self._first = _LOWEST * lowest
-        top = _BEYOND * highest
-        steps = int(_PER_OCTAVE * log(top / self._first, 2)) + 1
-        u = np.linspace(log(self._first), log(top), steps + 1)
-        at, weight = np.polynomial.legendre.leggauss(5)
+        u = np.linspace(log(first), log(highest), int(_PER_OCTAVE * log(highest / first, 2)) + 2)
+        nodes, weight = np.polynomial.legendre.leggauss(5)
         half = 0.5 * (u[1] - u[0])
-        x, ends = np.exp(u[:-1, None] + half * (1 + at)), np.exp(u)
-        works = []
-        for moment in (friction, elastic):
-            pieces = half * (x * moment(x)) @ weight
-            below = ends[0] * float(moment(ends[:1])[0])
-            works.append(
-                CubicHermiteSpline(u, below + np.append(0.0, np.cumsum(pieces)), ends * moment(ends))
-            )
-        self._friction_work, self._elastic_work = works
-        count = int(_GRID_PER_OCTAVE * log(top / (0.3 * lowest), 2)) + 1
-        self.grid = np.exp(np.linspace(log(0.3 * lowest), log(top), count))
-        nodes = quarter_nodes()
-        x = self.grid[:, None] * nodes.cos
-        size = (0.5 * self.grid[:, None] ** 2 * nodes.sin2)[..., None]
-        self.lost = (self.friction_work(self.grid)[:, None] - self.friction_work(x)) / size
-        self.stored = (self.elastic_work(self.grid)[:, None] - self.elastic_work(x)) / size
+        x, ends = np.exp(u[:-1, None] + half * (1 + nodes)), np.exp(u)
+        pieces = half * np.einsum("uk,ukj->uj", weight * x, moment(x))
+        at_ends = ends[:, None] * moment(ends)
+        return CubicHermiteSpline(u, np.cumsum(np.concatenate([at_ends[:1], pieces]), axis=0), at_ends)
 
-    def friction(self, x: Floats) -> Floats:
-        return np.asarray(self._f(np.maximum(x, self._first))[..., None])
+    def work(x: Floats) -> Floats:
+        share = np.minimum(x / first, 1.0)[..., None]
+        return np.asarray(share * tabulated()(np.log(np.maximum(x, first))))
 
-    def elastic(self, x: Floats) -> Floats:
-        return np.asarray(self._e(np.maximum(x, self._first))[..., None])
-
-    def friction_work(self, x: Floats) -> Floats:
-        return self._work(self._friction_work, x)
-
-    def elastic_work(self, x: Floats) -> Floats:
-        return self._work(self._elastic_work, x)
-
-    def _work(self, work: Callable[[Floats], Floats], x: Floats) -> Floats:
-        share = np.minimum(x / self._first, 1.0)
-        return np.asarray((share * work(np.log(np.maximum(x, self._first))))[..., None])
+    return Moment(moment, work)
 
 
-class _Swung(NamedTuple):
-    """Turning points, and their derivatives by the drag and the first amplitude."""
-
-    amplitude: Floats
-    time: Floats
-    by_last: tuple[Floats, Floats]
-
-
-class _Stated:
-    """The half-swing map of stated moments; its parameters are theirs, drag, reference, first amplitude."""
-
-    def __init__(
-        self,
-        friction: Moment,
-        elastic: Callable[[Floats, Mapping[str, float]], Floats],
-        names: tuple[str, ...],
-        of_friction: tuple[str, ...],
-        start: Mapping[str, float],
-        amplitudes: tuple[float, float],
-        *,
-        scaled_by_n: bool,
-    ) -> None:
-        self._friction, self._elastic = friction, elastic
-        self._names, self._of_friction = names, of_friction
-        self._scale = [abs(start[name]) or 1.0 for name in names]
-        self._highest, self._lowest = amplitudes
-        self._scaled_by_n = scaled_by_n
-
-    def values(self, own: Floats, reference: float) -> dict[str, float]:
-        found = dict(zip(self._names, own.tolist(), strict=True))
-        if self._scaled_by_n:
-            n, gamma = _ELASTIC
-            found[gamma] *= reference ** -found[n]
-        return found
-
-    def _swing(self, parameters: Floats, index: Ints) -> _Swung:
-        count = len(self._names)
-        drag, reference, first = parameters[count:].tolist()
-        known = self.values(parameters[:count], reference)
-        of_friction = {name: known[name] for name in self._of_friction}
-        at_one = float(np.ravel(self._elastic(np.array([reference]), known))[0]) / reference
-        nothing = np.full(len(index), np.nan)
-        if not at_one < 1:
-            return _Swung(nothing, nothing, (nothing[:, None] * np.ones(2),) * 2)
-        weaker = 1 - at_one
-        slower = 1 / sqrt(weaker)
-
-        def f(x: Floats) -> Floats:
-            found = np.asarray(self._friction(x * reference, **of_friction), dtype=np.float64)
-            return np.asarray(np.broadcast_to(found, x.shape) / (reference * weaker))
-
-        def e(x: Floats) -> Floats:
-            found = np.asarray(self._elastic(x * reference, known), dtype=np.float64)
-            return np.asarray((np.broadcast_to(found, x.shape) / reference - x * at_one) / weaker)
-
-        moments = _Moments(f, e, self._highest / reference, self._lowest / reference)
-        one = np.ones(1)
-        with np.errstate(all="ignore"):
-            table = swing_table(moments, one, one, drag * slower)
-        found = walk(lambda x: table if table is not None and x >= table.lowest else None, 4, first, index)
-        by_last = found.amplitude_gradient[:, [2, 4]], found.time_gradient[:, [2, 4]] * slower
-        for by in by_last:
-            by[:, 0] *= slower
-        return _Swung(found.amplitude, found.time * slower, by_last)
-
-    def __call__(self, parameters: Floats, index: Ints) -> HalfSwings:
-        with np.errstate(all="ignore"):  # where the search goes too far
-            return self._differentiated(parameters, index)
-
-    def _differentiated(self, parameters: Floats, index: Ints) -> HalfSwings:
-        found = self._swing(parameters, index)
-        count = len(self._names)
-        gradients = [np.zeros((len(index), count + 3)) for _ in range(2)]
-        for place, scale in enumerate(self._scale):
-            step = np.zeros(len(parameters))
-            step[place] = _STEP * max(abs(float(parameters[place])), 1e-3 * scale)
-            above, below = (self._swing(parameters + sign * step, index) for sign in (1, -1))
-            gradients[0][:, place] = (above.amplitude - below.amplitude) / (2 * step[place])
-            gradients[1][:, place] = (above.time - below.time) / (2 * step[place])
-        for by, by_last in zip(gradients, found.by_last, strict=True):
-            by[:, [count, count + 2]] = by_last
-        return HalfSwings(found.amplitude, found.time, *gradients)
-
-
-def _starts_of(moment: Moment) -> dict[str, float]:
+def _starts_of(moment: StatedMoment) -> dict[str, float]:
     """The parameters of a stated moment and where a fit begins: the defaults in its signature.
 
     Raises
@@ -209,8 +151,8 @@ class StatedLaw:
     The defaults of the parameters are where a fit begins.
     """
 
-    friction: Moment
-    elastic: Moment | None = None
+    friction: StatedMoment
+    elastic: StatedMoment | None = None
 
     @property
     def name(self) -> str:
@@ -230,7 +172,7 @@ class StatedLaw:
 
 
 def _as_the_papers(
-    friction: Moment, start: Mapping[str, float], like: Mapping[str, float], points: TurningPoints
+    friction: StatedMoment, start: Mapping[str, float], like: Mapping[str, float], points: TurningPoints
 ) -> list[dict[str, float]]:
     """The parameters by which a friction is nearest to the paper's as fitted, found from its own start; none
     where the search for them fails.
@@ -261,8 +203,8 @@ def _law(
     elastic, name = stated.elastic, stated.name
     start = _starts_of(stated.friction)
     own = tuple(start)
-    friction = called(stated.friction, name)
-    refuse_odd(friction, start, points, name)
+    friction = _called(stated.friction, name)
+    _refuse_odd(friction, start, points, name)
     if elastic is None:
         if taken := set(own) & set(_ELASTIC):
             raise DataError(f"{name}: its parameter {min(taken)} is one of Eq. 3, which is fitted with it")
@@ -271,35 +213,36 @@ def _law(
         if taken := set(own) & set(_starts_of(elastic)):
             raise DataError(f"{name}: its parameter {min(taken)} is one of the elastic moment, too")
         of_elastic = _starts_of(elastic)
-        elastic = called(elastic, getattr(elastic, "__name__", "elastic"))
-        refuse_odd(elastic, of_elastic, points, f"{name}, elastic")
+        elastic = _called(elastic, getattr(elastic, "__name__", "elastic"))
+        _refuse_odd(elastic, of_elastic, points, f"{name}, elastic")
         start |= of_elastic
     names = tuple(start)
-    weight = weight_moment(pendulum)
-    paper = dict.fromkeys((each.key for each in PAPER.parameters), 0.0) | {"p": 1.0, PERIOD: 1.0}
+    scale = {name: 1e-3 * (abs(value) or 1.0) for name, value in start.items()}
+    rest = tuple(name for name in names if name not in own)
 
-    def elastic_of(phi_rad: Floats, known: Mapping[str, float]) -> Floats:
-        if elastic is not None:
-            return np.asarray(elastic(phi_rad, **{key: known[key] for key in names if key not in own}))
-        values = {**paper, **{key: known[key] for key in _ELASTIC}}
-        found = PAPER.branch_moments(phi_rad, np.ones_like(phi_rad), values, pendulum)
-        return np.asarray(found.elastic_n_m / weight)
+    def moments_of(parameters: Floats, lowest: float, highest: float) -> Moments:
+        known = dict(zip(names, parameters[:-3].tolist(), strict=True))
+        steps = {name: _STEP * max(abs(value), scale[name]) for name, value in known.items()}
+        _, reference, rho = parameters[-3:].tolist()
 
-    def moments(
-        phi_rad: Floats, direction: Floats, values: Mapping[str, float], pendulum: PendulumOnBall
-    ) -> BranchMoments:
-        size = np.abs(phi_rad)
-        against = np.broadcast_to(friction(size, **{key: values[key] for key in own}), size.shape)
-        along = np.broadcast_to(elastic_of(size, values), size.shape)
-        return BranchMoments(-weight * np.sign(direction) * against, weight * np.sign(phi_rad) * along)
+        def stated_one(moment: StatedMoment, keys: tuple[str, ...]) -> Moment:
+            values = {key: known[key] for key in keys}
+            return _by_quadrature(moment, values, steps, names, reference, lowest, highest)
+
+        return Moments(
+            stated_one(friction, own),
+            elastic_moment(known["n"], known["gamma_pa"], rho, len(names) + 1)
+            if elastic is None
+            else stated_one(elastic, rest),
+        )
 
     reference = reference_amplitude(points)
     scalings = dict.fromkeys(names, Scaling())
     scaled = dict(start)
     if elastic is None:
         n, gamma = _ELASTIC
-        scalings[gamma] = Scaling(0.0, -1.0, n)
-        scaled[gamma] *= reference ** start[n]
+        scalings[gamma] = STIFFNESS
+        scaled[gamma] *= stiffness_ratio(1.0, pendulum) * reference ** start[n]
 
     stated_start = {key: start[key] for key in own}
     as_papers = _as_the_papers(friction, stated_start, like, points)
@@ -318,22 +261,13 @@ def _law(
         ),
         FREE_PERIOD,
     )
-    return Law(
-        name=name,
-        title=(inspect.getdoc(stated.friction) or "stated").splitlines()[0].rstrip("."),
-        source="stated",
-        parameters=parameters,
-        branch_moments=moments,
-        half_swing_map=_Stated(
-            friction,
-            elastic_of,
-            names,
-            own,
-            scaled,
-            (float(points.amplitude.max()), float(points.amplitude.min())),
-            scaled_by_n=elastic is None,
-        ),
-        columns=partial(
-            BranchColumns, parameters=parameters, scalings=scalings, straight=logarithms_of(), likely=likely
-        ),
+    return memoryless_law(
+        name,
+        (inspect.getdoc(stated.friction) or "stated").splitlines()[0].rstrip("."),
+        "stated",
+        parameters,
+        moments_of,
+        scalings,
+        lambda _: logarithms_of(),
+        likely,
     )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.arrays import Floats
-from processing.contact import HalfSwings, OneHalfSwing, PendulumOnBall, tabulated_half_swing
+from processing.contact import TABLE_RATIO, HalfSwings, OneHalfSwing, PendulumOnBall, SwingTable, walk
 from processing.contact.laws import DEFAULT_LAW, Law
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
@@ -22,6 +22,10 @@ from processing.fit.witnessed_columns import NOT_WITNESSED, WitnessedColumns
 from processing.periods import mean_period
 from processing.swing import TurningPoints
 
+_ABOVE, _BELOW = 1.05, 0.6
+"""Amplitudes up and down to which half-swings are tabulated, over those measured."""
+_SLOWER = 4
+"""Times the measured half-cycles after which a law's free decay is followed no further."""
 _STEP = 3.0
 """Step of a derivative of the evidence, in what one column alone is uncertain by."""
 
@@ -344,22 +348,25 @@ class ExactModel:
 
 
 class SwingsOfLaw:
-    """The map of a law for the half-cycles `index`, of measured amplitudes `x` in units of the reference.
+    """Half-swings of a law for the half-cycles `index`, of measured amplitudes `x` in units of the reference.
 
     Searches begin and end where others have been: copies of a model share what is kept here.
     """
 
     def __init__(self, law: Law, index: NDArray[np.int64], x: Floats) -> None:
-        self._law, self._index, self._x = law, index, x
-        self._tabulated: dict[bytes, OneHalfSwing] = {}
+        self._law, self._index = law, index
+        self._highest, self._lowest = _ABOVE * float(x.max()), _BELOW * float(x.min())
+        self._table: dict[bytes, SwingTable | None] = {}
+        self._through: dict[bytes, OneHalfSwing] = {}
         self._swung: dict[bytes, HalfSwings] = {}
 
     def at_the_points(self, parameters: Floats) -> HalfSwings:
-        """The law's map at the indices of the points."""
+        """Turning points at the indices of the points."""
         key = parameters.tobytes()
         if key not in self._swung:
+            swings = self._from(parameters, float(parameters[-1]), int(self._index[-1]))
             self._swung.clear()
-            self._swung[key] = self._law.half_swing_map(parameters, self._index)
+            self._swung[key] = swings.turning_points(float(parameters[-1]), self._index)
         return self._swung[key]
 
     def through_the_decay(self, parameters: Floats) -> OneHalfSwing | None:
@@ -367,16 +374,25 @@ class SwingsOfLaw:
         if not np.all(np.isfinite(parameters)):
             return None
         key = parameters[:-3].tobytes()
-        if key not in self._tabulated:
-            highest, lowest = 1.05 * float(self._x.max()), 0.9 * float(self._x.min())
-            count = int(1.1 * self._index[-1]) + 20
-            while True:
-                table = tabulated_half_swing(self._law.half_swing_map, parameters[:-2], highest, count)
-                reached = len(table.amplitude)
-                if reached < count or count > 4 * self._index[-1] or table.amplitude[-1] < lowest:
-                    break
-                count *= 2
-            self._tabulated.clear()
-            self._tabulated[key] = table
-        table = self._tabulated[key]
-        return table if len(table.amplitude) > 1 else None
+        if key not in self._through:
+            count = _SLOWER * int(self._index[-1])
+            self._through.clear()
+            self._through[key] = self._from(parameters[:-2], self._highest, count, self._lowest)
+        swings = self._through[key]
+        return swings if len(swings.amplitude) > 1 else None
+
+    def _from(self, parameters: Floats, first: float, count: int, lowest: float = 0.0) -> OneHalfSwing:
+        """The free decay from a first to a lowest amplitude, by one table for all amplitudes of the data."""
+        own = parameters[:-1]
+        key = own.tobytes()
+        if key not in self._table:
+            self._table.clear()
+            self._table[key] = self._law.table(own, self._highest, self._lowest)
+        table = self._table[key]
+
+        def table_from(amplitude: float) -> SwingTable | None:
+            if table is not None and table.holds(amplitude):
+                return table
+            return self._law.table(own, amplitude, amplitude / TABLE_RATIO) if amplitude > lowest else None
+
+        return walk(table_from, len(parameters), first, count)

@@ -11,7 +11,6 @@ from processing.contact import (
     TIME,
     PendulumOnBall,
     decay_path,
-    path_nodes,
     period,
     turning_points_of,
 )
@@ -91,5 +90,5 @@ def _asymptotic(points: TurningPoints, fit: Fit) -> Array:
     # Eq. 5 in units of T/4: a linear drag enters its rate as this much of the amplitude
     linear = known.drag_s * math.pi**2 / (2 * mean)
     start = fit.estimate(AMPLITUDE.key).value
-    path, _ = decay_path(s, start, known.b / (known.p + 1), known.p, known.c, linear, *path_nodes())
+    path, _ = decay_path(s, start, known.b / (known.p + 1), known.p, known.c, linear)
     return np.asarray(path, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""One model over many runs: `rig campaign`."""
+"""One model over many runs: `rig compare --model`."""
 
 from rig.campaigns.answer import Campaign, answer_of
 from rig.campaigns.likelihoods import FoundRun

@@ -53,6 +53,13 @@ def new_page(path: Path | None) -> Path | None:
     return path
 
 
+def page_or_campaign(path: Path | None) -> Path | None:
+    """For an HTML page that must not exist, or the folder of a campaign, in which none may be."""
+    if path is not None and path.suffix.lower() in (".html", ".htm"):
+        return new_page(path)
+    return folder_without("campaign.json", "campaign.html")(path)
+
+
 def folder_without(*patterns: str) -> Check:
     """For a folder, which is made where it is missing, in which nothing may be of these names."""
 

@@ -6,9 +6,11 @@ from typing import Annotated, Literal
 import typer
 
 from processing.errors import ConfigurationError
+from rig.commands.arguments import Where
+from rig.commands.campaign import model_runs
 from rig.commands.inputs import with_results
 from rig.commands.json_answers import in_json
-from rig.commands.outputs import folder_without, new_file, new_page, output_option
+from rig.commands.outputs import folder_without, new_file, new_page, output_option, page_or_campaign
 
 
 def register(app: typer.Typer) -> None:
@@ -94,20 +96,66 @@ def export(
 
 def compare(
     folders: Annotated[
-        list[Path], typer.Argument(help="Folders of sessions.", show_default=False, callback=with_results)
-    ],
-    output: Annotated[Path | None, output_option("HTML file to write, with a figure.", new_page)] = None,
+        list[Path] | None,
+        typer.Argument(help="Folders of sessions.", show_default=False, callback=with_results),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        output_option("HTML file to write, with a figure; with --model: folder.", page_or_campaign),
+    ] = None,
     against: Annotated[
         str, typer.Option(help="Also over temperature, humidity, pressure, dwell or age of every run.")
     ] = "",
+    model: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE|default",
+            help="One model over all runs: its parameters, effects, priors (campaign.toml); each folder is a "
+            "contact, in the order of measurement.",
+        ),
+    ] = "",
+    archive: Annotated[
+        Path | None,
+        typer.Option(help="With --model: take the runs of an archive; each sample is a contact."),
+    ] = None,
+    where: Where = "",
+    by_sample: Annotated[
+        bool,
+        typer.Option(
+            "--by-sample", help="With --model: folders with the same session.sample are one contact."
+        ),
+    ] = False,
+    sample: Annotated[
+        bool,
+        typer.Option("--sample", help="With --model: sample the full posterior (emcee), with its R-hat."),
+    ] = False,
 ) -> None:
-    """Compare the parameters of several series.
+    """Compare the parameters of series, or model many runs.
+
+    In a model what runs share (air, lever, masses) counts once; contacts depend on humidity, temperature, age
+    as stated; bad runs are named.
 
     \b
     Examples:
       rig compare runs/glass runs/silicon -o comparison.html
       rig compare runs/glass runs/silicon --against humidity -o humidity.html
+      rig compare runs/monday runs/tuesday --model campaign.toml -o campaigns/glass
+      rig compare --model default --archive archive.duckdb --where "sample = 'K8'" -o campaigns/k8
     """
+    if model:
+        if against:
+            raise ConfigurationError(
+                f"--against {against}: has no effect with --model, whose file states effects"
+            )
+        model_runs(model, folders or [], output, archive, where, by_sample=by_sample, sample=sample)
+        return
+    of_models = {"--archive": archive, "--where": where, "--by-sample": by_sample, "--sample": sample}
+    if stated := next((name for name, value in of_models.items() if value), ""):
+        raise ConfigurationError(f"{stated}: has no effect without --model")
+    if output is not None and output.suffix.lower() not in (".html", ".htm"):
+        raise ConfigurationError(f"{output}: name a file that ends in .html or .htm")
+    if not folders:
+        raise typer.BadParameter("Missing argument 'FOLDERS'.")
     if len(folders) < 2 and not against:
         raise ConfigurationError(f"{folders[0]}: a comparison needs two sessions or more; name another")
 

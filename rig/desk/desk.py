@@ -165,8 +165,8 @@ class Desk:
         return f"the session was frozen; its process was killed, Resume makes the missing runs{lit}"
 
     def needs_camera(self, who: str) -> None:
-        """Give the camera free; raises ConfigurationError if a session or a command has it."""
-        if self.following.running or self.session_state is Started.RUNNING:
+        """Give the camera free; raises ConfigurationError if a session or a command has it. May wait."""
+        if self.following.running or (self.session_state is Started.RUNNING and not self._has_ended()):
             raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
         for name, job in self.jobs.items():
             # what has reported its result, or was asked to end, is about to end
@@ -174,6 +174,21 @@ class Desk:
             if job.running and not (about_to and job.wait(_ENDS_WITHIN_S)):
                 raise ConfigurationError(f"rig {who} needs the camera, which rig {name} has; end that first")
         self.end_aligning()
+
+    def _has_ended(self) -> bool:
+        """Whether the process of the session that was started ends in a moment: it was followed, and is gone.
+
+        One that was stopped answers no more, and its runs are on the page, before it has closed its devices.
+        One that is still to be heard of, or whose report is being made, does not end.
+        """
+        if self._session is None or self.following.last_folder != self._session[1]:
+            return False
+        deadline_s = time.monotonic() + _ENDS_WITHIN_S
+        while self.session_state is Started.RUNNING:
+            if self.following.running or time.monotonic() > deadline_s:
+                return False
+            time.sleep(_LOOK_S)
+        return True
 
     def _needs_leave(self, who: str) -> None:
         """Raises ConfigurationError while a trip is latched: nothing is started that would light."""

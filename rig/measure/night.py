@@ -17,6 +17,7 @@ from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
 from rig.measure.notices import announced
+from rig.measure.run import ready_for_frames
 from rig.measure.session import (
     SessionOptions,
     SessionOutcome,
@@ -303,7 +304,10 @@ def _go_on(file: SessionFile, config: Configuration, options: SessionOptions) ->
             say(why)
         options.notices.against.extend(against)
         return 1 if against else 0
-    with Devices(config, folder, "rig run --resume") as devices:
+    with (
+        ready_for_frames(live=not config.on_demand),
+        Devices(config, folder, "rig run --resume") as devices,
+    ):
         made = make_runs(config, Path(file.state.source), file, devices, options)
     return report(config, folder, made, options)
 

@@ -40,7 +40,9 @@ def ready_for_frames(*, live: bool) -> Iterator[None]:
 
     For a `live` camera, what is there when it begins is left out of every later search for unreachable
     objects: those of the libraries are so many that one search stops all threads for some tenths of a
-    second, in which the buffers of a camera run over. Frames made on demand would wait.
+    second, in which the buffers of a camera run over. Frames made on demand would wait. It is entered before
+    the devices are opened, since it searches itself: on a busy machine for longer than the watchdog of a
+    controller waits for a heartbeat.
     """
     usual_turn_s = sys.getswitchinterval()
     sys.setswitchinterval(_TURN_S)
@@ -87,10 +89,7 @@ class Run:
         frames come on demand. What hangs while the run is ended is abandoned after a time, and sooner after
         a second interrupt. If the terminal was closed (`show` raises OSError), the run continues without it.
         """
-        with ready_for_frames(live=self._stream.policy != "wait"):
-            return self._executed(self._showing(show), interval_s)
-
-    def _executed(self, show: Callable[[Snapshot], None], interval_s: float) -> RunOutcome:
+        show = self._showing(show)
         self._stream.start_camera()
         threading.Thread(target=self._process, name="processing", daemon=True).start()
         interrupt: KeyboardInterrupt | None = None

@@ -23,6 +23,7 @@ from rig.measure.live_fit import check_stop_when
 from rig.measure.notes import Notes
 from rig.measure.notices import Notices, announced
 from rig.measure.phases import NoGo
+from rig.measure.run import ready_for_frames
 from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import RunState, SessionFile, end_noted, withdraw_unrecorded
 from rig.measure.session_orders import await_leave, orders
@@ -79,7 +80,7 @@ class SessionOptions(NamedTuple):
 def make_session(config: Configuration, source: Path, folder: Path, options: SessionOptions) -> int:
     """As `measure_session`, with a complete configuration and in a folder that was made for it."""
     with ExitStack() as closing:
-        with Devices(config, folder, "rig run") as devices:
+        with ready_for_frames(live=not config.on_demand), Devices(config, folder, "rig run") as devices:
             file = SessionFile.made(folder, source, config.session.runs, stored_configuration(config))
             closing.callback(file.close)
             made = make_runs(config, source, file, devices, options)
@@ -277,7 +278,7 @@ def simulate_record(config: Configuration, source: Path, record: Path) -> int:
     quiet = config.view.model_copy(update={"mode": "none", "file": False})
     record.parent.mkdir(parents=True, exist_ok=True)
     config = complete(config.model_copy(update={"view": quiet}))
-    with Devices(config, task="rig run") as devices:
+    with ready_for_frames(live=not config.on_demand), Devices(config, task="rig run") as devices:
         outcome = measure_run(
             RunPlan(config, source, record, "simulation", fitted=bool(config.session.stop_when)), devices
         )

@@ -258,7 +258,7 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
         said.append(
             f"{untested} comparisons are of two single runs: their u is the swings' alone, and how runs of "
             "one contact scatter, which may be many times more, is not known; measure series (rig fit A1 A2 "
-            "A3 combines runs, rig campaign --by-sample takes their scatter)."
+            "A3 combines runs, rig compare --model default --by-sample takes their scatter)."
         )
     said.append("Errors common to all series (mass, radius, scale) are left out.")
     return Table(

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from acquisition.record import records_in
-from processing.contact import DEFAULT_LAW, Law, Moment, StatedLaw
+from processing.contact import DEFAULT_LAW, Law, StatedLaw, StatedMoment
 from processing.errors import ConfigurationError
 from rig.analysis import (
     FilmAsked,
@@ -37,8 +37,8 @@ def fit(
     overrides: Mapping[str, object] | None = None,
     *,
     witness: str | Path | None = None,
-    law: Moment | None = None,
-    elastic: Moment | None = None,
+    law: StatedMoment | None = None,
+    elastic: StatedMoment | None = None,
 ) -> SessionResults:
     """Fit the contact laws to one or more records, or evaluate them as the kind of pendulum requires.
 
@@ -81,7 +81,7 @@ def fit(
 
 
 def curves(
-    run: RunResults, law: Moment | None = None, elastic: Moment | None = None
+    run: RunResults, law: StatedMoment | None = None, elastic: StatedMoment | None = None
 ) -> Mapping[str, ModelCurve]:
     """Measured and fitted amplitudes and times of every turning point, by fit and law.
 
@@ -146,7 +146,7 @@ def fit_film(
     return analyse_trajectory(film, film_trajectory(film, asked), config).results
 
 
-def _laws(law: Moment | None, elastic: Moment | None) -> tuple[Law | StatedLaw, ...]:
+def _laws(law: StatedMoment | None, elastic: StatedMoment | None) -> tuple[Law | StatedLaw, ...]:
     for name, moment in (("law", law), ("elastic", elastic)):
         if moment is not None and not callable(moment):
             raise ConfigurationError(f"{name}: a function of the angle is needed, not {moment!r}")
@@ -177,8 +177,8 @@ def fit_table(
     time_unit: str = "",
     run: str = "",
     witness: str | Path | None = None,
-    law: Moment | None = None,
-    elastic: Moment | None = None,
+    law: StatedMoment | None = None,
+    elastic: StatedMoment | None = None,
 ) -> TableResults:
     """Determine decay and period from a table of positions of any instrument, and fit the contact laws.
 
@@ -240,7 +240,7 @@ def campaign(
     sample: bool = False,
     output: str | Path | None = None,
 ) -> Campaign:
-    """Fit one model over the runs of several sessions, as `rig campaign` does.
+    """Fit one model over the runs of several sessions, as `rig compare --model` does.
 
     Parameters
     ----------

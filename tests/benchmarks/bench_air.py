@@ -1,12 +1,10 @@
 """Contact or air: coverage of b, p, c, n, gamma and drag, scatter against the bound, and what it costs.
 
-Run as ``python -m tests.benchmarks.bench_air [--quick] [--seeds N] [CASE...]`` from the repository. Decays
+Run as ``python -m tests.benchmarks air [--quick]``. Decays
 with drag come from the tests' own integration, or from the simulated rig on recorded ground, seen 25 times a
 second with 0.005 arcsec; nothing is known of the drag beforehand. Neither shares a formula with the fit.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
 from time import process_time
 from typing import Any, NamedTuple
 
@@ -18,7 +16,7 @@ from processing.arrays import Floats
 from processing.contact.laws import PAPER
 from processing.deflections import DeflectionUnit
 from processing.errors import RigError
-from processing.fit import FitResult, VanedRun, air_of_vanes, fit_exact
+from processing.fit import FitResult, fit_exact
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
 from processing.swing import TurningPoints, swings_of_blocks, turning_points
@@ -27,7 +25,7 @@ from rig.analysis.fitted_drag import FittedDrag
 from rig.settings import FitSettings
 from tests.benchmarks.bench_ground import GROUND_FILE, recorded, simulated
 from tests.benchmarks.bound import bound, true_columns
-from tests.benchmarks.cases import chosen, run_told
+from tests.benchmarks.cases import chosen
 from tests.benchmarks.coverage import coverage, held, lines, named, rms
 from tests.processing.fit.decays import ARCSEC, paper_pair, truth
 from tests.processing.fit.driven import driven_path
@@ -36,8 +34,6 @@ from tests.processing.fit.frames import seen_in_frames
 NOISE_ARCSEC, FRAMES_PER_S = 0.005, 25.0
 NAMES = PAPER.names(drag=True)
 FLAT = "glass_k8"
-_AIR_S, _PER_M2_S, _AREAS_M2 = 1.7e-3, 0.025, (0.0, 0.0, 0.067, 0.067, 0.134, 0.134)
-"""Of the runs with vanes."""
 
 
 class Case(NamedTuple):
@@ -60,10 +56,9 @@ def cases() -> list[Case]:
     return [Case(drag_s, q) for q in grounds for drag_s in (0.0, 0.5e-3, 1.7e-3, 3e-3)]
 
 
-def path_of(case: Case, seed: int, more_s: float = 0.0, slower: float = 1.0) -> Floats:
-    """Deflections in rad at every frame, with more drag and another period; no two cases share a ground."""
-    parameters, pendulum = paper_pair(FLAT, case.drag_s + more_s)
-    parameters = replace(parameters, period0_s=slower * parameters.period0_s)
+def path_of(case: Case, seed: int) -> Floats:
+    """Deflections in rad at every frame; no two cases share a ground."""
+    parameters, pendulum = paper_pair(FLAT, case.drag_s)
     seed += 1000 * cases().index(case)
     if case.q is not None:
         return driven_path(parameters, pendulum, q=case.q, seed=seed, frames_per_s=FRAMES_PER_S)[2]
@@ -83,9 +78,9 @@ class Fitted(NamedTuple):
     vacuum_cpu_s: float
 
 
-def fitted(case: Case, seed: int, more_s: float = 0.0, slower: float = 1.0) -> Fitted:
+def fitted(case: Case, seed: int) -> Fitted:
     """From frames to parameters as a session does it, with nothing known of the air."""
-    path, seeds = path_of(case, seed, more_s, slower), [seed, 78, cases().index(case)]
+    path, seeds = path_of(case, seed), [seed, 78, cases().index(case)]
     samples = seen_in_frames(path, NOISE_ARCSEC * ARCSEC, seeds, FRAMES_PER_S)
     swings = swings_of_blocks([samples])
     pendulum = paper_pair(FLAT)[1]
@@ -141,38 +136,6 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
     }
 
 
-def of_paper(areas_m2: Sequence[float], seed: int) -> list[VanedRun]:
-    """Runs in which vanes add to 1.7 ms, on 8e-9; they make the pendulum slower, too."""
-    case = Case(_AIR_S, 8e-9)
-    return [
-        VanedRun(found.points, found.fit, area_m2)
-        for number, area_m2 in enumerate(areas_m2)
-        for found in [fitted(case, 100 * seed + number, _PER_M2_S * area_m2, 1 + 0.3 * area_m2)]
-    ]
-
-
-def vanes(seeds: int) -> dict[str, Any]:
-    """Three areas, two runs each: d0 and k against the truth, and whether the uncertainties hold."""
-    pulls, relative = [], []
-    for seed in range(seeds):
-        found = air_of_vanes(of_paper(_AREAS_M2, seed), paper_pair(FLAT)[1])
-        (drag_s, u_drag_s), (slope, u_slope) = found.drag_s, found.per_exposure
-        pulls.append(((drag_s - _AIR_S) / u_drag_s, (slope - _PER_M2_S) / u_slope))
-        relative.append(u_drag_s / _AIR_S)
-        print(
-            f"  vanes, seed {seed}: d0 {1e3 * drag_s:.4f} +- {1e3 * u_drag_s:.4f} ms (true 1.7), k "
-            f"{slope:.5f} +- {u_slope:.5f} s/m2 (true {_PER_M2_S:g}), chance {found.chance:.2f}",
-            flush=True,
-        )
-    off = np.array(pulls)
-    return {
-        "seeds": seeds,
-        "relative_u_d0": float(np.median(relative)),
-        "worst_d0": float(np.max(np.abs(off[:, 0]) * relative)),
-        **coverage(off),
-    }
-
-
 def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All of it; numbers as plain values."""
     result: dict[str, Any] = {"cases": []}
@@ -186,12 +149,4 @@ def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> di
             sep="\n",
             flush=True,
         )
-    if not only or "vanes" in only:
-        found = vanes(1 if quick else max(1, seeds // 10))
-        result["vanes"] = found
-        print("vanes, d0 and k:", *(f"{key} {value}" for key, value in found.items()), flush=True)
     return result
-
-
-if __name__ == "__main__":
-    run_told(__doc__, run, 100)

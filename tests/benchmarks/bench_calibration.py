@@ -1,11 +1,9 @@
 """Bias and coverage of calibrated quantities on random simulated rigs, and of measurements made with them.
 
-Run as ``python -m tests.benchmarks.bench_calibration [--quick]`` from the repository.
+Run as ``python -m tests.benchmarks calibration [--quick]``.
 """
 
-import json
 import math
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,7 +15,6 @@ from tests.benchmarks.coverage import coverage
 from tests.calibration.ladders import LADDERS, pull
 from tests.calibration.simulated_rig import deviations
 from tests.rig.calibrate.calibrated_measurement import measure
-from tests.rig.calibrate.unbudgeted_inputs import shifts
 
 FRAME_RATES_HZ = (25.0, 60.0)
 
@@ -72,15 +69,6 @@ def ladders(seeds: int) -> dict[str, Any]:
     return found
 
 
-def not_in_the_budget() -> dict[str, Any]:
-    """What the budget leaves out: shift of each parameter, in its standard uncertainty, by one of its own."""
-    found = {}
-    for name, by_parameter in shifts(seed=1).items():
-        found[name] = by_parameter
-        print(f"  {name:58}" + "".join(f" {key} {value:+.3f}" for key, value in by_parameter.items()))
-    return found
-
-
 def run(quick: bool = False) -> dict[str, Any]:
     """600 and 200 seeds (40 and 12 quick)."""
     quantities = _table("quantity", [deviations(seed) for seed in range(40 if quick else 600)])
@@ -90,9 +78,4 @@ def run(quick: bool = False) -> dict[str, Any]:
         "quantities": quantities,
         "ladders": of_ladders,
         "end_to_end": of_measurements,
-        "not_in_the_budget": not_in_the_budget(),
     }
-
-
-if __name__ == "__main__":
-    json.dumps(run(quick="--quick" in sys.argv))

@@ -1,12 +1,10 @@
 """Campaigns of made-up runs: are the bands as wide as they should be, are changes found, is nothing invented?
 
-Run as ``python -m tests.benchmarks.bench_campaign [--quick] [PART...]`` from the repository. The runs come
+Run as ``python -m tests.benchmarks campaign [--quick]``. The runs come
 from `tests/processing/series/simulated_series.py`, which shares no formula with the analysis.
 """
 
-import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,11 +12,8 @@ from scipy.special import ndtr
 from scipy.stats import kstest
 
 from processing.estimate import Estimate
-from processing.fit import Evidence, FitResult, drifts_of, fit_exact
 from processing.series import (
-    FRICTION,
     SEEN,
-    CompressedRun,
     Effect,
     Form,
     Level,
@@ -27,13 +22,8 @@ from processing.series import (
     chance,
     find_change,
     fit_series,
-    to_coordinates,
 )
-from processing.swing import TurningPoints
-from tests.benchmarks.parts import Parts, run_parts, words_of
-from tests.processing.fit.changing import World as ChangingWorld
-from tests.processing.fit.changing import changing_path
-from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise
+from tests.benchmarks.parts import Parts, run_parts
 from tests.processing.series.simulated_series import NAMES, Floats, Made, World, made
 
 LEVELS = {"b": Estimate(-5.6, 0.3), "p": Estimate(0.94, 0.02), "c": Estimate(-18.4, 0.5)}
@@ -44,7 +34,6 @@ WARMTH = Effect(parameter="c", covariate="temperature_c", form=Form.LINEAR, refe
 AGE = Effect(parameter="b", covariate="age_s", form=Form.LOGARITHM, reference=3600.0)
 CLEANED = Effect(parameter="c", covariate="order", form=Form.STEP, reference=10.0)
 RUNS = 20
-AGED_DRAG_S, AGED_REFERENCE_S = 1.7e-3, 1800.0
 
 
 class FromPriors(NamedTuple):
@@ -196,113 +185,14 @@ def changed(place: int, by: float, rng: np.random.Generator) -> Made:
     return made(world, RUNS, rng, names=("c",))
 
 
-def speed(_: int) -> dict[str, float]:
-    """Seconds of a campaign of 100 runs with its forms' evidence, on one core."""
-    rng = np.random.default_rng(7)
-    world = World(levels={f"sample {i}": CENTRE for i in range(5)}, scatter=np.array([0.02, 0.002, 0.1]))
-    runs = made(world, 100, rng).runs
-    began_s = time.monotonic()
-    found = fit_series(runs, SeriesModel(names=NAMES, effects=(HUMIDITY, WARMTH, AGE)))
-    found.of_runs, found.bad  # noqa: B018
-    lasted_s = time.monotonic() - began_s
-    print(f"  100 runs: {lasted_s:.1f} s, {found.effective:.0f} draws count")
-    return {"seconds": lasted_s}
-
-
-class _Aged(NamedTuple):
-    """A decay of the paper's glass whose friction grows while it swings, and before it."""
-
-    points: TurningPoints
-    fit: FitResult
-
-
-def aged(first_arcsec: float, rate_per_s: float, began_s: float, seed: int) -> _Aged:
-    """A decay that begins at a time of the campaign, over which b grows evenly by this rate."""
-    fresh, pendulum = paper_pair("glass_k8", AGED_DRAG_S)
-    lasting_s = 0.0
-    for _ in range(2):
-        # how long it lasts follows from itself
-        middle_s = began_s + 0.5 * lasting_s - AGED_REFERENCE_S
-        parameters = replace(fresh, b=fresh.b * (1 + rate_per_s * middle_s))
-        world = ChangingWorld(ageing=rate_per_s * lasting_s, lasting_s=lasting_s or 1000.0)
-        time_s, turn, _ = changing_path(
-            parameters, pendulum, world, q=1e-9, seed=seed, first_arcsec=first_arcsec
-        )
-        lasting_s = float(time_s[-1] - time_s[0])
-    points = with_noise(time_s, np.abs(turn), fresh.period0_s, 0.005, np.random.default_rng([seed, 77]))
-    known = Evidence(drag_s=Estimate(AGED_DRAG_S, 2e-5))
-    return _Aged(points, fit_exact(points, pendulum, drag=True, evidence=known))
-
-
-def compressed_fit(one: _Aged, label: str, age_s: float) -> CompressedRun:
-    """The likelihood of a fit, without the detour over results.json."""
-    fit, names = one.fit, ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
-    pendulum = paper_pair("glass_k8")[1]
-    at = [fit.names.index(name) for name in names]
-    moved, to = to_coordinates(names, fit.values[at], 60 * ARCSEC)
-    air = np.zeros(len(at)) if fit.by_air is None else to @ fit.by_air[at]
-    own = to @ fit.covariance[np.ix_(at, at)] @ to.T
-    share = float(air @ np.linalg.solve(own, air))
-    air = air * min(1.0, (0.9999 / share) ** 0.5) if share > 0 else air
-    return CompressedRun(
-        label=label,
-        contact="glass",
-        names=names,
-        values=moved,
-        covariance=own - np.outer(air, air),
-        shared={"air": air},
-        covariates={"age_s": Estimate(age_s, 0.0)},
-        by_growth=to @ drifts_of(one.points, pendulum, fit)["ageing"][at],
-        duration_s=float(one.points.time_s[-1] - one.points.time_s[0]),
-    )
-
-
-def age(count: int) -> dict[str, float]:
-    """Age told from p on integrated decays: b grows by 2 % in the longest run, and stays so for the next one.
-
-    Six runs from 124 and from 40 arcsec in turns. One decay takes the age for an exponent.
-    """
-    truth = paper_pair("glass_k8")[0]
-    alone, together, slopes = [], [], []
-    rate = 0.02 / 740.0
-    ages = Effect(parameter=FRICTION, covariate="age_s", form=Form.LINEAR, reference=AGED_REFERENCE_S)
-    for campaign in range(count):
-        runs, clock_s = [], 0.0
-        for number in range(6):
-            one = aged(124.0 if number % 2 == 0 else 40.0, rate, clock_s, 100 * campaign + number)
-            lasting_s = float(one.points.time_s[-1] - one.points.time_s[0])
-            runs.append(compressed_fit(one, f"run-{number + 1}", clock_s + 0.5 * lasting_s))
-            if number == 0:
-                p = one.fit.estimate("p")
-                alone.append((p.value - truth.p) / p.standard_uncertainty)
-            clock_s += lasting_s + 120.0
-        names = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
-        model = SeriesModel(names=names, effects=(ages,), scatter=("b", "c"), sizes={"b": 0.3})
-        found = fit_series(runs, model, seed=campaign)
-        p = found.estimate(Level("contact", "p", "glass"))
-        slope = found.estimate(effect_of(found))
-        together.append((p.value - truth.p) / p.standard_uncertainty)
-        slopes.append((slope.value - rate) / slope.standard_uncertainty)
-    print(f"  p by one decay: {np.median(alone):+.0f} u; by six together, in u: {np.round(together, 1)}")
-    print(f"  growth by six together, in u: {np.round(slopes, 1)}")
-    within_2 = float(np.mean(np.abs(together) < 2))
-    return {"one_decay_u": float(np.median(alone)), "within_2u": within_2, "rms_u": float(np.std(together))}
-
-
 PARTS: Parts = {
     "calibration": (calibration, 500),
     "coverage": (coverage, 200),
     "false_slopes": (false_slopes, 200),
     "changes": (changes, 200),
-    "speed": (speed, 1),
-    "age": (age, 10),
 }
 
 
 def run(quick: bool = False, parts: tuple[str, ...] = ()) -> dict[str, Any]:
     """All parts, or those that are named."""
     return run_parts(PARTS, quick=quick, names=parts)
-
-
-if __name__ == "__main__":
-    run(*words_of(__doc__, PARTS))

@@ -1,6 +1,6 @@
 """The exact fit on ground that moves: coverage of its intervals, scatter against the bound, speed.
 
-Run as ``python -m tests.benchmarks.bench_ground [--quick] [--seeds N] [CASE...]`` from the repository. White
+Run as ``python -m tests.benchmarks ground [--quick]``. White
 drives come from the tests' own integration, the basement and the recorded ground from the simulated rig;
 neither shares a formula with the fit. A case named "frames" goes through the swing detector, from 25 tilts a
 second with the noise of a tracked spot; the others give the fit true turning points with noise.
@@ -22,21 +22,18 @@ from processing.contact import PendulumOnBall
 from processing.contact.laws import PAPER
 from processing.deflections import DeflectionUnit
 from processing.errors import RigError
-from processing.fit import FitResult, fit_exact
+from processing.fit import fit_exact
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
-from processing.instruments import DEGREE_RAD, damping
-from processing.series import combine_runs
 from processing.swing import TurningPoints, swings_of_blocks, turning_points
 from rig.analysis import settled_swings
 from rig.settings import FitSettings
 from tests.benchmarks.bound import bound, true_columns
-from tests.benchmarks.cases import chosen, run_told
+from tests.benchmarks.cases import chosen
 from tests.benchmarks.coverage import coverage, held, lines, named, rms
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_decay, driven_path
 from tests.processing.fit.frames import seen_in_frames
-from tests.processing.instruments.test_driven import PERIOD_S, damping_time, driven, ten_swings
 
 NOISE_ARCSEC = 0.005
 FRAMES_PER_S = 25.0
@@ -154,7 +151,7 @@ def measure(case: Case, seeds: int, first: int = 0) -> dict[str, Any]:
     parameters, pendulum = paper_pair(case.flat)
     names = PAPER.names()
     expected = truth(parameters, names)
-    inside, pulls, to_bound, q, fits_s, fits = [], [], [], [], [], []
+    inside, pulls, to_bound, q, fits_s = [], [], [], [], []
     warned = failed = left_out = 0
     for seed in range(first, first + seeds):
         points = case.points(seed)
@@ -166,7 +163,6 @@ def measure(case: Case, seeds: int, first: int = 0) -> dict[str, Any]:
             print(f"  seed {seed}: {error}")
             continue
         fits_s.append(process_time() - began_s)
-        fits.append(result)
         assert result.ground is not None
         assert result.whiteness is not None
         warned += result.whiteness.correlated
@@ -191,61 +187,12 @@ def measure(case: Case, seeds: int, first: int = 0) -> dict[str, Any]:
         "q_median": float(np.median(q)),
         "fit_cpu_s": float(np.median(fits_s)),
         **named(names, table),
-        "series_agree": agreeing(fits),
     }
-
-
-def agreeing(fits: list[FitResult]) -> dict[str, float]:
-    """Share of series of three runs whose scatter their own uncertainties explain; 95 % should."""
-    series = [combine_runs(fits[k : k + 3]).parameters for k in range(0, len(fits) - 2, 3)]
-    return {
-        name: float(np.mean([one[name].p_homogeneous > 0.05 for one in series])) for name in PAPER.names()
-    }
-
-
-def seconds_of_long_runs() -> dict[str, float]:
-    """CPU time of one fit to the longest run of the paper, about 1,100 half-cycles, with drives."""
-    out = {}
-    parameters, pendulum = paper_pair("steel")
-    for q in (0.0, 1e-8, 1e-7):
-        points = driven_decay(parameters, pendulum, q=q, noise_arcsec=NOISE_ARCSEC, seed=1)
-        fit_exact(points, pendulum)
-        times = []
-        for _ in range(3):
-            began_s = process_time()
-            fit_exact(points, pendulum)
-            times.append(process_time() - began_s)
-        out[f"q={q:g}, {len(points)} half-cycles"] = min(times)
-    return out
-
-
-def other_pendulums(seeds: int) -> dict[str, dict[str, float]]:
-    """Damping time and time hardness of a pendulum of degrees whose every half-swing is kicked: coverage.
-
-    The kicks of 2e-5 rad are ten times the reading of a turning point.
-    """
-    truth = driven(0.0, 0)
-    exact_s = damping(truth, 6 * DEGREE_RAD, 3 * DEGREE_RAD).time_s.value
-    ten_s = 5 * PERIOD_S
-    found = {}
-    for name, reduce, true_s in (("damping time", damping_time, exact_s), ("ten swings", ten_swings, ten_s)):
-        pulls = []
-        for seed in range(seeds):
-            value, u = reduce(driven(2e-5, seed))
-            pulls.append((value - true_s) / u)
-        one = {key: of_all[0] for key, of_all in coverage(np.array(pulls)[:, None]).items()}
-        found[name] = one
-        print(f"{name}: " + ", ".join(f"{key} {value:.2f}" for key, value in one.items()), flush=True)
-    return found
 
 
 def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All of it; numbers as plain values. The surface energy is proportional to c, and so is its interval."""
-    result: dict[str, Any] = {"fit_cpu_s": seconds_of_long_runs(), "cases": []}
-    for name, seconds in result["fit_cpu_s"].items():
-        print(f"{name}: {seconds:.2f} s of CPU time")
-    if not only or "others" in only:
-        result["others"] = other_pendulums(10 if quick else seeds)
+    result: dict[str, Any] = {"cases": []}
     every = list(cases())
     for case in chosen(every, only, lambda case: case.name):
         count = 4 if quick else max(round(seeds * case.share), 4)
@@ -260,7 +207,3 @@ def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> di
             flush=True,
         )
     return result
-
-
-if __name__ == "__main__":
-    run_told(__doc__, run, 200)

@@ -15,7 +15,7 @@ import numpy as np
 
 from processing.contact.laws import PAPER
 from processing.deflections import Deflections, DeflectionUnit
-from tests.benchmarks.cases import chosen, run_told
+from tests.benchmarks.cases import chosen
 from tests.benchmarks.coverage import coverage, lines, named
 from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair
@@ -97,7 +97,3 @@ def run(quick: bool = False, seeds: int = 20, only: Sequence[str] = ()) -> dict[
         found.append(one)
         print(f"{case.name}: {one['failed']} of {one['seeds']} refused", *lines(one), sep="\n", flush=True)
     return {"cases": found}
-
-
-if __name__ == "__main__":
-    run_told(__doc__, run, 20)

@@ -1,6 +1,5 @@
 """Coverage of the stated uncertainties for every kind of pendulum."""
 
-import argparse
 import math
 import time
 from typing import Any
@@ -46,9 +45,3 @@ def run(quick: bool = False) -> dict[str, Any]:
             inside = 100 * np.mean(np.abs(pull) < 1)
             print(f"    {name:<24} {inside:5.1f} %   pull {np.mean(pull):+.2f} ± {np.std(pull, ddof=1):.2f}")
     return results
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    run(parser.parse_args().quick)

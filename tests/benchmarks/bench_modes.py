@@ -1,6 +1,5 @@
 """False detections of a fast mode: runs of noise about a swing that has none."""
 
-import sys
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,3 @@ def run(quick: bool = False) -> dict[str, Any]:
     found = false_detections(runs)
     print(f"false fast modes in {runs} runs: {found} (1 in 1000)")
     return {"runs": runs, "false_detections": found}
-
-
-if __name__ == "__main__":
-    run(quick="--quick" in sys.argv)

@@ -50,7 +50,3 @@ def _found(what: str, path: Path) -> dict[str, Any]:
         raise RuntimeError(done.stderr.strip().splitlines()[-1])
     warnings, errors = done.stdout.split()[-2:]
     return {f"{what}: warnings": int(warnings), f"{what}: errors": int(errors)}
-
-
-if __name__ == "__main__":
-    run()

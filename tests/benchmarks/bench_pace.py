@@ -1,29 +1,44 @@
-"""Latency and pace of a run in real time: alone, with desk and viewer, with the camera in another process.
+"""Latency and pace of a run in real time, from a camera in memory: alone, and with desk and viewer.
 
 Run as ``python -m tests.benchmarks pace [--quick]`` from the repository. The ways are measured in turns, for
-other work on the machine disturbs them; its load stands beside each figure. With ``python -m
-tests.benchmarks.bench_pace --rr`` all threads of a run have the scheduler's class of real time (root), which
-shows what the rig does when nothing else wants the processor.
+other work on the machine disturbs them; its load stands beside each figure.
 """
 
+import http.client
 import os
+import resource
+import subprocess
 import sys
 import tempfile
+import threading
+import time
+import urllib.parse
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
+from acquisition.camera import CameraSettings
+from calibration.axes import Axes
+from calibration.light_lever import Lever
+from processing.spot import SensorModel
+from rig.devices.frame_stream import FrameStream
+from rig.devices.session_devices import OpenCamera
+from rig.instrument.kernels import prepare_kernels
+from rig.instrument.pipeline import Optics
 from rig.instrument.snapshot import Snapshot
-from rig.measure import run as run_module
-from rig.measure.run_parts import Watcher
+from rig.measure.end_of_run import EndLimits
+from rig.measure.record_file import RecordFile
+from rig.measure.recorder import Entry, Recorder
+from rig.measure.run import Run, ready_for_frames
+from rig.measure.run_parts import RunParts, Watcher
 from rig.measure.screen import RunDisplay
 from rig.orders import OrderSocket, SessionNews
-from rig.settings import load_configuration
-from tests.benchmarks.bench_desk import Desk
-from tests.benchmarks.bench_pipeline import real_time
-from tests.benchmarks.memory_camera import MemoryCamera
-from tests.benchmarks.process_camera import ProcessCamera
+from rig.settings import load_configuration, validate_configuration
+from rig.view import RunningView
+from tests.benchmarks.memory_camera import MemoryCamera, drawn_frames
 
 
 class Case(NamedTuple):
@@ -40,7 +55,9 @@ class Case(NamedTuple):
         return f"{self.rate_hz:g}/s of {self.width}x{self.height}"
 
 
-WAYS = ("alone", "with desk and viewer", "camera in another process")
+WAYS = ("alone", "with desk and viewer")
+PICTURES_HZ = 10.0
+_BEGIN_S = 0.5
 CASES = (
     Case(640, 480, 500.0, 3.0, 20.0, float("inf")),
     Case(256, 256, 2000.0, 10.0, float("inf"), float("inf")),
@@ -55,9 +72,136 @@ class Company(NamedTuple):
     show: Callable[[Snapshot], None]
 
 
+class Desk:
+    """`rig desk` in a process, and a thread that asks it for ten pictures a second, as a browser does."""
+
+    def __init__(self, source: Path) -> None:
+        self._source = source
+        self._ended = threading.Event()
+
+    def __enter__(self) -> "Desk":
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "rig", "desk", str(self._source), "--no-browser"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        self._address = urllib.parse.urlsplit(self._process.stdout.readline().strip())
+        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._process.kill()
+        self._process.communicate()
+
+    def _look(self) -> None:
+        key = urllib.parse.parse_qs(self._address.query)["key"][0]
+        headers = {"Cookie": f"rig_desk_{self._address.port}={key}"}
+        connection = http.client.HTTPConnection("127.0.0.1", self._address.port or 0, timeout=10)
+        due_s = time.monotonic()
+        while not self._ended.wait(max(0.0, due_s - time.monotonic())):
+            due_s = max(due_s + 1 / PICTURES_HZ, time.monotonic())
+            connection.request("GET", "/picture?width=800&height=540", headers=headers)
+            connection.getresponse().read()
+
+
+def real_time(
+    width: int,
+    height: int,
+    bits: Literal[8, 12],
+    rate_hz: float,
+    duration_s: float,
+    *,
+    watchers: Sequence[Watcher] = (),
+    show: Callable[[Snapshot], None] = lambda _: None,
+    viewed: bool = False,
+) -> dict[str, Any]:
+    """One run in real time: frames lost, latency from frame to record, share of one core.
+
+    The latency runs from the moment when a frame is due to the end of the recorder's write call for it; part
+    of it is `taken`, the time until the camera's thread has the frame. The kernels are ready before the
+    first frame, as they are in ``rig run``. The frames of the first `_BEGIN_S` wait until the record has been
+    created and is on the disk, and are told apart.
+    """
+    frames = drawn_frames(width, height, bits, rate_hz, round(min(2.0 * rate_hz, 600)))
+    full_scale_dn = 2**bits - 1
+    latencies_ms: list[float] = []
+    begin_ms: list[float] = []
+    original = Recorder._write
+
+    def timed(self: Recorder, entry: Entry) -> None:
+        original(self, entry)
+        now_ns = time.monotonic_ns()
+        for number, due_ns in zip(entry.sequences, entry.device_times_ns, strict=True):
+            into = begin_ms if number < _BEGIN_S * rate_hz else latencies_ms
+            into.append((now_ns - due_ns) * 1e-6)
+
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        if viewed:
+            record = Path(folder) / "run.mcap"
+            stack.enter_context(RunningView(record, "web", record.with_suffix(".rrd"), "measuring"))
+        camera = MemoryCamera(frames, full_scale_dn, rate_hz, duration_s)
+        opened = OpenCamera(camera, camera.open(), ())
+        sensor = SensorModel(10_000.0 / full_scale_dn, 7.0, full_scale_dn)
+        prepare_kernels(sensor, print)
+        lever = Lever(arm_m=1.0, pixel_pitch_m=4.8e-6)
+        optics = Optics(sensor, lever, Axes())
+        file = RecordFile(
+            Path(folder) / "run.mcap",
+            validate_configuration({"camera": {"driver": "simulated"}}, "").model_copy(
+                update={"lever": lever}
+            ),
+            Path(),
+            opened,
+            optics,
+        )
+        run = Run(
+            RunParts(
+                stream=FrameStream(camera, CameraSettings()),
+                optics=optics,
+                record=file,
+                end=EndLimits(0.0, 1e9),
+                watchers=watchers,
+            )
+        )
+        Recorder._write = timed  # type: ignore[method-assign]
+        before = resource.getrusage(resource.RUSAGE_SELF)
+        began_s = time.monotonic()
+        try:
+            with ready_for_frames(live=True):
+                outcome = run.execute(show)
+        finally:
+            Recorder._write = original  # type: ignore[method-assign]
+        elapsed_s = time.monotonic() - began_s
+        if outcome.failure is not None:
+            raise outcome.failure
+        after = resource.getrusage(resource.RUSAGE_SELF)
+        size = (Path(folder) / "run.mcap").stat().st_size
+    camera.close()
+    busy_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    taken_ms = np.array(camera.late_ns) * 1e-6
+    return {
+        "frames": outcome.snapshot.frames,
+        "dropped": outcome.snapshot.dropped_frames,
+        "taken_p99_ms": float(np.percentile(taken_ms, 99)),
+        "taken_max_ms": float(np.max(taken_ms)),
+        "latency_p50_ms": float(np.percentile(latencies_ms, 50)),
+        "latency_p99_ms": float(np.percentile(latencies_ms, 99)),
+        "latency_max_ms": float(np.max(latencies_ms)),
+        "begin_max_ms": float(np.max(begin_ms)),
+        "cores": busy_s / elapsed_s,
+        "record_mb_per_s": size / elapsed_s / 1e6,
+    }
+
+
 @contextmanager
 def desk_and_viewer() -> Iterator[Company]:
-    """A desk that asks for ten pictures a second; the run's record is read for a Rerun file and a page."""
+    """A desk that asks for ten pictures a second, a Rerun file and a live page, as with mode "web"."""
     with tempfile.TemporaryDirectory() as place, ExitStack() as stack:
         folder = Path(place) / "session"
         folder.mkdir()
@@ -84,7 +228,6 @@ def measured(case: Case, seconds: float, way: str) -> dict[str, Any]:
         company = Company((), lambda _: None)
         if way == "with desk and viewer":
             company = stack.enter_context(desk_and_viewer())
-        of = ProcessCamera if way == "camera in another process" else MemoryCamera
         watchers, show = company
         found = real_time(
             case.width,
@@ -92,7 +235,6 @@ def measured(case: Case, seconds: float, way: str) -> dict[str, Any]:
             8,
             case.rate_hz,
             seconds,
-            of=of,
             watchers=watchers,
             show=show,
             viewed=way == "with desk and viewer",
@@ -100,52 +242,20 @@ def measured(case: Case, seconds: float, way: str) -> dict[str, Any]:
     return found | {"load": os.getloadavg()[0]}
 
 
-def run(quick: bool = False, real_time_class: bool = False) -> dict[str, Any]:
+def run(quick: bool = False) -> dict[str, Any]:
     """All numbers of this topic."""
     seconds, turns = (5.0, 1) if quick else (30.0, 2)
     results: dict[str, Any] = {}
-    with ExitStack() as stack:
-        if real_time_class:
-            stack.enter_context(round_robin())
-        for case in CASES:
-            for _ in range(turns):
-                for way in WAYS:
-                    found = measured(case, seconds, way)
-                    results.setdefault(f"{case}, {way}", []).append(found)
-                    numbers = ", ".join(f"{key} {value:.3g}" for key, value in found.items())
-                    print(f"{case}, {way}: {numbers}", flush=True)
+    for case in CASES:
+        for _ in range(turns):
+            for way in WAYS:
+                found = measured(case, seconds, way)
+                results.setdefault(f"{case}, {way}", []).append(found)
+                numbers = ", ".join(f"{key} {value:.3g}" for key, value in found.items())
+                print(f"{case}, {way}: {numbers}", flush=True)
     return results
 
 
 def slowest(seconds: int) -> dict[str, list[dict[str, float]]]:
     """The first of the cases alone, twice in every way."""
     return {way: [measured(CASES[0], seconds, way) for _ in range(2)] for way in WAYS}
-
-
-@contextmanager
-def round_robin() -> Iterator[None]:
-    """While a run is made, all threads of this process have the class of real time, as those they start."""
-    original = run_module.Run.execute
-
-    def execute(self: run_module.Run, *words: Any, **named: Any) -> Any:
-        _all_threads(os.SCHED_RR, 1)
-        try:
-            return original(self, *words, **named)
-        finally:
-            _all_threads(os.SCHED_OTHER, 0)
-
-    run_module.Run.execute = execute  # type: ignore[method-assign]
-    try:
-        yield
-    finally:
-        run_module.Run.execute = original  # type: ignore[method-assign]
-
-
-def _all_threads(scheduler: int, priority: int) -> None:
-    for thread in os.listdir("/proc/self/task"):
-        with suppress(ProcessLookupError):
-            os.sched_setscheduler(int(thread), scheduler, os.sched_param(priority))
-
-
-if __name__ == "__main__":
-    run("--quick" in sys.argv, "--rr" in sys.argv)

@@ -1,6 +1,6 @@
 """Turning points from samples to parameters: errors in units of what is stated, for many ways to sample.
 
-Run as ``python -m tests.benchmarks.bench_remeasure [--quick] [--seeds N] [CASE...]`` from the repository. The
+Run as ``python -m tests.benchmarks remeasure [--quick]``. The
 motion is the tests' own integration, and the simulated rig's where there is a drag; a run goes through the
 swing detector and is measured again as in a session.
 """
@@ -23,7 +23,7 @@ from processing.swing import swings_of_blocks, turning_points
 from rig.analysis import settled_swings
 from rig.analysis.fitted_drag import FittedDrag
 from rig.settings import FitSettings
-from tests.benchmarks.cases import chosen, run_told
+from tests.benchmarks.cases import chosen
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
 
@@ -157,7 +157,3 @@ def run(quick: bool = False, seeds: int = 40, only: tuple[str, ...] = ()) -> dic
             flush=True,
         )
     return {"cases": found}
-
-
-if __name__ == "__main__":
-    run_told(__doc__, run, 40)

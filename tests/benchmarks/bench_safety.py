@@ -6,6 +6,8 @@ sequences of faults, keys and commands on a stepped clock. SAFETY_TRIALS chooses
 """
 
 import os
+import shutil
+import subprocess
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
@@ -13,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from tests.benchmarks import safety_lasers
-from tests.benchmarks.bench_control import _interpreter
 from tests.benchmarks.safety_faults import CABLE, KEYS, SIGNALS, measured
 from tests.benchmarks.safety_program import PLACES
 from tests.benchmarks.safety_row import Row
 from tests.benchmarks.safety_sequences import run_sequences
+from tests.rig.control.conftest import PACKAGE, VERSION
 
 EVERYTHING = (*SIGNALS, *KEYS, *CABLE)
 OFTEN = (
@@ -41,6 +43,19 @@ TRIALS = [
     *(("preflight", fault) for fault in OFTEN[:5]),
     ("doctor", "interlock opened and left open"),
 ]
+
+
+def _interpreter(folder: Path) -> Path | None:
+    """MicroPython for node, where both are here."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        return None
+    done = subprocess.run(
+        ["npm", "install", "--no-audit", "--no-fund", "--prefix", str(folder), f"{PACKAGE}@{VERSION}"],
+        capture_output=True,
+        timeout=120,
+        check=False,
+    )
+    return folder / "node_modules" / PACKAGE if done.returncode == 0 else None
 
 
 def sequences(quick: bool = False) -> dict[str, Any]:

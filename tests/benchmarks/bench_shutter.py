@@ -1,9 +1,8 @@
 """Rolling shutter: row time found, and what the correction leaves of its effect.
 
-Run as ``python -m tests.benchmarks.bench_shutter [--quick]`` from the repository.
+Run as ``python -m tests.benchmarks shutter [--quick]``.
 """
 
-import sys
 from typing import Any
 
 import numpy as np
@@ -47,7 +46,3 @@ def run(quick: bool = False) -> dict[str, Any]:
                 print(f"  {name:26} {value}")
             results[title] = entry
     return results
-
-
-if __name__ == "__main__":
-    run(quick="--quick" in sys.argv)

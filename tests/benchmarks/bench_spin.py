@@ -1,6 +1,6 @@
 """A pendulum that turns about the vertical: coverage of b, p, c, n, T0 and gamma, and what is withheld.
 
-Run as ``python -m tests.benchmarks.bench_spin [--quick] [--seeds N] [CASE...]`` from the repository. Decays
+Run as ``python -m tests.benchmarks spin [--quick]``. Decays
 of 600 s come from the simulated rig's own integration, turned by 0, 0.2, 1 and 3 degrees a minute in both
 directions, as deflections of a record and as a table of two positions, 25 a second with 0.005 arcsec; also
 with a fast mode of 6 arcsec and a leakage of 3 %.
@@ -16,7 +16,7 @@ import numpy as np
 
 from processing.contact.laws import PAPER
 from rig.analysis.results import RunResults
-from tests.benchmarks.cases import chosen, run_told
+from tests.benchmarks.cases import chosen
 from tests.benchmarks.coverage import coverage, lines, named
 from tests.rig.analysis.spinning import (
     DEG_PER_MIN,
@@ -107,7 +107,3 @@ def run(quick: bool = False, seeds: int = 20, only: Sequence[str] = ()) -> dict[
         found.append(one)
         print(f"{case.name}: {one['withheld']} of {one['seeds']} withheld", *lines(one), sep="\n", flush=True)
     return {"cases": found}
-
-
-if __name__ == "__main__":
-    run_told(__doc__, run, 20)

@@ -1,21 +1,17 @@
-"""Spot tracker against the Cramer-Rao bound, and with disturbances.
+"""Spot tracker against the Cramer-Rao bound.
 
-Run as ``python -m tests.benchmarks.bench_spot_accuracy [--quick]`` from the repository.
+Run as ``python -m tests.benchmarks spot_accuracy [--quick]``.
 """
 
-import json
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
-from processing.spot import Spot, SpotFlag, SpotTracker
+from processing.spot import SpotTracker
 from tests.processing.spot.frames import (
     EIGHT_BIT,
     TWELVE_BIT,
@@ -24,7 +20,6 @@ from tests.processing.spot.frames import (
     exposed,
     light,
     side_of,
-    tilted_light,
 )
 
 Make = Callable[[float, float, np.random.Generator], NDArray[Any]]
@@ -70,72 +65,6 @@ def point(
     }
 
 
-def _with_hot_pixels(x: float, y: float, rng: np.random.Generator) -> NDArray[Any]:
-    frame = exposed(light((96, 96), x, y, 6, 180), rng)
-    for column, row in rng.integers(33, 63, (3, 2)):
-        frame[row, column] = 255
-    return frame
-
-
-def _peak(peak: float) -> Make:
-    return lambda x, y, rng: exposed(light((96, 96), x, y, 6, peak), rng)
-
-
-def _ghost(sigma: float) -> Make:
-    def make(x: float, y: float, rng: np.random.Generator) -> NDArray[Any]:
-        shape = (200, 200)
-        return exposed(light(shape, x, y, sigma, 180) + light(shape, x + 40, y, sigma, 4.5), rng)
-
-    return make
-
-
-def _tilted(x: float, y: float, rng: np.random.Generator) -> NDArray[Any]:
-    return exposed(tilted_light((96, 96), x, y, (8, 5), 0.5, 180), rng)
-
-
-DISTURBED: dict[str, tuple[Make, tuple[float, float], int]] = {
-    "clean": (_peak(180), (48, 48), 2000),
-    "three hot pixels": (_with_hot_pixels, (48, 48), 2000),
-    "clipped at 1.6x": (_peak(400), (48, 48), 2000),
-    "clipped at 4x": (_peak(1000), (48, 48), 2000),
-    "edge at 1.5 sigma": (_peak(180), (9, 48), 2000),
-    "ghost 2.5 %, sigma 6": (_ghost(6), (90, 100), 500),
-    "ghost 2.5 %, sigma 12": (_ghost(12), (90, 100), 500),
-    "tilted 8 x 5": (_tilted, (48, 48), 200),
-}
-
-
-def disturbed(name: str, cold: bool, part: float) -> dict[str, Any]:
-    """One row of the robustness table; cold: each frame searched for itself."""
-    make, centre, frames = DISTURBED[name]
-    rng = np.random.default_rng(17)
-    truth = np.array(centre) + rng.uniform(-0.5, 0.5, (max(20, int(part * frames)), 2))
-    tracker = SpotTracker(EIGHT_BIT)
-    spots: list[Spot] = []
-    for x, y in truth:
-        if cold:
-            tracker.reset()
-        spots.append(tracker.track(make(x, y, rng)))
-    found = np.array([not spot.flags & SpotFlag.LOST for spot in spots])
-    errors = errors_px(spots, truth)[found]
-    claimed = np.array([(spot.u_x_px, spot.u_y_px) for spot in spots])[found]
-    return {
-        "name": name,
-        "cold": cold,
-        "frames": len(spots),
-        "lost": int((~found).sum()),
-        "rms_mpx": 1e3 * math.sqrt(np.mean(errors**2)),
-        "bias_x_mpx": 1e3 * float(errors[:, 0].mean()),
-        "u_bias_mpx": 1e3 * float(errors[:, 0].std()) / math.sqrt(len(errors)),
-        "claimed_over_actual": 1.0 / math.sqrt(np.mean((errors / claimed) ** 2)),
-    }
-
-
-def points_of(frames: int) -> list[dict[str, Any]]:
-    """Undisturbed frames of every width, brightness and depth; and with pixels that differ, told or not."""
-    return points_told(frames) + [point(6, peak, 8, frames, prnu=0.01) for peak in (20, 80, 200)]
-
-
 def points_told(frames: int) -> list[dict[str, Any]]:
     """Of these the tracker's sensor model knows all; what it does not know its uncertainties cannot hold."""
     points = [
@@ -146,34 +75,7 @@ def points_told(frames: int) -> list[dict[str, Any]]:
 
 def run(quick: bool = False) -> dict[str, Any]:
     """All points; numbers as plain values."""
-    frames = 400 if quick else 10_000
-    points = points_of(frames)
-    rows = [disturbed(name, cold, 0.05 if quick else 1.0) for name in DISTURBED for cold in (False, True)]
-    console = Console()
-    table = Table(title=f"spot: {frames} frames a point")
-    columns = ("sigma", "peak", "bits", "PRNU", "RMS mpx", "RMS/CRLB", "of even pixels")
-    for column in (*columns, "claimed/actual", "bias mpx"):
-        table.add_column(column, justify="right")
-    for p in points:
-        table.add_row(
-            f"{p['sigma_px']:g}", f"{p['peak_8bit_dn']:g}", f"{p['bits']}",
-            f"{p['prnu']:g}{' known' if p['told'] else ''}",
-            f"{p['rms_mpx']:.2f}", f"{p['rms_over_bound']:.3f}", f"{p['rms_over_bound_of_even_pixels']:.3f}",
-            f"{p['claimed_over_actual']:.3f}", f"{p['bias_mpx']:+.3f}",
-        )  # fmt: skip
-    console.print(table)
-    table = Table(title="spot, disturbed (sigma 6, peak 180 where nothing else is said)")
-    for column in ("what", "start", "frames", "lost", "RMS mpx", "bias x mpx", "claimed/actual"):
-        table.add_column(column, justify="right")
-    for r in rows:
-        table.add_row(
-            r["name"], "cold" if r["cold"] else "warm", f"{r['frames']}", f"{r['lost']}",
-            f"{r['rms_mpx']:.2f}", f"{r['bias_x_mpx']:+.2f} +- {r['u_bias_mpx']:.2f}",
-            f"{r['claimed_over_actual']:.3f}",
-        )  # fmt: skip
-    console.print(table)
-    return {"points": points, "disturbed": rows}
-
-
-if __name__ == "__main__":
-    json.dump(run("--quick" in sys.argv), sys.stderr, indent=1)
+    points = points_told(400 if quick else 10_000)
+    for row in points:
+        print("  " + ", ".join(f"{name} {value:.3g}" for name, value in row.items()))
+    return {"points": points}

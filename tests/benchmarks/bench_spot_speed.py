@@ -1,12 +1,10 @@
 """Speed of the spot tracker in units of cv2.sumElems over a frame that is not in the cache, and of its peers.
 
 Everything is measured in interleaved rounds of one run on one core; medians over the rounds are taken.
-Run as ``python -m tests.benchmarks.bench_spot_speed [--quick]`` from the repository.
+Run as ``python -m tests.benchmarks spot_speed [--quick]``.
 """
 
-import json
 import math
-import sys
 import time
 import warnings
 from collections.abc import Callable
@@ -16,8 +14,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from processing.spot import SpotTracker
 from tests.processing.spot.frames import EIGHT_BIT, exposed, light, side_of, tilted_light
@@ -28,7 +24,6 @@ RING = 64
 TURN = 8
 """Frames that one method reads before the next one's turn, so that all of them meet the same load."""
 SIGMAS = (3, 6, 12)
-TILTED = (((8.0, 5.0), 0.5), ((16.0, 9.0), 0.6), ((24.0, 12.0), -0.7))
 PEAK = 180.0
 BLOCK = 20
 
@@ -36,33 +31,10 @@ Frames = list[NDArray[Any]]
 Action = Callable[[], object]
 
 
-def interleaved(actions: dict[str, tuple[Action, int]], rounds: int) -> dict[str, float]:
-    """Median microseconds per frame; an action and the frames it does."""
-    for action, _ in actions.values():
-        action()
-    times: dict[str, list[float]] = {name: [] for name in actions}
-    for _ in range(rounds):
-        for name, (action, frames) in actions.items():
-            begin_s = time.perf_counter()
-            action()
-            times[name].append((time.perf_counter() - begin_s) / frames * 1e6)
-    return {name: median(values) for name, values in times.items()}
-
-
 def swinging() -> NDArray[np.float64]:
     """Places of a spot that moves as a pendulum does."""
     phase = 0.05 * np.arange(RING)
     return np.column_stack((640.3 + 8 * np.sin(phase), 512.6 + np.cos(phase)))
-
-
-def knocked(rng: np.random.Generator, step_px: float) -> NDArray[np.float64]:
-    """Places of a spot that goes a step each frame, in any direction, and turns back at 200 px."""
-    place, places = np.zeros(2), []
-    for angle in rng.uniform(0, 2 * math.pi, RING):
-        step = step_px * np.array([math.cos(angle), math.sin(angle)])
-        place = place + (step if math.hypot(*(place + step)) < 200 else -step)
-        places.append(place)
-    return np.array([640.3, 512.6]) + places
 
 
 def ring(
@@ -144,74 +116,12 @@ def against_sum(sigma: float, hot_pixels: int, rounds: int) -> dict[str, float]:
     return result
 
 
-def jumped(sigma: float, step_px: float, rounds: int) -> dict[str, float]:
-    """Ratios to cv2.sumElems over the same frames, for a spot that is never where it was expected."""
-    rng = np.random.default_rng(32)
-    frames = ring((sigma, sigma), knocked(rng, step_px), rng)
-    actions: dict[str, Callable[[NDArray[Any]], object]] = {
-        "cv2.sumElems": cv2.sumElems,
-        "jumping": SpotTracker(EIGHT_BIT).track,
-    }
-    us = {name: np.full(RING, np.inf) for name in actions}
-    for _ in range(max(3, rounds // 20)):
-        for name, action in actions.items():
-            action(frames[-1])
-            for k, frame in enumerate(frames):
-                begin_s = time.perf_counter()
-                action(frame)
-                us[name][k] = min(us[name][k], (time.perf_counter() - begin_s) * 1e6)
-    sum_us = us.pop("cv2.sumElems")
-    result: dict[str, float] = {"sigma_px": sigma, "step_px": step_px, "sum_us": float(np.median(sum_us))}
-    for name, values in us.items():
-        result[f"{name}, mean ratio"] = float(values.mean() / sum_us.mean())
-        result[f"{name}, largest ratio"] = float(values.max() / np.median(sum_us))
-    return result
-
-
-def tilted(sigmas: tuple[float, float], angle: float, rounds: int) -> dict[str, float]:
-    """Time to follow a tilted spot over that of an upright one with as many pixels in its window."""
-    rng = np.random.default_rng(33)
-    c, s = math.cos(angle), math.sin(angle)
-    along_pixels = math.hypot(sigmas[0] * c, sigmas[1] * s), math.hypot(sigmas[0] * s, sigmas[1] * c)
-    rings = {
-        "upright": ring(along_pixels, swinging(), rng),
-        "tilted": ring(sigmas, swinging(), rng, angle=angle),
-    }
-    us = {name: np.full(RING, np.inf) for name in rings}
-    for _ in range(max(3, rounds // 20)):
-        for name, frames in rings.items():
-            tracker = SpotTracker(EIGHT_BIT)
-            # until the tilt is known, and the spot's movement
-            for frame in frames[-6:]:
-                tracker.track(frame)
-            for k, frame in enumerate(frames):
-                begin_s = time.perf_counter()
-                tracker.track(frame)
-                us[name][k] = min(us[name][k], (time.perf_counter() - begin_s) * 1e6)
-    medians = {name: float(np.median(values)) for name, values in us.items()}
-    return {
-        "sigma_1_px": sigmas[0],
-        "sigma_2_px": sigmas[1],
-        "angle_rad": angle,
-        **{f"{name}_us": value for name, value in medians.items()},
-        "ratio": medians["tilted"] / medians["upright"],
-    }
-
-
 def windows(sigma: float, count: int, seed: int) -> tuple[NDArray[Any], NDArray[np.float64]]:
     """Stack of windows with a spot at random phases."""
     rng = np.random.default_rng(seed)
     n = side_of(sigma)
     truth = n / 2 + rng.uniform(-0.5, 0.5, (count, 2))
     return np.array([exposed(light((n, n), x, y, sigma, PEAK), rng) for x, y in truth]), truth
-
-
-def on_windows(sigma: float, rounds: int) -> dict[str, float]:
-    """Calls frame by frame on windows as a record keeps them."""
-    images = windows(sigma, 512, 41)[0]
-    tracker = SpotTracker(EIGHT_BIT)
-    us = interleaved({"calls": (lambda: [tracker.track(image) for image in images], len(images))}, rounds)
-    return {"sigma_px": sigma, "calls_us": us["calls"]}
 
 
 def _picasso() -> Callable[[NDArray[Any]], tuple[float, float]]:
@@ -358,63 +268,9 @@ def peers(quick: bool) -> dict[str, Any]:
 def run(quick: bool = False) -> dict[str, Any]:
     """All of it; numbers as plain values."""
     cv2.setNumThreads(1)
-    rounds = 20 if quick else 200
-    ratios = against_sums(rounds)
-    jumps = [jumped(sigma, step_px, rounds) for sigma in SIGMAS for step_px in (8, 100)]
-    tilts = [tilted(sigmas, angle, rounds) for sigmas, angle in TILTED]
-    calls = [on_windows(sigma, 40 if quick else 120) for sigma in SIGMAS]
-    others = peers(quick)
-    console = Console()
-    table = Table(title="1280 x 1024 uint8, time in units of cv2.sumElems over the frame")
-    names: tuple[str, ...] = ("following", "search")
-    for column in ("sigma", "hot pixels", "sumElems us", *names):
-        table.add_column(column, justify="right")
-    for r in ratios:
-        table.add_row(
-            f"{r['sigma_px']:g}", f"{r['hot_pixels']}", f"{r['sum_us']:.1f}",
-            *(f"{r[name + ', ratio']:.3f} ({r[name + ', us']:.1f} us)" for name in names),
-        )  # fmt: skip
-    console.print(table)
-    table = Table(
-        title="a spot that jumps each frame, in any direction, in units of cv2.sumElems: mean, largest"
-    )
-    names = ("jumping",)
-    for column in ("sigma", "step px", "sumElems us", *names):
-        table.add_column(column, justify="right")
-    for j in jumps:
-        table.add_row(
-            f"{j['sigma_px']:g}", f"{j['step_px']:g}", f"{j['sum_us']:.1f}",
-            *(f"{j[name + ', mean ratio']:.2f}, {j[name + ', largest ratio']:.2f}" for name in names),
-        )  # fmt: skip
-    console.print(table)
-    table = Table(title="following a tilted spot, and an upright one with as many pixels")
-    for column in ("sigmas", "angle rad", "upright us", "tilted us", "ratio"):
-        table.add_column(column, justify="right")
-    for t in tilts:
-        table.add_row(
-            f"{t['sigma_1_px']:g}, {t['sigma_2_px']:g}", f"{t['angle_rad']:g}",
-            f"{t['upright_us']:.1f}", f"{t['tilted_us']:.1f}", f"{t['ratio']:.2f}",
-        )  # fmt: skip
-    console.print(table)
-    table = Table(title="us per window of +-5 sigma")
-    for column in ("sigma", "us"):
-        table.add_column(column, justify="right")
-    for c in calls:
-        table.add_row(f"{c['sigma_px']:g}", f"{c['calls_us']:.2f}")
-    console.print(table)
-    table = Table(title="peers, sigma 6, peak 180, the same windows")
-    for column in ("method", "us", "times slower", "scatter mpx"):
-        table.add_column(column, justify="right")
-    for name, value in others.items():
-        if "skipped" in value:
-            table.add_row(name, "skipped", value["skipped"], "")
-        else:
-            table.add_row(
-                name, f"{value['us']:.1f}", f"{value['times_slower']:.0f}", f"{value['scatter_mpx']:.2f}"
-            )
-    console.print(table)
-    return {"against_sum": ratios, "jumped": jumps, "tilted": tilts, "windows": calls, "peers": others}
-
-
-if __name__ == "__main__":
-    json.dump(run("--quick" in sys.argv), sys.stderr, indent=1)
+    ratios, others = against_sums(20 if quick else 200), peers(quick)
+    for row in ratios:
+        print("  " + ", ".join(f"{name} {value:.3g}" for name, value in row.items()))
+    for name, numbers in others.items():
+        print(f"  {name}: {numbers}")
+    return {"against_sum": ratios, "peers": others}

@@ -1,6 +1,6 @@
 """The exact fit with a witness of the ground: scatter, coverage, refusals.
 
-Run as ``python -m tests.benchmarks.bench_vault [--seeds N] [CASE...]`` from the repository. Decays are
+Run as ``python -m tests.benchmarks vault [--quick]``. Decays are
 integrated step by step, with the ground as a force; the fit shares no formula with that. The recorded
 ground is that of two real seismometers at one place: one drives the pendulum, the other, whose response
 nobody states, is the witness.
@@ -27,7 +27,7 @@ from processing.fit.witness.signals import Witness
 from processing.fit.witness.use import WitnessUse
 from processing.swing import TurningPoints
 from tests.benchmarks.bound import bound, true_columns
-from tests.benchmarks.cases import chosen, run_told
+from tests.benchmarks.cases import chosen
 from tests.benchmarks.coverage import coverage, rms
 from tests.processing.fit.decays import paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_path
@@ -248,7 +248,3 @@ def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> di
             flush=True,
         )
     return result
-
-
-if __name__ == "__main__":
-    run_told(__doc__, run, 100)

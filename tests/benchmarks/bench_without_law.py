@@ -1,12 +1,10 @@
 """The contact's moments without a law: how often bands of 68 % hold the truth, how wide they are, CPU time.
 
-Run as ``python -m tests.benchmarks.bench_without_law [--quick] [--seeds N] [CASE...]`` from the repository.
+Run as ``python -m tests.benchmarks without_law [--quick]``.
 At rest the decays are the tests' own, in the basement those of the simulated rig; the truth is the paper's
 law, expressed as the splines are, with no moment proportional to the angle at the reference.
 """
 
-import argparse
-import json
 from time import process_time
 from typing import Any
 
@@ -94,12 +92,3 @@ def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> di
             result[case.name] = measured(case, 5 if quick else seeds)
             print(case.name, result[case.name], flush=True)
     return result
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--seeds", type=int, default=200)
-    parser.add_argument("only", nargs="*")
-    arguments = parser.parse_args()
-    print(json.dumps(run(arguments.quick, arguments.seeds, tuple(arguments.only)), indent=1))

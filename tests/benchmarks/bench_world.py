@@ -1,6 +1,6 @@
 """Worlds that no law of the registry describes, or that change during a run: is b right, withheld, or wrong?
 
-Run as ``python -m tests.benchmarks.bench_world [--quick] [--seeds N] [CASE...]`` from the repository. Paths
+Run as ``python -m tests.benchmarks world [--quick]``. Paths
 come from an integration of the tests' own (`tests.processing.fit.changing`), in air, on moving ground, seen
 25 times a second with 0.005 arcsec; they go through detector, second measurement and fit as a session's do.
 The air is known as it is by default, to a factor of two.
@@ -24,7 +24,7 @@ from rig.analysis import settled_swings
 from rig.analysis.contact_laws import fit_decay
 from rig.analysis.fitted_drag import FittedDrag, evidence_of
 from rig.settings import FitSettings
-from tests.benchmarks.cases import chosen, run_told
+from tests.benchmarks.cases import chosen
 from tests.benchmarks.coverage import rms
 from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair
@@ -153,7 +153,3 @@ def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> di
                 flush=True,
             )
     return result
-
-
-if __name__ == "__main__":
-    run_told(__doc__, run, 100)

@@ -1,6 +1,5 @@
 """Benchmarks that consist of parts, each for a number of made-up campaigns: run them all, or those named."""
 
-import argparse
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -20,12 +19,3 @@ def run_parts(parts: Parts, *, quick: bool, names: tuple[str, ...], least: int =
             cpu_s = time.process_time() - began_cpu_s
             print(f"  ({time.monotonic() - began_s:.0f} s, {cpu_s:.0f} s of CPU)", flush=True)
     return results
-
-
-def words_of(about: str | None, parts: Parts) -> tuple[bool, tuple[str, ...]]:
-    """Whether to be quick, and the parts that the command line names."""
-    parser = argparse.ArgumentParser(description=about)
-    parser.add_argument("parts", nargs="*", choices=[[], *parts], metavar="PART")
-    parser.add_argument("--quick", action="store_true")
-    words = parser.parse_args()
-    return words.quick, tuple(words.parts)

@@ -13,7 +13,7 @@ from calibration.lever_geometry import LeverGeometry, lever_from_geometry, trace
 from calibration.light_lever import Lever
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
-from tests.calibration.ladders import pull
+from tests.calibration.ladders import LADDERS, pull
 
 PITCH_M = 4.8e-6
 NOISE_PX = 0.01
@@ -121,6 +121,15 @@ def test_a_cubic_part_and_a_wrong_step_are_named() -> None:
     fit = fit_ladder(replace(steps, y_px=y_px), "tilt")
     assert any("step 8 is probably wrong" in note for note in fit.notes)
     assert abs(fit.scale * PITCH_M - 1.0) < 3.0 * fit.u_scale * PITCH_M < 1e-3
+
+
+def test_the_uncertainty_of_a_cubic_part_is_its_scatter() -> None:
+    """Of 30 seeds, within four of its own standard deviations; also where a wrong step may be the cause."""
+    bent = LADDERS["cubic 3.6e-3, 9 steps to 300 arcsec"]
+    fits = [fit_ladder(bent.climbed(seed), "tilt") for seed in range(30)]
+    pulls = np.array([(fit.cubic - bent.cubic) / fit.u_cubic for fit in fits])
+    assert abs(np.sqrt(np.mean(pulls**2)) - 1.0) < 4 / np.sqrt(2 * len(pulls))
+    assert abs(np.mean(pulls)) < 4 / np.sqrt(len(pulls))
 
 
 def test_a_wrong_step_is_named() -> None:

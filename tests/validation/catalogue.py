@@ -210,7 +210,7 @@ ROWS: tuple[Row, ...] = (
     Row("speed-follow", SPEED, "Following a spot costs less than adding up the frame", "`cv2.sumElems` in turns, ratio; spots of 3, 6 and 12 px, each without and with 200 hot pixels",
         benchmark("spot_speed", "following, ratio", part="against_sums", argument=200), "number", "", Limit(high=0.4),
         known="following it, 1280×1024"),
-    Row("speed-pace", SPEED, "500 frames/s are recorded without a loss", "a camera from memory in real time: alone, with desk and viewer, in another process, 30 s twice",
+    Row("speed-pace", SPEED, "500 frames/s are recorded without a loss", "a camera from memory in real time: alone, and with desk and viewer, 30 s twice",
         benchmark("pace", "dropped", part="slowest", argument=30), "number", "lost", Limit(0, 0), known="500 frames/s of 640×480"),
     Row("speed-fit", SPEED, "`rig fit` of a whole demonstration", "processor time of the whole process, the least of three",
         benchmark("commands", "rig fit of 119,000 spots, CPU s", part="fits", argument=3), "number", "s", Limit(high=2), known="`make demo`, 119,040"),

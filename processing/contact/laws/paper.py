@@ -3,52 +3,240 @@
     M_fr = -m g R (c + b |phi|^p) sign(phi')                                      (1)
     M_el = 2 gamma a^2 R |phi|^(n+1) (pi/2 - (R/a) |phi|) sign(phi)               (3)
 
-The half-swing map is derived in `half_swing` and compiled in `half_swing_kernel`; the solver's
-columns are in `half_swing_columns`, their start values in `start_values`.
+In the units of the map, ``x = phi / reference``, the coefficients are ``b = b reference^(p-1)``,
+``c = c / reference``, ``kappa = 2 gamma a^2/(m g) reference^n`` and ``rho = R reference / a``.
 """
 
-from collections.abc import Mapping
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.half_swing import half_swings
-from processing.contact.half_swing_columns import LARGEST, SMALLEST, HalfSwingColumns
-from processing.contact.law import BranchMoments, Law, Parameter
-from processing.contact.moments import elastic_moment, friction_moment
-from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.contact.asymptotic import cosine_moment
+from processing.contact.coordinates import ComplexOrReal, Scaling, Straight
+from processing.contact.law import DRAG, PERIOD, HeldColumn, Parameter
+from processing.contact.memoryless import Moment, Moments, columns, memoryless_law
+from processing.contact.parameters import (
+    ContactParameters,
+    PendulumOnBall,
+    relative_curvature,
+    stiffness_ratio,
+)
+from processing.contact.start_values import PeriodStart, StartValues, from_straight, to_straight
+from processing.errors import DataError
+
+STIFFNESS = Scaling(0.0, -1.0, "n", lambda pendulum: stiffness_ratio(1.0, pendulum), loses=False)
+"""gamma is fitted as kappa."""
+_P_RANGE, _N_RANGE = (-0.5, 5.0), (0.002, 5.0)
+"""Below the lower limit of n adhesion cancels nearly all of the stiffness, and n cannot be told from 0."""
+_STIFFEST = 20.0
+"""Largest factor, in either direction, between the stiffness with adhesion and that of gravity alone for
+which parameters are tried."""
 
 
-def _branch_moments(
-    phi_rad: Floats, direction: Floats, values: Mapping[str, float], pendulum: PendulumOnBall
-) -> BranchMoments:
-    """Moments of Eqs. 1 and 3, without a linear drag."""
-    parameters = ContactParameters(**{name: values[name] for name in PAPER.names()})
-    return BranchMoments(
-        friction_moment(phi_rad, direction, parameters, pendulum),
-        elastic_moment(phi_rad, parameters, pendulum),
-    )
+def friction_moment(b: float, p: float, c: float, count: int = 6) -> Moment:
+    """Eq. 1; b, p and c are the first of the parameters."""
+
+    def moment(x: Floats) -> Floats:
+        power = x**p
+        return columns(x.shape, count, b * power + c, {0: power, 1: b * power * np.log(x), 2: 1.0})
+
+    def work(x: Floats) -> Floats:
+        power = x ** (p + 1) / (p + 1)
+        by_p = b * power * (np.log(x) - 1 / (p + 1))
+        return columns(x.shape, count, b * power + c * x, {0: power, 1: by_p, 2: x})
+
+    return Moment(moment, work)
 
 
-PAPER = Law(
-    name="paper",
-    title="friction c + b|φ|ᵖ and elastic adhesion",
-    source="Eqs. 1 and 3",
-    parameters=(
+def elastic_moment(n: float, kappa: float, rho: float, count: int = 6) -> Moment:
+    """Eq. 3; n and kappa are the last two of the parameters before R/a."""
+
+    def moment(x: Floats) -> Floats:
+        first, second = 0.5 * pi * x ** (n + 1), x ** (n + 2)
+        unit = first - rho * second
+        by = {count - 3: kappa * unit * np.log(x), count - 2: unit, count - 1: -kappa * second}
+        return columns(x.shape, count, kappa * unit, by)
+
+    def work(x: Floats) -> Floats:
+        log_x, power = np.log(x), x ** (n + 2)
+        first, second = 0.5 * pi * power / (n + 2), power * x / (n + 3)
+        unit = first - rho * second
+        by_n = kappa * (first * (log_x - 1 / (n + 2)) - rho * second * (log_x - 1 / (n + 3)))
+        return columns(
+            x.shape, count, kappa * unit, {count - 3: by_n, count - 2: unit, count - 1: -kappa * second}
+        )
+
+    return Moment(moment, work)
+
+
+def _moments(parameters: Floats, _: float, __: float) -> Moments | None:
+    b, p, c, n, kappa, _drag, _reference, rho = parameters.tolist()
+    if not (n > -1.5 and -0.6 < p < 6.0):
+        return None
+    return Moments(friction_moment(b, p, c), elastic_moment(n, kappa, rho))
+
+
+def _straight(drag: bool) -> Straight:
+    """Coordinates that differ from the parameters where these are strongly correlated.
+
+    - Adhesion. By harmonic balance it leaves the fraction ``q = 1 - 2 kappa J`` of the stiffness at the
+      reference amplitude (J is `cosine_moment` of n+2). The data determine well the period there,
+      ``T0/sqrt(q)``, its slope against ln x, ``s = n kappa J/q``, and the losses relative to this
+      stiffness, ``b/q``, ``c/q``, ``drag/sqrt(q)``. Only n varies along the valley.
+    - b is searched as its logarithm, which keeps it positive; at b = 0, p would be undefined.
+    - Drag. If it is fitted, b, p and drag are replaced by the coordinates of `to_straight`; a drag of 1
+      corresponds to a linear loss of pi/4.
+    """
+
+    def scaled(values: ComplexOrReal) -> ComplexOrReal:
+        log_b, p, c, n, s, air, period_s = values
+        b = np.exp(log_b)
+        if drag:
+            p, air = from_straight(b, p, air)
+        # q = n/(n + 2 s) from s = n kappa J/q and q = 1 - 2 kappa J
+        whole = n + 2 * s
+        q = n / whole
+        kappa = s / (whole * cosine_moment(n + 2))
+        out = np.array([q * b, p, q * c, n, kappa, 4 / pi * np.sqrt(q) * air, np.sqrt(q) * period_s])
+        inside = np.abs(np.log(q.real)) < np.log(_STIFFEST)
+        return np.where(inside, out, np.nan)
+
+    def coordinates(values: Floats) -> Floats:
+        b, p, c, n, kappa, air, period_s = values.tolist()
+        share = kappa * float(cosine_moment(n + 2))
+        q = 1 - 2 * share
+        air *= 0.25 * pi / np.sqrt(q)
+        if drag:
+            p, air = to_straight(b / q, p, air)
+        with np.errstate(divide="ignore"):
+            return np.array([np.log(b / q), p, c / q, n, n * share / q, air, period_s / np.sqrt(q)])
+
+    def limits(loss: float) -> dict[int, tuple[float, float]]:
+        found = {0: (-30.0, 5.0), 1: _P_RANGE, 3: _N_RANGE, 4: (-5.0, 5.0)}
+        if drag:
+            # as p approaches 1, b and drag can cancel each other at arbitrarily large values
+            del found[1]
+            found[0] = (-30.0, float(np.log(6 * loss)))
+        return found
+
+    def at_limit(values: Floats) -> list[int]:
+        stiffness = 1 - 2 * values[4] * cosine_moment(values[3] + 2)
+        return [] if np.abs(np.log(stiffness)) < np.log(0.9 * _STIFFEST) - 1e-4 else [4]
+
+    # the valley of a drag runs along ln b, so that b is held by means of p's column; the column of adhesion
+    # has the sign of gamma, which a Newton step must not change
+    held = (HeldColumn(int(drag)), *map(HeldColumn, (1, 2, 3)), HeldColumn(4, keeps_sign=True))
+    return Straight(scaled, coordinates, held, limits, 0 if drag else None, at_limit)
+
+
+def _likely(found: StartValues, _: float) -> list[dict[str, float]]:
+    """From Eqs. 5 and 6: for each exponent n that fits the periods, then without adhesion.
+
+    Eq. 5 neglects that adhesion reduces the restoring moment and that T differs from T0; its rates are
+    converted to those of the exact map.
+    """
+    decay, out = found.decay, []
+    for period in [*found.periods[:3], PeriodStart(found.mean_period_s, 0.5, 0.0)]:
+        stiffness = (period.period0_s / found.mean_period_s) ** 2
+        factor = stiffness if 0.3 < stiffness < 3 else 1.0
+        out.append(
+            {
+                "b": max(decay.b * factor, 1e-9),
+                "p": decay.p,
+                "c": decay.c * factor,
+                "n": float(np.clip(period.n, 0.01, 4.9)),
+                "gamma_pa": float(np.clip(period.kappa, -0.5, 0.5)),
+                DRAG.key: decay.d * 4 / pi,
+                PERIOD: period.period0_s,
+            }
+        )
+    return out
+
+
+PAPER = memoryless_law(
+    "paper",
+    "friction c + b|φ|ᵖ and elastic adhesion",
+    "Eqs. 1 and 3",
+    (
         Parameter("b", "b", "rad⁻ᵖ", "friction inside the contact, over m g R", "Eq. 1", lower=0.0,
                   logarithmic=True),
-        Parameter("p", "p", "1", "exponent of the friction", "Eq. 1", lower=SMALLEST["p"],
-                  upper=LARGEST["p"]),
+        Parameter("p", "p", "1", "exponent of the friction", "Eq. 1", *_P_RANGE),
         Parameter("c", "c", "1", "friction by adhesion, over m g R", "Eq. 1", lower=0.0),
-        Parameter("n", "n", "1", "exponent of the elastic adhesion", "Eq. 3", lower=SMALLEST["n"],
-                  upper=LARGEST["n"]),
+        Parameter("n", "n", "1", "exponent of the elastic adhesion", "Eq. 3", *_N_RANGE),
         Parameter("period0_s", "T₀", "s", "period at vanishing amplitude", "Eq. 6", lower=0.0),
         Parameter("gamma_pa", "γ", "Pa", "stiffness of the elastic adhesion", "Eq. 3", lower=0.0,
                   logarithmic=True, shown="MPa"),
     ),
-    branch_moments=_branch_moments,
-    half_swing_map=half_swings,
-    columns=HalfSwingColumns,
-    uncalibrated={
+    _moments,
+    {
+        "b": Scaling(1.0, -1.0, "p"),
+        "p": Scaling(),
+        "c": Scaling(1.0),
+        "n": Scaling(),
+        "gamma_pa": STIFFNESS,
+    },
+    _straight,
+    _likely,
+    {
         "gamma_pa": Parameter("kappa", "κ", "1", "2 gamma a²/(m g), per unit of amplitude to the power n",
                               "Eq. 3", lower=0.0, logarithmic=True)
     },
 )  # fmt: skip
+
+
+class ScaledContact(NamedTuple):
+    """The law's parameters in units of a reference amplitude; ``drag = drag_s w0``."""
+
+    b: float
+    p: float
+    c: float
+    n: float
+    kappa: float
+    drag: float
+    rho: float
+
+
+def scaled_contact(
+    parameters: ContactParameters, pendulum: PendulumOnBall, reference_rad: float
+) -> ScaledContact:
+    """SI parameters in the units of a reference amplitude."""
+    return ScaledContact(
+        b=parameters.b * reference_rad ** (parameters.p - 1),
+        p=parameters.p,
+        c=parameters.c / reference_rad,
+        n=parameters.n,
+        kappa=stiffness_ratio(parameters.gamma_pa, pendulum) * reference_rad**parameters.n,
+        drag=parameters.drag_s * 2 * pi / parameters.period0_s,
+        rho=relative_curvature(pendulum) * reference_rad,
+    )
+
+
+def turning_points_of(
+    parameters: ContactParameters,
+    pendulum: PendulumOnBall,
+    initial_amplitude_rad: float,
+    half_cycles: int,
+) -> tuple[Floats, Floats]:
+    """Amplitudes (rad) and times (s) of the first turning points of a free decay.
+
+    Parameters
+    ----------
+    initial_amplitude_rad
+        The first turning point, at time 0; positive.
+    half_cycles
+        Number of half-cycles after it; the arrays have one element more.
+
+    Returns
+    -------
+    amplitude_rad, time_s
+        Shape ``(half_cycles + 1,)``. NaN from the turning point at which the pendulum sticks
+        (friction holds it) onwards.
+    """
+    if not initial_amplitude_rad > 0:
+        raise DataError(f"initial amplitude {initial_amplitude_rad} rad: it must be positive")
+    index = np.arange(half_cycles + 1, dtype=np.int64)
+    *own, rho = scaled_contact(parameters, pendulum, initial_amplitude_rad)
+    found = PAPER.half_swing_map(np.array([*own, initial_amplitude_rad, rho, 1.0]), index)
+    return found.amplitude * initial_amplitude_rad, found.time * parameters.period0_s

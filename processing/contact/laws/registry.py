@@ -4,12 +4,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from processing.contact.law import Law
-from processing.contact.laws.coulomb import COULOMB
-from processing.contact.laws.dahl import DAHL
-from processing.contact.laws.masing import MASING
-from processing.contact.laws.maxwell_slip import MAXWELL_SLIP
+from processing.contact.laws.masing import MASING, MAXWELL_SLIP
 from processing.contact.laws.paper import PAPER
-from processing.contact.laws.viscous import VISCOUS
+from processing.contact.laws.textbook import COULOMB, DAHL, VISCOUS
 
 LAWS: Mapping[str, Law] = MappingProxyType(
     {

@@ -24,7 +24,6 @@ def test_bounds_hold_for_what_is_asked_too() -> None:
     assert kept_frames(1000, 50.0, 10_000_000, 4, 4096) * 10_000_000 <= 256 * 2**20
 
 
-@pytest.mark.realtime
 def test_a_usb_camera_reads_a_tenth_of_a_second_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 

@@ -18,14 +18,21 @@ INTERVAL_NS = round(1e9 / RATE_HZ)
 def joined(
     device_ns: list[int], late_ms: list[float] | None = None
 ) -> tuple[list[Frame], FrameLine, list[str]]:
-    """Frames that a clock lets through, of times at a steady rate."""
-    clock, frames, notes = FrameLine(in_real_time=True), [], []
+    """Frames that a line lets through, of times at a steady rate."""
     rng = np.random.default_rng(5)
-    for number, time_ns in enumerate(device_ns):
-        host_ns = 10**12 + number * INTERVAL_NS + round(1e6 * abs(rng.normal(1.0, 0.5)))
-        if late_ms is not None:
-            host_ns += round(1e6 * late_ms[number])
-        found = clock.take(Frame(IMAGE.copy(), number, time_ns, host_ns))
+    late = late_ms or [0.0] * len(device_ns)
+    host_ns = [
+        10**12 + n * INTERVAL_NS + round(1e6 * (abs(rng.normal(1.0, 0.5)) + late[n]))
+        for n in range(len(device_ns))
+    ]
+    return carried(device_ns, host_ns)
+
+
+def carried(times: list[int], host_ns: list[int]) -> tuple[list[Frame], FrameLine, list[str]]:
+    """Frames with numbers that go on whatever is lost, as of a camera that was reset."""
+    clock, frames, notes = FrameLine(in_real_time=True), [], []
+    for number, (time_ns, arrived_ns) in enumerate(zip(times, host_ns, strict=True)):
+        found = clock.take(Frame(IMAGE.copy(), number, time_ns, arrived_ns))
         frames += found.frames
         notes += [text for _, text in found.notes]
     return frames, clock, notes
@@ -121,16 +128,6 @@ def test_a_rate_that_changes_is_no_step() -> None:
     ]
     assert len(frames) == 300
     assert clock.rejected == 0
-
-
-def carried(times: list[int], host_ns: list[int]) -> tuple[list[Frame], FrameLine, list[str]]:
-    """Frames with numbers that go on whatever is lost, as of a camera that was reset."""
-    clock, frames, notes = FrameLine(in_real_time=True), [], []
-    for number, (time_ns, arrived_ns) in enumerate(zip(times, host_ns, strict=True)):
-        found = clock.take(Frame(IMAGE.copy(), number, time_ns, arrived_ns))
-        frames += found.frames
-        notes += [text for _, text in found.notes]
-    return frames, clock, notes
 
 
 def arrivals(times: list[int]) -> list[int]:

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tests.waiting import until
+
 mfusepy: Any
 try:
     import mfusepy
 except (ImportError, OSError):  # OSError: the package is there, the library is not
     mfusepy = None
-
-DEADLINE_S = 60.0
 
 
 class NoFuse(Exception):
@@ -50,15 +50,7 @@ class Mounted:
 
     def wait_for_hanging(self) -> None:
         """Return when somebody waits for an answer."""
-        wait_for(self.hangs.with_suffix(".waiting").exists)
-
-
-def wait_for(state: Any) -> None:
-    """Return when `state()` is true."""
-    deadline_s = time.monotonic() + DEADLINE_S
-    while not state():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
+        until(self.hangs.with_suffix(".waiting").exists)
 
 
 @contextlib.contextmanager
@@ -73,7 +65,7 @@ def mounted(base: Path) -> Iterator[Mounted]:
     process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     disk = Mounted(folder, hangs)
     try:
-        wait_for(lambda: os.path.ismount(folder) or process.poll() is not None)
+        until(lambda: os.path.ismount(folder) or process.poll() is not None)
         if process.poll() is not None:
             said = process.communicate()[1].decode(errors="replace").strip()
             raise NoFuse(said.splitlines()[-1] if said else "mounting failed")

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -18,15 +18,13 @@ from acquisition.record import pixels_beside
 from acquisition.record.check import check_record
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
-
-pytestmark = pytest.mark.realtime
+from tests.waiting import until
 
 PROGRAM = "tests.acquisition.record.until_killed"
 ROOT = Path(__file__).resolve().parents[3]
 LOST_S = 0.9
 """What may be missing, counted from the last block that the writer began: it was killed a block's 20 ms later
 unless the machine let it wait."""
-START_S = 20.0
 
 
 class Writers:
@@ -48,11 +46,11 @@ class Writers:
         report = path.parent.with_suffix(".report")
         process = self._start(path, report)
         try:
-            wait_for(lambda: report.exists() and report.read_text().startswith("begun\n"))
+            until(lambda: report.exists() and report.read_text().startswith("begun\n"))
             time.sleep(after_s)
         finally:
             os.kill(process, signal.SIGKILL)
-        wait_for(lambda: not is_alive(process))
+        until(lambda: not is_alive(process))
         text = report.read_text()
         complete = text[: text.rfind("\n") + 1].splitlines()[1:]
         return [(float(when), int(frame)) for when, frame in (line.split() for line in complete)]
@@ -73,13 +71,6 @@ def writers() -> Iterator[Writers]:
     writers = Writers()
     yield writers
     writers.close()
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + START_S
-    while not condition():
-        assert time.monotonic() < deadline_s, "the process neither begins nor ends"
-        time.sleep(0.005)
 
 
 def is_alive(process: int) -> bool:

@@ -13,8 +13,6 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
 from processing.errors import RecordError
 
-pytestmark = pytest.mark.realtime
-
 DEADLINE_S = 60.0
 
 

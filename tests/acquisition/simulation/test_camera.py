@@ -16,8 +16,6 @@ from acquisition.simulation.settings import SimulationSettings
 from processing.errors import ConfigurationError, DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 
-pytestmark = pytest.mark.realtime
-
 SMALL: dict[str, Any] = {"sensor": {"width_px": 96, "height_px": 64}, "release": {"amplitude_arcsec": 5.0}}
 
 

@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
-from processing.contact.decay import decay_path, path_nodes
-from processing.contact.half_swing import turning_points_of
+from processing.contact import turning_points_of
+from processing.contact.asymptotic import PRINTED_CURVATURE, cosine_moment, curvature, decay_path, period
 from processing.contact.parameters import ContactParameters
-from processing.contact.period_law import PRINTED_CURVATURE, cosine_moment, curvature, period
 from processing.errors import DataError
 from tests.processing.contact.eq5_closed_form import decay_amplitude, decay_time
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair
@@ -111,16 +110,16 @@ def test_amplitude_inverts_time() -> None:
 def test_path_with_drag_follows_the_rate_and_without_it_the_closed_form() -> None:
     b, p, c, start = 4e-3, 0.9, 1e-3, 3.0
     s = np.concatenate([np.linspace(0, 200, 60), [400.0]])
-    path, gradient = decay_path(s, start, b / (p + 1), p, c, 0.0, *path_nodes())
+    path, gradient = decay_path(s, start, b / (p + 1), p, c, 0.0)
     time = decay_time(path, start, b=b, p=p, c=c, period_s=4.0)
     np.testing.assert_allclose(time[1:], s[1:], rtol=1e-11)
     values = np.array([start, b, p, c, 2e-3])
-    _, gradient = decay_path(s, *values, *path_nodes())
+    _, gradient = decay_path(s, *values)
     for i in range(5):
         step = np.zeros(5)
         step[i] = 1e-6 * values[i]
-        up = decay_path(s, *(values + step), *path_nodes())[0]
-        down = decay_path(s, *(values - step), *path_nodes())[0]
+        up = decay_path(s, *(values + step))[0]
+        down = decay_path(s, *(values - step))[0]
         np.testing.assert_allclose(
             gradient[:, i], (up - down) / (2 * step[i]), rtol=1e-6, atol=1e-7 * np.abs(gradient[:, i]).max()
         )
@@ -133,7 +132,7 @@ def test_constant_friction_ends_the_path_at_rest() -> None:
     found: list[NDArray[np.float64]] = []
 
     def follow() -> None:
-        found.append(decay_path(s, start, 0.0, 1.0, c, 0.0, *path_nodes())[0])
+        found.append(decay_path(s, start, 0.0, 1.0, c, 0.0)[0])
 
     thread = threading.Thread(target=follow, daemon=True)
     thread.start()

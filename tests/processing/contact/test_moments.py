@@ -5,11 +5,9 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from processing.contact.energy_loss import measured_losses, model_losses
-from processing.contact.half_swing import turning_points_of
-from processing.contact.moments import cycle_work, elastic_moment, weight_moment
+from processing.contact import turning_points_of, weight_moment
+from processing.contact.moments import cycle_work, elastic_moment, measured_losses, model_losses, moment_loop
 from processing.contact.parameters import ContactParameters
-from processing.contact.steady_swing import moment_loop
 from processing.errors import DataError
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair, without
 

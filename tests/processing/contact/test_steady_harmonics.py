@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from processing.contact import law_harmonics
-from processing.contact.half_swing import stiffness_ratio
+from processing.contact import law_harmonics, stiffness_ratio
 from processing.contact.laws import PAPER
 from processing.swing import ORDERS
 from tests.processing.fit.decays import paper_pair

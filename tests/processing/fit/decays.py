@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.half_swing import turning_points_of
+from processing.contact import turning_points_of
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.swing import TurningPoints

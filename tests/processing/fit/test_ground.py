@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from processing.contact.half_swing import turning_points_of
+from processing.contact import turning_points_of
 from processing.contact.laws import PAPER
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.errors import DataError

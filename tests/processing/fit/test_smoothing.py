@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from processing.contact.period_law import period
+from processing.contact.asymptotic import period
 from processing.errors import DataError
 from processing.fit.exact import fit_exact
 from processing.fit.smoothing import super_smooth

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from rig.archive import add_folders, refit_runs
-from tests.acquisition.record.hanging_disk import wait_for
+from tests.waiting import until
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENTS = (*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"))
@@ -89,7 +89,7 @@ def start(started: "list[subprocess.Popen[bytes]]", command: str, folder: Path) 
         start_new_session=True,
     )
     started.append(process)
-    wait_for(lambda: listening(process.pid))
+    until(lambda: listening(process.pid))
 
 
 @needs_dask

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.balance import BalanceLimits, Unreachable, WeightResponses
+from processing.balance import BalanceLimits, Room, Unreachable, WeightResponses
 from rig.balance.learned_turns import LearnedTurns
 from rig.instrument.balance import nominal_effects
 from tests.rig.balance.cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum
@@ -81,6 +81,17 @@ def test_the_sign_says_which_way() -> None:
     assert back is not None
     assert away.weight == back.weight == "x"
     assert away.turns == -back.turns < 0
+
+
+@pytest.mark.parametrize("tilt_arcsec", [2.0, -2.0])
+def test_where_no_turn_leaves_the_spot_on_the_sensor_a_small_one_goes_towards_balance(
+    tilt_arcsec: float,
+) -> None:
+    responses = WeightResponses(nominal_effects(CONFIG), LIMITS)
+    state = np.array([tilt_arcsec, 0.0, 0.0])
+    nowhere = Room(np.array([[1.0, 0.0], [-1.0, 0.0]]), np.full(2, -1e6))
+    turn = responses.test_turn("x", state, nowhere, "no room")
+    assert turn.turns == pytest.approx(-math.copysign(0.02, tilt_arcsec * responses.effect("x")[0][0]))
 
 
 @pytest.mark.slow

@@ -161,12 +161,3 @@ def test_what_was_not_determined_is_unknown_and_no_go(
     lines = capsys.readouterr().out.splitlines()
     (spin,) = [line for line in lines if " spin" in line]
     assert spin.startswith("?")
-
-
-@pytest.mark.slow
-@pytest.mark.realtime
-def test_the_starter_of_a_live_rig_starts_the_swing_that_is_balanced(tmp_path: Path) -> None:
-    words = ("balance", CONFIGS / "live.toml", "--history-file", tmp_path / "history.jsonl")
-    done = rig(*words, "--set", "simulation.sensor.width_px=160", typed="q\n")
-    assert "no swing was seen" not in done.stderr
-    assert "balanced: within all limits that are known; unknown: spin" in done.stdout

@@ -119,3 +119,11 @@ def test_vanes_are_advised_and_asked_for() -> None:
     # half of the paper's pendulum, 0.55 m; what they add follows from Stokes's oscillating wall
     assert advised.distance_m == pytest.approx(0.27, abs=0.02)
     assert 0.03 < advised.area_m2 < 0.1
+    # air that nobody has stated is that of an ordinary room
+    room = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
+    stated = vanes_to_cut(complete(configuration(0.0, environment=room)), 4.071)
+    thin = vanes_to_cut(complete(configuration(0.0, environment=room | {"pressure_pa": 6e4})), 4.071)
+    assert stated is not None
+    assert thin is not None
+    assert advised.area_m2 == pytest.approx(stated.area_m2, rel=1e-3)
+    assert thin.area_m2 != pytest.approx(stated.area_m2, rel=1e-2)

@@ -1,4 +1,4 @@
-"""`rig campaign`: from folders, or an archive, to campaign.json, page, tables and figures."""
+"""`rig compare --model`: from folders, or an archive, to campaign.json, page, tables and figures."""
 
 import datetime
 import json
@@ -56,7 +56,7 @@ def test_from_folders_to_the_files_of_a_paper(tmp_path: Path) -> None:
     humid_campaign(tmp_path, slope=-0.03, bad=True)
     (tmp_path / "campaign.toml").write_text(STATED)
     done = rig(
-        "campaign", "monday", "tuesday", "--config", "campaign.toml", "-o", "out", cwd=tmp_path, figures=True
+        "compare", "monday", "tuesday", "--model", "campaign.toml", "-o", "out", cwd=tmp_path, figures=True
     )
     assert done.returncode == 0, done.stderr
     assert "tuesday/run-2 is a bad run" in done.stderr + done.stdout
@@ -77,7 +77,7 @@ def test_from_folders_to_the_files_of_a_paper(tmp_path: Path) -> None:
     page = (tmp_path / "out" / "campaign.html").read_text()
     assert "What limits the answer now" in page
     assert "without priors" in page
-    again = rig("campaign", "monday", "-o", "out", cwd=tmp_path)
+    again = rig("compare", "monday", "--model", "default", "-o", "out", cwd=tmp_path)
     assert again.returncode == 2
     assert "exists already" in again.stderr
 
@@ -192,7 +192,7 @@ def test_what_is_stated_wrongly_is_said_in_a_line(tmp_path: Path, text: str, sai
         [run(1, GLASS, np.random.default_rng(1)), run(2, GLASS, np.random.default_rng(2))],
     )
     (tmp_path / "campaign.toml").write_text(text)
-    done = rig("campaign", "monday", "--config", "campaign.toml", cwd=tmp_path)
+    done = rig("compare", "monday", "--model", "campaign.toml", cwd=tmp_path)
     assert done.returncode in (1, 2)
     assert said in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
@@ -257,11 +257,11 @@ def test_a_run_counts_once(tmp_path: Path) -> None:
 
 def test_a_campaign_of_nothing_is_refused(tmp_path: Path) -> None:
     for words, said in (
-        ((), "rig campaign needs runs"),
+        ((), "rig compare --model needs runs"),
         (("no-folder",), "no-folder: no such file or folder"),
         (("--where", "b > 0"), "needs runs"),
     ):
-        done = rig("campaign", *words, cwd=tmp_path)
+        done = rig("compare", "--model", "default", *words, cwd=tmp_path)
         assert done.returncode == 2
         assert said in done.stderr
 
@@ -280,7 +280,7 @@ def test_runs_of_an_archive(tmp_path: Path) -> None:
     added = rig("archive", "add", "first", "series", "--archive", "catalogue", cwd=tmp_path)
     assert added.returncode == 0, added.stderr
     (tmp_path / "campaign.toml").write_text('parameters = ["p"]')
-    words = ("campaign", "--archive", "catalogue", "--config", "campaign.toml")
+    words = ("compare", "--archive", "catalogue", "--model", "campaign.toml")
     done = rig(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "2 runs" in done.stdout
@@ -315,11 +315,11 @@ def test_sessions_of_one_sample_are_one_contact(tmp_path: Path) -> None:
     found = runs_of_folders(folders, by_sample=True)
     assert {one.contact for one in found} == {"K8"}
     assert len({one.label for one in found}) == 12
-    done = rig("campaign", *folders, "--by-sample")
+    done = rig("compare", *folders, "--model", "default", "--by-sample")
     assert done.returncode == 0, done.stderr
     assert "\nK8 " in done.stdout
     (folders[0] / "session.json").unlink()
-    done = rig("campaign", *folders, "--by-sample")
+    done = rig("compare", *folders, "--model", "default", "--by-sample")
     assert done.returncode == 2
     assert "session.json: names no sample" in done.stderr
 
@@ -329,7 +329,7 @@ def test_a_night_is_one_contact(tmp_path: Path) -> None:
     found = runs_of_folders([tmp_path / "night"])
     assert {one.contact for one in found} == {"night"}
     assert [found[0].label, found[-1].label] == ["night/monday/run-1", "night/tuesday/run-6"]
-    assert "night" in rig("campaign", tmp_path / "night").stdout
+    assert "night" in rig("compare", tmp_path / "night", "--model", "default").stdout
 
 
 @pytest.mark.parametrize(
@@ -341,6 +341,6 @@ def test_a_night_is_one_contact(tmp_path: Path) -> None:
 )
 def test_names_that_exclude_each_other_are_refused(tmp_path: Path, words: list[str], message: str) -> None:
     folder = humid_campaign(tmp_path)[0]
-    done = rig("campaign", folder, *words)
+    done = rig("compare", folder, "--model", "default", *words)
     assert done.returncode == 2
     assert message in done.stderr

@@ -44,7 +44,6 @@ def test_of_a_laser_without_a_wire_to_this_program_that_is_said(tmp_path: Path) 
     assert "audit.jsonl: there is no log: no program that controls a laser wrote into" in missing.stderr
 
 
-@pytest.mark.realtime
 def test_a_trip_is_shown_acknowledged_and_logged(tmp_path: Path, words: list[str]) -> None:
     live = CONFIGS / "live.toml"
     with state_of(words) as state:
@@ -76,7 +75,6 @@ def test_a_trip_is_shown_acknowledged_and_logged(tmp_path: Path, words: list[str
     assert rig("light", "audit", runs).returncode == 0  # its only line, and nobody knows the end
 
 
-@pytest.mark.realtime
 def test_a_rig_that_another_program_holds_is_shown_from_its_file(words: list[str]) -> None:
     with state_of(words) as state:
         state.latch(TripCause.INTERLOCK, "it opened", lit=False)

@@ -20,7 +20,7 @@ from processing.errors import RecordError
 from tests.rig.command_line import CONFIGS
 from tests.rig.control.wires import FirmwareBoard
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 
 # For a machine that is busy with other tests.
 BEGUN_WITHIN_S = 300.0

@@ -28,7 +28,7 @@ OF_THE_HOST = pytest.mark.parametrize("make_board", ["stepped"], indirect=True)
 """What does not depend on the board's interpreter."""
 
 
-@pytest.fixture(params=["stepped", pytest.param("micropython", marks=pytest.mark.realtime)])
+@pytest.fixture(params=["stepped", "micropython"])
 def make_board(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Callable[..., Board]]:

@@ -15,8 +15,6 @@ from rig.control.service import ControlService
 from tests.rig.control.conftest import settings_for
 from tests.rig.control.wires import FirmwareBoard
 
-pytestmark = pytest.mark.realtime
-
 # The watchdog's time, a turn of the loop, and a machine that is busy with other tests.
 DARK_WITHIN_S = 30.0
 WATCHDOG_S = 1.5

@@ -2,7 +2,6 @@
 
 import os
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,15 +15,7 @@ from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
 from tests.rig.control.conftest import settings_for
 from tests.rig.control.wires import FirmwareBoard
-
-pytestmark = pytest.mark.realtime
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
-    end_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end_s, "it did not come about"
-        time.sleep(0.005)
+from tests.waiting import until
 
 
 def test_snapshot_follows_the_board(board: FirmwareBoard) -> None:

@@ -17,9 +17,7 @@ from rig.control.light_permit import LightRefused
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings, EnvironmentSettings, SerialFaults
 from rig.control.simulated import SimulatedOutputs, simulated_controller
-from tests.rig.control.test_service import until
-
-pytestmark = pytest.mark.realtime
+from tests.waiting import until
 
 
 class Rig:

@@ -3,7 +3,6 @@
 import math
 import os
 import pty
-import threading
 import tty
 from collections.abc import Callable
 from pathlib import Path
@@ -13,18 +12,9 @@ import pytest
 from rig.control import WitnessLines, WitnessSettings
 from rig.control.witness import FileTail, sample_of
 from rig.settings import keys_with_faults
+from tests.waiting import until
 
 LIMIT_S = 60.0
-
-
-def until(true: Callable[[], bool]) -> None:
-    """Wait for a state."""
-    waited = threading.Event()
-    for _ in range(int(LIMIT_S / 0.02)):
-        if true():
-            return
-        waited.wait(0.02)
-    pytest.fail("the state was not reached")
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,8 +20,8 @@ from rig.desk.desk import Desk
 from rig.measure.session_file import RunState, SessionFile
 from rig.orders import OrderSocket, SessionNews
 from rig.settings import load_configuration, stored_configuration
+from tests.waiting import until
 
-pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).resolve().parents[3]
 IGNORES = ("sh", "-c", "trap '' TERM; exec \"$@\"", "-")
 """What it runs hears no SIGTERM."""
@@ -71,19 +71,9 @@ def session(request: pytest.FixtureRequest, config: Path, desk: Desk) -> Iterato
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "begun\n"
-        deadline_s = time.monotonic() + 30.0
-        while not desk.following.news:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.02)
+        until(lambda: desk.following.news)
         yield process
         process.kill()
-
-
-def wait_until(state: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 30.0
-    while not state():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
 
 
 def wait_for(desk: Desk, key: AlarmKey, state: AlarmState | None = AlarmState.ACTIVE) -> str:
@@ -114,7 +104,7 @@ def test_a_session_that_is_frozen_and_one_that_is_killed(
 @pytest.mark.slow
 def test_stop_ends_a_session_that_is_frozen(desk: Desk, session: "subprocess.Popen[str]") -> None:
     os.kill(session.pid, signal.SIGSTOP)
-    wait_until(lambda: desk.following.frozen)
+    until(lambda: desk.following.frozen)
     assert "its process ends" in desk.stop_session()
     assert session.wait(30.0) == -signal.SIGTERM
 
@@ -125,7 +115,7 @@ def test_stop_kills_a_session_that_stays_frozen(desk: Desk, session: "subprocess
     assert session.stdin is not None
     session.stdin.write('{"hang": true}\n')
     session.stdin.flush()
-    wait_until(lambda: desk.following.frozen)
+    until(lambda: desk.following.frozen)
     assert "was killed, Resume" in desk.stop_session(wakes_within_s=1.0)
     assert session.wait(30.0) == -signal.SIGKILL
     wait_for(desk, AlarmKey.SESSION_DIED)
@@ -151,9 +141,9 @@ def test_a_session_whose_news_are_late_is_not_frozen(desk: Desk, config: Path) -
         return {}
 
     with OrderSocket(config.parent / "runs" / "session", told, {}, extra):
-        wait_until(lambda: bool(desk.following.news))
+        until(lambda: bool(desk.following.news))
         held.set()
-        wait_until(lambda: time.monotonic() - desk.following.heard_s > 2.0 * STALE_S)
+        until(lambda: time.monotonic() - desk.following.heard_s > 2.0 * STALE_S)
         assert AlarmKey.SESSION_FROZEN not in {row.key for row in desk.alarming.alarms.rows()}
         go_on.set()
 
@@ -176,10 +166,7 @@ def test_a_session_that_has_failed_says_why(
 def test_a_session_that_ends_as_it_should_is_no_alarm(desk: Desk, session: "subprocess.Popen[str]") -> None:
     assert session.stdin is not None
     session.stdin.close()
-    deadline_s = time.monotonic() + 30.0
-    while desk.following.running or desk.following.ended:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
+    until(lambda: not desk.following.running and not desk.following.ended)
     # a busy machine may have held it up for a moment
     found = {row.key for row in desk.alarming.alarms.rows()}
     assert not found & {AlarmKey.SESSION_DIED, AlarmKey.SESSION_FAILED}

@@ -10,7 +10,7 @@ import pytest
 from tests.rig.desk.desk_page import DeskProcess, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(240)]
 GREY = "getComputedStyle(document.querySelector('.q-tab-panels')).filter.includes('grayscale')"
 
 

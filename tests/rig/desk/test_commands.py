@@ -4,6 +4,7 @@ import io
 import json
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -12,7 +13,9 @@ import pytest
 
 from processing.errors import ConfigurationError
 from rig.balance import InJsonLines
+from rig.channel import Channel, SessionNews
 from tests.rig.command_line import CONFIGS, SMALL, Done, rig, set_words
+from tests.waiting import until
 
 SIMULATED = CONFIGS / "demo.toml"
 
@@ -99,6 +102,36 @@ def test_what_was_asked_to_end_is_waited_for_before_the_camera_is_refused(
     desk.jobs["balance"].end()
     desk.needs_camera("run")
     assert not desk.jobs["balance"].running
+    desk.close()
+
+
+def test_a_session_that_was_stopped_is_waited_for_before_the_camera_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It answers no more, and its runs are on the page, while its process still closes its devices."""
+    pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+    from rig.desk import desk as desk_module
+    from rig.desk.desk import Desk, Started
+
+    ends = tmp_path / "ends"
+    waits = f"import os, time\nwhile not os.path.exists({str(ends)!r}): time.sleep(0.01)"
+    monkeypatch.setattr(
+        desk_module, "start_session", lambda *_: subprocess.Popen([sys.executable, "-c", waits])
+    )
+    desk = Desk(SIMULATED, (f'session.output="{(tmp_path / "runs").as_posix()}"',))
+    desk.following.start()
+    folder = desk.start_session({})
+    with pytest.raises(ConfigurationError, match="which a session has; wait, or stop it"):
+        desk.needs_camera("run")
+    with Channel(folder, SessionNews(desk.config), {}):
+        until(lambda: desk.following.running)
+    until(lambda: not desk.following.running)
+    assert desk.session_state is Started.RUNNING
+    ending = threading.Timer(0.3, ends.touch)
+    ending.start()
+    desk.needs_camera("run")
+    assert desk.session_state is Started.DONE
+    ending.join()
     desk.close()
 
 

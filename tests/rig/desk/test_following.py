@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +23,7 @@ from rig.desk.panels.live_picture import look_now
 from rig.orders import ORDERS_NAME, OrderSocket, SessionNews, line
 from rig.settings import Configuration
 from tests.rig.command_line import CONFIGS, SMALL
-
-pytestmark = pytest.mark.realtime
+from tests.waiting import until
 
 
 @pytest.fixture
@@ -41,13 +40,6 @@ def following(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Follo
     until(lambda: not follower.running)
     yield follower
     follower.stop()
-
-
-def until(state: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 30
-    while not state():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
 
 
 def test_a_session_that_runs_already_is_known_when_it_has_started(tmp_path: Path) -> None:
@@ -178,7 +170,6 @@ def test_the_look_at_a_running_session_has_the_lamp_of_its_reference(tmp_path: P
     assert "reference" in [lamp.name for lamp in look.lamps()]
 
 
-@pytest.mark.realtime
 @pytest.mark.slow
 @pytest.mark.timeout(240)
 def test_what_is_recorded_for_a_calibration_is_seen_and_an_old_picture_never(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from tests.rig.desk.board_process import BoardProcess, board_process
 from tests.rig.desk.desk_page import DeskProcess, Page, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(240)]
 SERIAL = """
 [controller]
 kind = "serial"

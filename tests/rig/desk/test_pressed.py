@@ -11,6 +11,7 @@ from rig.control import SafetyState
 from rig.desk.desk import Desk
 from rig.desk.lighting import Lighting
 from tests.rig.known_rig import known
+from tests.waiting import until
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
@@ -34,13 +35,6 @@ def desk_of(tmp_path: Path) -> Iterator[Callable[[str], Desk]]:
     yield make
     for desk in desks:
         desk.close()
-
-
-def until(condition: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + 10.0
-    while not condition():
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
 
 
 @pytest.mark.parametrize("controller", [REAL, SIMULATED], ids=["real", "simulated"])

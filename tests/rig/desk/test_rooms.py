@@ -1,7 +1,6 @@
 """What panels ask of the desk: settings of the camera to keep, answers to the balance, looking again."""
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from rig.measure import RunState
 from rig.measure.session_file import SessionFile
 from rig.terminal import start_python
 from tests.rig.command_line import CONFIGS, SMALL
+from tests.waiting import until
 
 
 @pytest.fixture
@@ -100,14 +100,6 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
     assert job.wait(50.0)
 
 
-def until(state: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 50.0
-    while not state():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
-
-
-@pytest.mark.realtime
 def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> None:
     sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))

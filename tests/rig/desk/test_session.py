@@ -32,7 +32,6 @@ interlock_open_for_s = 1.5
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_an_interlock_that_opens_under_the_live_picture_cries_until_it_is_acknowledged(
     desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
 ) -> None:
@@ -49,7 +48,6 @@ def test_an_interlock_that_opens_under_the_live_picture_cries_until_it_is_acknow
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 @pytest.mark.timeout(300)
 def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
     desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
@@ -126,7 +124,6 @@ def hold_enter(page: Page, until: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 @pytest.mark.timeout(300)
 def test_a_session_by_keyboard_alone(
     desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
@@ -155,7 +152,6 @@ def test_a_session_by_keyboard_alone(
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 @pytest.mark.timeout(300)
 def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm(
     desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
@@ -214,7 +210,6 @@ def states(folder: Path) -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 @pytest.mark.timeout(300)
 def test_a_session_on_a_phone(desk_configuration: Callable[[str], Path], browser: HeadlessBrowser) -> None:
     with desk_page(browser, desk_configuration(INTERLOCK)) as (_, page):

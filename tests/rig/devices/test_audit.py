@@ -18,7 +18,7 @@ from rig.orders import SessionNews
 from rig.settings import Configuration, load_configuration
 from tests.disk_without_locks import without_locks
 from tests.rig.command_line import CONFIGS
-from tests.rig.control.test_service import until
+from tests.waiting import until
 
 
 class Terminal(StringIO):

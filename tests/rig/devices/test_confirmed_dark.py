@@ -11,8 +11,6 @@ from rig.devices import Devices, confirmed_dark
 from rig.settings import Configuration, validate_configuration
 from tests.rig.control.wires import FirmwareBoard
 
-pytestmark = pytest.mark.realtime
-
 CONFIRMED = "laser off, confirmed by the controller"
 
 
@@ -92,7 +90,7 @@ def test_what_never_answers_is_not_confirmed(
         board.wire.to_host = lambda _: b""
         begun_s = time.monotonic()
     assert "THE LASER MAY BE LIT: the controller does not confirm" in capsys.readouterr().err
-    assert time.monotonic() - begun_s < 6.0
+    assert time.monotonic() - begun_s < 20.0
     # what nobody has confirmed the next program asks about
     assert devices.state.left_lit
 

@@ -4,7 +4,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,11 +17,10 @@ from rig.devices.session_devices import Devices
 from rig.measure.preflight import device_checks
 from rig.settings import Configuration, validate_configuration
 from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
-from tests.rig.control.test_ending import BEGUN_WITHIN_S, ENDED_WITHIN_S, command
+from tests.rig.control.test_ending import ENDED_WITHIN_S, command
 from tests.rig.control.wires import FirmwareBoard
 from tests.rig.known_rig import known
-
-pytestmark = pytest.mark.realtime
+from tests.waiting import until
 
 FAMILIES: dict[str, type[Instrument]] = {
     "thorlabs4000": FakeThorlabs,
@@ -45,13 +43,6 @@ def family(request: pytest.FixtureRequest) -> Iterator[tuple[str, Instrument]]:
     instrument = FAMILIES[request.param]()
     yield request.param, instrument
     instrument.close()
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
-    end_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end_s, "it did not come about"
-        time.sleep(0.01)
 
 
 def test_lit_in_a_session_and_dark_after_it(family: tuple[str, Instrument]) -> None:
@@ -214,8 +205,7 @@ def measuring_with(
                 lambda: (
                     process.poll() is not None
                     or (lit() and record.exists() and record.stat().st_size > 30_000)
-                ),
-                BEGUN_WITHIN_S,
+                )
             )
             assert process.poll() is None, (folder / "said").read_text()
             yield process

@@ -31,6 +31,7 @@ from rig.settings import Configuration, load_configuration
 from tests.rig.command_line import CONFIGS, QUICK, figures_are_not_drawn
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.devices.test_laser import configuration
+from tests.waiting import until
 
 SOURCES = Path(rig.__file__).parent
 LIVE = CONFIGS / "live.toml"
@@ -335,13 +336,6 @@ def test_every_path_is_walked() -> None:
     assert set(WALKS) | {("desk/aligner.py", "_lit")} == ASKS
 
 
-def until(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
-    end_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end_s, "it did not come about"
-        time.sleep(0.01)
-
-
 class Loop:
     """The interlock of the simulated board."""
 
@@ -418,7 +412,6 @@ def test_a_plan_that_waits_in_the_dark_does_not_light_after_a_trip(
     assert len(lit.at) == 1
 
 
-@pytest.mark.realtime
 def test_without_a_controller_the_state_is_the_rigs_and_outlives_the_program(tmp_path: Path) -> None:
     instrument = FakeCobolt()
     try:
@@ -449,7 +442,6 @@ def test_without_a_controller_the_state_is_the_rigs_and_outlives_the_program(tmp
         instrument.close()
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("what", ["panel", "stall"])
 def test_what_has_gone_dark_by_itself_is_lit_by_no_later_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str

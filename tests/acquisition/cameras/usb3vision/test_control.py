@@ -16,8 +16,6 @@ from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 from tests.acquisition.cameras.usb3vision.registers import MANIFEST, XML
 
-pytestmark = pytest.mark.realtime
-
 
 def channel_to(device: VisionDevice, **settings: float) -> GenCpChannel:
     """A control channel to a camera that is alone on its bus."""

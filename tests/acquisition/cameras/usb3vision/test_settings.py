@@ -13,8 +13,6 @@ from tests.acquisition.cameras.usb3vision.backend import camera_on
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 from tests.acquisition.cameras.usb3vision.registers import SIRM
 
-pytestmark = pytest.mark.realtime
-
 
 @pytest.mark.parametrize("name", [name for name in layout.FORMATS if name.startswith("Mono")])
 def test_every_format_gives_the_cameras_pixels(

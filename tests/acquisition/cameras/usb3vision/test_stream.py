@@ -21,7 +21,8 @@ from tests.acquisition.cameras.usb3vision.descriptors import STREAM_IN
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 from tests.acquisition.cameras.usb3vision.eager import EagerTransfers
 
-pytestmark = pytest.mark.realtime
+SOON_S = 4.0
+"""Less than the time for which an answer is waited for, on a busy machine."""
 
 Units = Callable[[str, int, bytes], list[bytes]]
 
@@ -250,7 +251,7 @@ def test_an_endpoint_that_stalls_again_and_again_is_a_lost_camera() -> None:
         begin_s = time.monotonic()
         with pytest.raises(CameraLost, match="again and again"):
             read_until(camera, device, 1 << 60)
-        assert time.monotonic() - begin_s < 2 / 1000 + 0.5
+        assert time.monotonic() - begin_s < SOON_S
 
 
 @pytest.mark.parametrize("after_bytes", [10, 52, 60, 5000, 20452, 20470, 20484])
@@ -262,7 +263,7 @@ def test_unplugged_at_any_byte_of_a_frame(after_bytes: int) -> None:
         begin_s = time.monotonic()
         with pytest.raises(CameraLost):
             read_until(camera, device, 1 << 60)
-        assert time.monotonic() - begin_s < 2 / 1000 + 0.5
+        assert time.monotonic() - begin_s < SOON_S
 
 
 def test_a_counter_that_begins_again_is_no_loss_of_thousands() -> None:

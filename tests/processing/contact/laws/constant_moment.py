@@ -5,91 +5,43 @@
 Each half-swing takes 2 c from the amplitude and lasts T0/2, at every amplitude.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact import HalfSwings, HeldColumn, Law, Parameter, PendulumOnBall
-from processing.contact.law import BranchMoments
-from processing.contact.moments import weight_moment
-from processing.kernel import kernel
-from processing.periods import mean_period, reference_amplitude
+from processing.contact.coordinates import Scaling, logarithms_of
+from processing.contact.law import CONSTANT, FREE_PERIOD, PERIOD
+from processing.contact.memoryless import Moment, Moments, columns, memoryless_law, no_moment
+from processing.contact.start_values import StartValues
 from processing.swing import TurningPoints
 
 Array = NDArray[np.float64]
 
 
-@kernel
-def _half_swings(q: Array, index: NDArray[np.int64]) -> tuple[Array, Array, Array, Array]:
-    """q = (c, first amplitude): amplitude = q[1] - 2 c i, time = i/2 in units of T0."""
-    count = len(index)
-    amplitude, time = np.full(count, np.nan), np.full(count, np.nan)
-    by_amplitude, by_time = np.full((count, 2), np.nan), np.full((count, 2), np.nan)
-    for k in range(count):
-        left = q[1] - 2 * q[0] * index[k]
-        if left <= 0:
-            break
-        amplitude[k], time[k] = left, 0.5 * index[k]
-        by_amplitude[k, 0], by_amplitude[k, 1] = -2.0 * index[k], 1.0
-        by_time[k] = 0.0
-    return amplitude, time, by_amplitude, by_time
+def _moments(parameters: Array, _: float, __: float) -> Moments:
+    c = parameters[0]
+
+    def constant(x: Array) -> Array:
+        return columns(x.shape, 2, np.full(x.shape, c), {0: 1.0})
+
+    def work(x: Array) -> Array:
+        return columns(x.shape, 2, c * x, {0: x})
+
+    return Moments(Moment(constant, work), no_moment(2))
 
 
-def _map(parameters: Array, index: NDArray[np.int64]) -> HalfSwings:
-    return HalfSwings(*_half_swings(parameters, index))
+def _likely(found: StartValues, _: float) -> list[dict[str, float]]:
+    return [{"c": found.decay.c + max(found.decay.b, 0.0), PERIOD: found.mean_period_s}]
 
 
-def _branch_moments(
-    phi_rad: Array, direction: Array, values: Mapping[str, float], pendulum: PendulumOnBall
-) -> BranchMoments:
-    return BranchMoments(-weight_moment(pendulum) * values["c"] * np.sign(direction), np.zeros_like(phi_rad))
-
-
-class ConstantMomentColumns:
-    """c and the first amplitude in units of the reference, T0, time of the first turning point."""
-
-    def __init__(self, points: TurningPoints, _: PendulumOnBall | None, names: tuple[str, ...]) -> None:
-        self.reference = reference_amplitude(points)
-        self._names = names
-        self._scale = np.array([self.reference, 1.0, self.reference, 1.0])
-        self.lower, self.upper = np.array([-np.inf, 1e-6, 1e-3, -np.inf]), np.full(4, np.inf)
-        self.map_by_log_rho = np.zeros(2)
-        self.valley = None
-
-    def map_parameters(self, columns: Array) -> tuple[Array, Array]:
-        order = [0, 2, 1, 3]
-        return columns[order], np.eye(4)[order]
-
-    def physical(self, columns: Array) -> tuple[Array, Array]:
-        return columns * self._scale, np.diag(self._scale)
-
-    def from_physical(self, values: Mapping[str, float]) -> Array:
-        return np.array([values[name] for name in self._names]) / self._scale
-
-    def starts(self, points: TurningPoints) -> Sequence[Sequence[Array]]:
-        x = points.amplitude / self.reference
-        c = (x[0] - x[-1]) / (2 * (points.index[-1] - points.index[0]))
-        return [[np.array([c, mean_period(points), x[0], points.time_s[0]])]]
-
-    def held(self, name: str) -> HeldColumn:
-        return HeldColumn(self._names.index(name))
-
-    def at_limit(self, columns: Array) -> Sequence[str]:
-        return ()
-
-
-CONSTANT_MOMENT = Law(
-    name="constant-moment",
-    title="constant moment",
-    source="Coulomb",
-    parameters=(
-        Parameter("c", "c", "1", "friction over m g R", "M = -m g R c sign(phi')", lower=0.0),
-        Parameter("period0_s", "T₀", "s", "period", "I phi'' = -m g R phi", lower=0.0),
-    ),
-    branch_moments=_branch_moments,
-    half_swing_map=_map,
-    columns=ConstantMomentColumns,
+CONSTANT_MOMENT = memoryless_law(
+    "constant-moment",
+    "constant moment",
+    "Coulomb",
+    (CONSTANT, FREE_PERIOD),
+    _moments,
+    {"c": Scaling(1.0)},
+    lambda _: logarithms_of(),
+    _likely,
 )
 
 

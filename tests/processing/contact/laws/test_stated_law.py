@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from processing.contact import DEFAULT_LAW, Moment, StatedLaw
+from processing.contact import DEFAULT_LAW, StatedLaw, StatedMoment
 from processing.errors import DataError
 from processing.fit import fit_exact
 from tests.processing.fit.decays import decay, paper_pair
@@ -62,7 +62,7 @@ def test_an_elastic_moment_of_ones_own_is_that_of_a_shorter_period() -> None:
         index = np.arange(5)
         own = np.array([1e-8, 4e-3, 0.95, 0.0, share])
         made = law.of(points, pendulum, like)
-        periods.append(made.half_swing_map(np.array([*own, 0.0, 2e-4, 1.5]), index).time[-1])
+        periods.append(made.half_swing_map(np.array([*own, 0.0, 2e-4, 0.0, 1.5]), index).time[-1])
     # e and share are both parameters: the second is 0 in the first law
     assert periods[1] / periods[0] == pytest.approx((1 - 0.005) ** -0.5, rel=1e-5)
 
@@ -115,7 +115,7 @@ def overwrites(phi_rad, k=0.05):  # type: ignore[no-untyped-def]
         (fails_later, r"fails_later: raises ValueError \(k is odd\) .* and k = 0.0"),
     ],
 )
-def test_what_a_stated_law_raises_is_one_line_with_its_name(friction: Moment, said: str) -> None:
+def test_what_a_stated_law_raises_is_one_line_with_its_name(friction: StatedMoment, said: str) -> None:
     """It passed through as it was, and imaginary parts were left out with a warning."""
     parameters, pendulum = paper_pair("glass_k8")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=100)

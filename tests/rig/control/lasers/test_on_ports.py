@@ -10,9 +10,7 @@ from rig.control.lasers import LASERS
 from rig.control.link import ReplyTimeout
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.control.lasers.pairs import FAMILIES, Pair, laser_for
-from tests.rig.control.test_service import until
-
-pytestmark = pytest.mark.realtime
+from tests.waiting import until
 
 
 @pytest.mark.parametrize("kind", sorted(LASERS))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from processing.contact.half_swing_columns import HalfSwingColumns
+from processing.contact import Columns
 from processing.contact.laws import PAPER
 from processing.contact.parameters import PendulumOnBall
 from processing.swing import TurningPoints
@@ -30,9 +30,9 @@ def points() -> TurningPoints:
     return decay(*paper_pair("steel"), noise_arcsec=0.005, seed=1)
 
 
-def columns_of(points: TurningPoints, drag: bool, calibrated: bool = True) -> HalfSwingColumns:
+def columns_of(points: TurningPoints, drag: bool, calibrated: bool = True) -> Columns:
     pendulum: PendulumOnBall | None = paper_pair("steel")[1] if calibrated else None
-    return HalfSwingColumns(points, pendulum, PAPER.fit_names(calibrated=calibrated, drag=drag))
+    return PAPER.columns(points, pendulum, PAPER.fit_names(calibrated=calibrated, drag=drag))
 
 
 EVERY = pytest.mark.parametrize(("drag", "calibrated"), [(False, True), (True, True), (True, False)])

@@ -1,0 +1,261 @@
+"""A law whose moment follows from the last reversal: by the distance from it and the moment there.
+
+In a decay every reversal lies inside the one before, so that a law with memory needs no more than this. From
+a reversal at the amplitude A the resisting moment, over m g R, is a function of the distance s = A - phi, and
+the moment at the next reversal is the one at the end of the branch. The kinetic energy after the distance s
+is, over m g R and in units of the reference,
+
+    v^2/2 = s [A - s/2 - L(s)],      L(s) = 1/s integral_0^s (resistance) ds'
+
+so that the next reversal lies at s = 2 r with A - r = L(2r). With s = r (1 - cos theta), the factor
+
+    G = v^2 / (r sin theta)^2 = 1 + 2 [L(2r) - L(s)] / (2r - s)
+
+is smooth at both ends but for powers of s, which theta = pi v^3 smooths; the half-swing lasts
+``integral dtheta / (2 pi sqrt(G))`` in units of T0. A linear drag adds ``drag r^2 integral sin^2 sqrt(G)
+dtheta`` to the work, found by iteration.
+
+The amplitudes fall slowly, so that the moment at a reversal is a function of the amplitude, too: the steady
+one, corrected by the moment that the branch before ends with.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, partial
+from math import ceil, log
+from typing import NamedTuple
+
+import numpy as np
+
+from processing.arrays import Floats
+from processing.contact.coordinates import Coordinates, Scaling, Straight
+from processing.contact.half_swing import SwingTable
+from processing.contact.law import DRAG, PERIOD, BranchMoments, Law, Parameter
+from processing.contact.parameters import PendulumOnBall, weight_moment
+from processing.contact.start_values import StartValues
+
+Arrays = Mapping[str, Floats]
+
+_NODES = 24
+"""With so many, decays by smooth laws agree with an integration of their motion to 3e-7 (test_branches)."""
+_PER_OCTAVE, _BEYOND, _FEWEST = 12, 1, 4
+"""Amplitudes of a table in a factor of two, how many of them lie beyond either end, and the fewest."""
+_STEP = 1e-5
+"""Relative step of the numerical derivatives by the parameters."""
+
+
+class Branch(NamedTuple):
+    """The contact's moment over m g R from one reversal on, as functions of arrays.
+
+    Angles are in units of a reference, which divides moments, too. `resistance` and `mean_resistance` take
+    the distance from the reversal, the moment there and the parameters by key; the first is the moment
+    against the motion at that distance (negative: the contact pushes), the second its mean over the way.
+    `at_reversal` takes the amplitude and the parameters: the moment at a reversal if all swings were as
+    large. The
+    parameters include ``reference``, the unit of angles in rad. `constant` is the key of a constant friction
+    beside all this, if there is one; it remembers nothing.
+    """
+
+    resistance: Callable[[Floats, Floats, Arrays], Floats]
+    mean_resistance: Callable[[Floats, Floats, Arrays], Floats]
+    at_reversal: Callable[[Floats, Arrays], Floats]
+    constant: str = ""
+
+    def moments(
+        self, phi_rad: Floats, direction: Floats, values: Arrays, pendulum: PendulumOnBall
+    ) -> BranchMoments:
+        """Moments over a closed loop between the largest deflection and its opposite.
+
+        What both directions have in common is elastic, what differs is friction.
+        """
+        amplitude = np.max(np.abs(phi_rad), axis=-1, keepdims=True)
+        known = {**values, "reference": np.ones(())}
+        # a fit may leave a parameter so small that its quotients overflow
+        with np.errstate(all="ignore"):
+            held = self.at_reversal(amplitude, known)
+            down = self.resistance(amplitude - phi_rad, held, known)
+            up = self.resistance(amplitude + phi_rad, held, known)
+        weight = weight_moment(pendulum)
+        friction = 0.5 * (down + up)
+        if self.constant:
+            friction = friction + known[self.constant]
+        return BranchMoments(-weight * np.sign(direction) * friction, 0.5 * weight * (down - up))
+
+
+def masing(
+    backbone: Callable[[Floats, Arrays], Floats], work: Callable[[Floats, Arrays], Floats], *, constant: str
+) -> Branch:
+    """Branches that are the backbone curve doubled (Masing's rule), and a constant friction beside them.
+
+    ``M = 2 f(s/2) - M_reversal``. `work` is the integral of the backbone f.
+    """
+
+    def resistance(s: Floats, held: Floats, q: Arrays) -> Floats:
+        return 2 * backbone(s / 2, q) - held
+
+    def mean_resistance(s: Floats, held: Floats, q: Arrays) -> Floats:
+        return 4 * work(s / 2, q) / s - held
+
+    return Branch(resistance, mean_resistance, backbone, constant)
+
+
+class _Nodes(NamedTuple):
+    """Gauss-Legendre nodes of v with theta = pi v^3.
+
+    The rows of `work_per_share` map sqrt(G) at the nodes to ``integral_0^theta sin^2 sqrt(G) dtheta'``
+    divided by the share; only the root is interpolated, so that the digits stay near the reversal.
+    """
+
+    share: Floats  # s / 2r
+    sin2: Floats
+    weight: Floats
+    work_per_share: Floats
+
+
+@lru_cache(maxsize=1)
+def _nodes() -> _Nodes:
+    x, w = np.polynomial.legendre.leggauss(_NODES)
+    v, half = (x + 1) / 2, w / 2
+    share = np.sin(np.pi / 2 * v**3) ** 2
+    to_coefficients = (
+        (2 * np.arange(_NODES) + 1)[:, None] / 2 * np.polynomial.legendre.legvander(x, _NODES - 1).T * w
+    )
+    inner = v[:, None] * v
+    weights = v[:, None] * half * np.sin(np.pi * inner**3) ** 2 * 3 * np.pi * inner**2
+    interpolated = np.polynomial.legendre.legvander(2 * inner - 1, _NODES - 1) @ to_coefficients
+    return _Nodes(
+        share,
+        np.sin(np.pi * v**3) ** 2,
+        3 * np.pi * v**2 * half,
+        np.einsum("kj,kjm->km", weights, interpolated) / share[:, None],
+    )
+
+
+def _half_swing(branch: Branch, amplitude: Floats, held: Floats, q: Arrays) -> tuple[Floats, Floats, Floats]:
+    """Next amplitude, duration (T0) and moment at the next reversal; NaN where the pendulum sticks.
+
+    `amplitude` and `held` have the shape ``(sets, amplitudes)``, the parameters ``(sets, 1)``.
+    """
+    nodes = _nodes()
+    drag, dry = q["drag"], q[branch.constant] if branch.constant else 0.0
+    radius, lost = amplitude.copy(), np.zeros_like(amplitude)  # work of the drag over r^2
+    wide = {key: value[..., None] for key, value in q.items()}
+    with np.errstate(all="ignore"):
+        for _ in range(60):
+            for _ in range(50):
+                way = 2 * radius
+                mean = branch.mean_resistance(way, held, q)
+                slope = 1 + (branch.resistance(way, held, q) - mean) / radius + 0.5 * drag * lost
+                change = (amplitude - radius - mean - dry - 0.5 * drag * lost * radius) / slope
+                radius += np.clip(change, -0.5 * radius, 0.5 * radius)
+                if not np.any(np.abs(change) > 3e-16 * amplitude):
+                    break
+            way = 2 * radius[..., None]
+            s = way * nodes.share
+            at_end = branch.mean_resistance(way, held[..., None], wide)
+            root = np.ones_like(s)
+            over = at_end - branch.mean_resistance(s, held[..., None], wide)
+            if not np.any(drag):
+                root = np.sqrt(1 + 2 * over / (way - s))
+                break
+            for _ in range(60):
+                whole = ((nodes.sin2 * root) @ nodes.weight)[..., None]
+                by_drag = wide["drag"] * (0.25 * way) * (whole - root @ nodes.work_per_share.T)
+                new = np.sqrt(1 + 2 * (over + by_drag) / (way - s))
+                settled = not np.any(np.abs(new - root) > 1e-14)
+                root = new
+                if settled:
+                    break
+            before = lost
+            lost = (nodes.sin2 * root) @ nodes.weight
+            if not np.any(np.abs(lost - before) > 1e-14):
+                break
+        following = 2 * radius - amplitude
+        stuck = ~(following > 0)
+        following = np.where(stuck, np.nan, following)
+        duration = (1 / root) @ nodes.weight / (2 * np.pi)
+        return following, duration, branch.resistance(2 * radius, held, q)
+
+
+# a search tries values whose quotients overflow; rows that are not finite are left out
+@np.errstate(all="ignore")
+def _table(
+    branch: Branch, names: Sequence[str], parameters: Floats, highest: float, lowest: float
+) -> SwingTable | None:
+    """The law's table (`Law.table`)."""
+    steps = max(_FEWEST, ceil(_PER_OCTAVE * log(highest / lowest, 2)))
+    step = log(highest / lowest) / steps
+    log_a = log(lowest) + step * np.arange(-_BEYOND, steps + 1 + _BEYOND, dtype=np.float64)
+    count = len(parameters)
+    sets = np.repeat(parameters[None, :], 2 * count + 1, axis=0)
+    change: Floats = _STEP * np.maximum(np.abs(parameters), 1e-3)
+    for k in range(count):
+        sets[1 + k, k] += change[k]
+        sets[1 + count + k, k] -= change[k]
+    q: Arrays = {name: sets[:, [k]] for k, name in enumerate(names)}
+    amplitude = np.repeat(np.exp(log_a)[None, :], len(sets), axis=0)
+    steady = branch.at_reversal(amplitude, q)
+    held = steady
+    for again in (True, False):
+        following, duration, next_held = _half_swing(branch, amplitude, held, q)
+        if again:
+            # the moment at the next reversal is linear in the one at this
+            way = amplitude + following
+            fading = (branch.resistance(way, 0.0 * held, q) - next_held) / held
+            more = (next_held / branch.at_reversal(following, q) - 1) / (1 + fading)
+            held = steady * (1 + _on_grid(log_a, np.log(following), more))
+    ratio = following / amplitude
+    by = [(one[1 : 1 + count] - one[1 + count :]) / (2 * change[:, None]) for one in (ratio, duration)]
+    return SwingTable.of(log_a, np.concatenate([ratio[:1], duration[:1], *by]).T, _FEWEST, _BEYOND)
+
+
+def _on_grid(log_a: Floats, at: Floats, values: Floats) -> Floats:
+    """Values given at other places, one row a parameter set, interpolated linearly; 0 where unknown."""
+    out = np.zeros_like(values)
+    for row in range(len(values)):
+        known = np.isfinite(at[row]) & np.isfinite(values[row])
+        if known.sum() > 1:
+            x, y = at[row][known], values[row][known]
+            out[row] = np.interp(log_a, x, y)
+            beyond = log_a > x[-1]
+            out[row][beyond] = y[-1] + (y[-1] - y[-2]) / (x[-1] - x[-2]) * (log_a[beyond] - x[-1])
+    return out
+
+
+def branch_law(
+    name: str,
+    title: str,
+    source: str,
+    parameters: Sequence[Parameter],
+    branch: Branch,
+    scalings: Mapping[str, Scaling],
+    straight: Straight,
+    likely: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
+    *,
+    in_angles: bool = False,
+) -> Law:
+    """A law of a branch; see `Coordinates` for `scalings`, `straight` and `likely`. The linear drag of `DRAG`
+    may be one of the parameters.
+    """
+    own = tuple(p.key for p in parameters if p.key not in (PERIOD, DRAG.key))
+
+    def moments(
+        phi_rad: Floats, direction: Floats, values: Mapping[str, float], pendulum: PendulumOnBall
+    ) -> BranchMoments:
+        return branch.moments(phi_rad, direction, {key: np.asarray(values[key]) for key in own}, pendulum)
+
+    return Law(
+        name=name,
+        title=title,
+        source=source,
+        parameters=tuple(parameters),
+        branch_moments=moments,
+        table=partial(_table, branch, (*own, "drag", "reference", "rho")),
+        columns=partial(
+            Coordinates,
+            parameters=parameters,
+            scalings=scalings,
+            straight=lambda _: straight,
+            likely=likely,
+            in_angles=in_angles,
+        ),
+    )
