@@ -27,7 +27,7 @@ ALLOWED = {
     "rig/devices/audit.py": "a chain of lines, each forced to the disk, which knows where it was cut",
     "rig/desk/jobs.py": "what a program prints",
     # no content that anybody keeps
-    "rig/channel/server.py": "a live port, gone with its process",
+    "rig/orders/server.py": "a live port, gone with its process",
     "processing/byte_lock.py": "a lock",
     "rig/control/safety_state.py": "a lock",
     "rig/control/presses.py": "the time of a file alone, where a full disk takes no content",
