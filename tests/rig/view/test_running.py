@@ -7,8 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from rig.view.show import write_rrd
 from tests.rig.command_line import CONFIGS, rig, set_words
 from tests.rig.view.rrd_contents import contents, scalars
 from tests.rig.view.test_recorded import make_record
+from tests.waiting import until
 
 SHORT = {"session.max_duration_s": "20", "view.file": "true", "instrument.kind": '"tomlinson"'}
 """Without a fit of the contact, which takes long for a short run."""
@@ -79,7 +79,7 @@ def test_a_view_that_is_killed_or_stopped_costs_no_frame(tmp_path: Path, stopped
     record = tmp_path / "out" / "run-1.mcap"
     views: list[int] = []
     try:
-        wait_until(lambda: record.exists() and record.stat().st_size > 100_000)
+        until(lambda: record.exists() and record.stat().st_size > 100_000)
         views = children_of(run.pid, "view")
         assert len(views) == 2
         for pid in views:
@@ -112,11 +112,11 @@ def test_the_rerun_file_of_a_run_that_was_killed_is_whole(tmp_path: Path) -> Non
         cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     record = tmp_path / "out" / "run-1.mcap"
-    wait_until(lambda: record.exists() and record.stat().st_size > 200_000)
+    until(lambda: record.exists() and record.stat().st_size > 200_000)
     (view,) = children_of(run.pid, "view")
     run.kill()
     run.wait()
-    wait_until(lambda: not Path(f"/proc/{view}").exists())
+    until(lambda: not Path(f"/proc/{view}").exists())
     with RecordReader(record) as reader:
         count = len(reader.spots())
     assert len(scalars(record.with_suffix(".rrd"), "/deflection/x")[0]) == count > 0
@@ -135,7 +135,7 @@ def test_another_record_after_a_rejected_start_is_drawn_too(tmp_path: Path) -> N
     record, rrd = tmp_path / "run.mcap", tmp_path / "run.rrd"
     with RunningView(record, "none", rrd, "measuring"):
         make_record(record, ended="rejected")
-        wait_until(lambda: rrd.with_stem("run-start-1").exists())
+        until(lambda: rrd.with_stem("run-start-1").exists())
         record.rename(tmp_path / "run-start-1.mcap")
         make_record(tmp_path / "made.mcap", rows=700).rename(record)
     assert len(scalars(rrd, "/deflection/x")[0]) == 700
@@ -153,20 +153,13 @@ def test_the_page_is_served_to_this_machine_only(tmp_path: Path) -> None:
         assert shown.stdout is not None
         address = shown.stdout.readline().split()[4]
         (program,) = children_of(shown.pid, "serve-web")
-        wait_until(lambda: len(listening(program)) >= 2)
+        until(lambda: len(listening(program)) >= 2)
         assert {place.split(":")[0] for place in listening(program)} == {"0100007F"}
         assert address.startswith(f"http://{LOOPBACK}:")
     finally:
         shown.send_signal(signal.SIGINT)
         shown.communicate(timeout=60.0)
     assert not Path(f"/proc/{program}").exists()
-
-
-def wait_until(what: Callable[[], bool], limit_s: float = 100.0) -> None:
-    deadline = time.monotonic() + limit_s
-    while not what():
-        assert time.monotonic() < deadline, "did not happen in time"
-        time.sleep(0.05)
 
 
 def processes() -> Iterator[tuple[int, int, str]]:
