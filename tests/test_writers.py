@@ -27,7 +27,7 @@ ALLOWED = {
     "rig/devices/audit.py": "a chain of lines, each forced to the disk, which knows where it was cut",
     "rig/desk/jobs.py": "what a program prints",
     # no content that anybody keeps
-    "rig/channel/server.py": "a live port, gone with its process",
+    "rig/orders/server.py": "a live port, gone with its process",
     "processing/byte_lock.py": "a lock",
     "rig/control/safety_state.py": "a lock",
     "rig/control/presses.py": "the time of a file alone, where a full disk takes no content",
@@ -41,7 +41,8 @@ ALLOWED = {
     "rig/control/usbtmc.py": "a device's port",
     "acquisition/cameras/v4l2/kernel.py": "a device's node",
     # other programs' own
-    "rig/rerun/output.py": "a stream that Rerun's library writes, read again when it ends",
+    "rig/view/show.py": "a stream that Rerun's library writes",
+    "rig/view/scratch.py": "a record of its own, replaced by the next",
     "rig/control/firmware/board.py": "runs on the controller, with a rename of its own",
 }  # fmt: skip
 """Modules that write otherwise, and why they may."""

@@ -1,8 +1,20 @@
 """Events of a measurement, such as the start or the loss of frames, and the list of their kinds."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
+
+
+class Level(StrEnum):
+    """How much an event matters, the gravest first."""
+
+    TRIP = "trip"
+    """The light was switched off, and stays off until a person acknowledges it."""
+    ALARM = "alarm"
+    """Without its remedy the run is worth nothing."""
+    WARNING = "warning"
+    """Data are missing or disturbed."""
+    INFORMATION = "information"
 
 
 class EventKind(StrEnum):
@@ -51,6 +63,8 @@ class EventKind(StrEnum):
     LASER = "laser"
     SENSOR = "sensor"
     """Messages of the device."""
+    TRIP = "trip"
+    """The light was switched off by a trip, which stays until a person acknowledges it."""
     LASER_DARK = "laser dark"
     """It went dark during the run, with the reason."""
     LASER_LIT = "laser lit"
@@ -71,6 +85,8 @@ class EventKind(StrEnum):
     """Its clock has stepped, or frames had wrong times; what was done with them."""
     WATCHER_FAILED = "watcher failed"
     """What only watches the run (display, view, live fit, balance) has failed; the record is whole."""
+    ADVICE = "advice"
+    """Which weight to turn, for the balance before it; Markdown, for displays."""
     NOTE = "note"
     """What an operator has noted, for displays; the record has it as `/note`."""
     CLOCK_STEP = "clock step"
@@ -97,8 +113,17 @@ WARNING_KINDS: Final = frozenset(
 )
 """Kinds that mean missing or disturbed data: warnings in the record's log and in every view."""
 
-ERROR_KINDS: Final = frozenset({EventKind.LASER_DARK})
-"""Kinds without whose remedy the run is worth nothing: errors in the record's log and in every view."""
+
+_LEVELS: Final[Mapping[str, Level]] = {
+    EventKind.TRIP: Level.TRIP,
+    EventKind.LASER_DARK: Level.ALARM,
+    **dict.fromkeys(WARNING_KINDS, Level.WARNING),
+}
+
+
+def level_of(kind: str) -> Level:
+    """How much events of a kind matter; those of unknown kinds are information."""
+    return _LEVELS.get(kind, Level.INFORMATION)
 
 
 class Event(NamedTuple):
@@ -109,11 +134,9 @@ class Event(NamedTuple):
     text: str
 
     @property
-    def level(self) -> Literal["info", "warning", "error"]:
-        """How much it matters, as a log calls it."""
-        if self.kind in ERROR_KINDS:
-            return "error"
-        return "warning" if self.kind in WARNING_KINDS else "info"
+    def level(self) -> Level:
+        """How much it matters, which its kind says."""
+        return level_of(self.kind)
 
     @property
     def line(self) -> str:

@@ -32,7 +32,7 @@ def foxglove_schema(topic: str) -> tuple[str, bytes]:
 
 def encode_preview(utc_ns: int, image: Image, full_scale_dn: int) -> bytes:
     """Encoded foxglove.CompressedImage of an image (ny, nx), for the eye: 8 bits, small, JPEG."""
-    step = -(-max(image.shape) // _PREVIEW_PX)
+    step = preview_step((image.shape[0], image.shape[1]))
     small = image[::step, ::step]
     if image.itemsize > 1:
         small = np.minimum(small * (255.0 / full_scale_dn), 255.0).astype(np.uint8)
@@ -40,6 +40,16 @@ def encode_preview(utc_ns: int, image: Image, full_scale_dn: int) -> bytes:
     message = CompressedImage(format="jpeg", data=data.tobytes(), frame_id=SENSOR_FRAME)
     message.timestamp.FromNanoseconds(utc_ns)
     return message.SerializeToString()
+
+
+def decode_preview(data: bytes) -> bytes:
+    """The JPEG of a small picture; see `encode_preview`."""
+    return bytes(CompressedImage.FromString(data).data)
+
+
+def preview_step(shape: tuple[int, int]) -> int:
+    """By which whole number an image (ny, nx) is reduced for its small picture."""
+    return -(-max(shape) // _PREVIEW_PX)
 
 
 def encode_log(utc_ns: int, level: int, source: str, text: str) -> bytes:

@@ -124,8 +124,12 @@ class ChunkPlaces:
         return len(self._sets)
 
     def __iter__(self) -> Iterator[ChunkPlace]:
+        return self.since(0)
+
+    def since(self, first: int) -> Iterator[ChunkPlace]:
+        """The chunks from this one on, counted from 0."""
         channels = list(self._known)
-        rows = zip(*[iter(self._numbers)] * 4, self._sets, strict=True)
+        rows = zip(*[iter(self._numbers[4 * first :])] * 4, self._sets[first:], strict=True)
         for offset, length, start_ns, end_ns, known in rows:
             yield ChunkPlace(offset, length, start_ns, end_ns, channels[known])
 

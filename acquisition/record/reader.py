@@ -6,10 +6,10 @@ Memory does not grow with the file.
 import datetime
 import json
 import time
-from collections.abc import Callable, Collection, Iterator, Sized
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Sized
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,11 @@ from acquisition.frames.losses import FrameLosses
 from acquisition.record import is_pixels, pixels_beside
 from acquisition.record.events import Event
 from acquisition.record.file_lock import is_being_written
-from acquisition.record.foxglove import decode_log
+from acquisition.record.foxglove import decode_log, decode_preview, preview_step
 from acquisition.record.pixels import decode_window
 from acquisition.record.read_file import (
+    ChunkDamage,
+    ChunkPlace,
     Contents,
     Damage,
     Message,
@@ -42,6 +44,7 @@ from acquisition.record.topics import (
     NOTE,
     PIXEL_KINDS,
     PIXEL_TOPICS,
+    PREVIEW_TOPIC,
     SCHEMA_VERSION,
     SPOT,
     SWING,
@@ -61,6 +64,9 @@ from processing.swing import Swing
 
 _Value = TypeVar("_Value")
 _Taken = TypeVar("_Taken", bound=Sized)
+Piece: TypeAlias = dict[str, list[Message]]
+"""Messages of a chunk, by topic."""
+
 _ROWS_AT_ONCE = 4096
 _LOOK_S = 0.1
 
@@ -85,6 +91,7 @@ class RecordReader:
         self.path = path
         self._numbers = ReadFile(path)
         self._pixels: ReadFile | None = None
+        self._taken, self._pictures_taken, self._picture_due_ns = 0, 0, 0
         try:
             self.metadata = _metadata_of(self._numbers)
             self._own = self.metadata["record"]
@@ -210,6 +217,58 @@ class RecordReader:
             else:
                 time.sleep(every_s)
 
+    def unread(self) -> Iterator[Piece]:
+        """Messages by topic, one chunk of numbers after another, of those that were not given before.
+
+        Chunks are what was written between two flushes, so that a record that is followed and a whole one
+        are given in the same pieces. A damaged chunk is left out, and listed in `damages`.
+        """
+        for place in self._numbers.contents.chunks.since(self._taken):
+            self._taken += 1
+            yield self._by_topic(self._numbers, place)
+
+    def unread_pictures(self, interval_ns: int, until_ns: int) -> Iterator[tuple[int, int, bytes]]:
+        """Number, time and JPEG of small pictures of frames that were not given before, in order of time.
+
+        They are `interval_ns` apart at least; chunks that begin after `until_ns` are left for later.
+        """
+        if self._pixels is None:
+            return
+        for place in self._pixels.contents.chunks.since(self._pictures_taken):
+            if place.start_ns - self.epoch_offset_ns > until_ns:
+                return
+            self._pictures_taken += 1
+            if place.end_ns - self.epoch_offset_ns < self._picture_due_ns:
+                continue
+            for message in self._by_topic(self._pixels, place).get(PREVIEW_TOPIC, ()):
+                time_ns = message.log_time_ns - self.epoch_offset_ns
+                if time_ns >= self._picture_due_ns:
+                    self._picture_due_ns = time_ns + interval_ns
+                    yield message.sequence, time_ns, decode_preview(message.data)
+
+    def _by_topic(self, file: ReadFile, place: ChunkPlace) -> Piece:
+        found: Piece = {}
+        try:
+            for message in messages_in(file.open_chunk(place)):
+                found.setdefault(file.contents.channels[message.channel], []).append(message)
+        except ChunkDamage as damage:
+            file.note_damage(place, str(damage))
+        return found
+
+    @property
+    def picture_shape(self) -> tuple[tuple[int, int], int]:
+        """(ny, nx) of the small pictures, and the whole number by which they are smaller than a frame."""
+        frame = self.metadata.get("frame", {})
+        ny, nx = (int(frame.get(name, "1")) for name in ("height_px", "width_px"))
+        step = preview_step((ny, nx))
+        return (-(-ny // step), -(-nx // step)), step
+
+    def rows(self, topic: str, messages: Sequence[Message]) -> NDArray[Any]:
+        """Messages of a topic of numbers as `table` gives them."""
+        kind = self._kind(topic)
+        data = b"".join(message.data for message in messages)
+        return kind.decode_table(np.frombuffer(data, f"V{kind.wire_dtype.itemsize}"))
+
     @property
     def full_scale_dn(self) -> int:
         """Largest grey value of the camera; 255 if the record does not state it."""
@@ -274,10 +333,14 @@ class RecordReader:
 
     def values(self, topic: str, value_class: type[_Value]) -> list[_Value]:
         """All messages of a topic as values of the dataclass or NamedTuple with which they were written."""
+        return self.decoded(topic, value_class, self.messages(topic))
+
+    def decoded(self, topic: str, value_class: type[_Value], messages: Iterable[Message]) -> list[_Value]:
+        """The same of some of its messages."""
         kind = self._kind(topic)
         return [
             value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
-            for message in self.messages(topic)
+            for message in messages
         ]
 
     def spots(self) -> NDArray[Any]:
@@ -316,13 +379,27 @@ class RecordReader:
         """All half-cycles, with amplitudes in `deflection_unit`."""
         return swings_of(self.table(SWING.topic))
 
+    def swings_in(self, messages: Sequence[Message]) -> list[Swing]:
+        """The half-cycles in some messages of their topic."""
+        return swings_of(self.rows(SWING.topic, messages)) if messages else []
+
     def balances(self) -> list[Balance]:
         """All balances, in `deflection_unit`."""
         return balances_of(self.table(BALANCE.topic), self.deflection_unit)
 
+    def balances_in(self, messages: Sequence[Message]) -> list[Balance]:
+        """The balances in some messages of their topic."""
+        return balances_of(self.rows(BALANCE.topic, messages), self.deflection_unit) if messages else []
+
     def events(self) -> list[Event]:
         """All events."""
-        return self.values(EVENT.topic, Event)
+        return self.events_in(self.messages(EVENT.topic))
+
+    def events_in(self, messages: Iterable[Message]) -> list[Event]:
+        """The events in some messages of their topic."""
+        kind = self._kind(EVENT.topic)
+        found = (dict(zip(kind.names, kind.decode(one.data), strict=True)) for one in messages)
+        return [Event(one["time_ns"], one["kind"], one["text"]) for one in found]
 
     def notes(self) -> list[RecordedNote]:
         """What operators have noted during the run."""

@@ -2,7 +2,7 @@
 
 import math
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol, Self, TypeAlias
 
 from acquisition.frame import Image
 from acquisition.record.descriptor import Kind, Meanings
@@ -55,6 +55,12 @@ class RecordedReference(NamedTuple):
     amplitude_dn: float
     chi2_per_dof: float
     flags: int
+
+    @classmethod
+    def of(cls, sequence: int, time_ns: int, spot: Spot) -> Self:
+        """The same from a spot as it was found."""
+        position = spot.x_px, spot.y_px, spot.u_x_px, spot.u_y_px
+        return cls(sequence, time_ns, *position, spot.amplitude_dn, spot.chi2_per_dof, spot.flags)
 
 
 class RecordedWitness(NamedTuple):
@@ -128,6 +134,91 @@ class RecordedClockStep(NamedTuple):
     time_ns: int
     step_ns: int
     u_step_ns: int
+
+
+class RecordedPhase(NamedTuple):
+    """What the session does from `time_ns` on, and what it asks of the operator (empty: nothing).
+
+    `phase` is measuring, closing the record or done, `progress` says how far, `reason` why the run ends.
+    """
+
+    time_ns: int
+    elapsed_s: float
+    phase: str
+    progress: str = ""
+    instruction: str = ""
+    reason: str = ""
+
+
+class RecordedLight(NamedTuple):
+    """Light and interlock from `time_ns` on; texts are empty where there is nothing to say.
+
+    `light` is what is known of the laser, `interlock` is closed, open or unknown, `trip` the number of the
+    trip that waits for an acknowledgement (0: none), `darkness` why the laser does not emit although it
+    should, `refusal` why no light is allowed. The frames show the spot if `spot_seen` is 1, -1: nobody looks.
+    """
+
+    time_ns: int
+    trip: int
+    spot_seen: int
+    light: str
+    interlock: str
+    darkness: str = ""
+    refusal: str = ""
+    trip_text: str = ""
+    devices: str = ""
+
+
+class RecordedHealth(NamedTuple):
+    """How the session keeps up: frames that wait, age of the last ones, record and disk, clock, beam.
+
+    Counts are those since the record began. `frame_age_s` is NaN where frames are made on demand,
+    `disk_silent_s` how long a write has hung. `alarm` says what is wrong with light or disk (empty: nothing),
+    `beam` what is fitted to the spot.
+    """
+
+    time_ns: int
+    frames: int
+    dropped_frames: int
+    lost_spots: int
+    half_cycles: int
+    waiting_frames: int
+    record_bytes: int
+    frame_age_s: float
+    disk_free_bytes: float
+    disk_silent_s: float
+    clock_drift_ppm: float
+    u_clock_drift_ppm: float
+    alarm: str = ""
+    beam: str = ""
+
+
+class RecordedEstimate(NamedTuple):
+    """A parameter of the contact as the first `half_cycles` of the run tell it: one row of the live fit.
+
+    The rows of one fit have the same `time_ns`. `u_value` is infinite where the data do not determine it;
+    `quantity` is the key in results.json, which ends in the unit.
+    """
+
+    time_ns: int
+    half_cycles: int
+    value: float
+    u_value: float
+    quantity: str
+
+
+class RecordedFittedPoint(NamedTuple):
+    """A turning point and the full period about it beside the live fit of `time_ns`; NaN without a period.
+
+    Residuals are (data - fit) in standard uncertainties of the data. Of many points some hundred are told.
+    """
+
+    time_ns: int
+    turn_time_ns: int
+    amplitude_rad: float
+    amplitude_residual: float
+    period_s: float = math.nan
+    period_residual: float = math.nan
 
 
 class RecordedWindow(NamedTuple):
@@ -255,7 +346,9 @@ If `model_inverse_x` is not 0, `pixels` are the bit planes of the pixels minus a
 """
 IMAGE = _message("Image", "/image", *_PIXELS, tail=(("pixels", "bytes"),))
 """A whole frame, stored as a window is."""
-EVENT = _message("Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), ("text", "text")))
+EVENT = _message(
+    "Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), ("text", "text"), ("level", "text"))
+)
 ENVIRONMENT = message_type_of(Environment, f"{PACKAGE}.Environment", "/environment")
 REFERENCE = message_type_of(RecordedReference, f"{PACKAGE}.RecordedReference", "/reference")
 WITNESS = message_type_of(RecordedWitness, f"{PACKAGE}.RecordedWitness", "/witness")
@@ -263,11 +356,34 @@ NOTE = message_type_of(RecordedNote, f"{PACKAGE}.RecordedNote", "/note")
 LOSSES = message_type_of(RecordedLosses, f"{PACKAGE}.RecordedLosses", "/losses")
 CLOCK = message_type_of(ClockAnchor, f"{PACKAGE}.ClockAnchor", "/clock")
 CAMERA_STEP = message_type_of(RecordedClockStep, f"{PACKAGE}.RecordedClockStep", "/camera_clock_step")
+PHASE = message_type_of(RecordedPhase, f"{PACKAGE}.RecordedPhase", "/phase")
+LIGHT = message_type_of(RecordedLight, f"{PACKAGE}.RecordedLight", "/light")
+HEALTH = message_type_of(RecordedHealth, f"{PACKAGE}.RecordedHealth", "/health")
+ESTIMATE = message_type_of(RecordedEstimate, f"{PACKAGE}.RecordedEstimate", "/estimate")
+FITTED = message_type_of(RecordedFittedPoint, f"{PACKAGE}.RecordedFittedPoint", "/fitted")
 CAMERA_TEMPERATURE = message_type_of(CameraTemperature, f"{PACKAGE}.CameraTemperature", "/camera_temperature")
 
 
+class Timed(Protocol):
+    """A value that is recorded as a message of its own."""
+
+    @property
+    def time_ns(self) -> int:
+        """On the frames' clock."""
+
+
+Recorded: TypeAlias = tuple[MessageType, Timed]
+"""A value with the kind of its message."""
+SESSION_KINDS: Final = (PHASE, LIGHT, HEALTH, ESTIMATE, FITTED)
+"""Kinds of messages by which a session says how it stands while it measures."""
+
+
 def number_kinds(unit: DeflectionUnit) -> tuple[MessageType, ...]:
-    """Kinds of messages in the file of numbers, in the order of their channels, from 1."""
+    """Kinds of messages in the file of numbers, in the order of their channels."""
+    return *_measured(unit), *SESSION_KINDS
+
+
+def _measured(unit: DeflectionUnit) -> tuple[MessageType, ...]:
     calibrated = unit is DeflectionUnit.RAD
     return (
         SPOT if calibrated else SPOT_UNCALIBRATED,
@@ -279,7 +395,8 @@ def number_kinds(unit: DeflectionUnit) -> tuple[MessageType, ...]:
 
 def number_topics(unit: DeflectionUnit) -> tuple[str, ...]:
     """Topics in the file of numbers, in the order of their channels, from 1."""
-    return (*(kind.topic for kind in number_kinds(unit)), LOG_TOPIC, CAMERA_TOPIC)
+    measured, session = (tuple(kind.topic for kind in kinds) for kinds in (_measured(unit), SESSION_KINDS))
+    return *measured, LOG_TOPIC, CAMERA_TOPIC, *session
 
 
 PIXEL_KINDS: Final = (WINDOW, IMAGE)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from acquisition.frame import Frame, Image
 from acquisition.record import pixels_beside
-from acquisition.record.events import Event, EventKind
+from acquisition.record.events import Event, EventKind, Level
 from acquisition.record.foxglove import encode_camera_calibration, encode_log, encode_preview, foxglove_schema
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.pixels import PixelEncoder
@@ -46,10 +46,9 @@ from processing.spot import Spot
 from processing.swing import Swing
 
 _RESERVE_BYTES = 4 * 1024 * 1024
-_FLUSH_INTERVAL_S = 0.5
+_FLUSH_INTERVAL_S = 0.25
 """What is lost is at most this and what the disk takes to force it down."""
-_PREVIEW_INTERVAL_NS = 300_000_000
-_LOG_LEVELS = {"info": 2, "warning": 3, "error": 4}
+_LOG_LEVELS = {Level.INFORMATION: 2, Level.WARNING: 3, Level.ALARM: 4, Level.TRIP: 5}
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".md": "text/markdown"}
 
 
@@ -57,7 +56,7 @@ class RecordWriter:
     """Writes a record; only one thread may use it.
 
     `path` has all numbers. The first pixel makes the file of pixels beside it (`pixels_beside`), which also
-    has a small picture a few times a second; deleting it makes the record smaller, and nothing else.
+    has small pictures; deleting it makes the record smaller, and nothing else.
 
     The files are created under their final names and never replace others; until it is closed, each is a
     truncated file, which can be read. Data that were flushed survive a crash and a power failure. Every
@@ -117,7 +116,6 @@ class RecordWriter:
         self._spot, self._swing, self._balance, *_ = kinds
         self._encoder = PixelEncoder()
         self._full_scale_dn = int((metadata or {}).get("camera", {}).get("full_scale_dn", "255"))
-        self._preview_due_ns = 0
         self._own = {
             "schema_version": str(SCHEMA_VERSION),
             "epoch_offset_ns": str(epoch_offset_ns),
@@ -178,14 +176,19 @@ class RecordWriter:
         With the fitted `spot` about half the bytes are written. It need not be correct.
         """
         data = self._encoder.encode(sequence, time_ns, image, x0_px, y0_px, spot)
-        self._add_pixels(WINDOW.topic, sequence, time_ns, data, image)
+        self._add_pixels(WINDOW.topic, sequence, time_ns, data)
 
     def write_image(self, frame: Frame) -> None:
         """Write a whole frame."""
         data = self._encoder.encode(frame.sequence, frame.time_ns, frame.image, 0, 0)
-        self._add_pixels(IMAGE.topic, frame.sequence, frame.time_ns, data, frame.image)
+        self._add_pixels(IMAGE.topic, frame.sequence, frame.time_ns, data)
 
-    def _add_pixels(self, topic: str, sequence: int, time_ns: int, data: bytes, image: Image) -> None:
+    def write_preview(self, frame: Frame) -> None:
+        """Write a small picture of a whole frame, for the eye."""
+        data = encode_preview(self._offset_ns + frame.time_ns, frame.image, self._full_scale_dn)
+        self._add_pixels(PREVIEW_TOPIC, frame.sequence, frame.time_ns, data)
+
+    def _add_pixels(self, topic: str, sequence: int, time_ns: int, data: bytes) -> None:
         self._ready()
         if self._pixels is None:
             path = pixels_beside(self.path)
@@ -195,10 +198,6 @@ class RecordWriter:
                 raise self._end_after(str(error)) from error
             self._guarded(lambda: write_metadata(pixels, {"record": self._own}, time.time_ns()))
         self._add(topic, time_ns, data, sequence)
-        if time_ns >= self._preview_due_ns:
-            self._preview_due_ns = time_ns + _PREVIEW_INTERVAL_NS
-            preview = encode_preview(self._offset_ns + time_ns, image, self._full_scale_dn)
-            self._add(PREVIEW_TOPIC, time_ns, preview, sequence)
 
     def write_swing(self, swing: Swing) -> None:
         """Write one half-cycle; amplitude and centre in `deflection_unit`."""
@@ -212,7 +211,7 @@ class RecordWriter:
     def write_event(self, time_ns: int, kind: str, text: str) -> None:
         """Write an event, also as a line of the log, which viewers display."""
         event = Event(time_ns, kind, text)
-        self._add(EVENT.topic, time_ns, EVENT.encode(*event))
+        self._add(EVENT.topic, time_ns, EVENT.encode(*event, event.level))
         self.write_log(time_ns, _LOG_LEVELS[event.level], "event", event.line)
 
     def write_note(self, note: RecordedNote) -> None:
@@ -341,7 +340,8 @@ class RecordWriter:
         try:
             # what has no end looks as if nobody knew why
             for kind in (EventKind.RECORD, EventKind.FAILED, EventKind.STOP):
-                reason = EVENT.encode(self._end_ns - self._offset_ns, kind, what)
+                event = Event(self._end_ns - self._offset_ns, kind, what)
+                reason = EVENT.encode(*event, event.level)
                 self._numbers.add(EVENT.topic, self._sequence, self._end_ns, reason)
                 self._sequence += 1
         except OSError as error:

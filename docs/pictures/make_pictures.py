@@ -28,10 +28,10 @@ from rig.plan import (  # noqa: E402
     plan_figure,
 )
 from rig.report import png, styled  # noqa: E402
-from rig.rerun import LayoutName  # noqa: E402
-from rig.rerun.layout import TIMELINE  # noqa: E402
 from rig.settings import load_configuration  # noqa: E402
-from rig.view.recorded import write_rrd  # noqa: E402
+from rig.view import LayoutName  # noqa: E402
+from rig.view.layout import TIMELINE  # noqa: E402
+from rig.view.show import write_rrd  # noqa: E402
 from tests.rig.drawn_pictures import (  # noqa: E402
     CONFIGURATION,
     DRAWN,

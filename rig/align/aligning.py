@@ -1,6 +1,7 @@
 """Aligns laser and camera by eye: looks at the newest frames until the user ends it."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -14,14 +15,15 @@ from rich.text import Text
 
 from acquisition import atomic_write
 from acquisition.camera import Camera, CameraInfo, CameraSettings
+from acquisition.frame import Frame
 from acquisition.frames.queue import FrameQueue
 from processing.errors import ConfigurationError, DeviceError
-from processing.spot import SpotTracker
+from processing.spot import Spot, SpotTracker
+from processing.ticks import nanoseconds
 from rig.align.annotated_picture import annotated_picture
 from rig.align.look import AlignmentFrame, take_look
 from rig.devices import watch_latest
 from rig.presentation import Keys, answer
-from rig.view import Viewer
 
 HELP = "e E exposure   g G gain   z zoom   s save a picture   q end"
 _BELOW_ROWS = 10
@@ -108,7 +110,7 @@ def align_camera(
     reference: tuple[SpotTracker, int] | None = None,
     reference_px: tuple[float, float] | None = None,
     seconds: float = 0.0,
-    viewer: Viewer | None = None,
+    view: Callable[[Frame, Spot], None] | None = None,
     keys: Keys | None = None,
     console: Console | None = None,
 ) -> list[Path]:
@@ -126,6 +128,8 @@ def align_camera(
         Follows the reference's spot, and the row from which on frames are its own.
     reference_px
         Where the spot should rest, (x, y); default: the middle of the frame.
+    view
+        Called with each frame that is looked at, timed from the beginning, and the spot in it.
     seconds
         End after this many; 0: at the key `q`, or at Ctrl-C.
 
@@ -146,8 +150,9 @@ def align_camera(
             going, wish = False, None
             for *_, frame in watch_latest(camera, FrameQueue(1, "latest"), 1, end_s):
                 look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, applied, reference)
-                if viewer is not None:
-                    viewer.image(time.monotonic() - begun_s, frame.image, (look.spot.x_px, look.spot.y_px))
+                if view is not None:
+                    at_ns = nanoseconds(time.monotonic() - begun_s)
+                    view(frame._replace(device_time_ns=at_ns), look.spot)
                 for key in terminal.pressed(0.0):
                     if key in ("q", "escape"):
                         return saved

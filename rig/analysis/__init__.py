@@ -21,6 +21,7 @@ from rig.analysis.instrument_results import (
     SwingPlane,
 )
 from rig.analysis.less_reference import less_beam_motion
+from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.record_fit import analyse_record, analyse_run
 from rig.analysis.recorded_witness import taken
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, WithRows, named
@@ -44,4 +45,5 @@ from rig.analysis.surroundings import expected_drag, recorded_surroundings, stat
 from rig.analysis.swings_fit import clock_rate_of
 from rig.analysis.table_fit import AnalysedTable, analyse_table, analyse_trajectory
 from rig.analysis.table_screen import fit_envelope_table, fit_several, fit_trajectory
+from rig.analysis.turning_plane import PlaneBalances, follow_plane
 from rig.analysis.witness_file import StatedWitness

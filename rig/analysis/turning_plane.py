@@ -90,8 +90,40 @@ class FollowedPlane:
         ).replace("-", "−")
 
 
+class PlaneBalances:
+    """Balances of deflections that pass in blocks, along axes at a right angle, for the plane of swing.
+
+    Some samples of each period make them, evenly: all would say no more than a fraction of their noise.
+    """
+
+    def __init__(self, axes: Axes | None, period_s: float) -> None:
+        self._oblique_rad = _oblique_rad(axes or _SQUARE)
+        self._period_s = period_s
+        self._estimator = BalanceEstimator()
+        self._stride = self._passed = 0
+
+    def of(self, block: Deflections) -> list[Balance]:
+        """The balances that are known with this block, which follows the one before."""
+        if not self._stride and len(block) > 1:
+            step_s = float(seconds(block.times_ns[-1] - block.times_ns[0])) / (len(block) - 1)
+            self._stride = max(1, int(self._period_s / step_s / _A_PERIOD))
+        stride = max(self._stride, 1)
+        few = block[-self._passed % stride :: stride]
+        self._passed += len(block)
+        return list(self._estimator.update(square(few, self._oblique_rad)))
+
+
+def _oblique_rad(axes: Axes) -> float:
+    return -axes.non_orthogonality_rad if axes.mirrored else axes.non_orthogonality_rad
+
+
 def follow_plane(
-    swings: Sequence[Swing], deflections: PassingDeflections, axes: Axes | None, *, along_line: bool = False
+    swings: Sequence[Swing],
+    deflections: PassingDeflections,
+    axes: Axes | None,
+    *,
+    along_line: bool = False,
+    balances: Sequence[Balance] | None = None,
 ) -> FollowedPlane:
     """Turn half-cycles and deflections into the plane of swing, where that changes anything.
 
@@ -104,6 +136,8 @@ def follow_plane(
     along_line
         Turn onto the line of the motion itself. Otherwise the axes count as calibrated where the decay
         begins.
+    balances
+        Those of the whole decay as `PlaneBalances` makes them; None: they are made of the deflections.
 
     Notes
     -----
@@ -112,16 +146,12 @@ def follow_plane(
     stays below `MATTERS` in this sense is left as it is.
     """
     axes = axes or _SQUARE
-    oblique_rad = -axes.non_orthogonality_rad if axes.mirrored else axes.non_orthogonality_rad
     good = [swing for swing in swings if not swing.flags]
     if len(good) < 2:
         return FollowedPlane(swings, deflections, along_line=along_line, axes=axes)
-    estimator = BalanceEstimator()
-    balances = [
-        one
-        for block in _thinned(deflections, mean_period(turning_points(good)))
-        for one in estimator.update(square(block, oblique_rad))
-    ]
+    if balances is None:
+        making = PlaneBalances(axes, mean_period(turning_points(good)))
+        balances = [one for block in deflections for one in making.of(block)]
     balances = [one for one in balances if good[0].turn_time_ns <= one.time_ns <= good[-1].turn_time_ns]
     found = FollowedPlane(swings, deflections, balances, along_line=along_line, axes=axes)
     plane = plane_of_swing(balances, good[0].turn_time_ns, good[-1].turn_time_ns)
@@ -135,20 +165,9 @@ def follow_plane(
         )
         return replace(found, plane=plane, problem=problem.replace("-", "−"))
     back = PassingDeflections(
-        _TurnedBack(deflections, plane, oblique_rad, along_line=along_line), deflections.unit
+        _TurnedBack(deflections, plane, _oblique_rad(axes), along_line=along_line), deflections.unit
     )
     return replace(found, swings=swings_of_blocks(back), deflections=back, plane=plane, is_turned=True)
-
-
-def _thinned(blocks: Iterable[Deflections], period_s: float) -> Iterator[Deflections]:
-    """Some samples of each period, evenly: all would say no more than a fraction of their noise."""
-    stride, passed = 0, 0
-    for block in blocks:
-        if not stride and len(block) > 1:
-            step_s = float(seconds(block.times_ns[-1] - block.times_ns[0])) / (len(block) - 1)
-            stride = max(1, int(period_s / step_s / _A_PERIOD))
-        yield block[-passed % max(stride, 1) :: max(stride, 1)]
-        passed += len(block)
 
 
 class _TurnedBack(Iterable[Deflections]):

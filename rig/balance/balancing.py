@@ -12,9 +12,9 @@ from rig.balance import history
 from rig.balance.learned_turns import LearnedTurns
 from rig.balance.look import LooksView, look
 from rig.balance.reporter import OnTerminal, Reporter
-from rig.channel import light_told
 from rig.devices import Audited, Devices
 from rig.instrument import DIRECTIONS, WEIGHTS, advice_for, complete, height_of
+from rig.orders import light_told
 from rig.presentation import say
 from rig.settings import Configuration
 

@@ -3,9 +3,12 @@
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import TracebackType
 from typing import Self
 
+from acquisition.camera import CameraInfo
 from acquisition.frame import Frame
+from acquisition.record.events import Event, EventKind
 from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import ConfigurationError, DataError, DeviceError
@@ -13,10 +16,16 @@ from processing.spot import SpotFlag
 from processing.ticks import nanoseconds, seconds
 from rig.balance.learned_turns import BalanceMeasurement
 from rig.devices import Devices, LightWatch, ask_leave, wait_for_command
-from rig.instrument import Block, optics_of, prepare_kernels
+from rig.instrument import (
+    Block,
+    configuration_attachments,
+    optics_of,
+    prepare_kernels,
+    session_metadata,
+)
 from rig.presentation import say
 from rig.settings import Configuration
-from rig.view import Viewer, start_view
+from rig.view import ScratchHead, ScratchView
 
 _UNSEEN = SpotFlag.LOST | SpotFlag.EDGE
 _PAUSE_NS = 2_000_000_000
@@ -41,38 +50,44 @@ class LooksView:
         self._rrd = rrd
         self._advise = advise
         self._way = way
-        self._view: Viewer | None = None
+        self._view: ScratchView | None = None
         self._shift_ns = 0
         self._shown_ns = 0
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self._view is not None:
-            self._view.close()
-            if error is None:
-                self._view.check_file()
+            self._view.__exit__(kind, error, trace)
 
-    def begin(self, first: Frame, full_scale_dn: int) -> None:
+    def begin(self, first: Frame, info: CameraInfo) -> None:
         """Begin a measurement; the frames' clock may have been reset."""
         mode = self._config.view.mode
         if mode == "none" and self._rrd is None:
             return
         if self._view is None:
-            self._view = start_view(
-                self._config, self._rrd, mode, "balancing", "balancing", full_scale_dn, self._advise
-            )
+            config = self._config
+            self._view = ScratchView("balancing", mode, self._rrd, "balancing")
+            metadata = session_metadata(config, info, first)
+            attachments = configuration_attachments(config, Path())
+            self._view.begin(0, ScratchHead(metadata, attachments, config.deflection_unit))
+            self._view.event(Event(0, EventKind.START, "first frame"))
         else:
             self._shown_ns += _PAUSE_NS
-            self._view.jump(seconds(self._shown_ns))
+            self._view.jump(self._shown_ns, f"restarted at {seconds(self._shown_ns):.1f} s")
         self._shift_ns = first.time_ns - self._shown_ns
 
     def block(self, frames: Sequence[Frame], block: Block) -> None:
         """Show processed frames."""
         self._way(block.deflections)
         if self._view is not None and frames:
-            self._view.block(self._shift_ns, frames, block)
+            self._view.block(block, frames, self._shift_ns)
+            for balance in block.balances:
+                at_ns = balance.time_ns - self._shift_ns
+                self._view.event(Event(at_ns, EventKind.ADVICE, self._advise(balance)))
             self._shown_ns = frames[-1].time_ns - self._shift_ns
 
 
@@ -107,7 +122,7 @@ def look(
                 raise DataError("the camera delivered no frame at all")
             shape = (first.image.shape[0], first.image.shape[1])
             pipeline = optics.pipeline(shape)
-            view.begin(first, camera.info.full_scale_dn)
+            view.begin(first, camera.info)
             lost = taken = 0
             begin_ns = first.time_ns + nanoseconds(_released_after_s(config, devices, swing_arcsec))
             end_ns = begin_ns + nanoseconds(config.balance.seconds)

@@ -209,7 +209,7 @@ def replay(
 def view(
     records: Annotated[
         list[Path],
-        typer.Argument(help="Records (.mcap), their folders, or Rerun files (.rrd).", callback=recorded),
+        typer.Argument(help="Records (.mcap), their folders, or Rerun files (.rrd)."),
     ],
     view: View = None,
     rrd: Rrd = None,
@@ -217,8 +217,10 @@ def view(
         Literal["balancing", "measuring", "analysing"],
         typer.Option(help="Layout of the panels; analysing fits records that have no results yet."),
     ] = "measuring",
+    follow: Annotated[bool, typer.Option("--follow", hidden=True)] = False,
+    ports: Annotated[tuple[int, int] | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Show records in Rerun; several are overlaid.
+    """Show records in Rerun; several are overlaid, one that is being written is followed.
 
     \b
     Examples:
@@ -235,8 +237,12 @@ def view(
         raise ConfigurationError(
             f"{made[0]}: is a Rerun file already, --rrd makes one of records; leave it out"
         )
-    found = [record for path in records for record in records_in(path)]
-    show_records(found, mode="web" if view == "web" else "spawn", rrd=rrd, layout=layout)
-    if rrd is not None:
+    if not follow:
+        # one that is followed may not be there yet
+        recorded(records)
+    found = [record for path in records for record in ([path] if follow else records_in(path))]
+    mode: Literal["spawn", "web"] = "web" if view == "web" else "spawn"
+    show_records(found, mode=mode, rrd=rrd, layout=layout, follow=follow, ports=ports)
+    if rrd is not None and not follow:
         answer(written=[rrd])
         print(f"Rerun file   {rrd}")

@@ -10,6 +10,8 @@ from rig.commands.opened_camera import opened_camera
 from rig.commands.outputs import new_file, new_folder, old_folder, output_option
 
 if TYPE_CHECKING:
+    from acquisition.frame import Frame
+    from processing.spot import Spot
     from rig.devices import PictureFigures
 
 Average = Annotated[
@@ -184,22 +186,29 @@ def align(
     from contextlib import ExitStack
 
     from rig.align import align_camera
-    from rig.instrument import complete, optics_of
+    from rig.instrument import complete, configuration_attachments, optics_of, session_metadata
     from rig.presentation import answer
     from rig.settings import load_configuration
-    from rig.view import start_view
+    from rig.view import ScratchHead, ScratchView
 
     loaded = complete(load_configuration(config, set_ or []))
     lever = loaded.lever
     reference_px = None
     if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
         reference_px = (lever.reference_x_px, lever.reference_y_px)
-    viewer = None
     with ExitStack() as stack:
         camera, info, applied = stack.enter_context(opened_camera(config, set_))
+        show = None
         if rrd is not None or view:
-            viewer = start_view(loaded, rrd, MODES[view], "balancing", "aligning", info.full_scale_dn)
-            stack.callback(viewer.close)
+            shown = stack.enter_context(ScratchView("aligning", MODES[view], rrd, "balancing"))
+
+            def show(frame: "Frame", spot: "Spot") -> None:
+                if not shown.begun:
+                    attachments = configuration_attachments(loaded, config)
+                    metadata = session_metadata(loaded, info, frame)
+                    shown.begin(frame.time_ns, ScratchHead(metadata, attachments, loaded.deflection_unit))
+                shown.look(frame, spot)
+
         optics = optics_of(loaded, info.full_scale_dn)
         for path in align_camera(
             camera,
@@ -210,12 +219,10 @@ def align(
             reference=optics.reference(),
             reference_px=reference_px,
             seconds=seconds,
-            viewer=viewer,
+            view=show,
         ):
             answer(written=[path])
             typer.echo(str(path))
-    if viewer is not None:
-        viewer.check_file()
 
 
 def expose(

@@ -13,7 +13,6 @@ from pathlib import Path
 from acquisition.camera import CameraSettings
 from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
-from rig.channel import NoSession
 from rig.control import SafetyState, darken_beside, rig_state_path
 from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
@@ -26,6 +25,7 @@ from rig.desk.lighting import Lighting
 from rig.desk.safety import Safety
 from rig.desk.sessions import LookingAgain, SessionIndex
 from rig.measure import HandOver, hand_over, session_folder
+from rig.orders import NoSession
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
 _ENDS_WITHIN_S = 5.0

@@ -12,11 +12,13 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from acquisition.record.events import Event
 from processing.errors import RigError
 from rig.alarms import OF_CAMERA, EndedSession, HowEnded
-from rig.channel import CHANNEL_NAME, Line, NoSession, SessionBusy, SessionPicture, running_sessions
 from rig.control import STALE_S, DevicesNow, SafetyNow
+from rig.desk.run_reader import RunReader
 from rig.measure import RunState, read_session
+from rig.orders import ORDERS_NAME, Line, NoSession, SessionBusy, SessionPicture, running_sessions
 
 _LOOK_S = 0.2
 _SEARCH_S = 1.0
@@ -95,6 +97,8 @@ class Following:
         self.ended: deque[EndedSession] = deque(maxlen=8)
         self.heartbeat = Heartbeat(lambda: self.folder)
         self._line: Line | None = None
+        self._reader: RunReader | None = None
+        self._count = 0
         self._pictures: Line | None = None
         self._pictures_of: Path | None = None
         self._last_picture: SessionPicture | None = None
@@ -113,6 +117,7 @@ class Following:
         self._ended.set()
         self._wake.set()
         self.heartbeat.stop()
+        self._read("")
         with self._one_picture:
             if self._pictures is not None:
                 self._pictures.close()
@@ -207,15 +212,9 @@ class Following:
             self._one_picture.release()
 
     def history(self, *, spectra: bool) -> dict[str, Any]:
-        """What charts show of the running session; empty without one, or where it does not answer. Blocks."""
-        folder = self.folder
-        try:
-            if folder is None:
-                return {}
-            with Line(folder) as line:
-                return line.history(spectra=spectra)
-        except NoSession:
-            return {}
+        """What charts show of the running session, from its record; empty before there is one. Blocks."""
+        reader = self._reader
+        return {} if reader is None else reader.history(spectra=spectra)
 
     def _follow(self) -> None:
         while not self._ended.is_set():
@@ -234,6 +233,7 @@ class Following:
                 self._line = Line(folder)
                 self._heard, self.camera_event = 0, None
                 self.events.clear()
+                self._read("")
                 self.folder = self.last_folder = folder
                 self._ask(self._line)
 
@@ -250,6 +250,7 @@ class Following:
                 self.ended.append(_how_ended(line.folder))
                 self._line, self.folder, self.silent = None, None, False
                 self.news = {}
+                self._read("")
             return
         self.silent = False
         if news["run"] != self.news.get("run"):
@@ -257,10 +258,43 @@ class Following:
             self.camera_event = None
         for event in news["events"]:
             self._heard = max(self._heard, int(event["number"]))
-            self.events.append(event)
-            if event["kind"] in OF_CAMERA and event["run"] == news["run"]:
-                self.camera_event = event
+            self._keep(event, news["run"])
+        self._read(news["record"])
+        if (reader := self._reader) is not None and reader.begun:
+            for elapsed_s, told in reader.take_events():
+                self._keep(_of_record(reader, elapsed_s, told, news["run"]), news["run"])
+            news |= {"path": reader.path(), "balance": reader.balance, "record_began_s": reader.began_s}
         self.news, self.heard_s = news, time.monotonic()
+
+    def _keep(self, event: dict[str, Any], run: str) -> None:
+        """The event with a number of its own: those of the session and of its record come by two ways."""
+        self._count += 1
+        self.events.append({**event, "number": self._count})
+        if event["kind"] in OF_CAMERA and event["run"] == run:
+            self.camera_event = self.events[-1]
+
+    def _read(self, record: str) -> None:
+        """Read this record from now on; none, if it is empty."""
+        if self._reader is not None and str(self._reader.record) != record:
+            self._reader.close()
+            self._reader = None
+        if record and self._reader is None:
+            self._reader = RunReader(Path(record))
+
+
+def _of_record(reader: RunReader, elapsed_s: float, event: Event, run: str) -> dict[str, Any]:
+    """An event of a record as the session tells its own."""
+    began_s = reader.began_s
+    at = time.localtime(time.time() - time.monotonic() + began_s + elapsed_s)
+    return {
+        "run": run,
+        "elapsed_s": elapsed_s,
+        "kind": event.kind,
+        "level": event.level,
+        "text": event.text,
+        "at": time.strftime("%H:%M:%S", at),
+        "noted_s": began_s + elapsed_s,
+    }
 
 
 def doing(state: Mapping[str, Any] | None) -> str:
@@ -271,7 +305,7 @@ def doing(state: Mapping[str, Any] | None) -> str:
 
 def _how_ended(folder: Path) -> EndedSession:
     """How a session has ended that does not answer any more: one that was killed has left its file."""
-    if (folder / CHANNEL_NAME).exists():
+    if (folder / ORDERS_NAME).exists():
         return EndedSession(folder.name, HowEnded.DIED)
     try:
         entries = read_session(folder).entries

@@ -9,7 +9,7 @@ from starlette.responses import HTMLResponse, PlainTextResponse, RedirectRespons
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rig.desk.sessions import SERVED
-from rig.rerun import LOOPBACK, cookies_of
+from rig.terminal import LOOPBACK
 
 _NAMES = (LOOPBACK, "localhost")
 _POLICY = (
@@ -88,7 +88,9 @@ class Guard:
         return HTMLResponse(_REFUSED, http.HTTPStatus.FORBIDDEN)
 
     def _has_key(self, cookies: str) -> bool:
-        return any(map(self._is_key, cookies_of(cookies, self._cookie)))
+        # Python's own parser gives up at the first cookie, of whatever program, that is not well formed
+        parts = (part.strip().partition("=") for part in cookies.split(";"))
+        return any(self._is_key(value) for name, _, value in parts if name == self._cookie)
 
     def _is_key(self, told: str) -> bool:
         return hmac.compare_digest(told.encode(), self._key.encode())

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rig.rerun import start_python
+from rig.terminal import start_python
 
 _LAST_LINES = 200
 MESSAGES_NAME = "messages.txt"

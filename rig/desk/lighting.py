@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from processing.errors import ConfigurationError, DeviceError, RigError
-from rig.channel import CHANNEL_NAME, Line
 from rig.control import TripCause, darken_beside
 from rig.devices import NOT_OURS, Devices
+from rig.orders import ORDERS_NAME, Line
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk
@@ -79,7 +79,7 @@ class Lighting:
         folders = {folder.absolute() for folder in (desk.following.folder,) if folder is not None}
         if (begun := desk.started) is not None and begun[0].poll() is None:
             folders.add(begun[1].absolute())
-            if desk.following.last_folder != begun[1] and not (begun[1] / CHANNEL_NAME).exists():
+            if desk.following.last_folder != begun[1] and not (begun[1] / ORDERS_NAME).exists():
                 # it hears no order yet; one that was seen before, and is gone, is being fitted
                 begun[0].terminate()
                 heard = True

@@ -10,8 +10,8 @@ import urllib.parse
 from collections.abc import Callable
 from typing import Any
 
-from rig.channel import LOOPBACK, QuietServer
 from rig.desk.safety_bar import DARK
+from rig.orders import LOOPBACK
 
 
 class OffSwitch:
@@ -34,7 +34,15 @@ class OffSwitch:
         self._server.server_close()
 
 
-class _Server(QuietServer):
+class _Server(http.server.ThreadingHTTPServer):
+    """In threads; it writes nothing into the terminal."""
+
+    request_queue_size = 64
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Who has gone is no event."""
+
     def __init__(self, off: Callable[[str], list[str]], admits: Callable[[str, str, str], bool]) -> None:
         super().__init__((LOOPBACK, 0), _Handler)
         self.off, self.admits = off, admits

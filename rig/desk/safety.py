@@ -8,10 +8,10 @@ from contextlib import suppress
 from dataclasses import replace
 
 from processing.errors import RigError
-from rig.channel import Line, NoSession, SessionBusy
 from rig.control import STALE_S, LatchedTrip, Light, Loop, SafetyNow, SafetyState
 from rig.desk.aligner import Aligner
 from rig.desk.following import Following
+from rig.orders import Line, NoSession, SessionBusy
 
 _READ_S = 0.25
 

@@ -25,8 +25,7 @@ from rig.desk.safety_bar import DARK
 from rig.desk.sessions import SERVED, served_file
 from rig.devices import check_wiring
 from rig.presentation import say
-from rig.rerun import LOOPBACK
-from rig.terminal import told_of_hang_up
+from rig.terminal import LOOPBACK, told_of_hang_up
 
 _PORT = 8642
 _MOST_PX = 2000

@@ -19,10 +19,20 @@ class LightWatch:
     def __init__(self, devices: Devices | None) -> None:
         self._devices = devices
         self._dark_since_s: float | None = None
+        self._told = 0
         self.alarm = ""
 
     def look(self) -> list[tuple[EventKind, str]]:
         """Ask for the state of the laser; returns the events that follow from it, as (kind, text)."""
+        return [*self._trips(), *self._darkness()]
+
+    def _trips(self) -> list[tuple[EventKind, str]]:
+        trip = None if self._devices is None else self._devices.permit.latched
+        number, before = 0 if trip is None else trip.number, self._told
+        self._told = number
+        return [] if trip is None or number == before else [(EventKind.TRIP, trip.text)]
+
+    def _darkness(self) -> list[tuple[EventKind, str]]:
         why = ""
         if self._devices is not None:
             self._devices.compare()

@@ -24,7 +24,6 @@ from rig.instrument.configured_camera import (
     shutter_of,
     with_read_back,
 )
-from rig.instrument.fitted_decay import FittedDecay
 from rig.instrument.kernels import prepare_kernels
 from rig.instrument.less_beam import LESS_BEAM, LessBeam
 from rig.instrument.pendulum import balls, check_materials, material, pendulum_on_ball

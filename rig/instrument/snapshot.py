@@ -1,19 +1,19 @@
 """The state of a run at one moment, for the terminal, the view and other programs."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 from acquisition.frames.losses import FrameLosses
+from acquisition.record.topics import RecordedFittedPoint
 from processing.estimate import Estimate
 from rig.control import DevicesNow
 from rig.instrument.camera_clock import CameraClock
-from rig.instrument.fitted_decay import FittedDecay
 
 
 class Phase(StrEnum):
-    """What a run, or the replay of a record, is doing."""
+    """What a run is doing."""
 
     WAITING = "waiting for the first frame"
     REST = "rest"
@@ -23,8 +23,6 @@ class Phase(StrEnum):
     MEASURING = "measuring"
     CLOSING = "closing the record"
     DONE = "done"
-    REPLAYING = "replaying"
-    PAUSED = "paused"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +36,7 @@ class Snapshot:
     computer's, `alarm` what is wrong with light or disk, empty if nothing is, `disk_silent_s` how long a
     write has hung that takes longer than usual.
     `estimates` are the contact's parameters by key, from the first `estimated_from` half-cycles; empty before
-    there are enough. `decay` are these half-cycles beside their fit.
+    there are enough. `fitted` are these half-cycles beside their fit.
     """
 
     phase: Phase = Phase.WAITING
@@ -67,7 +65,7 @@ class Snapshot:
     clock: CameraClock = field(default_factory=CameraClock)
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     estimated_from: int = 0
-    decay: FittedDecay | None = None
+    fitted: Sequence[RecordedFittedPoint] = ()
 
     @property
     def doing(self) -> str:

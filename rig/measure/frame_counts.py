@@ -10,6 +10,7 @@ from rig.instrument import Block, Pipeline
 from rig.measure.recorder import Entry, cut_window
 
 _LOST_IMAGE_INTERVAL_S = 1.0
+_PREVIEW_NS = 300_000_000
 _LOST_FOR_S = 5.0
 """After so long a person is told."""
 
@@ -30,6 +31,7 @@ class FrameCounts:
         self._keep_windows = keep_windows
         self._next_image_ns = first.time_ns
         self._next_lost_image_ns = first.time_ns
+        self._next_preview_ns = first.time_ns
         self._next = self._first_number
         self._lost = False
         self._seen_ns = first.time_ns
@@ -89,6 +91,10 @@ class FrameCounts:
                 else pipeline.tracker.record_window(spot, frame.image.shape)
             )
             windows.append(cut_window(frame, spot, bounds))
+        preview = None
+        if frames[-1].time_ns >= self._next_preview_ns:
+            preview = frames[-1]._replace(sequence=numbers[-1])
+            self._next_preview_ns = preview.time_ns + _PREVIEW_NS
         events += self._beam_events(numbers, block, pipeline, frames[-1].time_ns)
         self.frames += len(frames)
         self.last_ns = frames[-1].time_ns
@@ -99,6 +105,7 @@ class FrameCounts:
             block=block,
             windows=windows,
             images=images,
+            preview=preview,
             events=events,
         )
 

@@ -6,9 +6,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from processing.errors import DeviceError, RigError
-from rig.channel import Line, NoSession, running_sessions
 from rig.control import SafetyNow, SafetyState, rig_state_path
 from rig.devices import AUDIT_NAME, Devices, check_log
+from rig.orders import Line, NoSession, running_sessions
 from rig.presentation import answer, print_line, say
 from rig.settings import Configuration
 

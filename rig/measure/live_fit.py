@@ -25,7 +25,7 @@ def live_posterior(config: Configuration) -> LivePosterior | None:
         drag, _ = known_drag(config, stated_surroundings(config), pendulum, period_s)
         return evidence_of(drag, harmonics)
 
-    model = FittedModel(pendulum, config.fit.fits_drag, loss_of(config.fit), clock_rate)
+    model = FittedModel(pendulum, config.fit.fits_drag, loss_of(config.fit), clock_rate, config.axes)
     # frames on demand wait for what decides over the end, so that such a run repeats exactly
     in_step = config.on_demand and bool(config.session.stop_when)
     return LivePosterior(model, evidence, in_step=in_step)

@@ -16,19 +16,18 @@ from rig.analysis import SessionResults, read_results, results_path
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
-from rig.measure.noted_end import end_noted
 from rig.measure.notices import announced
 from rig.measure.run import ready_for_frames
 from rig.measure.session import (
-    Made,
-    Manner,
+    SessionOptions,
+    SessionOutcome,
     against_results,
     make_runs,
     make_session,
     report,
     session_folder,
 )
-from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile, read_session
+from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile, end_noted, read_session
 from rig.presentation import failures, say
 from rig.settings import (
     Configuration,
@@ -173,8 +172,8 @@ def _measure_series(
     """Make the runs of a series that are missing in its folder, and repeat its bad ones."""
     before = read_session(folder).next_number if (folder / STATE_NAME).exists() else 0
     with announced(config.session, folder) as outcome:
-        manner = Manner(outcome.notices, force, json_lines, waiting, waiting.said)
-        outcome.status = _Series(series, config, folder, manner).made_and_repeated()
+        options = SessionOptions(outcome.notices, force, json_lines, waiting, waiting.said)
+        outcome.status = _Series(series, config, folder, options).made_and_repeated()
     with closing(SessionFile.opened(folder)) as file:
         last, made = file.state.entries[-1], file.state.next_number != before
     bad = last.state in {RunState.FAILED, RunState.STOPPED}
@@ -196,7 +195,7 @@ class _Series(NamedTuple):
     planned: PlannedSeries
     config: Configuration
     folder: Path
-    manner: Manner
+    options: SessionOptions
 
     def made_and_repeated(self) -> int:
         """Measure it and repeat its bad runs; returns its exit status."""
@@ -211,11 +210,11 @@ class _Series(NamedTuple):
     def _made(self) -> int:
         source = self.planned.config
         folder, _ = session_folder(self.config, source, self.folder)
-        return make_session(self.config, source, folder, self.manner)
+        return make_session(self.config, source, folder, self.options)
 
     def _gone_on(self) -> int:
         with closing(SessionFile.opened(self.folder)) as file:
-            return _go_on(file, self.config, self.manner)
+            return _go_on(file, self.config, self.options)
 
 
 def _repeated(folder: Path) -> int:
@@ -279,11 +278,11 @@ def resume_session(
                 file.save(file.state.model_copy(update={"runs_wanted": config.session.runs}))
             say(f"{folder}: continues with {source}, which states {changed}")
         with announced(config.session, folder, file) as outcome:
-            outcome.status = _go_on(file, config, Manner(outcome.notices, force, json_lines))
+            outcome.status = _go_on(file, config, SessionOptions(outcome.notices, force, json_lines))
     return outcome.status
 
 
-def _go_on(file: SessionFile, config: Configuration, manner: Manner) -> int:
+def _go_on(file: SessionFile, config: Configuration, options: SessionOptions) -> int:
     """Make what is missing of a session, as `resume_session` says."""
     folder = file.folder
     for entry in file.state.entries:
@@ -299,18 +298,18 @@ def _go_on(file: SessionFile, config: Configuration, manner: Manner) -> int:
         if (results := _whole_results(file)) is None:
             # what is recorded is fitted without the rig, which may not even be there any more
             records = [folder / entry.record for entry in file.state.complete]
-            return report(config, folder, Made(records, failed=False, stopped=False), manner)
+            return report(config, folder, SessionOutcome(records, failed=False, stopped=False), options)
         against = against_results(results, config)
         for why in against:
             say(why)
-        manner.notices.against.extend(against)
+        options.notices.against.extend(against)
         return 1 if against else 0
     with (
         ready_for_frames(live=not config.on_demand),
         Devices(config, folder, "rig run --resume") as devices,
     ):
-        made = make_runs(config, Path(file.state.source), file, devices, manner)
-    return report(config, folder, made, manner)
+        made = make_runs(config, Path(file.state.source), file, devices, options)
+    return report(config, folder, made, options)
 
 
 def _whole_results(file: SessionFile) -> SessionResults | None:

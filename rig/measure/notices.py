@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Literal
 
 from acquisition.frame import Frame
-from acquisition.record.events import Event
+from acquisition.record.events import Event, Level
 from processing.errors import RigError
-from rig.instrument import Block, Snapshot
+from rig.instrument import Block
 from rig.measure.session_file import SessionFile, read_session
 from rig.presentation import say
 from rig.settings import SessionSettings
@@ -71,12 +71,9 @@ class Notices:
 
     def event(self, start_ns: int, event: Event) -> None:
         """An error during a run is an alarm."""
-        if event.level == "error" and self._alarms < _MOST_ALARMS:
+        if event.level in (Level.TRIP, Level.ALARM) and self._alarms < _MOST_ALARMS:
             self._alarms += 1
             self.tell("alarm", f"{event.kind}: {event.text}")
-
-    def snapshot(self, snapshot: Snapshot) -> None:
-        """The state is not reported."""
 
     def _run(self, words: tuple[str, ...], heard: threading.Event) -> None:
         try:

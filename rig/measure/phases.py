@@ -1,6 +1,7 @@
 """The phases before a record: rest, warm-up, preflight and release, each with a time limit."""
 
 import math
+import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -11,12 +12,11 @@ from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
 from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
-from processing.errors import DataError, DeviceError
+from processing.errors import DataError, DeviceError, RecordError
 from processing.robust import robust_scatter
 from processing.ticks import NS_PER_S, nanoseconds
 from rig.devices import Audited, Devices, FrameStream, OpenCamera, through_controller, wait_for_command
 from rig.instrument import Optics, Phase, Snapshot
-from rig.measure.disk_room import free_bytes
 from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import TrialFrames, device_checks, frame_checks, rest_checks, vault_checks
 from rig.measure.recent_frames import PhaseWait, RecentFrames, Stopped, Watch
@@ -352,3 +352,14 @@ def _drift_per_min(times_s: np.ndarray, values: np.ndarray) -> float:
 def _frame_noise(values: np.ndarray) -> float:
     """Robust standard deviation of one frame, from differences of successive frames."""
     return robust_scatter(np.diff(values)) / math.sqrt(2.0)
+
+
+def free_bytes(folder: Path) -> int:
+    """Raises RecordError where the folder has gone while the session runs."""
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError as error:
+        raise RecordError(
+            f"{folder}: {error.strerror or error}; was it removed or renamed while its session ran? nothing "
+            "was recorded: name a folder that stays"
+        ) from None

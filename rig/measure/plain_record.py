@@ -6,10 +6,10 @@ import cv2
 
 from acquisition import atomic_write
 from processing.errors import ConfigurationError, DataError, RecordError
-from rig.channel import SessionNews, light_told
 from rig.devices import Devices, ask_leave
 from rig.instrument import complete
 from rig.measure.run_setup import RunPlan, measure_run
+from rig.orders import SessionNews, light_told
 from rig.settings import Configuration
 
 _NO_END = 1e-9
@@ -19,7 +19,7 @@ _NO_END = 1e-9
 def record_plainly(config: Configuration, source: Path, record: Path, seconds: float) -> Path:
     """Record the spot for a time, whatever it does; returns the record.
 
-    Meanwhile its folder's channel tells how it looks. One that goes dark ends.
+    Meanwhile its folder's order socket tells how it looks. One that goes dark ends.
 
     Raises RigError where that fails, KeyboardInterrupt after Ctrl-C, which leaves a closed record.
     """

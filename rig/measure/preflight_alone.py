@@ -7,7 +7,6 @@ from pathlib import Path
 from rich.console import Console
 
 from processing.errors import DataError, DeviceError
-from rig.channel import light_told
 from rig.devices import Devices, LightWatch, ask_leave
 from rig.instrument import (
     Snapshot,
@@ -18,6 +17,7 @@ from rig.instrument import (
 )
 from rig.measure.end_of_run import StopRequest
 from rig.measure.phases import PhasesBeforeRecord
+from rig.orders import light_told
 from rig.presentation import Verdict, failures, print_json_line, print_verdicts, say, table_tree
 from rig.settings import Configuration
 

@@ -1,18 +1,33 @@
 """The record file of one run: its path, and the attachments stored with the measurement."""
 
 import json
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from acquisition.camera import Camera, HasFeatures
 from acquisition.frame import Frame
 from acquisition.record import pixels_beside
 from acquisition.record.writer import RecordWriter
+from processing.errors import DeviceError
 from rig.devices import OpenCamera
 from rig.instrument import Optics, configuration_attachments, session_metadata
-from rig.measure.camera_state import features_json
 from rig.presentation import Verdict, table_tree
 from rig.settings import Configuration
+
+_log = logging.getLogger(__name__)
+
+
+def features_json(camera: Camera) -> bytes:
+    """All features of the camera that can be read now, as JSON; empty for a camera that has none."""
+    if not isinstance(camera, HasFeatures):
+        return b""
+    try:
+        return json.dumps(camera.feature_values(), indent=1).encode()
+    except DeviceError as refused:
+        _log.warning("the camera's features cannot be read for the record: %s", refused)
+        return b""
 
 
 @dataclass(frozen=True, slots=True)

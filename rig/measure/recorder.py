@@ -13,23 +13,7 @@ from typing import NamedTuple
 
 from acquisition.frame import Frame, Image
 from acquisition.record.events import Event
-from acquisition.record.topics import (
-    CAMERA_STEP,
-    CAMERA_TEMPERATURE,
-    CLOCK,
-    ENVIRONMENT,
-    LOSSES,
-    REFERENCE,
-    WITNESS,
-    CameraTemperature,
-    ClockAnchor,
-    Environment,
-    RecordedClockStep,
-    RecordedLosses,
-    RecordedNote,
-    RecordedReference,
-    RecordedWitness,
-)
+from acquisition.record.topics import REFERENCE, Recorded, RecordedNote, RecordedReference
 from acquisition.record.writer import RecordWriter
 from processing.spot import Spot
 from rig.control import LightPermit, Stage
@@ -56,7 +40,7 @@ class SpotWindow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Data to be recorded for some consecutive frames."""
+    """Data to be recorded for some consecutive frames; `messages` are values, each with its kind."""
 
     sequences: Sequence[int] = ()
     device_times_ns: Sequence[int] = ()
@@ -64,13 +48,9 @@ class Entry:
     block: Block | None = None
     windows: Sequence[SpotWindow | None] = ()
     images: Sequence[Frame] = ()
+    preview: Frame | None = None
     events: Sequence[Event] = field(default=())
-    environment: Environment | None = None
-    losses: RecordedLosses | None = None
-    clock: ClockAnchor | None = None
-    temperature: CameraTemperature | None = None
-    camera_steps: Sequence[RecordedClockStep] = ()
-    witness: Sequence[RecordedWitness] = ()
+    messages: Sequence[Recorded] = ()
     notes: Sequence[RecordedNote] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
@@ -78,7 +58,8 @@ class Entry:
     def memory_bytes(self) -> int:
         """About what the entry takes while it waits; never 0."""
         windows = sum(window.image.nbytes for window in self.windows if window is not None)
-        images = sum(frame.image.nbytes for frame in self.images)
+        frames = self.images if self.preview is None else [*self.images, self.preview]
+        images = sum(frame.image.nbytes for frame in frames)
         return _FRAME_BYTES * (1 + len(self.sequences)) + windows + images
 
 
@@ -233,38 +214,23 @@ class Recorder:
             for sequence, time_ns, spot in zip(
                 entry.sequences, times_ns.tolist(), block.references, strict=bool(block.references)
             ):
-                writer.write(REFERENCE, _reference(sequence, time_ns, spot), time_ns)
+                writer.write(REFERENCE, RecordedReference.of(sequence, time_ns, spot), time_ns)
             for swing in block.swings:
                 writer.write_swing(swing)
             for balance in block.balances:
                 writer.write_balance(balance)
         for frame in entry.images:
             writer.write_image(frame)
-        for kind, value in (
-            (ENVIRONMENT, entry.environment),
-            (LOSSES, entry.losses),
-            (CLOCK, entry.clock),
-            (CAMERA_TEMPERATURE, entry.temperature),
-        ):
-            if value is not None:
-                writer.write(kind, value, value.time_ns)
-        for step in entry.camera_steps:
-            writer.write(CAMERA_STEP, step, step.time_ns)
-        for sample in entry.witness:
-            writer.write(WITNESS, sample, sample.time_ns)
+        if entry.preview is not None:
+            writer.write_preview(entry.preview)
+        for kind, value in entry.messages:
+            writer.write(kind, value, value.time_ns)
         for note in entry.notes:
             writer.write_note(note)
         for name, data in entry.attachments.items():
             writer.attach(name, data)
         for event in entry.events:
             writer.write_event(event.time_ns, event.kind, event.text)
-
-
-def _reference(sequence: int, time_ns: int, spot: Spot) -> RecordedReference:
-    return RecordedReference(
-        sequence, time_ns, spot.x_px, spot.y_px, spot.u_x_px, spot.u_y_px,
-        spot.amplitude_dn, spot.chi2_per_dof, spot.flags,
-    )  # fmt: skip
 
 
 def cut_window(frame: Frame, spot: Spot, bounds_px: tuple[int, int, int, int] | None) -> SpotWindow | None:

@@ -8,29 +8,28 @@ import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import ClockAnchor, RecordedNote
+from acquisition.record.topics import (
+    LOSSES,
+    RecordedNote,
+)
 from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError, in_one_line
 from processing.spot import SpotFlag
 from processing.step_watch import KickWatch, StepWatch
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
-from rig.devices import ClockAnchors, ClockRate
-from rig.instrument import Block, CameraClock, LessBeam, Phase, Snapshot, Wall
-from rig.measure.camera_state import TemperatureWatch, features_json
+from rig.instrument import Block, LessBeam, Phase, Snapshot, Wall
 from rig.measure.end_of_run import EndOfRun, StopRequest
 from rig.measure.frame_counts import FrameCounts
+from rig.measure.readings import LossLog, SideReadings
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run_parts import RunParts
-from rig.measure.run_status import LossLog, RunStatus
+from rig.measure.run_status import RunStatus
 from rig.measure.start_judge import StartJudge
 from rig.posterior import Posterior
 
 _LIVE_FIT = "the live fit"
 _LESS_BEAM = "the live subtraction of the reference spot"
-_ANCHORS = "the reading of the computer's clocks"
-_CLOCK_RATE = "the reading of the camera's clock"
-_TEMPERATURE = "the camera's temperature"
 
 _BLOCK_FRAMES = 64
 _BLOCK_NS = 2_000_000_000
@@ -80,7 +79,10 @@ class StepEvents:
 
 
 class Recording:
-    """Makes one record, in the processing thread. Without a `judge` any start is accepted."""
+    """Makes one record, in the processing thread, from its `first` frame on.
+
+    Without a `judge` any start is accepted.
+    """
 
     def __init__(
         self,
@@ -91,6 +93,7 @@ class Recording:
         recorder: Recorder,
         judge: StartJudge | None,
         wall: Wall,
+        first: Frame,
     ) -> None:
         self._parts = parts
         self._stream = parts.stream
@@ -100,8 +103,23 @@ class Recording:
         self._recorder = recorder
         self._judge = judge
         self._wall = wall
-        self._clock = CameraClock()
-        self._last: Frame | None = None
+        self._first = self._last = first
+        # frames made on demand wait for what is done beside them: a run of the simulated rig repeats exactly
+        self._on_demand = parts.stream.policy == "wait"
+        self._counts = FrameCounts(
+            first, nanoseconds(parts.full_frame_interval_s), keep_windows=parts.keep_windows
+        )
+        shape, gain = (first.image.shape[0], first.image.shape[1]), parts.optics.reference_gain
+        self._pipeline = parts.optics.pipeline(shape, beside=not self._on_demand, wall=wall)
+        self._less = (
+            None
+            if gain is None
+            else LessBeam(parts.optics.deflector(shape), gain, beside=not self._on_demand)
+        )
+        self._end = EndOfRun(parts.end)
+        self._steps = StepEvents(parts.optics.unit)
+        self._readings = SideReadings(parts, losses, wall, first.time_ns)
+        self._published_ns = 0
 
     def make(self, begun: list[Frame], events: list[Event]) -> str:
         """Record until the run ends; returns why the start was rejected, else an empty text.
@@ -109,175 +127,146 @@ class Recording:
         `begun` are the frames with which the record begins, `events` the events before them. What is raised
         here ends the run, and the record says so.
         """
-        parts = self._parts
-        counts = FrameCounts(
-            begun[0], nanoseconds(parts.full_frame_interval_s), keep_windows=parts.keep_windows
-        )
         try:
-            return self._made(begun, events, counts)
+            self._begin(events)
+            rejected = self._take_all(begun)
+            self._close(rejected)
         except Exception as error:
+            last_ns = self._counts.last_ns
             text = f"{type(error).__name__}: {error}"
             kinds = (EventKind.FAILED, EventKind.STOP)
-            self._recorder.put(Entry(events=[Event(counts.last_ns, kind, text) for kind in kinds]))
+            self._recorder.put(Entry(events=[Event(last_ns, kind, text) for kind in kinds]))
             # before devices are closed, which may take seconds
             self._status.tell_events(
-                counts.start_ns, [Event(counts.last_ns, EventKind.FAILED, in_one_line(error))]
+                self._first.time_ns, [Event(last_ns, EventKind.FAILED, in_one_line(error))]
             )
             raise
+        return rejected
 
-    def _made(self, begun: list[Frame], events: list[Event], counts: FrameCounts) -> str:
-        first, parts, stream, status = begun[0], self._parts, self._stream, self._status
-        # frames made on demand wait for both, so that a run of the simulated rig repeats exactly
-        pipeline = parts.optics.pipeline(
-            (first.image.shape[0], first.image.shape[1]), beside=stream.policy != "wait", wall=self._wall
-        )
-        gain = parts.optics.reference_gain
-        shape = (first.image.shape[0], first.image.shape[1])
-        less = (
-            None
-            if gain is None
-            else LessBeam(parts.optics.deflector(shape), gain, beside=stream.policy != "wait")
-        )
-        end = EndOfRun(parts.end)
-        steps = StepEvents(parts.optics.unit)
-        # frames made on demand have a clock of their own, which no other one says anything about
-        anchors = None if stream.policy == "wait" else ClockAnchors()
-        rate = None if stream.policy == "wait" else ClockRate()
-        temperature = None if parts.camera is None else TemperatureWatch(parts.camera)
-        status.begin_record()
+    def _begin(self, before: list[Event]) -> None:
+        parts, first_ns = self._parts, self._first.time_ns
+        self._status.begin_record()
         if parts.posterior is not None:
             self._wall.past(_LIVE_FIT, None, parts.posterior.begin)
         events = [
-            *events,
-            *(Event(first.time_ns, EventKind.PLAN, text) for text in parts.planned),
-            Event(first.time_ns, EventKind.START, "first frame"),
+            *before,
+            *(Event(first_ns, EventKind.PLAN, text) for text in parts.planned),
+            Event(first_ns, EventKind.START, "first frame"),
         ]
         self._recorder.put(Entry(events=events))
-        status.tell_events(counts.start_ns, events)
-        rejected, published_ns = "", 0
+        self._status.tell_events(first_ns, events)
+
+    def _take_all(self, begun: list[Frame]) -> str:
+        """Take frames until the run ends; returns why the start was rejected, else an empty text."""
+        stream = self._stream
         # frames from a source on demand are all processed; those of a live camera only until the stop
-        while begun or not (stream.drained or (self._stop and stream.policy != "wait")):
+        while begun or not (stream.drained or (self._stop and not self._on_demand)):
             waiting = begun or stream.take(_BLOCK_FRAMES, 0.1)
             taken_ns = time.monotonic_ns()
             taken, begun = _block_and_rest(waiting)
-            if not taken:
-                # record events without waiting for frames, so that a silent camera is noted immediately
-                new, notes = self._device_events(counts.last_ns), self._notes(counts)
-                if new or notes:
-                    self._recorder.put(Entry(events=new, notes=notes))
-                    status.tell_events(counts.start_ns, [*new, *(note.event for note in notes)])
-                self._publish(Phase.MEASURING, counts, [], math.nan)
-                self._raise_if_unwritable()
-                self._end_in_darkness()
-                continue
-            block = pipeline.process(taken)
-            # what is shown, and what a run is judged and ended by; the record is as seen
-            shown, said = block, []
-            if less is not None:
-                shown = self._wall.past(_LESS_BEAM, block, less.shown, [one.time_ns for one in taken], block)
-                said = [Event(taken[-1].time_ns, EventKind.BEAM, text) for text in less.take_news()]
-            if parts.posterior is not None:
-                self._wall.past(_LIVE_FIT, None, parts.posterior.take, shown.swings, shown.deflections)
-            entry = counts.entry(taken, block, pipeline)
-            self._last = taken[-1]
-            notes = self._notes(counts)
-            nothing: tuple[ClockAnchor | None, list[Event]] = (None, [])
-            clock, clock_steps = nothing
-            if anchors is not None:
-                clock, clock_steps = self._wall.past(_ANCHORS, nothing, anchors.take, counts.last_ns)
-            camera_steps = [one for one in stream.take_clock_steps() if one.time_ns > counts.start_ns]
-            if rate is not None:
-                self._clock = self._wall.past(_CLOCK_RATE, self._clock, rate.take, taken, camera_steps)
-            stepped: list[Event] = self._wall.past("the watch for steps", [], steps.take, block)
-            new = [*entry.events, *said, *stepped, *clock_steps, *self._device_events(counts.last_ns)]
-            self._recorder.put(
-                replace(
-                    entry,
-                    events=new,
-                    environment=status.environment(counts.last_ns),
-                    losses=self._losses.due(counts.last_ns),
-                    witness=[one for one in status.witness(taken[-1]) if one.time_ns >= counts.start_ns],
-                    clock=clock,
-                    temperature=None
-                    if temperature is None
-                    else self._wall.past(_TEMPERATURE, None, temperature.take, counts.last_ns),
-                    camera_steps=camera_steps,
-                    notes=notes,
-                )
-            )
-            # frames made on demand have no age
-            age_s = math.nan if stream.policy == "wait" else seconds(taken_ns - taken[0].host_time_ns)
-            if shown.swings or stream.policy == "wait" or taken_ns - published_ns > _PUBLISHED_NS:
-                published_ns = taken_ns
-                self._publish(Phase.MEASURING, counts, shown.swings, age_s)
-            status.tell(counts.start_ns, taken, shown, [*new, *(note.event for note in notes)])
-            self._raise_if_unwritable()
+            shown = None
+            if taken:
+                shown = self._take(taken, taken_ns)
+            else:
+                self._take_nothing()
+            if self._recorder.error is not None:
+                raise self._recorder.error
             self._end_in_darkness()
+            if shown is None:
+                continue
+            elapsed_s = self._counts.elapsed_s
             if self._judge is not None:
-                rejected = self._judge.rejection(shown.swings, block.balances, counts.elapsed_s)
+                rejected = self._judge.rejection(shown.swings, shown.balances, elapsed_s)
                 if rejected:
-                    break
-            reason = end.reason(shown.swings, counts.elapsed_s, self._known.estimates)
+                    return rejected
+            reason = self._end.reason(shown.swings, elapsed_s, self._known.estimates)
             if reason is not None:
                 self._stop.because(reason)
+            if reason is not None or (self._stop and self._stop.skip_waiting):
                 break
-            if self._stop and self._stop.skip_waiting:
-                break
-        if stream.ended and not rejected:
+        if stream.ended:
             self._stop.because(stream.ended, None if stream.failure is None else EventKind.FAILED)
+        return ""
+
+    def _take_nothing(self) -> None:
+        """Record events without waiting for frames, so that a silent camera is noted immediately."""
+        new, notes = self._device_events(), self._notes()
+        if new or notes:
+            self._recorder.put(Entry(events=new, notes=notes))
+            self._status.tell_events(self._first.time_ns, [*new, *(note.event for note in notes)])
+        self._publish(Phase.MEASURING, [], math.nan)
+
+    def _take(self, taken: list[Frame], taken_ns: int) -> Block:
+        """Process frames that were taken at `taken_ns` and record them; returns the block as it is shown."""
+        counts, parts = self._counts, self._parts
+        block = self._pipeline.process(taken)
+        # what is shown, and what a run is judged and ended by; the record is as seen
+        shown, said = block, []
+        if self._less is not None:
+            times_ns = [one.time_ns for one in taken]
+            shown = self._wall.past(_LESS_BEAM, block, self._less.shown, times_ns, block)
+            said = [Event(times_ns[-1], EventKind.BEAM, text) for text in self._less.take_news()]
+        if parts.posterior is not None:
+            self._wall.past(_LIVE_FIT, None, parts.posterior.take, shown.swings, shown.deflections)
+        entry = counts.entry(taken, block, self._pipeline)
+        self._last = taken[-1]
+        notes = self._notes()
+        messages, of_clocks = self._readings.take(taken)
+        stepped: list[Event] = self._wall.past("the watch for steps", [], self._steps.take, block)
+        new = [*entry.events, *said, *stepped, *of_clocks, *self._device_events()]
+        self._recorder.put(replace(entry, events=new, messages=messages, notes=notes))
+        if shown.swings or self._on_demand or taken_ns - self._published_ns > _PUBLISHED_NS:
+            self._published_ns = taken_ns
+            # frames made on demand have no age
+            age_s = math.nan if self._on_demand else seconds(taken_ns - taken[0].host_time_ns)
+            self._publish(Phase.MEASURING, shown.swings, age_s)
+        self._status.tell(counts.start_ns, taken, shown, [*new, *(note.event for note in notes)])
+        return shown
+
+    def _close(self, rejected: str) -> None:
+        """Record what is completed by the end, and how the run has ended."""
+        counts, pipeline = self._counts, self._pipeline
         swings = pipeline.finish()
         empty = pipeline.measure(np.empty(0, np.int64), [])
         empty = empty._replace(swings=swings, balances=[*empty.balances, *pipeline.finish_balance()])
-        features = {}
-        if parts.camera is not None and temperature is not None:
-            self._wall.past(_TEMPERATURE, None, temperature.close)
-            features = {
-                "camera-features-end.json": self._wall.past(
-                    "the reading of the camera's features", b"", features_json, parts.camera
-                )
-            }
+        attachments = self._readings.close()
         if not rejected:
             # the record says it where the camera cannot stop
             self._stop.close_stream()
-        end_event = Event(counts.last_ns, EventKind.STOP, self._stop.reason)
+        end = Event(counts.last_ns, EventKind.STOP, self._stop.reason)
         if rejected:
-            end_event = Event(counts.last_ns, EventKind.REJECTED, f"start not accepted: {rejected}")
+            end = Event(counts.last_ns, EventKind.REJECTED, f"start not accepted: {rejected}")
         if self._wall.text:
             text = f"in all: {self._wall.text}"
             self._recorder.put(Entry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
-        early = [] if rejected or self._stop.early is None else [end_event._replace(kind=self._stop.early)]
-        last = [*self._device_events(counts.last_ns), *early, end_event]
+        early = [] if rejected or self._stop.early is None else [end._replace(kind=self._stop.early)]
+        last = [*self._device_events(), *early, end]
         self._recorder.put(
             Entry(
                 block=empty,
                 events=last,
-                losses=self._losses.last(counts.last_ns),
-                attachments={name: data for name, data in features.items() if data},
-                notes=self._notes(counts),
+                messages=[(LOSSES, self._losses.last(counts.last_ns))],
+                attachments=attachments,
+                notes=self._notes(),
             )
         )
-        if less is not None:
-            swings = self._wall.past(_LESS_BEAM, swings, less.finish)
-        self._publish(Phase.CLOSING, counts, swings, math.nan)
-        status.tell(counts.start_ns, [], empty._replace(swings=swings), last)
-        return rejected
+        if self._less is not None:
+            swings = self._wall.past(_LESS_BEAM, swings, self._less.finish)
+        self._publish(Phase.CLOSING, swings, math.nan)
+        self._status.tell(counts.start_ns, [], empty._replace(swings=swings), last)
 
-    def _notes(self, counts: FrameCounts) -> list[RecordedNote]:
+    def _notes(self) -> list[RecordedNote]:
         """What operators have noted since the last call, on the frames' clock."""
         if self._parts.notes is None:
             return []
-        last = self._last
+        counts, last = self._counts, self._last
         found = []
         for host_time_ns, author, text in self._parts.notes.take():
-            at_ns = counts.last_ns if last is None else last.time_ns + host_time_ns - last.host_time_ns
+            at_ns = last.time_ns + host_time_ns - last.host_time_ns
             # what was typed before the record begins is in it, too, and frames on demand have another clock
             at_ns = min(max(at_ns, counts.start_ns), counts.last_ns)
             found.append(RecordedNote(at_ns, host_time_ns, author, text))
         return found
-
-    def _raise_if_unwritable(self) -> None:
-        if self._recorder.error is not None:
-            raise self._recorder.error
 
     def _end_in_darkness(self) -> None:
         """End the run if the laser is dark, unless the run is to wait for its light."""
@@ -296,7 +285,7 @@ class Recording:
             return Posterior()
         return self._wall.past(_LIVE_FIT, Posterior(), lambda: posterior.latest)
 
-    def _device_events(self, time_ns: int) -> list[Event]:
+    def _device_events(self) -> list[Event]:
         """Events of camera, disk, controller, laser and sensors since the last call."""
         happened = self._stream.take_events() + self._status.take_events()
         for paused_s in self._recorder.take_pauses():
@@ -305,10 +294,11 @@ class Recording:
         posterior = self._parts.posterior
         if posterior is not None and (remark := self._wall.past(_LIVE_FIT, "", posterior.take_remark)):
             happened.append((EventKind.POSTERIOR, remark))
-        return [Event(time_ns, kind, text) for kind, text in happened]
+        return [Event(self._counts.last_ns, kind, text) for kind, text in happened]
 
-    def _publish(self, phase: Phase, counts: FrameCounts, swings: list[Swing], age_s: float) -> None:
-        known, lost = self._known, counts.lost_text
+    def _publish(self, phase: Phase, swings: list[Swing], age_s: float) -> None:
+        counts, known = self._counts, self._known
+        lost = counts.lost_text
         if lost:
             lost += f" rig camera align {self._parts.record.config.named}"
         self._status.publish(
@@ -319,7 +309,7 @@ class Recording:
                 dropped_frames=counts.missing,
                 lost_spots=counts.lost_spots,
                 beam=counts.beam_text,
-                clock=self._clock,
+                clock=self._readings.clock,
                 queue_frames=len(self._stream),
                 frame_age_s=age_s,
                 losses=self._losses.now,
@@ -331,10 +321,12 @@ class Recording:
                 reason=self._stop.reason,
                 estimates=known.estimates,
                 estimated_from=known.half_cycles,
-                decay=known.decay,
+                fitted=known.points,
             ),
             swings,
         )
+        if said := self._status.messages(counts.last_ns, on_demand=self._on_demand):
+            self._recorder.put(Entry(messages=said))
 
 
 def _block_and_rest(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:

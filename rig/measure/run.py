@@ -14,10 +14,11 @@ from acquisition.record.events import Event, EventKind
 from processing.errors import DataError, DeviceError
 from rig.instrument import Phase, Snapshot, Wall
 from rig.measure.end_of_run import StopRequest
+from rig.measure.readings import LossLog
 from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
 from rig.measure.run_parts import RunOutcome, RunParts
-from rig.measure.run_status import LossLog, RunStatus
+from rig.measure.run_status import RunStatus
 from rig.measure.start_judge import StartJudge
 from rig.terminal import reason_of
 
@@ -65,9 +66,7 @@ class Run:
         self._parts = parts
         self._stream = parts.stream
         self._wall = Wall()
-        self._status = RunStatus(
-            parts.watchers, parts.devices, parts.optics.unit, parts.environment_period_s, self._wall
-        )
+        self._status = RunStatus(parts.watchers, parts.devices, parts.optics.unit, self._wall)
         self._stop = StopRequest(parts.stream)
         self._done = threading.Event()
         self._losses = LossLog(parts.stream, from_start=True)
@@ -208,7 +207,9 @@ class Run:
         rejected = ""
         try:
             judge = None if parts.start is None else StartJudge(parts.start)
-            recording = Recording(parts, self._stop, self._status, self._losses, recorder, judge, self._wall)
+            recording = Recording(
+                parts, self._stop, self._status, self._losses, recorder, judge, self._wall, frames[0]
+            )
             rejected = recording.make(frames, events)
         finally:
             recorder.close()

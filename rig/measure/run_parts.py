@@ -30,9 +30,6 @@ class Watcher(Protocol):
     def event(self, start_ns: int, event: Event) -> None:
         """Something happened."""
 
-    def snapshot(self, snapshot: Snapshot) -> None:
-        """The state of the run after that."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunParts:

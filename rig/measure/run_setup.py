@@ -9,23 +9,22 @@ from processing import decay_forecast
 from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
-from rig.channel import SessionNews
 from rig.devices import Devices, OpenCamera, TypedLeave
 from rig.instrument import Snapshot, optics_of, prepare_kernels
-from rig.measure.disk_room import free_bytes
 from rig.measure.end_of_run import EndLimits
 from rig.measure.live_fit import live_posterior
 from rig.measure.notes import Notes
-from rig.measure.phases import PhasesBeforeRecord, preflight_wanted
+from rig.measure.phases import PhasesBeforeRecord, free_bytes, preflight_wanted
 from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
 from rig.measure.run_parts import RunOutcome, RunParts, Watcher
 from rig.measure.screen import RunDisplay
 from rig.measure.start_judge import start_limits
+from rig.orders import SessionNews
 from rig.posterior import LivePosterior
 from rig.presentation import Verdict, say
 from rig.settings import Configuration
-from rig.view import open_view
+from rig.view import RunningView
 
 LEAST_FREE_BYTES = 50 * 1024 * 1024
 """Of disk; with less no run begins."""
@@ -74,10 +73,11 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
         for line in camera.notes:
             _say_if_heard(line)
         posterior = live_posterior(plan.config) if plan.fitted else None
-        parameters = () if posterior is None else posterior.parameters
-        view = open_view(plan.config, record, plan.title, camera.info.full_scale_dn, parameters)
+        settings = plan.config.view
+        rrd = record.with_suffix(".rrd") if settings.file else None
+        view = RunningView(record, settings.mode, rrd, settings.layout)
         try:
-            outcome = _execute(plan, devices, camera, [] if view is None else [view], posterior)
+            outcome = _execute(plan, devices, camera, [], posterior)
             ends = plan.is_last or outcome.failure is not None or outcome.stopped
             # what hangs is not asked for frames once more
             devices.lights_again = not ends
@@ -87,8 +87,8 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
         finally:
             if posterior is not None:
                 posterior.close()
-            if view is not None:
-                view.close()
+            if problem := view.close():
+                _say_if_heard(problem)
 
 
 def _execute(
@@ -112,7 +112,7 @@ def _execute(
     )
     session_news = plan.session_news
     if session_news is not None:
-        session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied)
+        session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied, record)
         watchers = [*watchers, session_news]
 
     def show_table(verdicts: Sequence[Verdict]) -> None:

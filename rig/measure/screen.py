@@ -101,9 +101,6 @@ class RunDisplay:
             said = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
             self._to_print.append(lambda: self.line("event", said))
 
-    def snapshot(self, snapshot: Snapshot) -> None:
-        """Does nothing; the main thread shows snapshots."""
-
     def show_preflight(self, verdicts: Sequence[Verdict]) -> None:
         """Have the preflight table printed above the live screen."""
         shown = list(verdicts)
@@ -183,8 +180,8 @@ class RunDisplay:
             **self._numbers(),
         }
         # half-cycles beside their fit are for charts
-        told = asdict(replace(snapshot, decay=None))
-        del told["decay"]
+        told = asdict(replace(snapshot, fitted=()))
+        del told["fitted"]
         return {**told, **own}
 
     def rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:

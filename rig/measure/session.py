@@ -17,18 +17,17 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.channel import Channel, SessionNews, devices_now
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
-from rig.measure.noted_end import end_noted
 from rig.measure.notes import Notes
 from rig.measure.notices import Notices, announced
 from rig.measure.phases import NoGo
 from rig.measure.run import ready_for_frames
 from rig.measure.run_setup import RunPlan, measure_run
-from rig.measure.session_file import RunState, SessionFile, withdraw_unrecorded
+from rig.measure.session_file import RunState, SessionFile, end_noted, withdraw_unrecorded
 from rig.measure.session_orders import await_leave, orders
+from rig.orders import OrderSocket, SessionNews, devices_now
 from rig.presentation import answer, failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
 from rig.terminal import Terminated, reason_of
@@ -56,13 +55,15 @@ def measure_session(
     folder, made = session_folder(config, source, output)
     try:
         with announced(config.session, folder) as outcome:
-            outcome.status = make_session(config, source, folder, Manner(outcome.notices, force, json_lines))
+            outcome.status = make_session(
+                config, source, folder, SessionOptions(outcome.notices, force, json_lines)
+            )
     finally:
         withdraw_unrecorded(folder, made)
     return outcome.status
 
 
-class Manner(NamedTuple):
+class SessionOptions(NamedTuple):
     """How runs are made: who gets notices, whether a failed preflight is passed over, what stdout gets.
 
     `patience` is asked, with the reason, after a preflight that said no-go: if it returns True the run is
@@ -76,17 +77,17 @@ class Manner(NamedTuple):
     planned: Callable[[], Sequence[str]] = tuple
 
 
-def make_session(config: Configuration, source: Path, folder: Path, manner: Manner) -> int:
+def make_session(config: Configuration, source: Path, folder: Path, options: SessionOptions) -> int:
     """As `measure_session`, with a complete configuration and in a folder that was made for it."""
     with ExitStack() as closing:
         with ready_for_frames(live=not config.on_demand), Devices(config, folder, "rig run") as devices:
             file = SessionFile.made(folder, source, config.session.runs, stored_configuration(config))
             closing.callback(file.close)
-            made = make_runs(config, source, file, devices, manner)
-        return report(config, folder, made, manner)
+            made = make_runs(config, source, file, devices, options)
+        return report(config, folder, made, options)
 
 
-class Made(NamedTuple):
+class SessionOutcome(NamedTuple):
     """The records made, and how the session ended."""
 
     records: list[Path]
@@ -95,18 +96,20 @@ class Made(NamedTuple):
 
 
 def make_runs(
-    config: Configuration, source: Path, file: SessionFile, devices: Devices, manner: Manner
-) -> Made:
+    config: Configuration, source: Path, file: SessionFile, devices: Devices, options: SessionOptions
+) -> SessionOutcome:
     """Make the missing runs. Raises `Terminated` after everything is closed and session.json is written.
 
-    Meanwhile the session can be watched, and takes orders, through its channel.
+    Meanwhile the session can be watched, and takes orders, through its order socket.
     """
     session_news, notes = SessionNews(config), Notes(file.folder, config.session.operator)
-    with Channel(file.folder, session_news, orders(devices, notes), lambda: devices_now(devices)) as channel:
-        if channel.problem:
-            say(channel.problem)
+    with OrderSocket(
+        file.folder, session_news, orders(devices, notes), lambda: devices_now(devices)
+    ) as watched:
+        if watched.problem:
+            say(watched.problem)
         try:
-            return _make_runs(config, source, file, devices, manner, session_news, notes)
+            return _make_runs(config, source, file, devices, options, session_news, notes)
         except KeyboardInterrupt:
             # it may come between the end of a run and the note of it
             for entry in file.state.entries:
@@ -120,10 +123,10 @@ def _make_runs(
     source: Path,
     file: SessionFile,
     devices: Devices,
-    manner: Manner,
+    options: SessionOptions,
     session_news: SessionNews,
     notes: Notes,
-) -> Made:
+) -> SessionOutcome:
     folder = file.folder
     records = [folder / entry.record for entry in file.state.complete]
     failed = stopped = False
@@ -140,14 +143,14 @@ def _make_runs(
             source,
             record,
             f"run {number}",
-            manner.force,
-            manner.json_lines,
+            options.force,
+            options.json_lines,
             is_last=len(records) + 1 >= file.state.runs_wanted,
             start_rejected=start_rejected,
-            watchers=[manner.notices],
+            watchers=[options.notices],
             session_news=session_news,
             notes=notes,
-            planned=manner.planned(),
+            planned=options.planned(),
         )
         try:
             devices.lights_again = True
@@ -158,7 +161,7 @@ def _make_runs(
             if not records:
                 raise
             say(f"run {number} failed: {error}", error=True)
-            manner.notices.against.append(f"run {number} failed: {error}")
+            options.notices.against.append(f"run {number} failed: {error}")
             failed = True
             break
         except KeyboardInterrupt as interrupted:
@@ -181,7 +184,7 @@ def _make_runs(
             session_news.note("preflight", f"no-go: {outcome.failure.against}", "warning")
             # who asks for light while it waits gets it with the next try
             devices.lights_again = True
-            if manner.patience(outcome.failure.against):
+            if options.patience(outcome.failure.against):
                 continue
             devices.lights_again = False
         reason = outcome.snapshot.reason
@@ -195,7 +198,7 @@ def _make_runs(
         if outcome.failure is not None:
             failed = True
             say(f"run {number} failed: {outcome.failure}", error=True)
-            manner.notices.against.append(f"run {number} failed: {outcome.failure}")
+            options.notices.against.append(f"run {number} failed: {outcome.failure}")
         if record.exists():
             records.append(record)
         else:
@@ -203,7 +206,7 @@ def _make_runs(
         if isinstance(interrupt, Terminated):
             _say_how_to_go_on(reason, file)
             raise interrupt
-    return Made(records, failed, stopped)
+    return SessionOutcome(records, failed, stopped)
 
 
 def _say_how_to_go_on(reason: str, file: SessionFile) -> None:
@@ -219,7 +222,7 @@ def _has_record(file: SessionFile) -> bool:
     return any((file.folder / entry.record).exists() for entry in file.state.entries)
 
 
-def report(config: Configuration, folder: Path, made: Made, manner: Manner) -> int:
+def report(config: Configuration, folder: Path, made: SessionOutcome, options: SessionOptions) -> int:
     """Fit the complete and the new records and write the results; the laser is already off."""
     # importing matplotlib takes a second, which must not delay the first frame
     from rig.report import make_report
@@ -235,7 +238,7 @@ def report(config: Configuration, folder: Path, made: Made, manner: Manner) -> i
     results = session_results(runs, folder)
     against = against_results(results, config)
     failed = failed or bool(against)
-    manner.notices.against.extend(against)
+    options.notices.against.extend(against)
     write_results(path, results)
     paths = _paths(folder, runs, path)
     try:
@@ -243,7 +246,7 @@ def report(config: Configuration, folder: Path, made: Made, manner: Manner) -> i
     except RigError as error:
         # records and results are complete, so a missing report is not fatal
         say(f"no report: {error}", error=True)
-    if manner.json_lines:
+    if options.json_lines:
         print_json_line("results", {"path": str(path), "failed": failed})
     else:
         print_results(results, paths)

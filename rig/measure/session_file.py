@@ -14,6 +14,8 @@ from typing import IO, Any, Self
 from pydantic import BaseModel
 
 from acquisition import atomic_write
+from acquisition.record.events import EventKind, end_of
+from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError, RigError, require_schema
 
 try:
@@ -239,3 +241,28 @@ def _changes(before: Mapping[str, Any], after: Mapping[str, Any], above: str = "
             yield from _changes(old, new, f"{above}{key}.")
         elif old != new:
             yield f"{above}{key} = {json.dumps(new)} (was {json.dumps(old)})"
+
+
+_ENDS: dict[str, RunState] = {
+    EventKind.REJECTED: RunState.REJECTED,
+    EventKind.STOPPED: RunState.STOPPED,
+    EventKind.FAILED: RunState.FAILED,
+}
+
+
+def end_noted(file: SessionFile, entry: RunEntry) -> str:
+    """Note how a run has ended that is still noted as being recorded; returns that in words.
+
+    Empty, with nothing noted, where it has no record, or one that is not whole.
+    """
+    record = file.folder / entry.record
+    if not record.exists():
+        return ""
+    with suppress(RecordError), RecordReader(record) as reader:
+        end = end_of(reader.events())
+        if end is not None and not reader.truncated:
+            state = _ENDS.get(end.kind, RunState.COMPLETE)
+            file.note(entry.number, entry.record, state, end.text)
+            how = "whole" if state is RunState.COMPLETE else f"{state}, its run is made again"
+            return f"{entry.record} is {how}: {end.text}"
+    return ""

@@ -1,13 +1,14 @@
-"""What a person may order while a session runs, at its terminal or through its channel."""
+"""What a person may order while a session runs, at its terminal or through its order socket."""
 
 import _thread
 import time
 
+from acquisition.record.events import Level
 from processing.errors import RigError
-from rig.channel import Orders, SessionNews
 from rig.control import LightRefused
 from rig.devices import Audited, Devices, ask_leave, at_terminal, wait_for_command
 from rig.measure.notes import Notes
+from rig.orders import Orders, SessionNews
 
 _LOOK_S = 0.1
 
@@ -66,7 +67,7 @@ def await_leave(devices: Devices, session_news: SessionNews, *, resumable: bool 
     trip = devices.permit.latched
     if (trip or devices.waits_for_asking) and session_news.watched and not at_terminal():
         what = "light is to be asked for" if trip is None else trip.text
-        session_news.note("interlock", f"{what}: the next run waits for a person", "error")
+        session_news.note("interlock", f"{what}: the next run waits for a person", Level.ALARM)
         while session_news.watched and (devices.permit.latched or devices.waits_for_asking):
             time.sleep(_LOOK_S)
     if devices.permit.latched or devices.waits_for_asking:

@@ -1,4 +1,4 @@
 """What a run says of the contact so far: fitted in a process of its own while it is measured."""
 
-from rig.posterior.messages import FittedModel
 from rig.posterior.posterior import FIRST_HALF_CYCLES, LivePosterior, Posterior
+from rig.posterior.worker import FittedModel

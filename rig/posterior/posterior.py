@@ -8,13 +8,13 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
+from acquisition.record.topics import RecordedFittedPoint
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.estimate import Estimate
 from processing.fit import Evidence
 from processing.swing import HarmonicsWatch, Swing, SwingHarmonics
-from rig.instrument import FittedDecay
-from rig.posterior.messages import Asked, FittedModel, FittedParameters
-from rig.rerun import start_python
+from rig.posterior.worker import Asked, FittedModel, FittedParameters
+from rig.terminal import start_python
 
 
 class FittingProcess:
@@ -82,12 +82,12 @@ _EARLY_NS = 120_000_000_000
 class Posterior:
     """Parameters by key, from the first `half_cycles` unflagged ones of a run; none before the first fit.
 
-    `decay` are these beside the fit.
+    `points` are these beside the fit.
     """
 
     half_cycles: int = 0
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
-    decay: FittedDecay | None = None
+    points: Sequence[RecordedFittedPoint] = ()
 
 
 NOTHING = Posterior()
@@ -234,7 +234,7 @@ class LivePosterior:
                 if message.run == self._run:
                     self._due_half_cycles = following(count)
                     if found.estimates:
-                        self._latest = Posterior(count, found.estimates, found.decay)
+                        self._latest = Posterior(count, found.estimates, found.points)
                 self._changed.notify_all()
 
     def _next(self) -> tuple[int, Asked] | None:

@@ -7,53 +7,103 @@ import os
 import pickle
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from processing.contact import AMPLITUDE, TIME, PendulumOnBall, turning_points_of
-from processing.deflections import Deflections
+from acquisition.record.topics import RecordedFittedPoint
+from calibration import Axes
+from processing.balance import Balance
+from processing.contact import AMPLITUDE, DEFAULT_LAW, TIME, PendulumOnBall, turning_points_of
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
-from processing.fit import FitOfSwings, FitResult, Linearised, fitted_twice, with_misfit
-from processing.periods import full_periods
-from processing.swing import Swing, TurningPoints
-from rig.instrument import FittedDecay
-from rig.posterior.messages import Asked, FittedModel, FittedParameters
+from processing.estimate import Estimate
+from processing.fit import (
+    NO_EVIDENCE,
+    Evidence,
+    FitOfSwings,
+    FitResult,
+    Linearised,
+    fitted_twice,
+    with_misfit,
+)
+from processing.least_squares import Loss
+from processing.periods import full_periods, mean_period
+from processing.swing import Swing, TurningPoints, turning_points
+from rig.analysis import PassingDeflections, PlaneBalances, follow_plane
+
+
+class FittedModel(NamedTuple):
+    """The exact fit as the final analysis makes it.
+
+    `clock_rate` is how many true seconds pass in one of the swings' clock, `axes` are the pendulum's.
+    """
+
+    pendulum: PendulumOnBall
+    drag: bool = True
+    loss: Loss = "linear"
+    clock_rate: float = 1.0
+    axes: Axes | None = None
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Keys of what is estimated, without the run's first amplitude and time."""
+        return DEFAULT_LAW.fit_names(calibrated=True, drag=self.drag)[:-2]
+
+
+class Asked(NamedTuple):
+    """What has come since the last message: half-cycles without a flag, and the deflections, in rad.
+
+    All of the same `run` are fitted, restrained by the `evidence`.
+    """
+
+    run: int
+    swings: Sequence[Swing]
+    deflections: Deflections
+    evidence: Evidence = NO_EVIDENCE
+
+
+class FittedParameters(NamedTuple):
+    """Parameters by key, or why there are none; `cpu_s` is the processor time of the fit.
+
+    `points` are the half-cycles beside the fit.
+    """
+
+    estimates: Mapping[str, Estimate]
+    problem: str
+    cpu_s: float
+    points: Sequence[RecordedFittedPoint] = ()
+
 
 _MOST = 300
 """Half-cycles that are told: more than a chart has pixels for are no news."""
 
 
-def fitted_decay(
+def fitted_points(
     swings: Sequence[Swing], points: TurningPoints, fit: FitResult, pendulum: PendulumOnBall
-) -> FittedDecay:
-    """The exact fit beside its data: `points` are the unflagged `swings` in true time."""
-    times_ns = np.array([swing.turn_time_ns for swing in swings if not swing.flags], dtype=np.int64)
+) -> list[RecordedFittedPoint]:
+    """The exact fit beside its data: `points` are the unflagged `swings` in true time.
+
+    Times of the fit are 0.
+    """
+    times_ns = [swing.turn_time_ns for swing in swings if not swing.flags]
     index = points.index - points.index[0]
     start = fit.estimate(AMPLITUDE.key).value
     amplitude, time_s = turning_points_of(fit.parameters, pendulum, start, int(index[-1]))
     fitted, time_s = amplitude[index], time_s[index] + fit.estimate(TIME.key).value
+    left = (points.amplitude - fitted) / points.u_amplitude
     periods = full_periods(points)
     at = periods.where
-    fitted_period_s = time_s[at + 1] - time_s[at - 1]
-    left = (points.amplitude - fitted) / points.u_amplitude
-    left_of_period = (periods.period_s - fitted_period_s) / periods.u_period_s
+    period_s, left_of_period = np.full((2, len(index)), np.nan)
+    period_s[at] = time_s[at + 1] - time_s[at - 1]
+    left_of_period[at] = (periods.period_s - period_s[at]) / periods.u_period_s
     # where the law says that friction holds it, it says nothing of the motion
-    few = np.flatnonzero(np.isfinite(left))[_every(len(left))]
-    few_periods = np.flatnonzero(np.isfinite(left_of_period))[_every(len(at))]
-    return FittedDecay(
-        times_ns[few].tolist(),
-        fitted[few].tolist(),
-        left[few].tolist(),
-        times_ns[at][few_periods].tolist(),
-        fitted_period_s[few_periods].tolist(),
-        left_of_period[few_periods].tolist(),
-    )
-
-
-def _every(count: int) -> slice:
-    return slice(None, None, -(-count // _MOST) or 1)
+    known = np.flatnonzero(np.isfinite(left))
+    table = np.column_stack((fitted, left, period_s, left_of_period)).tolist()
+    return [RecordedFittedPoint(0, times_ns[k], *table[k]) for k in known[:: -(-len(known) // _MOST) or 1]]
 
 
 MOST_SAMPLES = 1 << 22
@@ -69,8 +119,11 @@ class MeasuredRun:
     last: the motion is then known from thousands of them.
     """
 
-    def __init__(self, most: int = MOST_SAMPLES) -> None:
+    def __init__(self, most: int = MOST_SAMPLES, axes: Axes | None = None) -> None:
         self._most = most
+        self._axes = axes
+        self._making: PlaneBalances | None = None
+        self._balances: list[Balance] = []
         self._stand: list[Swing] = []
         self._open: list[Swing] = []
         self._blocks: list[Deflections] = []
@@ -84,23 +137,48 @@ class MeasuredRun:
     def take(self, swings: Sequence[Swing], deflections: Deflections) -> None:
         """Half-cycles and deflections that follow."""
         self._open += swings
-        if len(deflections):
-            self._blocks.append(deflections)
+        if not len(deflections):
+            return
+        self._blocks.append(deflections)
+        if self._making is None and len(self._open) > 1:
+            self._making = PlaneBalances(self._axes, mean_period(turning_points(self._open)))
+            self._balances = [one for block in self._blocks[:-1] for one in self._making.of(block)]
+        if self._making is not None:
+            self._balances += self._making.of(deflections)
 
     def fitted(self, fit: FitOfSwings) -> tuple[Sequence[Swing], FitResult]:
-        """All of them as they stand, and the fit to them; raises DataError where there is none."""
-        found, self._near = fitted_twice(self._open, self._blocks, fit, self._near, self._stand)
+        """All of them as they stand, and the fit to them; raises DataError where there is none.
+
+        Where the plane of swing turns, they are those in it.
+        """
+        swings, blocks = self._in_plane()
+        found, self._near = fitted_twice(swings, blocks, fit, self._near, self._stand)
         if found.exact is not None and self.samples > self._most:
             self._let_go(found.swings)
         return found.swings, with_misfit(Linearised.of(fit.points(found.swings), fit.pendulum, self._near))
+
+    def _in_plane(self) -> tuple[Sequence[Swing], Iterable[Deflections]]:
+        """The half-cycles that do not stand yet and their deflections, turned into the plane of swing."""
+        whole = PassingDeflections(self._blocks, DeflectionUnit.RAD)
+        plane = follow_plane([*self._stand, *self._open], whole, self._axes, balances=self._balances)
+        if plane.problem:
+            raise DataError(plane.problem)
+        if not plane.is_turned:
+            return self._open, self._blocks
+        # numbered from where the deflections begin
+        first = self._open[0]
+        nearest = min(plane.swings, key=lambda one: abs(one.turn_time_ns - first.turn_time_ns))
+        known, shift = {one.index for one in self._open}, first.index - nearest.index
+        numbered = [replace(one, index=one.index + shift) for one in plane.swings if not one.flags]
+        return [one for one in numbered if one.index in known], plane.deflections
 
     def _let_go(self, swings: Sequence[Swing]) -> None:
         half = len(self._open) // 2
         if half < _BEFORE:
             return
         from_ns = self._open[half - _BEFORE].turn_time_ns
-        self._stand = list(swings[: len(self._stand) + half])
         self._open = self._open[half:]
+        self._stand = [one for one in swings if one.index < self._open[0].index]
         self._blocks = [kept for block in self._blocks if len(kept := block.since(from_ns))]
 
 
@@ -119,7 +197,7 @@ def main() -> None:
         while True:
             asked: Asked = pickle.load(incoming)
             if asked.run != of_run:
-                of_run, run = asked.run, MeasuredRun()
+                of_run, run = asked.run, MeasuredRun(axes=model.axes)
             run.take(asked.swings, asked.deflections)
             if not warm:
                 # the first fit of a process loads its kernels, which says nothing of what a fit costs
@@ -134,8 +212,8 @@ def _fitted(run: MeasuredRun, asked: Asked, model: FittedModel) -> FittedParamet
     how = FitOfSwings(model.pendulum, model.clock_rate, model.drag, asked.evidence, model.loss)
     try:
         swings, fit = run.fitted(how)
-        decay = fitted_decay(swings, how.points(swings), fit, model.pendulum)
+        points = fitted_points(swings, how.points(swings), fit, model.pendulum)
     except DataError as error:
         return FittedParameters({}, str(error), time.process_time() - began_s)
     found = {name: fit.estimate(name) for name in fit.contact_names}
-    return FittedParameters(found, "", time.process_time() - began_s, decay)
+    return FittedParameters(found, "", time.process_time() - began_s, points)

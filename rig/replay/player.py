@@ -3,15 +3,15 @@
 import math
 import time
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from acquisition.record.events import Event
 from processing.spot import SpotFlag
 from processing.ticks import nanoseconds
-from rig.instrument import Phase, Snapshot
+from rig.instrument import CameraClock
 from rig.presentation import Keys
-from rig.replay.replay import Replay, ReplayStep
-from rig.view import Viewer
+from rig.replay.replay import Replay, Replayed, ReplayStep
+from rig.view import ScratchView
 
 HELP: Final = "space pause  → frame  h half-cycle  + - 10 s  g go to  q end"
 SEEK_S: Final = 10.0
@@ -20,13 +20,29 @@ _LATEST_S = 0.5
 _SEEN_S = 2.0
 """After so long it is known how fast a replay goes."""
 MOST_FRAMES = {False: 10_000, True: 64}
-"""Frames processed between two checks of the keys: with recorded spots, and tracked again."""
+"""Frames processed between two checks of the keys: with recorded spots, and tracked again or shown."""
+
+
+class ReplayState(NamedTuple):
+    """A replay at one moment: time from the record's first frame, and what was found since it was begun.
+
+    `amplitude` is that of the last good half-cycle, in arcsec (px without a lever).
+    """
+
+    elapsed_s: float
+    paused: bool = False
+    frames: int = 0
+    dropped_frames: int = 0
+    lost_spots: int = 0
+    half_cycles: int = 0
+    amplitude: float = math.nan
+    clock: CameraClock = CameraClock()
 
 
 class Display(Protocol):
     """Shows the progress of a replay."""
 
-    def show(self, snapshot: Snapshot, length_s: float, remaining_s: float, prompt: str | None) -> None:
+    def show(self, state: ReplayState, length_s: float, remaining_s: float, prompt: str | None) -> None:
         """Show state, length of the record, remaining time (NaN: unknown) and the text being typed."""
 
 
@@ -52,7 +68,7 @@ class Player:
         display: Display,
         *,
         retrack: bool = False,
-        view: Viewer | None = None,
+        view: ScratchView | None = None,
         events: list[Event] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -60,7 +76,8 @@ class Player:
         self._speed = speed
         self._keys = keys
         self._display = display
-        self._most = MOST_FRAMES[retrack]
+        # a view is drawn as the run was, piece by piece
+        self._most = MOST_FRAMES[retrack or view is not None]
         self._view = view
         self._events = sorted(events or [], key=lambda event: event.time_ns)
         self._clock = clock
@@ -84,6 +101,14 @@ class Player:
             self._show()
             wait_s = self._go_on()
         self._show()
+
+    def finish(self) -> Replayed:
+        """Complete the last half-cycles, which are shown too."""
+        result = self._replay.finish()
+        if self._view is not None:
+            self._view.half_cycles(result.swings[self._half_cycles :])
+            self._view.flush()
+        return result
 
     def _go_on(self) -> float:
         """Process the frames that are due; returns the time in s until the next one."""
@@ -127,7 +152,6 @@ class Player:
             self._half_cycles += 1
             if not swing.flags:
                 self._amplitude = swing.amplitude / block.deflections.unit.shown_size
-                self._period_s = 2.0 * swing.half_period_s
         self._draw(step)
         if not self._begun:
             # the first frames wait for what is loaded and compiled, and say nothing of the others
@@ -139,17 +163,13 @@ class Player:
         if self._view is None:
             return
         start_ns = self._replay.start_ns
-        self._view.block(start_ns, (), step.block)
-        for frame, spot in step.pictures:
-            self._view.picture(start_ns, frame, spot)
+        self._view.block(step.block, step.pictures, sequences=step.sequences.tolist())
         position_ns = start_ns + nanoseconds(self._replay.position_s)
         while self._next_event < len(self._events) and (
             self._events[self._next_event].time_ns <= position_ns or math.isinf(self._replay.next_s)
         ):
-            self._view.event(start_ns, self._events[self._next_event])
+            self._view.event(self._events[self._next_event])
             self._next_event += 1
-        if math.isinf(self._speed):
-            self._view.wait_room()
 
     def _take(self, key: str) -> None:
         """Carry out the command of a key."""
@@ -191,7 +211,7 @@ class Player:
         self._wanted_s = -math.inf
         replay.restart(time_s)
         if self._view is not None:
-            self._view.jump(time_s)
+            self._view.restart(replay.start_ns + nanoseconds(time_s))
         self._forget()
 
     def _forget(self) -> None:
@@ -199,7 +219,7 @@ class Player:
         start_ns, begun_s = self._replay.start_ns, self._replay.begun_s
         begun_ns = start_ns + nanoseconds(begun_s)
         self._frames = self._missing = self._lost = self._half_cycles = 0
-        self._amplitude = self._period_s = math.nan
+        self._amplitude = math.nan
         self._last_sequence = self._replay.next_sequence - 1
         self._next_event = sum(event.time_ns < begun_ns for event in self._events) if begun_s > 0 else 0
         self._resume()
@@ -214,18 +234,6 @@ class Player:
         gone_s, host_s = position_s - self._base_s, self._clock() - self._base_clock_s
         known = gone_s > 0 and host_s > _SEEN_S and not self.paused
         remaining_s = (replay.length_s - position_s) * host_s / gone_s if known else math.nan
-        snapshot = Snapshot(
-            phase=Phase.PAUSED if self.paused else Phase.REPLAYING,
-            elapsed_s=position_s,
-            frames=self._frames,
-            dropped_frames=self._missing,
-            lost_spots=self._lost,
-            beam=replay.beam.text,
-            clock=replay.clock,
-            half_cycles=self._half_cycles,
-            amplitude=self._amplitude,
-            period_s=self._period_s,
-        )
-        self._display.show(snapshot, replay.length_s, remaining_s, self._typed)
-        if self._view is not None:
-            self._view.snapshot(snapshot)
+        counts = (self._frames, self._missing, self._lost, self._half_cycles)
+        state = ReplayState(position_s, self.paused, *counts, self._amplitude, replay.clock)
+        self._display.show(state, replay.length_s, remaining_s, self._typed)

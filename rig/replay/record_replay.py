@@ -21,16 +21,15 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.instrument import recorded_configuration
+from rig.instrument import configuration_attachments, recorded_configuration
 from rig.presentation import Keys, answer, print_line, say
 from rig.replay.comparison import parameter_changes
 from rig.replay.player import HELP, MOST_FRAMES, Player
 from rig.replay.replay import Replay, Replayed
 from rig.replay.screen import ReplayLine, print_changes, print_comparison
-from rig.rerun import Mode, Trouble
 from rig.settings import Configuration, Watched
 from rig.terminal import Terminated
-from rig.view import Viewer, start_view
+from rig.view import Mode, ScratchHead, ScratchView
 
 _LOOK_S = 0.2
 
@@ -82,7 +81,13 @@ def replay_record(
         wants_view = mode != "none" or rrd is not None
         replay = Replay(reader, config, retrack=retrack, from_s=from_s, to_s=to_s, pictures=wants_view)
         with ExitStack() as stack:
-            view = _view(stack, reader, config, record, rrd, mode) if wants_view else None
+            view = None
+            if wants_view:
+                name = f"replay of {record.stem}"
+                view = stack.enter_context(ScratchView(name, mode, rrd, "measuring", math.inf))
+                attachments = {**reader.attachments, **configuration_attachments(config, Path())}
+                metadata = {name: texts for name, texts in reader.metadata.items() if name != "record"}
+                view.begin(replay.start_ns, ScratchHead(metadata, attachments, config.deflection_unit))
             keys = stack.enter_context(Keys())
             line = stack.enter_context(ReplayLine(config.deflection_unit.shown, HELP if keys.there else ""))
             player = Player(
@@ -95,10 +100,10 @@ def replay_record(
                 events=_events(reader) if wants_view else [],
             )
             player.play()
+            result = player.finish()
             if mode == "web" and not player.ended_by_user:
                 say("the page has all of it and stays until q or Ctrl-C; the results follow then")
                 _stay(keys)
-        result = replay.finish()
         partial = replay.partial or replay.sought or player.ended_by_user
         run = replace(_analysed(reader, config, result), watched=watched)
         if partial:
@@ -114,8 +119,6 @@ def replay_record(
         write_results(output / RESULTS_NAME, results)
         answer(written=[output / RESULTS_NAME])
         print(f"results      {output / RESULTS_NAME}")
-    if view is not None:
-        view.check_file()
     if rrd is not None:
         answer(written=[rrd])
         print(f"Rerun file   {rrd}")
@@ -162,25 +165,6 @@ def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> 
         lambda _: result.dropped_frames,
         note="" if less is None else less.text,
     )
-
-
-def _view(
-    stack: ExitStack,
-    reader: RecordReader,
-    config: Configuration,
-    record: Path,
-    rrd: Path | None,
-    mode: Mode,
-) -> Viewer:
-    view = start_view(config, rrd, mode, "measuring", f"replay of {record.stem}", reader.full_scale_dn)
-
-    def close() -> None:
-        counts = view.close()
-        if counts.dropped and not counts.troubles & {Trouble.FILE_ENDED, Trouble.LIVE_ENDED}:
-            say(f"view: {counts.dropped} values are missing: they came faster than they could be drawn")
-
-    stack.callback(close)
-    return view
 
 
 def _say_differences(

@@ -26,14 +26,14 @@ _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
 
 
 class ReplayStep(NamedTuple):
-    """Results of some frames: the pipeline's block, and the recorded whole frames with their spots.
+    """Results of some frames: the pipeline's block, and the recorded whole frames.
 
     `sequences` are the frames' numbers, one for each time in the block.
     """
 
     sequences: NDArray[np.int64]
     block: Block
-    pictures: list[tuple[Frame, Spot]]
+    pictures: list[Frame]
 
 
 class Replayed(NamedTuple):
@@ -159,11 +159,6 @@ class Replay:
         return 0 if math.isinf(self.next_s) else int(self._table["sequence"][self._row])
 
     @property
-    def beam(self) -> BeamUse:
-        """What the spots so far say of the beam."""
-        return self._beam
-
-    @property
     def clock(self) -> CameraClock:
         """The camera's clock as the frames so far show it; not of frames made on demand."""
         known = [step for time_ns, step in self._steps if time_ns <= self._position_ns]
@@ -194,7 +189,7 @@ class Replay:
         block = self._block(rows, spots)
         self._keep(rows, block)
         self._comparison.spots(rows, spots)
-        return ReplayStep(rows["sequence"].astype(np.int64), block, self._pictures_of(rows, spots))
+        return ReplayStep(rows["sequence"].astype(np.int64), block, self._pictures_of(rows))
 
     def finish(self) -> Replayed:
         """Complete the last half-cycles; returns all results since the start."""
@@ -270,15 +265,15 @@ class Replay:
                 spots.append(_LOST)
         return spots
 
-    def _pictures_of(self, rows: NDArray[Any], spots: list[Spot]) -> list[tuple[Frame, Spot]]:
-        found: list[tuple[Frame, Spot]] = []
+    def _pictures_of(self, rows: NDArray[Any]) -> list[Frame]:
+        found: list[Frame] = []
         while self._pictures:
             self._image = self._image or next(self._images, None)
             if self._image is None or self._image.sequence > int(rows["sequence"][-1]):
                 break
             row = int(np.searchsorted(rows["sequence"], self._image.sequence))
             if row < len(rows) and rows["sequence"][row] == self._image.sequence:
-                found.append((self._image, spots[row]))
+                found.append(self._image)
             self._image = None
         return found
 

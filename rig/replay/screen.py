@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import IO, Self
 
-from rig.instrument import Phase, Snapshot
 from rig.presentation import (
     Shown,
     Table,
@@ -19,6 +18,7 @@ from rig.presentation import (
     signed,
 )
 from rig.replay.comparison import Change, ReplayDifferences
+from rig.replay.player import ReplayState
 
 _PLAIN_INTERVAL_S = 5.0
 _LINE_INTERVAL_S = 0.1
@@ -61,15 +61,15 @@ class ReplayLine:
             self._stream.write("\n")
             self._stream.flush()
 
-    def show(self, snapshot: Snapshot, length_s: float, remaining_s: float, prompt: str | None) -> None:
+    def show(self, state: ReplayState, length_s: float, remaining_s: float, prompt: str | None) -> None:
         """Update the line."""
         now_s = self._clock()
         interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
         # the effect of a key is shown immediately
-        moving = snapshot.phase is not Phase.PAUSED and prompt is None and snapshot.elapsed_s < length_s
+        moving = not state.paused and prompt is None and state.elapsed_s < length_s
         if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
             return
-        text = self._text(snapshot, length_s, remaining_s, prompt, columns_of(self._stream))
+        text = self._text(state, length_s, remaining_s, prompt, columns_of(self._stream))
         if not self._terminal:
             self._shown_s = now_s
             self._stream.write(f"{text}\n")
@@ -80,17 +80,18 @@ class ReplayLine:
             self._stream.flush()
 
     def _text(
-        self, snapshot: Snapshot, length_s: float, remaining_s: float, prompt: str | None, columns: int
+        self, state: ReplayState, length_s: float, remaining_s: float, prompt: str | None, columns: int
     ) -> str:
         if prompt is not None:
             return f"go to (seconds from the start, Enter): {prompt}"
-        part = 100 * snapshot.elapsed_s / length_s if length_s > 0 else 100.0
-        amplitude = "" if math.isnan(snapshot.amplitude) else f"  {snapshot.amplitude:.2f} {self._unit}"
-        clock = f"  clock {snapshot.clock.text}" if snapshot.clock.text else ""
+        part = 100 * state.elapsed_s / length_s if length_s > 0 else 100.0
+        amplitude = "" if math.isnan(state.amplitude) else f"  {state.amplitude:.2f} {self._unit}"
+        clock = f"  clock {state.clock.text}" if state.clock.text else ""
         left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
-        begin = f"{snapshot.phase}  {snapshot.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
-        half_cycles = f"  {snapshot.half_cycles} half-cycles"
-        texts = [f"  {snapshot.frames} frames", clock, half_cycles, amplitude, left]
+        doing = "paused" if state.paused else "replaying"
+        begin = f"{doing}  {state.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
+        half_cycles = f"  {state.half_cycles} half-cycles"
+        texts = [f"  {state.frames} frames", clock, half_cycles, amplitude, left]
         # a line that is wrapped could not be written over; the first of these is missed least
         for place, _ in enumerate(texts):
             if columns and len(begin) + sum(map(len, texts)) >= columns:

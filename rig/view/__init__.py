@@ -1,5 +1,6 @@
-"""The live view: passes plain values to the Rerun processes without ever blocking the measurement."""
+"""What draws a record, whole or being written, in Rerun: a program of its own, and what starts it."""
 
-from rig.view.configured import open_view, start_view
-from rig.view.recorded import show_records
-from rig.view.viewer import Viewer
+from rig.view.launch import RunningView
+from rig.view.scratch import ScratchHead, ScratchView
+from rig.view.show import show_records
+from rig.view.values import LayoutName, Mode

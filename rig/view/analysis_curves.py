@@ -19,7 +19,7 @@ from rig.analysis import (
     remarks,
 )
 from rig.presentation import Table
-from rig.rerun import Curve
+from rig.view.values import Curve
 
 
 class RunAnalysis(NamedTuple):

@@ -24,7 +24,6 @@ from acquisition.camera import CameraSettings
 from calibration.axes import Axes
 from calibration.light_lever import Lever
 from processing.spot import SensorModel
-from rig.channel import Channel, SessionNews
 from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
 from rig.instrument.kernels import prepare_kernels
@@ -36,8 +35,9 @@ from rig.measure.recorder import Entry, Recorder
 from rig.measure.run import Run, ready_for_frames
 from rig.measure.run_parts import RunParts, Watcher
 from rig.measure.screen import RunDisplay
+from rig.orders import OrderSocket, SessionNews
 from rig.settings import load_configuration, validate_configuration
-from rig.view import Viewer
+from rig.view import RunningView
 from tests.benchmarks.memory_camera import MemoryCamera, drawn_frames
 
 
@@ -118,6 +118,7 @@ def real_time(
     *,
     watchers: Sequence[Watcher] = (),
     show: Callable[[Snapshot], None] = lambda _: None,
+    viewed: bool = False,
 ) -> dict[str, Any]:
     """One run in real time: frames lost, latency from frame to record, share of one core.
 
@@ -139,7 +140,11 @@ def real_time(
             into = begin_ms if number < _BEGIN_S * rate_hz else latencies_ms
             into.append((now_ns - due_ns) * 1e-6)
 
-    with tempfile.TemporaryDirectory() as folder:
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        if viewed:
+            record = Path(folder) / "run.mcap"
+            stack.enter_context(RunningView(record, "web", record.with_suffix(".rrd"), "measuring"))
         camera = MemoryCamera(frames, full_scale_dn, rate_hz, duration_s)
         opened = OpenCamera(camera, camera.open(), ())
         sensor = SensorModel(10_000.0 / full_scale_dn, 7.0, full_scale_dn)
@@ -212,10 +217,9 @@ def desk_and_viewer() -> Iterator[Company]:
         def show(snapshot: Snapshot) -> None:
             news.state(display.values(snapshot), display.facts(snapshot))
 
-        stack.enter_context(Channel(folder, news, {}))
+        stack.enter_context(OrderSocket(folder, news, {}))
         stack.enter_context(Desk(source))
-        viewer = stack.enter_context(Viewer(Path(place) / "run.rrd", "web"))
-        yield Company([display, news, viewer], show)
+        yield Company([display, news], show)
 
 
 def measured(case: Case, seconds: float, way: str) -> dict[str, Any]:
@@ -225,7 +229,16 @@ def measured(case: Case, seconds: float, way: str) -> dict[str, Any]:
         if way == "with desk and viewer":
             company = stack.enter_context(desk_and_viewer())
         watchers, show = company
-        found = real_time(case.width, case.height, 8, case.rate_hz, seconds, watchers=watchers, show=show)
+        found = real_time(
+            case.width,
+            case.height,
+            8,
+            case.rate_hz,
+            seconds,
+            watchers=watchers,
+            show=show,
+            viewed=way == "with desk and viewer",
+        )
     return found | {"load": os.getloadavg()[0]}
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from unittest.mock import patch
 
 from processing.errors import RigError
-from rig.channel import Line, NoSession
+from rig.orders import Line, NoSession
 from tests.benchmarks.safety_program import PLACES
 from tests.benchmarks.safety_row import Row
 from tests.rig.command_line import CONFIGS

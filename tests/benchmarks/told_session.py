@@ -18,7 +18,7 @@ import numpy as np
 from acquisition.frame import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
-from rig.channel import Channel, SessionNews
+from rig.orders import OrderSocket, SessionNews
 from rig.settings import Configuration
 
 _EACH_S = 0.1
@@ -51,7 +51,7 @@ def main(folder: Path) -> None:
     ended = threading.Event()
     empty = np.zeros(0)
     none = Deflections(np.zeros(0, np.int64), empty, empty, empty, empty, DeflectionUnit.PX)
-    with Channel(folder, told, {}, lambda: more):
+    with OrderSocket(folder, told, {}, lambda: more):
         print("begun", flush=True)
         threading.Thread(target=listen, daemon=True).start()
         while not ended.wait(_EACH_S):

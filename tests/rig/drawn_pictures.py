@@ -15,8 +15,8 @@ from rig.instrument import complete
 from rig.plan import expected_of, plan_expected, plan_figure
 from rig.report import draw_run, styled
 from rig.report.figures_ground import witness_figure
-from rig.rerun import LayoutName
 from rig.settings import load_configuration
+from rig.view import LayoutName
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / "docs" / "pictures"

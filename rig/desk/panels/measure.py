@@ -11,7 +11,6 @@ from nicegui import run, ui
 from processing.errors import RigError
 from processing.estimate import Estimate
 from rig.alarms import AlarmKey
-from rig.channel import newest_first
 from rig.control import STALE_S, DevicesNow
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
@@ -20,6 +19,7 @@ from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.panels.run_charts import FIRST_FIT, RunCharts
 from rig.desk.panels.run_result import NEXT_RUN, RunResult
 from rig.desk.panels.start_form import build_form
+from rig.desk.run_reader import newest_first
 from rig.desk.tab import Tab
 from rig.instrument import Phase
 from rig.measure import estimate_texts
@@ -217,7 +217,7 @@ def _estimates(run_state: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _event(at_s: float, event: Mapping[str, Any]) -> str:
-    grave = {"error": "no", "warning": "caution"}.get(str(event["level"]), "")
+    grave = {"trip": "no", "alarm": "no", "warning": "caution"}.get(str(event["level"]), "")
     when = str(event["at"]) if math.isnan(at_s) else f"{at_s:.1f} s"
     # some have said all with their kind
     text = html.escape(": ".join(str(event[part]) for part in ("kind", "text") if event[part]))

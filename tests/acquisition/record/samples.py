@@ -88,6 +88,7 @@ def write_sample(
                 frame = Frame(rng.poisson(9, (48, 64)).astype(dtype), first, first * FRAME_NS, 0)
                 done.images.append(frame)
                 writer.write_image(frame)
+                writer.write_preview(frame)
                 writer.write(ENVIRONMENT, Environment(time_ns, 21.5, np.nan, 101325.0), time_ns)
             writer.write_log(time_ns, 2, "session", f"block {first}")
             writer.flush()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acquisition.frame import Frame
 from acquisition.record.file_lock import is_being_written
 from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
@@ -49,6 +50,28 @@ def test_everything_that_was_flushed_is_seen_once_it_was(tmp_path: Path) -> None
         assert not is_being_written(path)
         assert reader.counts["/event"] == 5
         assert reader.doubts() == []
+
+
+def test_each_piece_is_given_once_and_the_same_of_a_record_that_grows(tmp_path: Path) -> None:
+    path, image = tmp_path / "run.mcap", np.zeros((8, 8), dtype=np.uint8)
+    given, pictures = [], []
+    with RecordWriter(path, 0, flush_interval_s=1e9) as writer, RecordReader(path) as reader:
+        for number in range(6):
+            writer.write_event(number, "kind", str(number))
+            writer.write_preview(Frame(image, number, number, number))
+            writer.flush()
+            reader.update()
+            given += [reader.events_in(piece["/event"]) for piece in reader.unread()]
+            pictures += [one[:2] for one in reader.unread_pictures(2, number)]
+        writer.close()
+        reader.update()
+        assert list(reader.unread()) == []
+    with RecordReader(path) as reader:
+        assert [reader.events_in(piece["/event"]) for piece in reader.unread()] == given
+        assert [one[:2] for one in reader.unread_pictures(2, 3)] == [(0, 0), (2, 2)]
+        assert [one[:2] for one in reader.unread_pictures(2, 5)] == [(4, 4)]
+    assert [event.time_ns for events in given for event in events] == list(range(6))
+    assert pictures == [(0, 0), (2, 2), (4, 4)]
 
 
 @pytest.mark.parametrize("killed", [False, True])

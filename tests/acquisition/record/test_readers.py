@@ -98,12 +98,12 @@ def test_foxgloves_reader_sees_the_same(mcap_packages: Path, record: Path, mode:
 
 
 def previewed(record: Path) -> list[np.ndarray[Any, Any]]:
-    """The images of which a record has small pictures: one each 0.3 s."""
+    """The images of which a record has small pictures."""
     with RecordReader(record) as reader:
         (number,) = (n for n, topic in enumerate(PIXEL_TOPICS, 1) if topic == PREVIEW_TOPIC)
         (pixels,) = reader.files[1:]
         kept = [m.sequence for chunk in pixels.by_chunk(messages_in, number) for m in chunk]
-        shown = {window.sequence: window.image for window in reader.windows()}
+        shown = {frame.sequence: frame.image for frame in reader.images()}
         return [shown[sequence] for sequence in kept]
 
 

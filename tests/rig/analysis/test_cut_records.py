@@ -10,7 +10,7 @@ from acquisition.record.recover import recover
 from rig.commands.fitting import fit_records
 from rig.measure import resume_session
 from rig.replay.record_replay import replay_record
-from rig.view.recorded import write_rrd
+from rig.view.show import write_rrd
 from tests.rig.command_line import figures_are_not_drawn
 from tests.rig.replay.replay_record import make_record
 

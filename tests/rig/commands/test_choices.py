@@ -8,8 +8,8 @@ import typer
 from rig.archive.refitting import Level
 from rig.cli import app
 from rig.export.session_export import Format as ExportFormat
-from rig.rerun.messages import LayoutName, Mode
 from rig.settings.configuration import ViewSettings
+from rig.view.values import LayoutName, Mode
 from tests.rig.commands.wrong_inputs import commands
 
 

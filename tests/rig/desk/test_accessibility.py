@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from rig.archive import add_folders
-from rig.channel import Channel, SessionNews
 from rig.desk.theme import THEMES
+from rig.orders import OrderSocket, SessionNews
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page
 
@@ -87,7 +87,7 @@ def test_no_state_of_a_session_has_a_violation(shown: Shown, axe: str, theme: st
     folder = desk_output / f"axe-{theme}"
     folder.mkdir(parents=True)
     wrong = {}
-    with Channel(folder, session_news, {}):
+    with OrderSocket(folder, session_news, {}):
         for state in (
             {"phase": "rest", "progress": "spread 3 px"},
             {"phase": "release", "instruction": "release by hand now"},
@@ -173,7 +173,7 @@ def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
     page.key("4")
     news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     news.begin_run("run 1", 255, None)
-    with Channel(folder, news, {}):
+    with OrderSocket(folder, news, {}):
         page.wait("document.getElementById('amplitude').offsetParent !== null")
     page.wait_text("THE LAST SESSION")
     page.wait_text(" ± ")

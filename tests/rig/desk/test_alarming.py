@@ -15,10 +15,10 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 
 from processing.errors import RigError
 from rig.alarms import AlarmKey, AlarmState
-from rig.channel import Channel, SessionNews
 from rig.control import STALE_S
 from rig.desk.desk import Desk
 from rig.measure.session_file import RunState, SessionFile
+from rig.orders import OrderSocket, SessionNews
 from rig.settings import load_configuration, stored_configuration
 from tests.waiting import until
 
@@ -140,7 +140,7 @@ def test_a_session_whose_news_are_late_is_not_frozen(desk: Desk, config: Path) -
             go_on.wait(60.0)
         return {}
 
-    with Channel(config.parent / "runs" / "session", told, {}, extra):
+    with OrderSocket(config.parent / "runs" / "session", told, {}, extra):
         until(lambda: bool(desk.following.news))
         held.set()
         until(lambda: time.monotonic() - desk.following.heard_s > 2.0 * STALE_S)

@@ -13,9 +13,9 @@ from nicegui.page import page
 from acquisition.frame import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
-from rig.channel import Channel, SessionNews
 from rig.desk.chart_options import Curve, Ends, chart_options
 from rig.desk.charts import Chart, trajectory
+from rig.orders import OrderSocket, SessionNews
 from rig.presentation import quantity
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page
@@ -88,7 +88,7 @@ def test_a_trajectory_is_drawn_zoomed_and_exported(
     folder = desk_output / "of-charts"
     folder.mkdir(parents=True)
     page.key("4")
-    with Channel(folder, session_news, {}):
+    with OrderSocket(folder, session_news, {}):
         session_news.before_record([frame], [SPOT], way)
         page.wait(f"{OF}.getOption().series[0].data.length > 90")
         rows = page.ask(f"rigRows({OF})")

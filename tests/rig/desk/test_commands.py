@@ -13,7 +13,7 @@ import pytest
 
 from processing.errors import ConfigurationError
 from rig.balance import InJsonLines
-from rig.channel import Channel, SessionNews
+from rig.orders import OrderSocket, SessionNews
 from tests.rig.command_line import CONFIGS, SMALL, Done, rig, set_words
 from tests.waiting import until
 
@@ -89,7 +89,7 @@ def test_what_was_asked_to_end_is_waited_for_before_the_camera_is_refused(
     pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
     from rig.desk import jobs
     from rig.desk.desk import Desk
-    from rig.rerun import start_python
+    from rig.terminal import start_python
 
     def sleeping(*_words: str, **how: Any) -> "subprocess.Popen[Any]":
         return start_python("-c", "import time; time.sleep(60)", **how)
@@ -123,7 +123,7 @@ def test_a_session_that_was_stopped_is_waited_for_before_the_camera_is_refused(
     folder = desk.start_session({})
     with pytest.raises(ConfigurationError, match="which a session has; wait, or stop it"):
         desk.needs_camera("run")
-    with Channel(folder, SessionNews(desk.config), {}):
+    with OrderSocket(folder, SessionNews(desk.config), {}):
         until(lambda: desk.following.running)
     until(lambda: not desk.following.running)
     assert desk.session_state is Started.RUNNING

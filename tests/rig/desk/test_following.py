@@ -17,10 +17,10 @@ from acquisition.frame import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RigError
 from processing.spot import Spot
-from rig.channel import CHANNEL_NAME, Channel, SessionNews, line
 from rig.desk.desk import Desk
 from rig.desk.following import Following
 from rig.desk.panels.live_picture import look_now
+from rig.orders import ORDERS_NAME, OrderSocket, SessionNews, line
 from rig.settings import Configuration
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.waiting import until
@@ -34,7 +34,7 @@ def following(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Follo
     folder.mkdir()
     told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     follower = Following(tmp_path)
-    with Channel(folder, told, {}):
+    with OrderSocket(folder, told, {}):
         follower.start()
         until(lambda: follower.folder == folder)
     until(lambda: not follower.running)
@@ -48,7 +48,7 @@ def test_a_session_that_runs_already_is_known_when_it_has_started(tmp_path: Path
     folder.mkdir()
     told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     follower = Following(tmp_path)
-    with Channel(folder, told, {}):
+    with OrderSocket(folder, told, {}):
         follower.start()
         assert follower.folder == folder
         assert follower.news
@@ -67,7 +67,7 @@ def test_a_session_that_does_not_answer_is_not_given_up(following: Following, tm
             time.sleep(0.5)
         return {}
 
-    with Channel(folder, told, {"stop": lambda _: "stopping"}, extra):
+    with OrderSocket(folder, told, {"stop": lambda _: "stopping"}, extra):
         following.look_now()
         until(lambda: following.running)
         busy.set()
@@ -88,9 +88,9 @@ def test_the_camera_of_a_new_run_has_nothing_to_do_with_the_last_one(tmp_path: P
     folder.mkdir()
     told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     follower = Following(tmp_path)
-    with Channel(folder, told, {}):
+    with OrderSocket(folder, told, {}):
         told.begin_run("run 1", 255, None)
-        told.note("camera lost", "unplugged", "warning", 3.0)
+        told.note("camera lost", "unplugged", "warning")
         follower.start()
         assert follower.camera_event is not None
         told.begin_run("run 2", 255, None)
@@ -105,10 +105,10 @@ def test_a_session_that_was_killed_is_given_up_although_its_file_is_there(
     told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     with socket.create_server(("127.0.0.1", 0)) as gone:
         port = gone.getsockname()[1]
-    with Channel(folder, told, {}):
+    with OrderSocket(folder, told, {}):
         following.look_now()
         until(lambda: following.running)
-    (folder / CHANNEL_NAME).write_text(json.dumps({"port": port, "key": "key", "pid": 1}))
+    (folder / ORDERS_NAME).write_text(json.dumps({"port": port, "key": "key", "pid": 1}))
     until(lambda: not following.running)
     with pytest.raises(RigError, match="no session runs"):
         following.order("stop")
@@ -125,7 +125,7 @@ def test_a_press_of_light_off_that_comes_by_two_ways_darkens_once(tmp_path: Path
     told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     dark: list[str] = []
     desk = Desk(config)
-    with Channel(folder, told, {"dark": lambda by: dark.append(by) or "dark"}):  # type: ignore[func-returns-value]
+    with OrderSocket(folder, told, {"dark": lambda by: dark.append(by) or "dark"}):  # type: ignore[func-returns-value]
         desk.following.start()
         for press in ("one", "one", "two"):
             assert desk.lighting.off(press) == ["no laser is switched by this program: turn its key"]
@@ -153,7 +153,7 @@ def test_the_look_at_a_running_session_has_the_lamp_of_its_reference(tmp_path: P
     nothing = np.zeros(0)
     none = Deflections(np.zeros(0, np.int64), *[nothing] * 4, DeflectionUnit.PX)
     spot = Spot(16.0, 20.0, 0.01, 0.01, 2.0, 2.0, 0.0, 100.0, 4.0, 1.0, 0)
-    with Channel(folder, told, {}):
+    with OrderSocket(folder, told, {}):
         desk.following.start()
         until(lambda: "camera" in desk.following.news)
         desk.following.picture()
@@ -203,4 +203,4 @@ def test_what_is_recorded_for_a_calibration_is_seen_and_an_old_picture_never(tmp
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=60)
     assert record.exists(), "what was recorded up to then is kept"
-    assert not (record.parent / CHANNEL_NAME).exists()
+    assert not (record.parent / ORDERS_NAME).exists()

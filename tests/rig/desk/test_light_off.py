@@ -47,7 +47,7 @@ def rig(desk_configuration: Callable[[str], Path], browser: HeadlessBrowser) -> 
                 yield board, desk, page, config
         finally:
             # a session outlives its desk, and would take the port when the next board gets the same name
-            for channel in (config.parent / "runs").glob("*/.channel.json"):
+            for channel in (config.parent / "runs").glob("*/.orders.json"):
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(int(json.loads(channel.read_text())["pid"]), signal.SIGKILL)
 
@@ -63,7 +63,7 @@ def start(page: Page) -> None:
 
 def session_of(config: Path) -> tuple[Path, int]:
     """Folder and process of the session that runs."""
-    folder = next((config.parent / "runs").glob("*/.channel.json"))
+    folder = next((config.parent / "runs").glob("*/.orders.json"))
     return folder.parent, int(json.loads(folder.read_text())["pid"])
 
 
@@ -207,7 +207,7 @@ def test_text_that_is_typed_at_anything_lights_nothing(rig: Rig) -> None:
             assert board.changes == [], f"panel {key}, {number} of what can have the focus"
     assert walked > 50
     assert page.text().count("session is starting") == 0
-    assert not list((config.parent / "runs").glob("*/.channel.json"))
+    assert not list((config.parent / "runs").glob("*/.orders.json"))
 
 
 def escape(page: Page) -> None:

@@ -5,6 +5,7 @@ import math
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,11 +14,12 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
+from acquisition.record.topics import ESTIMATE, FITTED, RecordedEstimate, RecordedFittedPoint
+from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
-from processing.estimate import Estimate
+from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
-from rig.channel import Channel, SessionNews
-from rig.instrument import Block, FittedDecay, Snapshot
+from rig.orders import OrderSocket, SessionNews
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import Page
 from tests.rig.view.headless_browser import HeadlessBrowser
@@ -37,8 +39,11 @@ class ToldRun:
 
     def __init__(self, folder: Path) -> None:
         self.news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
-        self.news.begin_run("run 1", 255, None)
-        self.channel = Channel(folder, self.news, {})
+        path = folder / "run-1.mcap"
+        self.news.begin_run("run 1", 255, None, path)
+        self.record = RecordWriter(path, time.time_ns(), deflection_unit=DeflectionUnit.PX)
+        self._spot, self._frames = Spot(*[0.0] * 10, SpotFlag(0)), 0
+        self.socket = OrderSocket(folder, self.news, {})
         self._random = np.random.default_rng(38)
         self._until_s, self._swings = 0.0, 0
 
@@ -60,24 +65,26 @@ class ToldRun:
             at_s, self._swings = self._swings * HALF_S, self._swings + 1
             size = 100.0 * math.exp(-at_s / 2e4)
             swings.append(Swing(self._swings, int(at_s * 1e9), 0.0, size, 0.1, HALF_S, 1e-4, 0.0, 1, 0))
-        self.news.block(0, [], Block([], moved, swings, []))
-        self.news.before_record([], [], moved)
+        row = self._spot._replace(x_px=0.0)
+        numbers = range(self._frames, self._frames + len(times_ns))
+        self._frames += len(times_ns)
+        at = times_ns.tolist()
+        self.record.write_spots(numbers, at, at, [row] * len(at), moved)
+        for swing in swings:
+            self.record.write_swing(swing)
         of = range(0, self._swings, -(-self._swings // 300))
         at_ns, few = [int(k * HALF_S * 1e9) for k in of], self._random.normal(size=len(of)).tolist()
-        told = Snapshot(
-            elapsed_s=end_s,
-            estimated_from=self._swings,
-            half_cycles=self._swings,
-            estimates={key: Estimate(float(self._random.normal(1.0, 0.1)), 0.1) for key in ("b", "p", "c")},
-            decay=FittedDecay(at_ns, few, few, at_ns, few, few),
-        )
-        self.news.snapshot(told)
-        self.news.note("gap", f"{self._swings} frames are missing", "warning", end_s)
-        estimates = {
-            key: {"value": one.value, "standard_uncertainty": one.standard_uncertainty}
-            for key, one in told.estimates.items()
-        }
-        state = {"phase": "measuring", "elapsed_s": end_s, "amplitude": float(y[-1]), "estimates": estimates}
+        end_ns = int(end_s * 1e9)
+        estimates = {key: float(self._random.normal(1.0, 0.1)) for key in ("b", "p", "c")}
+        for key, value in estimates.items():
+            self.record.write(ESTIMATE, RecordedEstimate(end_ns, self._swings, value, 0.1, key), end_ns)
+        for turn_ns, value in zip(at_ns, few, strict=True):
+            point = RecordedFittedPoint(end_ns, turn_ns, value, value, value, value)
+            self.record.write(FITTED, point, end_ns)
+        self.record.write_event(end_ns, "gap", f"{self._swings} frames are missing")
+        self.record.flush()
+        told = {key: {"value": value, "standard_uncertainty": 0.1} for key, value in estimates.items()}
+        state = {"phase": "measuring", "elapsed_s": end_s, "amplitude": float(y[-1]), "estimates": told}
         self.news.state(state, [("elapsed", f"told {end_s:.0f} s"), ("half-cycles", str(self._swings))])
 
 
@@ -116,9 +123,10 @@ def told_desk(desk_configuration: Callable[[str], Path]) -> Iterator[tuple[Count
     folder.mkdir(parents=True)
     run = ToldRun(folder)
     run.go_on_until(60.0)
-    with run.channel:
+    with run.socket:
         desk = CountedDesk(config)
         yield desk, run
+        run.record.close()
         desk.process.kill()
         desk.process.communicate()
 

@@ -16,8 +16,8 @@ from acquisition.frame import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError
 from processing.spot import Spot, SpotFlag
-from rig.channel import Channel, SessionNews
 from rig.control import ControlState, DevicesNow, LaserNow, Light
+from rig.orders import OrderSocket, SessionNews
 from rig.settings import Configuration
 from tests.rig.control.test_states import status
 from tests.rig.desk.desk_page import DeskProcess, Page
@@ -170,7 +170,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         noted.append(value)
         return "noted"
 
-    with Channel(folder, session_news, {"brake": brake, "note": note}, lambda: now):
+    with OrderSocket(folder, session_news, {"brake": brake, "note": note}, lambda: now):
         session_news.state({"phase": "rest", "progress": "spread 3 px"}, [])
         page.wait_text("nothing recorded yet: rest: spread 3 px")
         page.wait_text("no frame yet: rest: spread 3 px")
@@ -239,7 +239,7 @@ def test_the_row_of_losses_agrees_with_a_spot_that_is_lost(shown: Shown, desk_ou
 
         page.wait_while(script, feed)
 
-    with Channel(folder, session_news, {}, dict):
+    with OrderSocket(folder, session_news, {}, dict):
         feed_until("document.body.innerText.includes('SPOT LOST')", spot)
         feed_until(f"/no spot for \\d+ s; 0 frames dropped/.test({losses})", spot)
         feed_until(

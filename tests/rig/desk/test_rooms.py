@@ -22,7 +22,7 @@ from rig.desk.safety import refusal
 from rig.desk.sessions import LookingAgain, session_row
 from rig.measure import RunState
 from rig.measure.session_file import SessionFile
-from rig.rerun import start_python
+from rig.terminal import start_python
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.waiting import until
 

@@ -99,7 +99,7 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
     audit = (folder / "audit.jsonl").read_text()
     assert '"what": "acknowledge"' in audit
     assert (folder / "report.html").exists()
-    assert not (folder / ".channel.json").exists()
+    assert not (folder / ".orders.json").exists()
 
 
 def tab_to(page: Page, words: str) -> None:
@@ -166,7 +166,7 @@ def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm
         page.click("Start …")
         page.in_dialog()
         page.wait(measuring)
-        (channel,) = (config.parent / "runs").glob("*/.channel.json")
+        (channel,) = (config.parent / "runs").glob("*/.orders.json")
         folder = channel.parent
         os.kill(process_of(folder), signal.SIGSTOP)
         page.wait_text("SESSION DOES NOT ANSWER")
@@ -183,7 +183,7 @@ def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm
         page.click("Start …")
         page.in_dialog()
         page.wait(measuring)
-        (channel,) = (config.parent / "runs").glob("*/.channel.json")
+        (channel,) = (config.parent / "runs").glob("*/.orders.json")
         folder = channel.parent
         os.kill(process_of(folder), signal.SIGKILL)
         page.wait_text("SESSION DIED")
@@ -201,7 +201,7 @@ def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm
 
 
 def process_of(folder: Path) -> int:
-    return int(json.loads((folder / ".channel.json").read_text())["pid"])
+    return int(json.loads((folder / ".orders.json").read_text())["pid"])
 
 
 def states(folder: Path) -> list[str]:

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
 from rig.alarms import CATALOGUE, AlarmKey
-from rig.channel import Channel, SessionNews
+from rig.orders import OrderSocket, SessionNews
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
@@ -37,7 +37,7 @@ def test_an_alarm_is_told_to_the_browser_once_with_its_remedy_and_so_is_the_desk
         folder = config.parent / "runs" / "told"
         folder.mkdir(parents=True)
         alarm = CATALOGUE[AlarmKey.PREFLIGHT]
-        with Channel(folder, news, {}, lambda: {"preflight": [{"name": "spot", "ok": False}]}):
+        with OrderSocket(folder, news, {}, lambda: {"preflight": [{"name": "spot", "ok": False}]}):
             news.state({"phase": "preflight"}, [])
             page.wait("window.told.length")
             title, text, tag, stays = page.ask("window.told[0]")

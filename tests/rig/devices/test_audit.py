@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from processing.errors import DeviceError
-from rig.channel import SessionNews
 from rig.control import LightRefused, SafetyState, TripCause
 from rig.control.simulated import SimulatedBoard
 from rig.devices import Audited, Devices
 from rig.devices.audit import AUDIT_NAME, AuditLog, check_log
 from rig.measure.session_orders import await_leave
+from rig.orders import SessionNews
 from rig.settings import Configuration, load_configuration
 from tests.disk_without_locks import without_locks
 from tests.rig.command_line import CONFIGS

@@ -385,7 +385,7 @@ def test_a_plan_that_waits_in_the_dark_does_not_light_after_a_trip(
 ) -> None:
     """Between two tries of a run whose preflight said no-go the door is opened for a moment."""
     from rig.measure.notices import announced
-    from rig.measure.session import Manner, make_session
+    from rig.measure.session import SessionOptions, make_session
 
     loop = Loop(monkeypatch)
     opened: list[Devices] = []
@@ -407,7 +407,7 @@ def test_a_plan_that_waits_in_the_dark_does_not_light_after_a_trip(
     folder.mkdir()
     with announced(config.session, folder) as outcome:
         with pytest.raises(LightRefused, match="nobody has acknowledged it"):
-            make_session(config, LIVE, folder, Manner(outcome.notices, False, False, patience))
+            make_session(config, LIVE, folder, SessionOptions(outcome.notices, False, False, patience))
         outcome.status = 1
     assert len(lit.at) == 1
 

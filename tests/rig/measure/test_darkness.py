@@ -17,11 +17,11 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
 from acquisition.simulation.inputs import RigInputs
 from processing.errors import RigError
-from rig.channel import Line, NoSession
 from rig.control import SafetyState, Stage, light_permit
 from rig.control.simulated import SimulatedBoard
 from rig.devices import lit_devices
 from rig.devices.audit import check_log
+from rig.orders import Line, NoSession
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 
 pytestmark = pytest.mark.timeout(300)
@@ -156,7 +156,7 @@ def acting(person: Callable[[], None]) -> Iterator[None]:
 def watch_in_the_dark(folder: Path, asks: bool) -> None:
     """As a desk: watch the session, and when its laser is dark, and its controller is back, ask for light."""
     heard = False
-    while not heard or (folder / ".channel.json").exists():
+    while not heard or (folder / ".orders.json").exists():
         with suppress(NoSession), Line(folder) as line:
             while True:
                 heard = True

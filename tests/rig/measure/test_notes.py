@@ -10,10 +10,10 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import RigError
-from rig.channel import Line, NoSession
 from rig.measure.notes import NOTES_NAME, Notes
+from rig.orders import Line, NoSession
 from rig.report.source import read_source
-from rig.view.recorded import write_rrd
+from rig.view.show import write_rrd
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 from tests.rig.view.rrd_contents import column
 

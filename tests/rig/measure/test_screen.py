@@ -19,7 +19,6 @@ from rig.instrument.pipeline import Block
 from rig.instrument.snapshot import Phase, Snapshot
 from rig.measure.run_panel import estimate_rows, estimate_texts
 from rig.measure.screen import RunDisplay
-from rig.view.state_text import state_text
 
 SEEN = Snapshot(
     phase=Phase.MEASURING,
@@ -163,21 +162,12 @@ def test_json_lines_name_each_loss(capsys: pytest.CaptureFixture[str]) -> None:
     assert state["estimates"] == {"c": {"value": 1e-8, "standard_uncertainty": None}}
 
 
-def test_screen_json_and_view_say_how_the_camera_s_clock_runs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_screen_and_json_say_how_the_camera_s_clock_runs(capsys: pytest.CaptureFixture[str]) -> None:
     said = "+31.204 ± 0.052 ppm against the computer's, stepped once by +0.13 s"
     assert said[:40] in screen(SEEN)
-    assert said in state_text(SEEN, DeflectionUnit.RAD, "12:00:00", [])
     display(io.StringIO(), json_lines=True).show(SEEN)
     state = json.loads(capsys.readouterr().out.splitlines()[0])
     assert state["clock"] == {"drift_ppm": 31.204, "u_drift_ppm": 0.052, "steps": 1, "largest_step_s": 0.13}
-    assert "clock" not in state_text(Snapshot(), DeflectionUnit.RAD, "12:00:00", [])
-
-
-def test_the_view_says_how_old_frames_are() -> None:
-    assert "frames were 12 ms old" in state_text(SEEN, DeflectionUnit.RAD, "12:00:00", [])
-    assert "lost: 3 by the bus, 1 by this computer" in state_text(SEEN, DeflectionUnit.RAD, "12:00:00", [])
-    assert math.isnan(Snapshot().frame_age_s)
-    assert "old" not in state_text(Snapshot(), DeflectionUnit.RAD, "12:00:00", [])
 
 
 def test_a_value_that_its_uncertainty_hides_is_not_shown() -> None:

@@ -11,19 +11,19 @@ from acquisition.record.reader import RecordReader
 from processing.balance import BalanceEstimator
 from processing.swing import SwingDetector
 from rig.instrument import Wall
-from rig.measure import camera_state, measure_session, recording
+from rig.measure import measure_session, readings, recording
 from rig.measure.screen import RunDisplay
 from rig.posterior import LivePosterior
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, SMALL
 
 WATCHERS = {
-    "watcher RunDisplay": (RunDisplay, "snapshot"),
+    "watcher RunDisplay": (RunDisplay, "block"),
     "the display": (RunDisplay, "show"),
     "the live fit": (LivePosterior, "take"),
     "the estimate of the balance": (BalanceEstimator, "update"),
     "the watch for steps": (recording.StepEvents, "take"),
-    "the camera's temperature": (camera_state.TemperatureWatch, "take"),
+    "the camera's temperature": (readings.TemperatureWatch, "take"),
 }
 
 

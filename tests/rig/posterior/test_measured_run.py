@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from calibration import Axes
 from processing.angle import ARCSEC_RAD
 from processing.contact.laws import PAPER
 from processing.deflections import Deflections, DeflectionUnit, slow_deflections
@@ -12,6 +13,8 @@ from processing.fit import FitOfSwings, FitResult, Linearised, with_misfit
 from processing.swing import HarmonicsWatch, Swing, SwingDetector
 from rig.analysis import evidence_of, settled_swings
 from rig.analysis.fitted_drag import OPEN_DRAG
+from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.turning_plane import follow_plane
 from rig.posterior.worker import MeasuredRun
 from rig.settings import FitSettings
 from tests.processing.fit.decays import paper_pair
@@ -32,9 +35,10 @@ def measured() -> tuple[list[Swing], Deflections]:
     return SwingDetector().update(samples.times_ns, samples.y, samples.u_y), samples
 
 
-def fed(run: MeasuredRun) -> FitResult:
+def fed(run: MeasuredRun, swings: list[Swing] | None = None, samples: Deflections | None = None) -> FitResult:
     """What is known in the end, fitted in between, too, as the half-cycles come."""
-    swings, samples = measured()
+    if swings is None or samples is None:
+        swings, samples = measured()
     before, since = 0, int(samples.times_ns[0])
     for count in STEPS:
         end_ns = swings[count].turn_time_ns
@@ -70,6 +74,40 @@ def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> N
         moved = max(moved, abs(detected.estimate(name).value - value) / u)
     # else the half-cycles as they were detected would do
     assert moved > 0.1
+
+
+@cache
+def turned() -> tuple[list[Swing], Deflections]:
+    """The same without the ground's motion, in a plane that turns by six degrees in five minutes."""
+    _, _, path = driven_path(PARAMETERS, PENDULUM, q=0.0, seed=3, frames_per_s=25.0)
+    path = path[: 25 * 320]
+    angle = np.radians(6.0) * np.linspace(0.0, 1.0, len(path))
+    noise = 0.02 * ARCSEC_RAD
+    seen = np.stack((path * np.sin(angle), path * np.cos(angle)))
+    seen += noise * np.random.default_rng(12).standard_normal(seen.shape)
+    u = np.full(len(path), noise)
+    times_ns = np.arange(len(path), dtype=np.int64) * 40_000_000
+    samples = Deflections(times_ns, seen[0], seen[1], u, u, DeflectionUnit.RAD)
+    return SwingDetector().update(samples.times_ns, samples.y, samples.u_y), samples
+
+
+@pytest.mark.parametrize("most", [1 << 22, 4000])
+def test_a_live_fit_follows_a_plane_of_swing_that_turns_as_the_results_do(most: int) -> None:
+    swings, samples = turned()
+    live = fed(MeasuredRun(most), swings, samples)
+    upto = samples[: int(np.searchsorted(samples.times_ns, swings[STEPS[-1]].turn_time_ns))]
+    followed = follow_plane(swings[: STEPS[-1]], PassingDeflections([upto], DeflectionUnit.RAD), Axes())
+    assert followed.is_turned
+    settled = settled_swings(
+        followed.swings, followed.deflections, DeflectionUnit.RAD, PENDULUM, FitSettings()
+    )
+    assert settled.exact is not None
+    unfollowed = 0.0
+    for name in PAPER.names(drag=True):
+        value, u = settled.exact.estimate(name)
+        assert live.estimate(name).value == pytest.approx(value, abs=0.3 * u), name
+        unfollowed = max(unfollowed, abs(how(swings, samples).of(swings).estimate(name).value - value) / u)
+    assert unfollowed > 3.0
 
 
 def test_deflections_are_let_go_where_there_are_many_and_the_fit_stays() -> None:

@@ -15,9 +15,8 @@ import pytest
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient, ViewerState
 
-from rig.rerun.ports import LOOPBACK, free_port
-from rig.rerun.process_group import own_group
-from rig.rerun.rerun_program import program, quiet_environment
+from rig.terminal import LOOPBACK, free_port, own_group
+from rig.view.rerun_program import program, quiet_environment
 
 ICD_FOLDERS = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
 CLEAR_WITHIN_S = 60.0

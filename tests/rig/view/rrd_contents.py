@@ -13,6 +13,21 @@ def entities(path: Path) -> set[str]:
     return {str(chunk.entity_path) for chunk in RrdReader(path).stream()}
 
 
+def contents(path: Path) -> dict[tuple[str, str], list[tuple[int | None, Any]]]:
+    """Everything that is drawn: times in ns (None: always) and values by entity and component."""
+    found: dict[tuple[str, str], list[tuple[int | None, Any]]] = {}
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        times = [None] * batch.num_rows
+        if not chunk.is_static:
+            times = batch.column("run_time").cast(pa.int64()).to_pylist()
+        for name in batch.schema.names:
+            if ":" in name:
+                rows = zip(times, batch.column(name).to_pylist(), strict=True)
+                found.setdefault((str(chunk.entity_path), name), []).extend(rows)
+    return {key: sorted(rows, key=lambda row: row[0] or -1) for key, rows in found.items()}
+
+
 def column(path: Path, entity: str, component: str) -> tuple[np.ndarray[Any, Any], list[Any]]:
     """Times in s, ascending, and values of one component of an entity."""
     times: list[np.ndarray[Any, Any]] = []

@@ -5,49 +5,67 @@ physics is tested with them.
 """
 
 import math
+import uuid
 from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
 
-from acquisition.record.events import EventKind
+from acquisition.record.events import Event, EventKind
 from processing.angle import ARCSEC_RAD
-from processing.swing import Swing
-from rig.rerun.messages import Curve
-from rig.view.viewer import Viewer
+from rig.view import layout
+from rig.view.analysis_panels import draw_fits
+from rig.view.drawing import Drawing
+from rig.view.values import Curve, Setup
 
 PERIOD_S = 4.07
 SECONDS = 60.0
 RATE_HZ = 100.0
 
 
-def play(viewer: Viewer, *, run: str = "", seed: int = 1, seconds: float = SECONDS, fits: bool = True) -> int:
-    """Hand a whole scene to a viewer; how many samples it has."""
+@contextmanager
+def drawing_into(rrd: Path, **setup: Any) -> Iterator[Drawing]:
+    """Draw into a Rerun file; `setup` as for `Setup`."""
+    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=str(uuid.uuid4()))
+    known = Setup("scene", **setup)
+    stream.set_sinks(rr.FileSink(rrd), default_blueprint=layout.blueprint(known))
+    stream.send_recording_name("scene")
+    drawing = Drawing(stream, known, gather_s=1e9, gather_rows=8000)
+    yield drawing
+    drawing.send(now=True)
+    stream.flush(timeout_sec=30.0)
+    stream.disconnect()
+
+
+def play(drawing: Drawing, *, run: str = "", seed: int = 1, seconds: float = SECONDS) -> None:
+    """Draw the whole scene."""
     random = np.random.default_rng(seed)
-    count = 0
     events = ((0.0, EventKind.START), (20.0, EventKind.SPOT_LOST), (24.0, EventKind.SPOT_FOUND))
     for at_s, kind in events:
-        viewer.log(at_s, "info", f"{kind}: of the scene", kind=kind, run=run)
+        drawing.event(run, at_s, Event(0, kind, "of the scene"))
     for time_s in blocks(seconds):
         x, y = trajectory(time_s, random)
-        viewer.samples(time_s, x, y, np.zeros(len(time_s), dtype=np.int64), run=run)
-        count += len(time_s)
+        drawing.samples(run, time_s, x, y, np.zeros(len(time_s), dtype=np.int64))
         if round(time_s[0] * 10) % 20 == 0:
-            _half_cycle(viewer, float(time_s[0]), random, run)
+            _half_cycle(drawing, float(time_s[0]), random, run)
         if round(time_s[0] * 10) % 200 == 0:
             end_s, spot = float(time_s[-1]), (320.0 + 2.2 * x[-1], 160.0 - 1.2 * y[-1])
-            viewer.image(end_s, spot_image(spot, random), spot, run=run)
-            viewer.losses(
-                end_s, {"dropped_frames": round(end_s / 10), "lost_spots": round(end_s / 20)}, run=run
-            )
-            viewer.state(f"**measuring**\n\n- time {end_s:.0f} s\n- 2 frames dropped", time_s=end_s, run=run)
-            viewer.clock(end_s, 31.0 + 0.02 * end_s, 12.0 / (1.0 + 0.1 * end_s), run=run)
-            viewer.log(end_s, "warning", "gap: 1 frame is missing", run=run)
-    if fits:
-        viewer.fits(
-            curves(), "# steel on K8 glass\n\n| | exact | u |\n|---|---|---|\n| p | 0.50 | 0.01 |", run=run
-        )
-    return count
+            done, jpeg = cv2.imencode(".jpg", spot_image(spot, random))
+            assert done
+            drawing.picture(run, end_s, jpeg.tobytes(), (320, 640), spot)
+            drawing.losses(run, end_s, {"missing_frames": round(end_s / 10), "lost_spots": round(end_s / 20)})
+            state = f"**measuring**\n\n- time {end_s:.0f} s\n- 2 frames dropped"
+            drawing.text(run, layout.STATE, end_s, state)
+            drawing.clock(run, end_s, 31.0 + 0.02 * end_s, 12.0 / (1.0 + 0.1 * end_s))
+            drawing.event(run, end_s, Event(0, EventKind.GAP, "1 frame is missing"))
+        drawing.send()
+    report = "# steel on K8 glass\n\n| | exact | u |\n|---|---|---|\n| p | 0.50 | 0.01 |"
+    draw_fits(drawing.stream, curves(), report, run, drawing.setup.unit)
 
 
 def blocks(seconds: float) -> Iterator[NDArray[np.float64]]:
@@ -99,27 +117,24 @@ def _arcsec(value: float, u: float) -> tuple[float, float]:
     return value * ARCSEC_RAD, u * ARCSEC_RAD
 
 
-def _half_cycle(viewer: Viewer, time_s: float, random: np.random.Generator, run: str) -> None:
+def _half_cycle(drawing: Drawing, time_s: float, random: np.random.Generator, run: str) -> None:
     amplitude = 120 * np.exp(-time_s / 900)
     noise = random.normal(size=8)
     period_s = PERIOD_S * (1 + 2e-5 * amplitude) + 0.03 / amplitude * noise[1]
-    a_rad, u_rad = _arcsec(amplitude + 0.005 * noise[0], 0.005)
-    swing = Swing(0, round(time_s * 1e9), 1e-4, a_rad, u_rad, period_s / 2, 0.015 / amplitude, 0.0, 1, 0)
-    viewer.swings([swing], 0, run=run)
-    viewer.balance(
-        time_s,
-        {
-            "transverse": _arcsec(2.5 * np.exp(-time_s / 200) + 0.02 * noise[2], 0.02),
-            "transverse_ratio": (0.02 + 0.0005 * noise[3], 0.0005),
-            "width_ratio": (0.011 + 0.0005 * noise[4], 0.0005),
-            "line_angle_rad": (math.radians(1.6 + 0.01 * noise[5]), math.radians(0.01)),
-            "rotation_rad_per_s": (math.radians(0.05 + 0.02 * noise[6]) / 60, math.radians(0.02) / 60),
-            "rest_x": _arcsec(0.5 + 0.001 * time_s, 0.01),
-            "rest_y": _arcsec(-1.1 + 0.002 * time_s, 0.01),
-            "drift_x_per_s": _arcsec(0.06 / 60, 0.004 / 60),
-            "drift_y_per_s": _arcsec(0.12 / 60, 0.005 / 60),
-            "period_ratio": (5.1 + 0.001 * noise[7], 0.003),
-        },
-        advice="The line is tilted by **1.60°** clockwise.",
-        run=run,
-    )
+    columns = (amplitude + 0.005 * noise[0], 0.005, period_s, 0.03 / amplitude)
+    at_s, value, u, period, u_period = (np.array([one]) for one in (time_s, *columns))
+    drawing.half_cycles(run, at_s, (value, u), (period, u_period))
+    numbers = {
+        "transverse": _arcsec(2.5 * np.exp(-time_s / 200) + 0.02 * noise[2], 0.02),
+        "transverse_ratio": (0.02 + 0.0005 * noise[3], 0.0005),
+        "width_ratio": (0.011 + 0.0005 * noise[4], 0.0005),
+        "line_angle_rad": (math.radians(1.6 + 0.01 * noise[5]), math.radians(0.01)),
+        "rotation_rad_per_s": (math.radians(0.05 + 0.02 * noise[6]) / 60, math.radians(0.02) / 60),
+        "rest_x": _arcsec(0.5 + 0.001 * time_s, 0.01),
+        "rest_y": _arcsec(-1.1 + 0.002 * time_s, 0.01),
+        "drift_x_per_s": _arcsec(0.06 / 60, 0.004 / 60),
+        "drift_y_per_s": _arcsec(0.12 / 60, 0.005 / 60),
+        "period_ratio": (5.1 + 0.001 * noise[7], 0.003),
+    }
+    drawing.balance(run, time_s, numbers)
+    drawing.text(run, layout.ADVICE, time_s, "The line is tilted by **1.60°** clockwise.")

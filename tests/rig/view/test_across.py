@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from processing.angle import ARCSEC_RAD
-from rig.rerun.across import AcrossTheSwing
+from rig.view.across import AcrossTheSwing
 
 PERIOD_S, TURNING = 4.07, 5e-4
 T_S = np.arange(0.0, 60.0, 0.01)

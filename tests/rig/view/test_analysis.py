@@ -12,12 +12,10 @@ from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from rig.instrument import advice_for, complete
-from rig.instrument.provenance import recorded_configuration
-from rig.replay.replay import Replay
+from rig.replay import replay_record
 from rig.settings import load_configuration
 from rig.view.analysis_curves import analysis_curves, report_text, run_analysis
-from rig.view.configured import start_view
-from rig.view.recorded import write_rrd
+from rig.view.show import write_rrd
 from tests.rig.replay.replay_record import CONFIG, make_record
 from tests.rig.view.rrd_contents import column, entities, measured, scalars, static_values
 
@@ -93,18 +91,13 @@ def test_advice_names_what_is_out_of_limits(balance: Balance) -> None:
     assert advice_for(config, replace(tilted, rest_x=math.nan)).markdown == ""
 
 
-def test_advice_reaches_the_view_of_a_run_and_of_its_record(tmp_path: Path, balance: Balance) -> None:
-    shown, live = tmp_path / "shown.rrd", tmp_path / "live.rrd"
-    write_rrd([make_record(tmp_path / "run.mcap", 15.0)], shown, layout="balancing")
-    assert "balanced" in str(column(shown, "/advice", "TextDocument:text"))
-    config = complete(load_configuration(CONFIG))
-    view = start_view(config, live, "none", "balancing", "live", 255)
-    with RecordReader(tmp_path / "run.mcap") as reader:
-        replay = Replay(reader, recorded_configuration(reader), retrack=False)
-        while (step := replay.advance(math.inf, 500)) is not None:
-            view.block(replay.start_ns, (), step.block)
-    assert view.close().dropped == 0
-    assert "balanced" in str(column(live, "/advice", "TextDocument:text"))
+def test_advice_reaches_the_view_of_a_record_and_of_its_replay(tmp_path: Path) -> None:
+    shown, again = tmp_path / "shown.rrd", tmp_path / "again.rrd"
+    record = make_record(tmp_path / "run.mcap", 15.0)
+    write_rrd([record], shown, layout="balancing")
+    replay_record(record, None, retrack=False, overrides=[], rrd=again)
+    for path in (shown, again):
+        assert "balanced" in str(column(path, "/advice", "TextDocument:text"))
 
 
 def test_the_balance_of_a_record_without_a_calibration_is_in_px(tmp_path: Path) -> None:
@@ -127,19 +120,13 @@ def test_the_balance_of_a_record_without_a_calibration_is_in_px(tmp_path: Path) 
     assert column(rrd, "/advice", "TextDocument:text")[1] == []
 
 
-def test_a_live_view_without_a_calibration_counts_in_px(tmp_path: Path) -> None:
+def test_a_replay_without_a_calibration_counts_in_px(tmp_path: Path) -> None:
     rrd = tmp_path / "px.rrd"
-    config = complete(load_configuration(CONFIG)).model_copy(update={"lever": None})
-    view = start_view(config, rrd, "none", "measuring", "px", 255)
-    with RecordReader(make_record(tmp_path / "run.mcap", 15.0)) as reader:
-        replay = Replay(reader, config, retrack=False)
-        step = replay.advance(math.inf, 500)
-        assert step is not None
-        view.block(replay.start_ns, (), step.block)
-        expected = step.block.deflections.y.copy()
-    view.close()
-    times_s, values = scalars(rrd, "/deflection/y")
+    record = make_record(tmp_path / "run.mcap", 15.0, calibrated=False)
+    replay_record(record, None, retrack=False, overrides=[], rrd=rrd)
+    with RecordReader(record) as reader:
+        expected = reader.deflections().y
     # without a lever deflections are px, and are shown as they are
-    np.testing.assert_allclose(values, expected[: len(times_s)])
-    assert np.nanmax(np.abs(values)) > 100.0
+    np.testing.assert_array_equal(scalars(rrd, "/deflection/y")[1], expected)
+    assert np.nanmax(np.abs(expected)) > 100.0
     assert static_values(rrd, "/deflection/y", "SeriesLines:names") == ["Y / px"]

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.rerun.graticule import PLANE_REACH
-from rig.view.viewer import Viewer
+from rig.view.graticule import PLANE_REACH
 from tests.rig.view.rrd_contents import column
+from tests.rig.view.scene import drawing_into
 
 PERIOD_S = 4.0
 
@@ -21,12 +21,11 @@ def reaches(rrd: Path) -> tuple[np.ndarray, np.ndarray]:
 def draw(rrd: Path, block: int, amplitude: float, centre: float = 0.0, tau_s: float = 60.0) -> None:
     time_s = np.arange(0, 200, 0.02)
     y = centre + amplitude * np.exp(-time_s / tau_s) * np.cos(2 * np.pi * time_s / PERIOD_S)
-    with Viewer(rrd, amplitude=amplitude, period_s=PERIOD_S) as viewer:
+    with drawing_into(rrd, amplitude=amplitude, period_s=PERIOD_S) as drawing:
         for first in range(0, len(time_s), block):
             part = slice(first, first + block)
             none = np.zeros(len(time_s[part]), dtype=np.int64)
-            viewer.samples(time_s[part], 0 * y[part], y[part], none)
-            viewer.wait_room()
+            drawing.samples("", time_s[part], 0 * y[part], y[part], none)
 
 
 @pytest.mark.parametrize("block", [8, 1024])
@@ -55,10 +54,11 @@ def test_they_grow_with_a_release(tmp_path: Path) -> None:
     rrd = tmp_path / "release.rrd"
     time_s = np.arange(0, 40, 0.02)
     y = np.where(time_s < 20, 0.1, 100 * np.cos(2 * np.pi * (time_s - 20) / PERIOD_S))
-    with Viewer(rrd, amplitude=120.0, period_s=PERIOD_S) as viewer:
+    with drawing_into(rrd, amplitude=120.0, period_s=PERIOD_S) as drawing:
         for first in range(0, len(time_s), 50):
             part = slice(first, first + 50)
-            viewer.samples(time_s[part], 0 * y[part], y[part], np.zeros(len(y[part]), dtype=np.int64))
+            none = np.zeros(len(y[part]), dtype=np.int64)
+            drawing.samples("", time_s[part], 0 * y[part], y[part], none)
     times_s, reach = reaches(rrd)
     assert reach.min() < 1.0
     assert reach[-1] == pytest.approx(150.0)

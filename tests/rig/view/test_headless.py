@@ -14,9 +14,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.presentation import palette
-from rig.rerun.layout import TIMELINE, X_STRETCH
-from rig.rerun.messages import LayoutName
-from rig.view.viewer import Viewer
+from rig.view.layout import TIMELINE, X_STRETCH
+from rig.view.values import LayoutName
 from tests.rig.view import scene as view_scene
 from tests.rig.view.headless_viewer import headless_viewer, pixels_of, require_software_vulkan
 
@@ -80,7 +79,7 @@ ENTITIES = {
     "/amplitude",
     "/period",
     "/balance/line_angle",
-    "/losses/view_dropped",
+    "/losses/missing_frames",
     "/clock",
     "/frames",
     "/camera/image",
@@ -96,8 +95,8 @@ ENTITIES = {
 def test_layout(layout: LayoutName, tmp_path: Path) -> None:
     require_software_vulkan()
     path = tmp_path / "scene.rrd"
-    with Viewer(path, layout=layout, title="scene") as viewer:
-        view_scene.play(viewer)
+    with view_scene.drawing_into(path, layout=layout) as drawing:
+        view_scene.play(drawing)
     with headless_viewer(str(path)) as shown:
         state = shown.wait_loaded()
         assert {view.name for view in state.views} == set(COLOURS[layout])
@@ -129,14 +128,14 @@ def test_the_trajectory_points_up_and_fades(tmp_path: Path) -> None:
     require_software_vulkan()
     path = tmp_path / "scene.rrd"
     period_s = view_scene.PERIOD_S
-    with Viewer(path, amplitude=100.0, period_s=period_s) as viewer:
+    with view_scene.drawing_into(path, amplitude=100.0, period_s=period_s) as drawing:
         time_s = np.arange(0, 8 * period_s, 0.01)
         late = np.clip((time_s - 6 * period_s) / (2 * period_s), 0, 1)
         x = np.where(late > 0, 90 * late, -60 + 20 * np.sin(time_s))
         y = np.where(late > 0, 90 * late, -60 + 20 * np.cos(time_s))
         # A lost spot between the two: no line may lead from one to the other.
         x[(late == 0) & (time_s > 5.8 * period_s)] = np.nan
-        viewer.samples(time_s, x, y, np.zeros(len(time_s), dtype=np.int64))
+        drawing.samples("", time_s, x, y, np.zeros(len(time_s), dtype=np.int64))
     with headless_viewer(str(path)) as shown:
         shown.wait_loaded()
         view = shown.picture_once(

@@ -6,8 +6,8 @@ import pytest
 import rerun as rr
 
 from acquisition.record.events import Event, EventKind
-from rig.rerun import layout
-from rig.rerun.drawing import Lanes
+from rig.view import layout
+from rig.view.drawing import Lanes
 
 
 class Stream:

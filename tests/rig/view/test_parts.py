@@ -1,4 +1,4 @@
-"""Parts of the view without a viewer: queue, axes, trail, decimation, table of the balance, colours."""
+"""Parts of the view without a viewer: axes, trail, decimation, table of the balance, colours."""
 
 import dataclasses
 import itertools
@@ -26,58 +26,9 @@ from rig.presentation.balance import (
     balance_table,
 )
 from rig.presentation.quantities import declaration, law_parameters, quantity
-from rig.rerun.gathering import Decimator
-from rig.rerun.graticule import Graticule, reach_beyond, tick_label, ticks, trajectory_graticule
-from rig.rerun.lissajous import Trail
-from rig.rerun.messages import Picture, Samples, State
-from rig.view.feed import DroppingQueue
-
-
-def samples(first: int, rows: int) -> Samples:
-    time_s = np.arange(first, first + rows, dtype=np.float64)
-    return Samples("", time_s, time_s, time_s, np.zeros(rows, dtype=np.int64))
-
-
-def picture(time_s: float) -> Picture:
-    return Picture("", time_s, np.zeros((4, 4), dtype=np.uint8), 1.0, 1.0, 255)
-
-
-@given(st.lists(st.integers(1, 200), max_size=60), st.integers(500, 20_000))
-def test_the_queue_drops_the_oldest_and_counts_all(sizes: list[int], limit: int) -> None:
-    queue = DroppingQueue(limit)
-    first = 0
-    for size in sizes:
-        queue.put(samples(first, size))
-        first += size
-    kept = [message for message in queue.take(0.0, 10**9) if isinstance(message, Samples)]
-    dropped = queue.dropped
-    assert dropped + sum(len(message.time_s) for message in kept) == first
-    if kept:
-        # What is left is the newest, without a hole.
-        np.testing.assert_array_equal(
-            np.concatenate([message.time_s for message in kept]), np.arange(dropped, first)
-        )
-
-
-def test_pictures_never_push_curves_out() -> None:
-    queue = DroppingQueue(10**6, picture_places=3)
-    queue.put(samples(0, 10))
-    for number in range(10):
-        queue.put(picture(float(number)))
-    batch = queue.take(0.0, 10**9)
-    assert isinstance(batch[0], Samples)
-    assert [message.time_s for message in batch[1:] if isinstance(message, Picture)] == [7.0, 8.0, 9.0]
-    assert queue.dropped == 7
-
-
-def test_a_closed_queue_gives_what_it_holds_and_takes_no_more() -> None:
-    queue = DroppingQueue()
-    queue.put(State("", 0.0, "before"))
-    queue.close()
-    queue.put(State("", 1.0, "after"))
-    assert queue.take(0.0, 10**9) == [State("", 0.0, "before")]
-    assert queue.empty
-    assert queue.dropped == 1
+from rig.view.gathering import Decimator
+from rig.view.graticule import Graticule, reach_beyond, tick_label, ticks, trajectory_graticule
+from rig.view.lissajous import Trail
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6), st.integers(3, 12))

@@ -1,6 +1,7 @@
 """Display of records: content, alignment, overlay, and bad input."""
 
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from acquisition.frame import Frame
-from acquisition.record.events import ERROR_KINDS, WARNING_KINDS
+from acquisition.record.events import WARNING_KINDS
 from acquisition.record.writer import RecordWriter
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
@@ -16,8 +17,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
-from rig.view import Viewer
-from rig.view.recorded import run_names, show_records, write_rrd
+from rig.view.show import run_names, show_records, write_rrd
 from tests.rig.view import scene as view_scene
 from tests.rig.view.rrd_contents import column, entities, measured, scalars
 
@@ -25,7 +25,9 @@ EPOCH_NS = 1_700_000_000_000_000_000
 LOST_ROW = 500
 
 
-def make_record(path: Path, *, start_s: float = 7.0, rows: int = 1000, unit: str = "rad") -> Path:
+def make_record(
+    path: Path, *, start_s: float = 7.0, rows: int = 1000, unit: str = "rad", ended: str = ""
+) -> Path:
     """A record of `rows` frames at 100 a second; one is missing, one has lost its spot."""
     sequence = np.delete(np.arange(rows + 1), 200)
     times_ns = np.round((start_s + sequence / 100) * 1e9).astype(np.int64)
@@ -38,7 +40,8 @@ def make_record(path: Path, *, start_s: float = 7.0, rows: int = 1000, unit: str
     ]
     spots[LOST_ROW] = Spot(*[math.nan] * 10, SpotFlag.LOST)
     u = np.full(len(sequence), 0.01 * factor)
-    with RecordWriter(path, EPOCH_NS, deflection_unit=DeflectionUnit(unit)) as writer:
+    metadata = {"frame": {"width_px": "640", "height_px": "320"}}
+    with RecordWriter(path, EPOCH_NS, metadata=metadata, deflection_unit=DeflectionUnit(unit)) as writer:
         for first in range(0, len(sequence), 500):
             part = slice(first, first + 500)
             numbers, times = sequence[part].tolist(), times_ns[part]
@@ -57,8 +60,10 @@ def make_record(path: Path, *, start_s: float = 7.0, rows: int = 1000, unit: str
             at = {"time_ns": time_ns, "unit": DeflectionUnit(unit)}
             writer.write_balance(Balance(**{**unknown, **line, **at}))
         writer.write_event(int(times_ns[200]), "gap", "1 frame is missing")
+        if ended:
+            writer.write_event(int(times_ns[-1]), ended, "")
         image = view_scene.spot_image((420.0, 160.0), np.random.default_rng(0))
-        writer.write_image(Frame(image, int(sequence[100]), int(times_ns[100]), int(times_ns[100])))
+        writer.write_preview(Frame(image, int(sequence[100]), int(times_ns[100]), int(times_ns[100])))
     return path
 
 
@@ -82,8 +87,9 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     assert column(rrd, "/events", "TextLog:text")[1] == [["gap: 1 frame is missing"]]
     times_s, crosses = column(rrd, "/camera/spot", "LineStrips2D:strips")
     assert times_s == pytest.approx([1.0])
-    # The cross' arms are symmetric about the spot, half a pixel further in Rerun's coordinates.
-    assert np.mean(np.array(crosses[0]).reshape(-1, 2), axis=0) == pytest.approx([420.5, 160.5], abs=1e-3)
+    # of a frame half as large; the cross' arms are symmetric about the spot, half a pixel further in Rerun's
+    # coordinates
+    assert np.mean(np.array(crosses[0]).reshape(-1, 2), axis=0) == pytest.approx([210.5, 80.5], abs=1e-3)
 
 
 def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path) -> None:
@@ -93,7 +99,7 @@ def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path)
         nowhere = np.full(1, math.nan)
         at = Deflections(np.zeros(1, np.int64), nowhere, nowhere, nowhere, nowhere, DeflectionUnit.RAD)
         writer.write_spots([0], [0], [0], [spot], at)
-        for kind in ("start", *WARNING_KINDS, *ERROR_KINDS):
+        for kind in ("start", "trip", "laser dark", *WARNING_KINDS):
             writer.write_event(0, kind, "happened")
     write_rrd([path], rrd)
     texts = [text for (text,) in column(rrd, "/events", "TextLog:text")[1]]
@@ -101,7 +107,7 @@ def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path)
     found = dict(zip(texts, levels, strict=True))
     assert found.pop("start: happened") == "INFO"
     warned = {f"{kind}: happened": "WARN" for kind in WARNING_KINDS}
-    assert found == warned | {f"{kind}: happened": "ERROR" for kind in ERROR_KINDS}
+    assert found == warned | {"trip: happened": "CRITICAL", "laser dark: happened": "ERROR"}
 
 
 def test_a_lost_spot_breaks_the_trajectory(tmp_path: Path) -> None:
@@ -170,22 +176,25 @@ def test_an_existing_rerun_file_is_not_overwritten(tmp_path: Path) -> None:
     assert rrd.read_bytes() == b"kept"
 
 
-def test_a_rerun_file_that_is_gone_at_the_end_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rrd, close = tmp_path / "shown.rrd", Viewer.close
-
-    def close_and_remove(viewer: Viewer) -> None:
-        close(viewer)
-        rrd.unlink()
-
-    monkeypatch.setattr(Viewer, "close", close_and_remove)
-    with pytest.raises(RecordError, match=r"shown\.rrd is not whole: it was removed while it was written"):
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here to stand for a full disk")
+def test_a_full_disk_is_an_error_that_names_the_file(tmp_path: Path) -> None:
+    rrd = tmp_path / "shown.rrd"
+    rrd.symlink_to("/dev/full")
+    with pytest.raises(RecordError, match=r"shown\.rrd is not whole: .*No space left"):
         write_rrd([make_record(tmp_path / "run.mcap")], rrd)
 
 
+@pytest.mark.parametrize("where", ["missing/shown.rrd", "."])
+def test_a_rerun_file_that_cannot_be_made_is_refused(tmp_path: Path, where: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"missing is not there|is a folder"):
+        write_rrd([make_record(tmp_path / "run.mcap")], tmp_path / where)
+
+
 def test_without_a_screen_nothing_opens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.view.viewer_program.display_missing", lambda: "there is no screen here")
+    if not sys.platform.startswith("linux"):
+        pytest.skip("a screen may be missing on Linux only")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(ConfigurationError, match="no screen"):
         show_records([make_record(tmp_path / "run.mcap")])
 

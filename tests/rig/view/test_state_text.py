@@ -1,45 +1,82 @@
-"""What the State panel says: of what time it is, and why another panel is empty."""
+"""What the State panel says: of what time it is, how the session keeps up, why another panel is empty."""
 
 import math
-from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from processing.deflections import DeflectionUnit
-from processing.estimate import Estimate
-from rig.instrument import CameraClock, Phase, Snapshot
-from rig.presentation import Shown
-from rig.view.state_text import empty_panels, state_text
+from acquisition.record.topics import (
+    CAMERA_STEP,
+    ESTIMATE,
+    HEALTH,
+    LOSSES,
+    PHASE,
+    RecordedClockStep,
+    RecordedEstimate,
+    RecordedHealth,
+    RecordedLosses,
+    RecordedPhase,
+)
+from acquisition.record.writer import RecordWriter
+from processing.deflections import Deflections
+from processing.spot import Spot
+from rig.instrument import complete, configuration_attachments
+from rig.settings import load_configuration
+from rig.view.show import write_rrd
+from tests.rig.replay.replay_record import CONFIG, EPOCH_NS
+from tests.rig.view.rrd_contents import column
 
-PARAMETERS = {"b": Shown("b", "", "exponent"), "gamma": Shown("γ", "MPa", "pressure")}
-KNOWN = CameraClock(30.0, 0.1)
-BEGUN = Snapshot(phase=Phase.MEASURING, frame_age_s=0.001)
+HEALTHY = RecordedHealth(0, 1000, 4, 0, 0, 0, 10**6, 0.0123, 1e9, 0.0, 31.204, 0.052, "", "one Gaussian")
 
 
-def said(snapshot: Snapshot, *, balanced: bool = True, with_lever: bool = True) -> str:
-    parameters = PARAMETERS if with_lever else {}
-    return "; ".join(empty_panels(snapshot, parameters, balanced=balanced, with_lever=with_lever))
+def state_of(
+    folder: Path, *, calibrated: bool = True, estimates: dict[str, tuple[float, float]] | None = None
+) -> str:
+    """The last text but that of the end of a run of one spot, whose session says something of itself."""
+    config = complete(load_configuration(CONFIG))
+    if not calibrated:
+        config = config.model_copy(update={"lever": None})
+    unit, one = config.deflection_unit, np.zeros(1)
+    attachments = configuration_attachments(config, CONFIG)
+    with RecordWriter(folder / "run.mcap", EPOCH_NS, attachments=attachments, deflection_unit=unit) as writer:
+        spot = Spot(320.0, 160.0, 0.01, 0.01, 12.0, 12.0, 0.0, 200.0, 8.0, 1.0, 0)
+        writer.write_spots(
+            [0], [0], [0], [spot], Deflections(np.zeros(1, np.int64), one, one, one, one, unit)
+        )
+        writer.write(PHASE, RecordedPhase(0, 0.0, "measuring", instruction="look at the laser"), 0)
+        writer.write(CAMERA_STEP, RecordedClockStep(0, 130_000_000, 1000), 0)
+        writer.write(LOSSES, RecordedLosses(0, 0, 3, 1, 0, 0), 0)
+        writer.write(HEALTH, HEALTHY, 0)
+        for name, (value, u) in (estimates or {}).items():
+            writer.write(ESTIMATE, RecordedEstimate(0, 80, value, u, name), 0)
+    write_rrd([folder / "run.mcap"], folder / "run.rrd")
+    ((text,),) = column(folder / "run.rrd", "/state", "TextDocument:text")[1][-2:-1]
+    return str(text)
 
 
-def test_the_state_says_of_what_time_it_is() -> None:
-    text = state_text(BEGUN, DeflectionUnit.RAD, "15:04:05", ["the balance is empty"])
-    assert "- state of 15:04:05\n" in text
-    assert "1 ms old when they were processed" in text
-    assert "- the balance is empty\n" in text
+def test_the_state_says_how_the_session_keeps_up(tmp_path: Path) -> None:
+    text = state_of(tmp_path)
+    assert text.startswith("**measuring**\n\nlook at the laser\n\n- state of ")
+    assert "- frames were 12 ms old when they were processed\n" in text
+    assert "- camera's clock +31.204 ± 0.052 ppm against the computer's, stepped once by +0.13 s\n" in text
+    assert "- lost: 3 by the bus, 1 by this computer\n" in text
+    assert "- beam: one Gaussian\n" in text
 
 
-def test_every_empty_panel_has_a_reason() -> None:
-    text = said(BEGUN, balanced=False)
+def test_every_empty_panel_has_a_reason(tmp_path: Path) -> None:
+    text = state_of(tmp_path)
     assert "amplitude and period are empty until a half-cycle" in text
     assert "the balance is empty until" in text
-    assert "the clock is empty until" in text
     assert "enough half-cycles for a first fit" in text
-    assert "until the record begins" in said(replace(BEGUN, phase=Phase.WARM_UP))
-    assert "without [lever]" in said(BEGUN, with_lever=False)
+
+
+def test_without_a_lever_nothing_is_fitted(tmp_path: Path) -> None:
+    assert "without [lever]" in state_of(tmp_path, calibrated=False)
 
 
 @pytest.mark.parametrize(("u", "vague"), [(0.4, False), (0.6, True), (math.nan, True)])
-def test_a_parameter_that_is_not_drawn_is_named(u: float, vague: bool) -> None:
-    found = {"b": Estimate(1.0, 0.01), "gamma": Estimate(1.0, u)}
-    text = said(replace(BEGUN, clock=KNOWN, half_cycles=90, estimates=found, estimated_from=80))
-    assert text == ("not known to a half of their values yet, hence not drawn: γ" if vague else "")
+def test_a_parameter_that_is_not_drawn_is_named(tmp_path: Path, u: float, vague: bool) -> None:
+    names = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
+    text = state_of(tmp_path, estimates=dict.fromkeys(names, (1.0, 0.01)) | {"gamma_pa": (1.0, u)})
+    assert ("not known to a half of their values yet, hence not drawn: γ\n" in text) == vague

@@ -1,10 +1,8 @@
-"""`view.mode = "web"` in a real browser."""
+"""`rig view --view web` in a real browser."""
 
 import signal
 import subprocess
 import sys
-import time
-import urllib.parse
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,9 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.presentation import palette
-from rig.rerun.ports import LOOPBACK, free_port
-from rig.view.viewer import Viewer
-from tests.rig.view import scene as view_scene
+from rig.view.show import write_rrd
+from tests.rig.replay.replay_record import make_record
 from tests.rig.view.headless_browser import HeadlessBrowser, headless_browser, wait_for_picture
 from tests.rig.view.headless_viewer import pixels_of
 
@@ -30,44 +27,26 @@ def browser() -> Iterator[HeadlessBrowser]:
         yield started
 
 
-def test_the_page_draws_the_run(browser: HeadlessBrowser, tmp_path: Path) -> None:
-    with Viewer(None, "web", port=free_port(0), web_port=free_port(0)) as viewer:
-        view_scene.play(viewer)
-        deadline = time.monotonic() + 30.0
-        while not viewer.counts.notes:
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
-        address = viewer.counts.notes[0].removeprefix("live view: ")
-        time.sleep(1.0)
-        browser.open(address)
-        picture = wait_for_picture(browser, drawn, 120.0, tmp_path / "page.png")
-        for colour in WANTED:
-            assert pixels_of(picture, colour) > 60, f"nothing drawn in {colour}"
-        hosts = {urllib.parse.urlsplit(url).hostname for url in browser.requested}
-        # data: and blob: addresses have no host.
-        assert hosts - {None} == {LOOPBACK}
-
-
-def test_a_rerun_file_is_shown_as_a_page(browser: HeadlessBrowser, tmp_path: Path) -> None:
-    rrd = tmp_path / "scene.rrd"
-    with Viewer(rrd) as viewer:
-        view_scene.play(viewer)
-    command = "import sys; from pathlib import Path; from rig.view.viewer_program import show_rrd; "
-    command += "show_rrd([Path(sys.argv[1])], 'web')"
+@pytest.mark.parametrize("kind", ["mcap", "rrd"])
+def test_a_page_shows_records_and_rerun_files(browser: HeadlessBrowser, tmp_path: Path, kind: str) -> None:
+    record, shown = make_record(tmp_path / "run.mcap", 60.0), tmp_path / f"run.{kind}"
+    if kind == "rrd":
+        write_rrd([record], shown)
     with subprocess.Popen(
-        [sys.executable, "-c", command, str(rrd)],
+        [sys.executable, "-m", "rig", "view", str(shown), "--view", "web"],
         stdout=subprocess.PIPE,
         text=True,
         start_new_session=True,
-    ) as shown:
+    ) as view:
         try:
-            assert shown.stdout is not None
-            browser.open(shown.stdout.readline().split()[4])
+            assert view.stdout is not None
+            browser.open(view.stdout.readline().split()[4])
             picture = wait_for_picture(browser, drawn, 120.0, tmp_path / "page.png")
+            for colour in WANTED:
+                assert pixels_of(picture, colour) > 60, f"nothing drawn in {colour}"
         finally:
-            shown.send_signal(signal.SIGINT)
-            shown.wait(60.0)
-    assert drawn(picture)
+            view.send_signal(signal.SIGINT)
+            view.wait(60.0)
 
 
 def drawn(picture: NDArray[np.uint8]) -> bool:

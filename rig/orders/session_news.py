@@ -1,0 +1,222 @@
+"""What a session knows of itself at this moment, kept for whoever asks; a watcher of its runs."""
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.camera import CameraSettings
+from acquisition.frame import Frame, Image
+from acquisition.record.events import Event, Level
+from processing.deflections import Deflections, DeflectionUnit
+from processing.spot import Spot, SpotFlag
+from processing.ticks import NS_PER_S
+from rig.instrument import Block
+from rig.presentation import Verdict, table_tree
+from rig.settings import Configuration
+
+_PATH_S = 20.0
+_PATH_POINTS = 400
+_EVENTS = 500
+_PICTURE_INTERVAL_S = 0.1
+_WATCHED_S = 60.0
+"""So long a desk may be away, and be opened again, before a run that waits for an acknowledgement ends."""
+
+
+class SessionPicture(NamedTuple):
+    """A frame (ny, nx) in DN, the spot in it, its number, and the reference's spot where it has one."""
+
+    image: Image
+    spot: Spot
+    number: int
+    reference: Spot | None = None
+
+
+class SessionNews:
+    """The state of a session; written by its threads, read by those that answer.
+
+    As a watcher of a run it only keeps references, in the processing thread. A frame is kept when somebody
+    has asked for one, at most ten times a second.
+    """
+
+    def __init__(self, config: Configuration) -> None:
+        self._config = config
+        self._unit: DeflectionUnit = config.deflection_unit
+        self._lock = threading.Lock()
+        self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
+        self._event_number = 0
+        self._asked_s = -math.inf
+        self._picture_wanted = False
+        self._picture_number = 0
+        self._picture_s = 0.0
+        self._frame: SessionPicture | None = None
+        self.run = ""
+        self._record = ""
+        self._begin()
+
+    def _begin(self) -> None:
+        self._path: deque[Deflections] = deque()
+        self._state: Mapping[str, Any] = {}
+        self._rows: Sequence[tuple[str, str]] = ()
+        self._preflight: Sequence[Mapping[str, Any]] = ()
+        self._camera: dict[str, Any] = {}
+        self._frames_s = self._seen_s = math.nan
+
+    def begin_run(
+        self, title: str, full_scale_dn: int, applied: CameraSettings | None, record: Path | None = None
+    ) -> None:
+        """A run begins, with a camera that has read back these settings; its `record` will tell the rest."""
+        lever = self._config.lever
+        with self._lock:
+            self._begin()
+            self.run = title
+            self._record = "" if record is None else str(record.absolute())
+            self._camera = {
+                "full_scale_dn": full_scale_dn,
+                "applied": {} if applied is None else applied.model_dump(exclude_none=True),
+                "reference_px": None
+                if lever is None or lever.reference_x_px is None or lever.reference_y_px is None
+                else (lever.reference_x_px, lever.reference_y_px),
+                "reference_from_row_px": None
+                if self._config.reference is None
+                else self._config.reference.from_row_px,
+            }
+
+    def state(self, values: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> None:
+        """The state of the run as its display has it: values for programs, and rows of text."""
+        self._state, self._rows = values, rows
+
+    def preflight(self, verdicts: Sequence[Verdict]) -> None:
+        """The preflight table."""
+        self._preflight = table_tree(verdicts)
+
+    # -- as a watcher, in the run's thread -----------------------------------
+
+    def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
+        """Keep the newest frame if it is wanted; the record has the rest."""
+        self._path.clear()
+        self._look(frames, block.spots, block.references)
+
+    def before_record(
+        self,
+        frames: Sequence[Frame],
+        spots: Sequence[Spot],
+        deflections: Deflections,
+        references: Sequence[Spot] = (),
+    ) -> None:
+        """Keep the trajectory, and the newest frame if it is wanted, of frames that no record has."""
+        if len(deflections):
+            with self._lock:
+                path, newest_ns = self._path, deflections.times_ns[-1]
+                path.append(deflections)
+                while newest_ns - path[0].times_ns[-1] > _PATH_S * NS_PER_S:
+                    path.popleft()
+        self._look(frames, spots, references)
+
+    def _look(self, frames: Sequence[Frame], spots: Sequence[Spot], references: Sequence[Spot]) -> None:
+        now_s = time.monotonic()
+        if spots:
+            self._frames_s = now_s
+            # what was never seen is looked for since the first frame
+            if math.isnan(self._seen_s) or not spots[-1].flags & SpotFlag.LOST:
+                self._seen_s = now_s
+        if self._picture_wanted and frames and spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
+            self._picture_wanted, self._picture_s = False, now_s
+            self._picture_number += 1
+            image = frames[-1].image
+            # a camera's frames are read-only and never written to again; anything else is copied
+            held = image.copy() if image.flags.writeable else image
+            reference = references[-1] if references else None
+            self._frame = SessionPicture(held, spots[-1], self._picture_number, reference)
+
+    def event(self, start_ns: int, event: Event) -> None:
+        """The record has it."""
+
+    # -- for those that answer -----------------------------------------------
+
+    def note(self, kind: str, text: str, level: str = Level.INFORMATION) -> None:
+        """Add a line to the events that no record has."""
+        with self._lock:
+            self._event_number += 1
+            self._events.append(
+                {
+                    "number": self._event_number,
+                    "run": self.run,
+                    "elapsed_s": math.nan,
+                    "kind": str(kind),
+                    "level": level,
+                    "text": text,
+                    "at": time.strftime("%H:%M:%S"),
+                    "noted_s": time.monotonic(),
+                }
+            )
+
+    def news(self, since: int = 0) -> dict[str, Any]:
+        """Everything as plain values; of the events those with a number above `since`.
+
+        Positions and amplitudes are as shown: arcsec, or px without a lever. `frames_age_s` is how old the
+        last frame is that was looked at, `spot_lost_s` for how long the spot has been in none; NaN before the
+        first. What is recorded is read in `record`.
+        """
+        self._asked_s = time.monotonic()
+        with self._lock:
+            path = list(self._path)
+            events = [event for event in self._events if event["number"] > since]
+        now_s = time.monotonic()
+        return {
+            "run": self.run,
+            "frames_age_s": now_s - self._frames_s,
+            "spot_lost_s": max(self._frames_s - self._seen_s, 0.0),
+            "record": self._record,
+            "simulated": self._config.simulated,
+            "sample": self._config.session.sample,
+            "operator": self._config.session.operator,
+            "unit": self._unit.shown,
+            "initial_amplitude": self._config.session.initial_amplitude_arcsec,
+            "final_amplitude": self._config.session.final_amplitude_arcsec,
+            "start_way": self._config.start.way,
+            "camera": self._camera,
+            "state": self._state,
+            "rows": self._rows,
+            "preflight": self._preflight,
+            "events": events,
+            "path": _thinned_path(path),
+        }
+
+    @property
+    def watched(self) -> bool:
+        """Whether somebody has asked within the last minute."""
+        return time.monotonic() - self._asked_s < _WATCHED_S
+
+    @property
+    def pictures(self) -> int:
+        """How many frames were kept for those who asked."""
+        return self._picture_number
+
+    def picture(self, after: int = 0) -> SessionPicture | None:
+        """A frame with a number above `after`, and ask for the next; None if there is none yet."""
+        self._picture_wanted = True
+        frame = self._frame
+        return None if frame is None or frame.number <= after else frame
+
+
+def _thinned_path(path: Sequence[Deflections]) -> dict[str, list[float | None]]:
+    """The last seconds of the trajectory, in some hundred points."""
+    if not path:
+        return {"x": [], "y": []}
+    step = max(1, math.ceil(sum(map(len, path)) / _PATH_POINTS))
+    # at a thousand frames a second these are thousands of single ones: their unit is divided by once
+    size = path[0].unit.shown_size
+    x = np.concatenate([one.x for one in path])[::step] / size
+    y = np.concatenate([one.y for one in path])[::step] / size
+    return {"x": _or_none(x), "y": _or_none(y)}
+
+
+def _or_none(values: NDArray[np.float64]) -> list[float | None]:
+    return [round(value, 4) if math.isfinite(value) else None for value in values.tolist()]

@@ -1,0 +1,314 @@
+"""Draws the values of runs into one Rerun stream."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from acquisition.record.events import Event, EventKind, Level
+from processing.angle import ARCSEC_RAD
+from processing.estimate import Estimate
+from processing.spot import SpotFlag
+from rig.presentation import Shown, balance_drawn, balance_table, palette, quantity
+from rig.view import layout
+from rig.view.across import AcrossTheSwing
+from rig.view.gathering import Breaks, Decimator, Gathering
+from rig.view.lissajous import Lissajous
+from rig.view.marks import spot_cross
+from rig.view.values import Floats, Setup, is_drawn
+
+DRAWN_RATE_HZ, REFERENCE_RATE_HZ = 100.0, 10.0
+"""Largest rates of the samples that are drawn; the reference spot is watched for what drifts."""
+SAMPLES_GAP, POINTS_GAP = 1.0, 4.0
+"""Periods of the slow mode without a value after which a curve is broken: that of the samples, and those of
+half-cycles and balance, which have a value at least every period."""
+LEVELS = {
+    Level.INFORMATION: rr.TextLogLevel.INFO,
+    Level.WARNING: rr.TextLogLevel.WARN,
+    Level.ALARM: rr.TextLogLevel.ERROR,
+    Level.TRIP: rr.TextLogLevel.CRITICAL,
+}
+
+_GOOD, _BAD, _OVER = palette.BLUISH_GREEN, palette.VERMILLION, palette.GREY
+_STATES: Final = {
+    "measuring": _GOOD,
+    "ended": _OVER,
+    "followed": _GOOD,
+    "lost": _BAD,
+    "arriving": _GOOD,
+    "silent": palette.ORANGE,
+    "camera lost": _BAD,
+    "lit": _GOOD,
+    "dark": _BAD,
+}
+_CHANGES: Final[dict[str, dict[str, str]]] = {
+    EventKind.START: {"run": "measuring", "spot": "followed", "frames": "arriving"},
+    EventKind.STOP: {"run": "ended"},
+    EventKind.REJECTED: {"run": "ended"},
+    EventKind.SPOT_LOST: {"spot": "lost"},
+    EventKind.SPOT_FOUND: {"spot": "followed"},
+    EventKind.CAMERA_SILENT: {"frames": "silent"},
+    EventKind.CAMERA_SPEAKS: {"frames": "arriving"},
+    EventKind.CAMERA_LOST: {"frames": "camera lost"},
+    EventKind.CAMERA_BACK: {"frames": "arriving"},
+    EventKind.TRIP: {"laser": "dark"},
+    EventKind.LASER_DARK: {"laser": "dark"},
+    EventKind.LASER_LIT: {"laser": "lit"},
+}
+
+
+class Lanes:
+    """Draws the lanes of all runs into one stream."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._known: set[str] = set()
+
+    def draw(self, run: str, kind: str) -> None:
+        """Change the lanes as an event of this kind says; its time is set already."""
+        for lane, state in _CHANGES.get(kind, {}).items():
+            entity = layout.entity(run, lane)
+            if entity not in self._known:
+                self._known.add(entity)
+                colours = [palette.rgba(colour) for colour in _STATES.values()]
+                shown = rr.StateConfiguration(values=list(_STATES), colors=colours)
+                self._stream.log(entity, shown, static=True)
+            self._stream.log(entity, rr.StateChange(state=state))
+
+
+class Drawing:
+    """Draws into one stream; curves are gathered and sent in blocks.
+
+    Times are seconds since the start of a run, `run` is the name of the run if several are overlaid, empty
+    for a single one.
+
+    Parameters
+    ----------
+    stream
+        A Rerun recording whose sinks are set.
+    setup
+        Names and units, expected period and amplitude.
+    gather_s, gather_rows
+        Limits of `Gathering`.
+    """
+
+    def __init__(
+        self, stream: rr.RecordingStream, setup: Setup, *, gather_s: float, gather_rows: int
+    ) -> None:
+        self.setup = setup
+        self.stream = stream
+        self._gathered = Gathering(stream, gather_s, gather_rows)
+        self._lanes = Lanes(stream)
+        alone = len(setup.runs) < 2
+        self._lissajous = Lissajous(
+            stream, self._gathered, setup.unit, setup.amplitude, setup.period_s if alone else None
+        )
+        self._breaks = Breaks()
+        self._decimators: dict[str, Decimator] = {}
+        self._named: set[str] = set()
+        self._across: dict[str, AcrossTheSwing] = {}
+        self._reference_origin_px: dict[str, tuple[float, float]] = {}
+
+    def send(self, *, now: bool = False) -> None:
+        """Send what was gathered if a limit of `Gathering` is reached, or in any case if `now`."""
+        self._gathered.send(now=now)
+
+    def samples(self, run: str, time_s: Floats, x: Floats, y: Floats, flags: NDArray[np.int64]) -> None:
+        """Deflections (n,) as shown, NaN where the spot was lost, and flags of the spots."""
+        decimator = self._decimators.setdefault(run, Decimator(DRAWN_RATE_HZ))
+        # a model that every spot of a run has is nothing that must be seen
+        chosen = decimator.choose(time_s, flags & ~int(SpotFlag.MULTIPLE | SpotFlag.LEARNED))
+        if not chosen.any():
+            return
+        gap_s, entity = SAMPLES_GAP * self.setup.period_s, layout.entity(run, layout.X)
+        drawn_s, drawn_x, drawn_y = self._breaks.in_gaps(entity, gap_s, time_s[chosen], x[chosen], y[chosen])
+        alone, unit = len(self.setup.runs) < 2, self.setup.unit
+        colour = palette.GREY if alone else palette.X_COLOUR
+        self._gather(run, layout.X, drawn_s, drawn_x, f"X / {unit}", colour)
+        if alone:
+            self._draw_across(run, drawn_s, drawn_x, drawn_y)
+        self._gather(run, layout.Y, drawn_s, drawn_y, f"Y / {unit}", palette.Y_COLOUR)
+        colour = self._run_colour(run, palette.TRAJECTORY_COLOUR)
+        self._lissajous.draw(run, drawn_s, drawn_x, drawn_y, colour)
+        self._lissajous.follow(time_s, x, y)
+
+    def _draw_across(self, run: str, time_s: Floats, x: Floats, y: Floats) -> None:
+        """What of X is the fast mode, and what the slow one leaks into it."""
+        parts = self._across.setdefault(run, AcrossTheSwing()).samples(time_s, x, y)
+        if parts is not None:
+            label = "slow mode's leakage"
+            self._gather(run, layout.LEAKAGE, parts.time_s, parts.leakage, label, palette.BLUE)
+            self._gather(run, layout.FAST, parts.time_s, parts.fast, "fast mode", palette.X_COLOUR)
+
+    def reference(self, run: str, time_s: Floats, x_px: Floats, y_px: Floats) -> None:
+        """The reference spot (n,), NaN where it was lost; drawn from where it was first found."""
+        found = np.flatnonzero(np.isfinite(x_px + y_px))
+        if run not in self._reference_origin_px:
+            if not len(found):
+                return
+            self._reference_origin_px[run] = (float(x_px[found[0]]), float(y_px[found[0]]))
+        origin_x, origin_y = self._reference_origin_px[run]
+        entity = layout.entity(run, layout.REFERENCE)
+        decimator = self._decimators.setdefault(entity, Decimator(REFERENCE_RATE_HZ))
+        chosen = decimator.choose(time_s, np.zeros(len(time_s), dtype=np.int64))
+        if not chosen.any():
+            return
+        gap_s = SAMPLES_GAP * self.setup.period_s
+        x, y = x_px[chosen] - origin_x, y_px[chosen] - origin_y
+        drawn_s, x, y = self._breaks.in_gaps(entity, gap_s, time_s[chosen], x, y)
+        for path, values, colour in (("x", x, palette.X_COLOUR), ("y", y, palette.Y_COLOUR)):
+            self._gather(run, f"{layout.REFERENCE}/{path}", drawn_s, values, f"{path} / px", colour)
+
+    def half_cycles(
+        self, run: str, time_s: Floats, amplitudes: tuple[Floats, Floats], periods_s: tuple[Floats, Floats]
+    ) -> None:
+        """Amplitude as shown and (whole) period at turning points (n,), each with its uncertainty."""
+        for path, (value, u), colour, unit in (
+            (layout.AMPLITUDE, amplitudes, palette.AMPLITUDE_COLOUR, self.setup.unit),
+            (layout.PERIOD, periods_s, palette.PERIOD_COLOUR, "s"),
+        ):
+            good = np.isfinite(value)
+            if good.any():
+                label = f"{path} / {unit}"
+                self._gather_uncertain(run, path, time_s[good], value[good], u[good], label, colour)
+
+    def balance(self, run: str, time_s: float, numbers: Mapping[str, tuple[float, float]]) -> None:
+        """The balance at one moment (see `balance_numbers`), as curves and as a table."""
+        unit = self.setup.unit
+        size = ARCSEC_RAD if unit == "arcsec" else 1.0
+        self._across.setdefault(run, AcrossTheSwing()).balance(time_s, numbers, size)
+        # what has waited for the first balance
+        self._draw_across(run, *[np.empty(0)] * 3)
+        for name, (value, u) in numbers.items():
+            shown, drawn = quantity(name, unit), balance_drawn(name)
+            if np.isfinite(value):
+                pair = shown.factor * value, shown.factor * u
+                path = f"{layout.BALANCE_ROOT}/{drawn.entity}"
+                self._one_uncertain(run, path, time_s, pair, shown.label, drawn.colour, POINTS_GAP)
+        self.text(run, layout.BALANCE_TABLE, time_s, balance_table(numbers, unit))
+
+    def estimates(self, run: str, time_s: float, numbers: Mapping[str, Estimate]) -> None:
+        """Parameters of the contact at one moment, as stored, by key.
+
+        Only those known to a half of their value are drawn: the first values would hide all later ones.
+        """
+        for number, (key, label) in enumerate(self.setup.parameters.items()):
+            factor = parameter_shown(key).factor
+            value, u = (factor * one for one in numbers.get(key, Estimate(np.nan, np.nan)))
+            if is_drawn(value, u):
+                path, colour = f"{layout.PARAMETERS_ROOT}/{key}", palette.SEQUENCE[number]
+                self._one_uncertain(run, path, time_s, (value, u), label, colour, np.inf)
+
+    def clock(self, run: str, time_s: float, drift_ppm: float, u_drift_ppm: float) -> None:
+        """Rate of the camera's clock against the computer's, less 1."""
+        pair, label = (drift_ppm, u_drift_ppm), "camera's clock / ppm"
+        self._one_uncertain(run, layout.CLOCK, time_s, pair, label, palette.SKY_BLUE, np.inf)
+
+    def picture(
+        self, run: str, time_s: float, jpeg: bytes, shape: tuple[int, int], spot_px: tuple[float, float]
+    ) -> None:
+        """A camera image (ny, nx) and the spot (x, y) in it, NaN if it was lost."""
+        self._set_time(time_s)
+        encoded = rr.EncodedImage(contents=jpeg, media_type="image/jpeg")
+        self.stream.log(layout.entity(run, layout.IMAGE), encoded)
+        found = np.isfinite(spot_px).all()
+        mark = spot_cross(*spot_px, shape) if found else rr.Clear(recursive=False)
+        self.stream.log(layout.entity(run, layout.SPOT), mark)
+
+    def losses(self, run: str, time_s: float, counts: Mapping[str, int]) -> None:
+        """Counts since the start of the run by name."""
+        at = np.array([time_s])
+        for index, (name, count) in enumerate(sorted(counts.items())):
+            colour = palette.LOSSES[index % len(palette.LOSSES)]
+            path, label = f"{layout.LOSSES_ROOT}/{name}", name.replace("_", " ")
+            self._gather(run, path, at, np.array([float(count)]), label, colour, steps=True)
+
+    def event(self, run: str, time_s: float, event: Event) -> None:
+        """A line of the log, and what it changes in the lanes."""
+        self._set_time(time_s)
+        log = rr.TextLog(event.line, level=LEVELS[event.level])
+        self.stream.log(layout.entity(run, layout.EVENTS), log)
+        self._lanes.draw(run, event.kind)
+
+    def text(self, run: str, path: str, time_s: float, text: str) -> None:
+        """A text in Markdown, of a panel."""
+        self._set_time(time_s)
+        document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+        self.stream.log(layout.entity(run, path), document)
+
+    def _one_uncertain(
+        self,
+        run: str,
+        path: str,
+        time_s: float,
+        pair: tuple[float, float],
+        label: str,
+        colour: str,
+        gap_periods: float,
+    ) -> None:
+        at, value, u = (np.array([one]) for one in (time_s, *pair))
+        self._gather_uncertain(run, path, at, value, u, label, colour, gap_periods)
+
+    def _gather_uncertain(
+        self,
+        run: str,
+        path: str,
+        time_s: Floats,
+        value: Floats,
+        u: Floats,
+        label: str,
+        colour: str,
+        gap_periods: float = POINTS_GAP,
+    ) -> None:
+        """A value with a band of one standard uncertainty on either side."""
+        full = layout.entity(run, path)
+        if full not in self._named:
+            self._named.add(full)
+            style = rr.Measurements.from_fields(
+                names=f"{run} {label}".strip(),
+                colors=[palette.rgba(self._run_colour(run, colour))],
+                widths=[1.5],
+            )
+            self.stream.log(full, style, static=True)
+        self._gathered.measurements(
+            full, *self._breaks.in_gaps(full, gap_periods * self.setup.period_s, time_s, value, u)
+        )
+
+    def _gather(
+        self,
+        run: str,
+        path: str,
+        time_s: Floats,
+        values: Floats,
+        label: str,
+        colour: str,
+        steps: bool = False,
+    ) -> None:
+        full = layout.entity(run, path)
+        if full not in self._named:
+            self._named.add(full)
+            name = f"{run} {label}".strip()
+            colours = [palette.rgba(self._run_colour(run, colour))]
+            mode = rr.components.InterpolationMode.StepAfter if steps else None
+            style = rr.SeriesLines(colors=colours, names=name, widths=1.5, interpolation_mode=mode)
+            self.stream.log(full, style, static=True)
+        self._gathered.scalars(full, time_s, values)
+
+    def _run_colour(self, run: str, colour: str) -> str:
+        """The colour of the run if several are overlaid, otherwise that of the quantity."""
+        runs = self.setup.runs
+        if len(runs) < 2 or run not in runs or colour == palette.GREY:
+            return colour
+        return palette.SEQUENCE[runs.index(run) % len(palette.SEQUENCE)]
+
+    def _set_time(self, time_s: float) -> None:
+        self.stream.set_time(layout.TIMELINE, duration=time_s)
+
+
+def parameter_shown(key: str) -> Shown:
+    """A parameter as its panel shows it: the viewer's axes have no powers of ten, and c is some 10⁻⁸."""
+    shown = quantity(key)
+    return replace(shown, symbol="10⁹ c", factor=1e9 * shown.factor) if key == "c" else shown

@@ -1,0 +1,330 @@
+"""Draws one record, whole or still being written, in the pieces in which it was flushed.
+
+Nothing depends on when a piece is read: what is seen live is what is seen afterwards.
+"""
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.frames.losses import FrameLosses
+from acquisition.record.events import EventKind
+from acquisition.record.reader import Piece, RecordReader
+from acquisition.record.topics import (
+    BALANCE,
+    CAMERA_STEP,
+    ESTIMATE,
+    EVENT,
+    HEALTH,
+    LOSSES,
+    NOTE,
+    PHASE,
+    REFERENCE,
+    SPOT,
+    SWING,
+    RecordedClockStep,
+    RecordedEstimate,
+    RecordedHealth,
+    RecordedLosses,
+    RecordedNote,
+    RecordedPhase,
+)
+from processing.balance import Balance
+from processing.deflections import DeflectionUnit
+from processing.errors import RecordError
+from processing.estimate import Estimate
+from processing.spot import SpotFlag
+from processing.swing import Swing
+from processing.ticks import nanoseconds, seconds
+from rig.instrument import CameraClock, advice_for, recorded_configuration
+from rig.presentation import balance_numbers
+from rig.settings import Configuration
+from rig.view import layout
+from rig.view.drawing import Drawing
+from rig.view.values import Floats, is_drawn
+
+_STATE_NS, _LOSSES_NS = 1_000_000_000, 10_000_000_000
+"""Intervals of run time at which state and losses are drawn if nothing changes."""
+_KEPT_PIECES = 64
+"""Pieces whose spots are kept for the pictures."""
+
+
+class Follower:
+    """Draws a record under the name of a run (empty for a single one).
+
+    `picture_interval_s` is the shortest interval of pictures in run time.
+    """
+
+    def __init__(
+        self, reader: RecordReader, drawing: Drawing, run: str = "", *, picture_interval_s: float
+    ) -> None:
+        self._reader, self._drawing, self._run = reader, drawing, run
+        self._picture_interval_ns = nanoseconds(picture_interval_s)
+        self._advise = _adviser(configuration_of(reader))
+        self._shape = reader.picture_shape
+        self._held: list[Piece] = []
+        self._start_ns: int | None = None
+        self._last_ns = 0
+        self._next_sequence = 0
+        self._spots: deque[NDArray[Any]] = deque(maxlen=_KEPT_PIECES)
+        self._pictures: deque[tuple[int, int, bytes]] = deque()
+        self._state_due_ns = self._losses_due_ns = 0
+        self._shown_losses = (-1, -1)
+        self._phase: RecordedPhase | None = None
+        self._health: RecordedHealth | None = None
+        self._clock = CameraClock()
+        self._losses = FrameLosses()
+        self._estimates: dict[str, Estimate] = {}
+        self._swing: Swing | None = None
+        self._advised = self._balanced = self._ended = False
+        self.frames = self.missing = self.lost = self.half_cycles = 0
+
+    def take(self) -> None:
+        """Draw what has come since the last call."""
+        for piece in self._reader.unread():
+            self._held.append(piece)
+            if self._start_ns is None:
+                self._start_ns = self._first_ns(piece)
+            if self._start_ns is not None:
+                for held in self._held:
+                    self._draw(held)
+                self._held.clear()
+                self._draw_pictures()
+            self._drawing.send()
+
+    def finish(self) -> None:
+        """Draw what is left of a record that has ended."""
+        self.take()
+        self._ended = True
+        if self._start_ns is not None:
+            self._draw_pictures(at_end=True)
+            self._draw_losses()
+            self._draw_state()
+        self._drawing.send(now=True)
+
+    @property
+    def summary(self) -> str:
+        """How the record ended and what is in it, in Markdown."""
+        reader = self._reader
+        end = "truncated" if reader.truncated else "damaged" if reader.damages else "complete"
+        start = datetime.fromtimestamp(seconds((self._start_ns or 0) + reader.epoch_offset_ns), UTC)
+        return (
+            f"**{reader.path.stem}**: {end}\n\n- start {start:%Y-%m-%d %H:%M:%S} UTC\n- {self.frames} spots\n"
+            f"- {self.half_cycles} half-cycles\n"
+        )
+
+    def _first_ns(self, piece: Piece) -> int | None:
+        """Time of the run's first frame, once a piece tells it."""
+        if SPOT.topic in piece:
+            return int(self._reader.rows(SPOT.topic, piece[SPOT.topic][:1])["time_ns"][0])
+        events = self._reader.events_in(piece.get(EVENT.topic, ()))
+        return next((event.time_ns for event in events if event.kind == EventKind.START), None)
+
+    def _at(self, times_ns: int) -> float:
+        return seconds(times_ns - (self._start_ns or 0))
+
+    def _draw(self, piece: Piece) -> None:
+        reader, drawing, run = self._reader, self._drawing, self._run
+        # the line of a balance separates the samples beside it
+        self._draw_balances(reader.balances_in(piece.get(BALANCE.topic, ())))
+        for topic, draw in ((SPOT.topic, self._draw_spots), (REFERENCE.topic, self._draw_references)):
+            if topic in piece:
+                draw(reader.rows(topic, piece[topic]))
+        self._draw_half_cycles(reader.swings_in(piece.get(SWING.topic, ())))
+        for event in reader.events_in(piece.get(EVENT.topic, ())):
+            if event.kind == EventKind.ADVICE:
+                self._advised = True
+                drawing.text(run, layout.ADVICE, self._at(event.time_ns), event.text)
+            else:
+                drawing.event(run, self._at(event.time_ns), event)
+        for note in reader.decoded(NOTE.topic, RecordedNote, piece.get(NOTE.topic, ())):
+            drawing.event(run, self._at(note.time_ns), note.event)
+        self._draw_session(piece)
+
+    def _draw_spots(self, rows: NDArray[Any]) -> None:
+        deflections = self._reader.deflections(rows)
+        time_s = self._times_s(deflections.times_ns)
+        flags = rows["flags"].astype(np.int64)
+        self._drawing.samples(self._run, time_s, deflections.shown_x, deflections.shown_y, flags)
+        self._spots.append(rows[["sequence", "x_px", "y_px"]])
+        sequence = rows["sequence"]
+        if not self.frames:
+            # a part that is replayed begins later
+            self._next_sequence = int(sequence[0])
+        self.missing += int(sequence[-1]) + 1 - self._next_sequence - len(rows)
+        self.lost += int(np.count_nonzero(flags & SpotFlag.LOST))
+        self.frames += len(rows)
+        self._next_sequence = int(sequence[-1]) + 1
+        self._last_ns = int(rows["time_ns"][-1])
+        if (self.missing, self.lost) != self._shown_losses or self._last_ns >= self._losses_due_ns:
+            self._draw_losses()
+        if self._last_ns >= self._state_due_ns:
+            self._draw_state()
+
+    def _draw_references(self, rows: NDArray[Any]) -> None:
+        lost = (rows["flags"] & SpotFlag.LOST) != 0
+        x_px, y_px = (np.where(lost, np.nan, rows[name]) for name in ("x_px", "y_px"))
+        self._drawing.reference(self._run, self._times_s(rows["time_ns"]), x_px, y_px)
+
+    def _draw_half_cycles(self, swings: Sequence[Swing]) -> None:
+        size = self._reader.deflection_unit.shown_size
+        columns = (
+            [swing.amplitude / size for swing in swings],
+            [swing.u_amplitude / size for swing in swings],
+            [2.0 * swing.half_period_s for swing in swings],
+            [2.0 * swing.u_half_period_s for swing in swings],
+        )
+        amplitude, u_amplitude, period_s, u_period_s = (np.array(column) for column in columns)
+        time_s = self._times_s(np.array([swing.turn_time_ns for swing in swings], dtype=np.int64))
+        self._drawing.half_cycles(self._run, time_s, (amplitude, u_amplitude), (period_s, u_period_s))
+        self.half_cycles += len(swings)
+        self._swing = next((swing for swing in reversed(swings) if not swing.flags), self._swing)
+
+    def _draw_balances(self, balances: Sequence[Balance]) -> None:
+        for balance in balances:
+            self._balanced = True
+            at_s = self._at(balance.time_ns)
+            self._drawing.balance(self._run, at_s, balance_numbers(balance))
+            if not self._advised and (advice := self._advise(balance)):
+                self._drawing.text(self._run, layout.ADVICE, at_s, advice)
+
+    def _draw_session(self, piece: Piece) -> None:
+        """What the session says of itself: phase, health, estimates."""
+        reader, drawing, run = self._reader, self._drawing, self._run
+        for step in reader.decoded(CAMERA_STEP.topic, RecordedClockStep, piece.get(CAMERA_STEP.topic, ())):
+            clock, largest_s = self._clock, max(self._clock.largest_step_s, seconds(step.step_ns), key=abs)
+            self._clock = replace(clock, steps=clock.steps + 1, largest_step_s=largest_s)
+        for losses in reader.decoded(LOSSES.topic, RecordedLosses, piece.get(LOSSES.topic, ())):
+            self._losses = FrameLosses(*losses[1:])
+        for health in reader.decoded(HEALTH.topic, RecordedHealth, piece.get(HEALTH.topic, ())):
+            self._health, before = health, self._clock
+            drift_ppm, u_ppm = health.clock_drift_ppm, health.u_clock_drift_ppm
+            self._clock = clock = replace(before, drift_ppm=drift_ppm, u_drift_ppm=u_ppm)
+            if clock.known and clock != before:
+                drawing.clock(run, self._at(health.time_ns), drift_ppm, u_ppm)
+        rows = reader.decoded(ESTIMATE.topic, RecordedEstimate, piece.get(ESTIMATE.topic, ()))
+        for time_ns in dict.fromkeys(row.time_ns for row in rows):
+            of_one = {
+                row.quantity: Estimate(row.value, row.u_value) for row in rows if row.time_ns == time_ns
+            }
+            self._estimates |= of_one
+            drawing.estimates(run, self._at(time_ns), of_one)
+        phases = reader.decoded(PHASE.topic, RecordedPhase, piece.get(PHASE.topic, ()))
+        if phases:
+            self._phase = phases[-1]
+            self._draw_state()
+
+    def _draw_pictures(self, *, at_end: bool = False) -> None:
+        """Draw the pictures whose spots are known, or all that are left."""
+        until_ns = self._reader.contents.end_ns if at_end else self._last_ns
+        self._pictures.extend(self._reader.unread_pictures(self._picture_interval_ns, until_ns))
+        while self._pictures and (at_end or self._pictures[0][0] < self._next_sequence):
+            sequence, time_ns, jpeg = self._pictures.popleft()
+            shape, step = self._shape
+            x_px, y_px = self._spot_of(sequence)
+            # a pixel of a reduced picture is the first of those that it stands for
+            self._drawing.picture(self._run, self._at(time_ns), jpeg, shape, (x_px / step, y_px / step))
+
+    def _spot_of(self, sequence: int) -> tuple[float, float]:
+        for rows in reversed(self._spots):
+            if rows["sequence"][0] <= sequence:
+                place = int(np.searchsorted(rows["sequence"], sequence))
+                if place < len(rows) and rows["sequence"][place] == sequence:
+                    return float(rows["x_px"][place]), float(rows["y_px"][place])
+                break
+        return math.nan, math.nan
+
+    def _draw_losses(self) -> None:
+        self._shown_losses = self.missing, self.lost
+        self._losses_due_ns = self._last_ns + _LOSSES_NS
+        counts = {"missing_frames": self.missing, "lost_spots": self.lost}
+        self._drawing.losses(self._run, self._at(self._last_ns), counts)
+
+    def _draw_state(self) -> None:
+        self._state_due_ns = self._last_ns + _STATE_NS
+        # several runs share one panel, which says in the end what each of them is
+        if len(self._drawing.setup.runs) < 2:
+            self._drawing.text(self._run, layout.STATE, self._at(self._last_ns), self._state())
+
+    def _state(self) -> str:
+        """Phase, amplitude, frames and losses, and why a panel is empty, in Markdown.
+
+        It begins with the time of the day, by which a page shows how far it is behind.
+        """
+        phase, health, swing, unit = self._phase, self._health, self._swing, self._reader.deflection_unit
+        now = time.localtime(seconds(self._last_ns + self._reader.epoch_offset_ns))
+        lines = [f"state of {time.strftime('%H:%M:%S', now)}", f"time {self._at(self._last_ns):.1f} s"]
+        if swing is not None:
+            lines.append(f"amplitude {swing.amplitude / unit.shown_size:.2f} {unit.shown}")
+            if math.isfinite(swing.half_period_s):
+                lines.append(f"period {2.0 * swing.half_period_s:.4f} s")
+        lines.append(f"{self.frames} frames, {self.missing} dropped, {self.lost} spots lost")
+        if health is not None:
+            lines += [f"camera's clock {self._clock.text}"] if self._clock.text else []
+            lines += [f"beam: {health.beam}"] if health.beam else []
+            if not math.isnan(health.frame_age_s):
+                lines.append(f"frames were {health.frame_age_s * 1e3:.0f} ms old when they were processed")
+        if self._losses.total:
+            lines.append(f"lost: {self._losses}")
+        lines.append(f"{self.half_cycles} half-cycles")
+        lines += self._empty_panels()
+        alarm = f"# {health.alarm.upper()}\n\n" if health is not None and health.alarm else ""
+        doing = "recorded"
+        if self._ended:
+            doing = "cut short" if self._reader.truncated else "done"
+        elif phase is not None:
+            doing = " ".join(filter(None, (phase.phase, phase.progress)))
+        reason = f": {phase.reason}" if phase is not None and phase.reason else ""
+        asked = ""
+        if phase is not None and phase.instruction and not self._ended:
+            asked = f"{phase.instruction}\n\n"
+        return f"{alarm}**{doing}**{reason}\n\n{asked}" + "\n".join(f"- {line}" for line in lines) + "\n"
+
+    def _empty_panels(self) -> list[str]:
+        """Why there is nothing in panels of the measuring layout, a line for each kind of them."""
+        found = []
+        parameters = self._drawing.setup.parameters
+        if not self.half_cycles:
+            found.append("amplitude and period are empty until a half-cycle has been measured")
+        if self._health is not None and not self._clock.known:
+            found.append(
+                "the clock is empty until the rate of the camera's is known; frames on demand have none"
+            )
+        if not self._balanced:
+            found.append("the balance is empty until some periods of swing have been seen")
+        if parameters and not self._estimates:
+            found.append("the parameters are empty until there are enough half-cycles for a first fit")
+        elif vague := [
+            label.split(" /")[0]
+            for key, label in parameters.items()
+            if not is_drawn(*self._estimates.get(key, Estimate(math.nan, math.nan)))
+        ]:
+            found.append(f"not known to a half of their values yet, hence not drawn: {', '.join(vague)}")
+        if self._reader.deflection_unit is DeflectionUnit.PX:
+            found.append("no parameters are fitted: without [lever] pixels are not angles")
+        return found
+
+    def _times_s(self, times_ns: NDArray[np.int64]) -> Floats:
+        return np.asarray(seconds(times_ns - (self._start_ns or 0)), dtype=np.float64)
+
+
+def configuration_of(reader: RecordReader) -> Configuration | None:
+    """The configuration of a record; None where it has none that can be used."""
+    try:
+        return recorded_configuration(reader)
+    except RecordError:
+        return None
+
+
+def _adviser(config: Configuration | None) -> Callable[[Balance], str]:
+    """A function that returns advice for a recorded balance; empty if the configuration is not recorded."""
+    if config is None:
+        return lambda _: ""
+    return lambda balance: advice_for(config, balance).markdown

@@ -1,0 +1,278 @@
+"""Entity paths of Rerun, and the three layouts of panels.
+
+The entities of a run are below its name (a single run has an empty one), so that several runs can be
+overlaid. The y axis of Rerun's spatial views points down: points are therefore drawn at -Y, while the labels
+of the graticule show +Y.
+
+The trajectory is stored once, in the unit of the setup, and shown in two views. Its entity TRAJECTORY has a
+transform that scales the present amplitude to the axes (150, 100, 70, 50 arcsec ... as the swing decays); its
+parent EQUAL has one that stretches X. Rerun applies the transforms below a view's origin: a view with the
+origin EQUAL has equal scales, one with the origin STRETCHED shows X stretched.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from rig.presentation import balance_panels
+from rig.view.graticule import BOX, PLANE_REACH
+from rig.view.marks import BACKGROUND
+from rig.view.values import Setup
+
+APPLICATION_ID: Final = "optical_pendulum_rig"
+TIMELINE: Final = "run_time"
+
+STRETCHED: Final = "/lissajous"
+EQUAL: Final = "/lissajous/equal"
+TRAJECTORY: Final = "/lissajous/equal/trajectory"
+X_STRETCH: Final = 10.0
+TRAIL: Final = {"recent": (0.0, 2.0), "older": (2.0, 8.0), "oldest": (8.0, 28.0)}
+"""Parts of the trajectory of decreasing brightness, and the periods before the time cursor that they show."""
+POSITION: Final = "position"
+
+# entities of one run, below its name
+X: Final = "deflection/x"
+FAST: Final = "deflection/x/fast_mode"
+LEAKAGE: Final = "deflection/x/leakage"
+"""The two parts of X, below it."""
+Y: Final = "deflection/y"
+AMPLITUDE: Final = "amplitude"
+PERIOD: Final = "period"
+CAMERA: Final = "camera"
+IMAGE: Final = "camera/image"
+SPOT: Final = "camera/spot"
+REFERENCE: Final = "reference"
+"""Below it x and y of the reference spot."""
+BALANCE_ROOT: Final = "balance"
+LOSSES_ROOT: Final = "losses"
+PARAMETERS_ROOT: Final = "parameters"
+CLOCK: Final = "clock"
+LANES: Final = ("run", "spot", "frames", "laser")
+"""What a run can be in, each below the run's name itself: the viewer titles a lane with its whole path."""
+STATE: Final = "state"
+ADVICE: Final = "advice"
+BALANCE_TABLE: Final = "balance_table"
+EVENTS: Final = "events"
+ANALYSIS_ROOT: Final = "analysis"
+REPORT: Final = "analysis/report"
+
+WINDOW_S: Final = 30.0
+"""Duration of X(t) and Y(t) that is shown before the time cursor."""
+BALANCING_S: Final = 120.0
+"""The same of the balance: of what was turned just now, a longer range would hide the effect."""
+WHOLE_RUN: Final = rrb.TimeAxis(
+    view_range=rr.TimeRange(start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite())
+)
+
+
+def entity(run: str, path: str) -> str:
+    """Path of an entity of a run, below the run's name if it has one."""
+    return f"/{rr.escape_entity_path_part(run)}/{path}" if run else f"/{path}"
+
+
+def trail_entity(run: str, part: str) -> str:
+    """Path of a part of a run's trajectory; those of all runs are below TRAJECTORY, which scales them."""
+    return f"{TRAJECTORY}/{rr.escape_entity_path_part(run)}/{part}" if run else f"{TRAJECTORY}/{part}"
+
+
+def until_now(seconds: float) -> rrb.TimeAxis:
+    """A time axis of this length that ends at the time cursor."""
+    return rrb.TimeAxis(
+        view_range=rr.TimeRange(
+            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds),
+            end=rrb.TimeRangeBoundary.cursor_relative(),
+        )
+    )
+
+
+def blueprint(setup: Setup) -> rrb.Blueprint:
+    """Layout of the panels for one run or several overlaid ones."""
+    views = _Views(setup)
+    root = {
+        "balancing": views.balancing,
+        "measuring": views.measuring,
+        "analysing": views.analysing,
+    }[setup.layout]()
+    return rrb.Blueprint(
+        root,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+class _Views:
+    """Builds the panels, each from the entities of all runs."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._runs = setup.runs
+        self._unit = setup.unit
+        self._period_s = setup.period_s
+        self._parameters = setup.parameters
+        self._has_reference = setup.has_reference
+
+    def measuring(self) -> rrb.Container:
+        return rrb.Horizontal(
+            rrb.Vertical(
+                self.trajectory(),
+                rrb.Horizontal(
+                    self.losses(), self.history(CLOCK, "Clock drift / ppm"), *self.reference_spot()
+                ),
+                self.lanes(),
+                self.events(),
+                row_shares=[8, 3, 5, 3],
+            ),
+            rrb.Vertical(
+                self.deflection(Y, "Y(t), slow mode"),
+                self.deflection(X, "X(t), across the swing", has_legend=True),
+                rrb.Horizontal(
+                    self.history(AMPLITUDE, f"Amplitude / {self._unit}"), self.history(PERIOD, "Period / s")
+                ),
+                *self.parameters(),
+            ),
+            rrb.Vertical(
+                self.camera(),
+                self.text(BALANCE_TABLE, "Balance"),
+                self.text(STATE, "State"),
+                row_shares=[5, 8, 5],
+            ),
+            column_shares=[4, 5, 3],
+        )
+
+    def balancing(self) -> rrb.Container:
+        return rrb.Horizontal(
+            rrb.Vertical(self.trajectory(), self.stretched()),
+            rrb.Grid(
+                *(self.balance(title, names) for title, names in balance_panels(self._unit).items()),
+                grid_columns=2,
+            ),
+            rrb.Vertical(
+                self.text(ADVICE, "Advice"),
+                self.text(BALANCE_TABLE, "Balance"),
+                self.camera(),
+                row_shares=[4, 8, 5],
+            ),
+            column_shares=[4, 5, 3],
+        )
+
+    def analysing(self) -> rrb.Container:
+        unit = self._unit
+        return rrb.Horizontal(
+            rrb.Vertical(
+                self.plane("decay", f"Decay: amplitude / {unit} against time / s"),
+                self.plane("residuals", f"Residuals of the amplitude / {unit}"),
+            ),
+            rrb.Vertical(
+                self.plane("period", f"T(α): period / s against amplitude / {unit}"),
+                self.plane("period_residuals", "Residuals of the period / ms"),
+            ),
+            rrb.Vertical(
+                self.trajectory(),
+                self.text(REPORT, "Report"),
+            ),
+        )
+
+    def trajectory(self) -> rrb.View:
+        return self._lissajous(EQUAL, f"Trajectory / {self._unit}, equal scales")
+
+    def stretched(self) -> rrb.View:
+        return self._lissajous(STRETCHED, f"Trajectory / {self._unit}, X stretched {X_STRETCH:.0f} times")
+
+    def _lissajous(self, origin: str, title: str) -> rrb.View:
+        ranges: dict[rr.encodings.EntityPath | str, rrb.VisibleTimeRanges] = {}
+        for run in self._runs:
+            for part, (newest, oldest) in TRAIL.items():
+                span = rrb.VisibleTimeRange(
+                    TIMELINE,
+                    start=rrb.TimeRangeBoundary.cursor_relative(seconds=-oldest * self._period_s),
+                    end=rrb.TimeRangeBoundary.cursor_relative(seconds=-newest * self._period_s),
+                )
+                ranges[trail_entity(run, part)] = rrb.VisibleTimeRanges([span])
+        # the labels need space below and to the left of the axes
+        return rrb.Spatial2DView(
+            name=title,
+            origin=origin,
+            contents=[f"+ {TRAJECTORY}/**", f"+ {origin}/graticule/**"],
+            visual_bounds=rrb.VisualBounds2D(
+                x_range=(-1.32 * PLANE_REACH, 1.15 * PLANE_REACH),
+                y_range=(-1.06 * PLANE_REACH, 1.18 * PLANE_REACH),
+            ),
+            background=BACKGROUND,
+            overrides=ranges,
+        )
+
+    def deflection(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:
+        return rrb.TimeSeriesView(
+            name=f"{title} / {self._unit}",
+            contents=self._below(path),
+            axis_x=until_now(WINDOW_S),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=has_legend or len(self._runs) > 1),
+        )
+
+    def history(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:
+        return rrb.TimeSeriesView(
+            name=title,
+            contents=self._below(path),
+            axis_x=WHOLE_RUN,
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=has_legend or len(self._runs) > 1),
+        )
+
+    def parameters(self) -> list[rrb.Container]:
+        """One grid of small panels, if there are parameters."""
+        panels = [self.history(f"{PARAMETERS_ROOT}/{key}", label) for key, label in self._parameters.items()]
+        return [rrb.Grid(*panels, grid_columns=3)] if panels else []
+
+    def reference_spot(self) -> list[rrb.View]:
+        """What pointing, air and the camera do, if a reference spot tells."""
+        if not self._has_reference:
+            return []
+        return [self.history(REFERENCE, "Reference spot / px", has_legend=True)]
+
+    def balance(self, title: str, names: Sequence[str]) -> rrb.View:
+        contents = [line for name in names for line in self._below(f"{BALANCE_ROOT}/{name}")]
+        legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=len(names) > 1 or len(self._runs) > 1)
+        return rrb.TimeSeriesView(
+            name=title, contents=contents, axis_x=until_now(BALANCING_S), plot_legend=legend
+        )
+
+    def losses(self) -> rrb.View:
+        return rrb.TimeSeriesView(
+            name="Losses",
+            contents=self._below(LOSSES_ROOT),
+            axis_x=WHOLE_RUN,
+            plot_legend=rrb.Corner2D.LeftTop,
+        )
+
+    def lanes(self) -> rrb.View:
+        contents = [f"+ {entity(run, lane)}" for run in self._runs for lane in LANES]
+        return rrb.StateTimelineView(name="Conditions", contents=contents, time_view=WHOLE_RUN)
+
+    def camera(self) -> rrb.View:
+        return rrb.Spatial2DView(name="Camera", contents=self._below(CAMERA)[:1])
+
+    def plane(self, panel: str, title: str) -> rrb.View:
+        return rrb.Spatial2DView(
+            name=title,
+            contents=self._below(f"{ANALYSIS_ROOT}/{panel}"),
+            visual_bounds=rrb.VisualBounds2D(
+                x_range=(-0.2 * BOX[0], 1.03 * BOX[0]), y_range=(-1.11 * BOX[1], 0.19 * BOX[1])
+            ),
+            background=BACKGROUND,
+        )
+
+    def events(self) -> rrb.View:
+        return rrb.TextLogView(
+            name="Events",
+            contents=self._below(EVENTS),
+            columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]),
+        )
+
+    def text(self, path: str, title: str) -> rrb.View:
+        return rrb.TextDocumentView(name=title, origin=entity(self._runs[0], path))
+
+    def _below(self, path: str) -> list[str]:
+        return [f"+ {entity(run, path)}/**" for run in self._runs]

@@ -1,0 +1,197 @@
+"""The view of a program that looks without measuring: a record in a scratch folder, and `rig view` on it."""
+
+import math
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from acquisition.frame import Frame
+from acquisition.record import pixels_beside
+from acquisition.record.events import Event, EventKind
+from acquisition.record.topics import REFERENCE, RecordedReference
+from acquisition.record.writer import RecordWriter
+from processing.deflections import Deflections, DeflectionUnit
+from processing.errors import RecordError
+from processing.spot import Spot, SpotFlag
+from processing.swing import Swing
+from rig.instrument import Block
+from rig.presentation import say
+from rig.view.launch import RunningView
+from rig.view.values import LayoutName, Mode
+
+_PICTURE_NS = 300_000_000
+_LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
+
+
+class ScratchHead(NamedTuple):
+    """What a scratch record begins with, as `RecordWriter` takes it."""
+
+    metadata: Mapping[str, Mapping[str, str]]
+    attachments: Mapping[str, bytes]
+    unit: DeflectionUnit
+
+
+class ScratchView:
+    """Shows what is written into a record of its own, which is removed at the end.
+
+    A context manager; at its end RecordError is raised where a Rerun file is not whole. `name` is the title.
+    Beyond `most_bytes` the record is replaced by another one, with which the view goes on.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        mode: Mode,
+        rrd: Path | None,
+        layout: LayoutName,
+        most_bytes: float = 256 * 1024 * 1024,
+    ) -> None:
+        self._most_bytes = most_bytes
+        self._folder = tempfile.TemporaryDirectory(prefix="rig-view-")
+        self._path = Path(self._folder.name) / f"{name}.mcap"
+        self._head: ScratchHead | None = None
+        self._writer: RecordWriter | None = None
+        self._unit = DeflectionUnit.RAD
+        self._failed = False
+        self._sequence = self._last_ns = self._picture_due_ns = 0
+        self._view = RunningView(self._path, mode, rrd, layout)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end()
+        problem = self._view.close(patient=True)
+        self._folder.cleanup()
+        if problem and error is None:
+            raise RecordError(problem)
+
+    @property
+    def begun(self) -> bool:
+        """Whether it has begun."""
+        return self._head is not None
+
+    def begin(self, time_ns: int, head: ScratchHead) -> None:
+        """Begin the record."""
+        self._head, self._unit = head, head.unit
+        self._last_ns = self._picture_due_ns = time_ns
+        self._writer = RecordWriter(
+            self._path,
+            0,
+            metadata=head.metadata,
+            attachments=head.attachments,
+            deflection_unit=head.unit,
+        )
+
+    def block(
+        self,
+        block: Block,
+        frames: Sequence[Frame] = (),
+        shift_ns: int = 0,
+        sequences: Sequence[int] | None = None,
+    ) -> None:
+        """Spots, half-cycles and balances, and a picture now and then; `shift_ns` is taken off all times.
+
+        Frames are numbered as they come unless their `sequences` are given.
+        """
+        found = replace(block.deflections, times_ns=block.deflections.times_ns - shift_ns)
+        times_ns = found.times_ns.tolist()
+        numbers = sequences or range(self._sequence, self._sequence + len(times_ns))
+        self._sequence = numbers[-1] + 1 if times_ns else self._sequence
+        self._last_ns = times_ns[-1] if times_ns else self._last_ns
+
+        def write(writer: RecordWriter) -> None:
+            if times_ns:
+                writer.write_spots(numbers, times_ns, times_ns, block.spots, found)
+            for number, time_ns, seen in zip(numbers, times_ns, block.references, strict=False):
+                writer.write(REFERENCE, RecordedReference.of(number, time_ns, seen), time_ns)
+            for swing in block.swings:
+                writer.write_swing(replace(swing, turn_time_ns=swing.turn_time_ns - shift_ns))
+            for balance in block.balances:
+                writer.write_balance(replace(balance, time_ns=balance.time_ns - shift_ns))
+            writer.flush_if_due()
+
+        self._written(write)
+        for frame in frames if sequences else frames[-1:]:
+            number = frame.sequence if sequences else self._sequence - 1
+            self._picture(Frame(frame.image, number, frame.time_ns - shift_ns, 0))
+
+    def _picture(self, frame: Frame) -> None:
+        if frame.time_ns >= self._picture_due_ns:
+            self._picture_due_ns = frame.time_ns + _PICTURE_NS
+            self._written(lambda writer: writer.write_preview(frame))
+
+    def half_cycles(self, swings: list[Swing]) -> None:
+        """Half-cycles that are complete only at the end."""
+        none = np.empty(0)
+        nothing = Deflections(np.empty(0, dtype=np.int64), none, none, none, none, self._unit)
+        self.block(Block([], nothing, swings, []))
+
+    def look(self, frame: Frame, spot: Spot) -> None:
+        """A frame and the spot in it, where no deflection is measured."""
+        self._picture_due_ns = frame.time_ns
+        self.block(self._alone(frame.time_ns, spot), [frame])
+
+    def event(self, event: Event) -> None:
+        """An event, for the log, or advice on the balance before it."""
+        self._written(lambda writer: writer.write_event(event.time_ns, event.kind, event.text))
+
+    def jump(self, time_ns: int, text: str) -> None:
+        """Go on at a later time; curves are interrupted there, and the log says so."""
+        self.block(self._alone(time_ns, _LOST))
+        self.event(Event(time_ns, EventKind.START, text))
+
+    def restart(self, time_ns: int) -> None:
+        """Begin another record, which the view shows from now on."""
+        if self._head is None or self._failed:
+            return
+        try:
+            # as of a rejected start, so that the view goes on with the next
+            self.event(Event(self._last_ns, EventKind.REJECTED, "restarted"))
+            self._end()
+            aside = self._path.with_suffix(".old")
+            # not removed before the next is there, which the system might give the same number
+            self._path.rename(aside)
+            pixels_beside(self._path).unlink(missing_ok=True)
+            self.begin(time_ns, self._head)
+            aside.unlink()
+        except (OSError, RecordError) as error:
+            self._fail(error)
+
+    def flush(self) -> None:
+        """Have all shown that was written."""
+        self._written(lambda writer: writer.flush())
+
+    def _alone(self, time_ns: int, spot: Spot) -> Block:
+        nothing, unit = np.full(1, math.nan), self._unit
+        at = Deflections(np.array([time_ns]), nothing, nothing, nothing, nothing, unit)
+        return Block([spot], at, [], [])
+
+    def _written(self, write: Callable[[RecordWriter], None]) -> None:
+        """Write into the record, where there is one that can be written."""
+        if self._writer is not None and not self._failed and self._writer.bytes_written > self._most_bytes:
+            self.restart(self._last_ns)
+        if self._writer is None or self._failed:
+            return
+        try:
+            write(self._writer)
+        except RecordError as error:
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        """The view ends, and nothing else."""
+        self._failed = True
+        say(f"the view ends: {error}")
+
+    def _end(self) -> None:
+        if self._writer is not None:
+            with suppress(RecordError):
+                self._writer.close()

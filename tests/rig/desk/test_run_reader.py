@@ -1,0 +1,111 @@
+"""What a desk shows of a run is read from its record, while it grows; events stand in one order."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acquisition.record.topics import ESTIMATE, FITTED, RecordedEstimate, RecordedFittedPoint
+from acquisition.record.writer import RecordWriter
+from processing.deflections import Deflections, DeflectionUnit
+from processing.spot import Spot
+from processing.swing import Swing
+from processing.ticks import nanoseconds, seconds
+from rig.desk.run_reader import RunReader, newest_first
+
+SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
+
+
+def until(state: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + 30.0
+    while not state():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def reader(tmp_path: Path) -> Iterator[RunReader]:
+    found = RunReader(tmp_path / "run-1.mcap")
+    yield found
+    found.close()
+
+
+def writer(path: Path) -> RecordWriter:
+    """A record that began with a frame 3 s ago, at 50 s of the frames' clock."""
+    start_ns = nanoseconds(50.0)
+    return RecordWriter(path, time.time_ns() - nanoseconds(3.0) - start_ns, deflection_unit=DeflectionUnit.PX)
+
+
+def spots(record: RecordWriter, at_s: float, count: int = 16) -> None:
+    times_ns = nanoseconds(50.0 + at_s) + np.arange(count, dtype=np.int64) * 10_000_000
+    zeros = np.zeros(count)
+    at = Deflections(times_ns, zeros, zeros + at_s, zeros, zeros, DeflectionUnit.PX)
+    record.write_spots(range(count), times_ns.tolist(), times_ns.tolist(), [SPOT] * count, at)
+
+
+def test_a_growing_record_is_shown_as_it_is_flushed_and_the_next_one_of_its_name(reader: RunReader) -> None:
+    assert not reader.begun
+    with writer(reader.record) as record:
+        spots(record, 0.0)
+        record.write_event(nanoseconds(50.0), "start", "first frame")
+        record.flush()
+        until(lambda: reader.begun and bool(reader.path()["y"]))
+        assert reader.path()["y"] == [0.0] * 16
+        assert time.monotonic() - reader.began_s == pytest.approx(3.0, abs=30.0)
+        until(lambda: len(reader.take_events()) == 1)
+        spots(record, 1.0)
+        record.flush()
+        until(lambda: len(reader.path()["y"]) == 32)
+        assert max(y for _, y in reader.history(spectra=False)["y"]) == 1.0
+    # a start that is not accepted is set aside, and the record begins again
+    reader.record.rename(reader.record.with_name("run-1-start-1.mcap"))
+    with writer(reader.record) as record:
+        spots(record, 0.5, 4)
+        record.flush()
+        until(lambda: reader.path()["y"] == [0.5] * 4)
+
+
+def test_estimates_and_the_fit_are_told_at_the_times_of_the_record(reader: RunReader) -> None:
+    start_ns = nanoseconds(50.0)
+    with writer(reader.record) as record:
+        spots(record, 0.0)
+        swing = Swing(0, start_ns + nanoseconds(1.0), 1e-4, 3.0, 0.1, 2.0, 1e-4, 0.0, 1, 0)
+        record.write_swing(swing)
+        for at_s in (10.0, 12.0):
+            time_ns = start_ns + nanoseconds(at_s)
+            record.write(ESTIMATE, RecordedEstimate(time_ns, 20, 0.03, 0.01, "b"), time_ns)
+            point = RecordedFittedPoint(time_ns, start_ns + nanoseconds(1.0), 3e-4, at_s, 4.01, 0.25)
+            record.write(FITTED, point, time_ns)
+    until(lambda: bool(reader.history(spectra=False)["fit"].get("period")))
+    told = reader.history(spectra=False)
+    assert told["estimates"] == {"b": [(10.0, 0.03, 0.01), (12.0, 0.03, 0.01)]}
+    assert told["fit"]["amplitude_residual"] == [(1.0, 12.0)]
+    assert told["fit"]["period"] == [(1.0, 4.01)]
+    assert [one[:2] for one in told["swings"]] == [(1.0, 3.0)]
+
+
+def event(number: int, run: str, text: str, elapsed_s: float, noted_s: float) -> dict[str, Any]:
+    return {"number": number, "run": run, "text": text, "elapsed_s": elapsed_s, "noted_s": noted_s}
+
+
+def test_events_have_one_origin_and_the_newest_is_first() -> None:
+    of_record = ((2.6, "rest"), (-1.3, "magnet"), (0.0, "first frame"), (2.0, "go"))
+    events = [event(1, "run 2", "waits for a person", math.nan, 100.4)]
+    assert math.isnan(newest_first({"run": "run 2"}, events)[0][0])
+    events += [event(k, "run 2", text, at_s, 100.0 + at_s) for k, (at_s, text) in enumerate(of_record, 2)]
+    events.append(event(9, "run 1", "the first run's end", 900.0, 90.0))
+    found = newest_first({"run": "run 2", "record_began_s": 100.0}, events)
+    assert [one["text"] for _, one in found] == [
+        "rest",
+        "go",
+        "waits for a person",
+        "first frame",
+        "magnet",
+        "the first run's end",
+    ]
+    assert found[-1][0] == -10.0
+    assert seconds(nanoseconds(found[0][0])) == 2.6

@@ -1,0 +1,59 @@
+"""A record says how its session stood: phase, light, how it kept up, the live fit, the level of events."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.record.events import Level
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import (
+    ESTIMATE,
+    EVENT,
+    FITTED,
+    HEALTH,
+    LIGHT,
+    PHASE,
+    RecordedEstimate,
+    RecordedFittedPoint,
+    RecordedHealth,
+    RecordedLight,
+    RecordedPhase,
+)
+from rig.control import Light
+from rig.instrument import Phase
+from rig.measure import measure_session
+from rig.settings import load_configuration
+from tests.rig.command_line import CONFIGS, SMALL
+
+
+@pytest.mark.slow
+def test_a_record_says_how_its_session_stood(tmp_path: Path) -> None:
+    # without a limit that holds the fits are made all the same, and waited for: the run repeats exactly
+    stated = {**SMALL, "session.max_duration_s": "95", "session.stop_when": '["u(b)/b < 1e-9"]'}
+    config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in stated.items()])
+    measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        phases = reader.values(PHASE.topic, RecordedPhase)
+        lights = reader.values(LIGHT.topic, RecordedLight)
+        healths = reader.values(HEALTH.topic, RecordedHealth)
+        estimates = reader.values(ESTIMATE.topic, RecordedEstimate)
+        points = reader.values(FITTED.topic, RecordedFittedPoint)
+        levels = {
+            EVENT.decode(one.data)[1]: EVENT.decode(one.data)[3] for one in reader.messages(EVENT.topic)
+        }
+        frames, swings = len(reader.spots()), reader.swings()
+    assert [one.phase for one in phases] == [Phase.MEASURING, Phase.CLOSING]
+    assert "time limit" in phases[-1].reason
+    # this rig controls no laser
+    assert (lights[-1].light, lights[-1].trip) == (Light.UNKNOWN, 0)
+    # once a second, in blocks of 64 frames
+    assert len(healths) == pytest.approx(85, abs=15)
+    assert np.isnan(healths[-1].frame_age_s)
+    assert healths[-1].frames == pytest.approx(frames, abs=200)
+    assert levels["start"] == levels["stop"] == Level.INFORMATION
+    last = [one for one in estimates if one.time_ns == estimates[-1].time_ns]
+    assert {"b", "c"} <= {one.quantity for one in last}
+    assert last[0].half_cycles <= len(swings)
+    beside = [one for one in points if one.time_ns == points[-1].time_ns]
+    assert len(beside) == last[0].half_cycles

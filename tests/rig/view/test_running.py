@@ -1,0 +1,195 @@
+"""A run and its view, with the real program.
+
+The same is shown live, afterwards and in a replay; whatever happens to the view, the run goes on.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acquisition.record.reader import RecordReader
+from rig.replay import replay_record
+from rig.terminal import LOOPBACK, start_python
+from rig.view import RunningView
+from rig.view.show import write_rrd
+from tests.rig.command_line import CONFIGS, rig, set_words
+from tests.rig.view.rrd_contents import contents, scalars
+from tests.rig.view.test_recorded import make_record
+from tests.waiting import until
+
+SHORT = {"session.max_duration_s": "20", "view.file": "true", "instrument.kind": '"tomlinson"'}
+"""Without a fit of the contact, which takes long for a short run."""
+IN_REAL_TIME = {
+    "simulation.real_time": "true",
+    "simulation.sensor.width_px": "96",
+    "simulation.sensor.height_px": "320",
+    "simulation.optics.arm_m": "0.5",
+    "camera.frame_rate_hz": "50",
+    "session.max_duration_s": "12",
+    "instrument.kind": '"tomlinson"',
+}
+CURVES = ("/deflection/x", "/deflection/y", "/amplitude", "/period", "/balance/line_angle")
+posix_only = pytest.mark.skipif(os.name != "posix", reason="stops a process with POSIX signals")
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a run and the Rerun file that was drawn while it was measured."""
+    folder = tmp_path_factory.mktemp("live")
+    done = rig("run", CONFIGS / "demo.toml", "-o", "out", *set_words(SHORT), cwd=folder)
+    assert (folder / "out" / "run-1.rrd").exists(), done.stderr
+    return folder / "out"
+
+
+def test_what_is_shown_live_is_what_is_shown_afterwards(live: Path, tmp_path: Path) -> None:
+    write_rrd([live / "run-1.mcap"], tmp_path / "again.rrd")
+    first, again = contents(live / "run-1.rrd"), contents(tmp_path / "again.rrd")
+    assert first.keys() == again.keys()
+    differing = {key for key in first if first[key] != again[key]}
+    assert differing == {("/__properties", "RecordingInfo:start_time")}
+
+
+def test_a_replay_shows_the_same_curves(live: Path, tmp_path: Path) -> None:
+    rrd = tmp_path / "replay.rrd"
+    replay_record(live / "run-1.mcap", None, retrack=False, overrides=[], rrd=rrd)
+    first, again = contents(live / "run-1.rrd"), contents(rrd)
+    for entity in CURVES:
+        for component in ("Scalars:scalars", "Measurements:values", "Measurements:variances"):
+            if (entity, component) in first:
+                assert first[entity, component] == again[entity, component], entity
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+@posix_only
+@pytest.mark.parametrize("stopped_by", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_view_that_is_killed_or_stopped_costs_no_frame(tmp_path: Path, stopped_by: signal.Signals) -> None:
+    words = set_words(IN_REAL_TIME | {"view.file": "true", "view.mode": '"web"'})
+    run = start_python(
+        "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", "out", *words,
+        cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    record = tmp_path / "out" / "run-1.mcap"
+    views: list[int] = []
+    try:
+        until(lambda: record.exists() and record.stat().st_size > 100_000)
+        views = children_of(run.pid, "view")
+        assert len(views) == 2
+        for pid in views:
+            os.kill(pid, stopped_by)
+        assert run.stderr is not None
+        said = run.stderr.read()
+        run.wait(120.0)
+    finally:
+        run.kill()
+        run.communicate()
+        left = [pid for pid in views if Path(f"/proc/{pid}").exists()]
+    assert left == []
+    with RecordReader(record) as reader:
+        losses = reader.losses()
+        assert reader.sound
+        assert losses is not None
+        assert losses.total == 0
+        sequence = reader.spots()["sequence"]
+        assert np.array_equal(sequence, np.arange(len(sequence)))
+        assert len(sequence) >= 12 * 50
+    assert "run-1.rrd is not whole: its writer was ended" in said
+
+
+@pytest.mark.slow
+@posix_only
+def test_the_rerun_file_of_a_run_that_was_killed_is_whole(tmp_path: Path) -> None:
+    words = set_words(IN_REAL_TIME | {"view.file": "true", "session.max_duration_s": "60"})
+    run = start_python(
+        "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", "out", *words,
+        cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    record = tmp_path / "out" / "run-1.mcap"
+    until(lambda: record.exists() and record.stat().st_size > 200_000)
+    (view,) = children_of(run.pid, "view")
+    run.kill()
+    run.wait()
+    until(lambda: not Path(f"/proc/{view}").exists())
+    with RecordReader(record) as reader:
+        count = len(reader.spots())
+    assert len(scalars(record.with_suffix(".rrd"), "/deflection/x")[0]) == count > 0
+
+
+@posix_only
+def test_a_view_whose_record_never_comes_ends_with_what_started_it(tmp_path: Path) -> None:
+    with RunningView(tmp_path / "run.mcap", "none", tmp_path / "run.rrd", "measuring") as view:
+        (pid,) = view.pids
+    assert not (tmp_path / "run.rrd").exists()
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_another_record_after_a_rejected_start_is_drawn_too(tmp_path: Path) -> None:
+    record, rrd = tmp_path / "run.mcap", tmp_path / "run.rrd"
+    with RunningView(record, "none", rrd, "measuring"):
+        make_record(record, ended="rejected")
+        until(lambda: rrd.with_stem("run-start-1").exists())
+        record.rename(tmp_path / "run-start-1.mcap")
+        make_record(tmp_path / "made.mcap", rows=700).rename(record)
+    assert len(scalars(rrd, "/deflection/x")[0]) == 700
+    assert len(scalars(rrd.with_stem("run-start-1"), "/deflection/x")[0]) == 1000
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads the sockets from /proc/net/tcp")
+def test_the_page_is_served_to_this_machine_only(tmp_path: Path) -> None:
+    shown = subprocess.Popen(
+        [sys.executable, "-m", "rig", "view", make_record(tmp_path / "run.mcap"), "--view", "web"],
+        stdout=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    try:
+        assert shown.stdout is not None
+        address = shown.stdout.readline().split()[4]
+        (program,) = children_of(shown.pid, "serve-web")
+        until(lambda: len(listening(program)) >= 2)
+        assert {place.split(":")[0] for place in listening(program)} == {"0100007F"}
+        assert address.startswith(f"http://{LOOPBACK}:")
+    finally:
+        shown.send_signal(signal.SIGINT)
+        shown.communicate(timeout=60.0)
+    assert not Path(f"/proc/{program}").exists()
+
+
+def processes() -> Iterator[tuple[int, int, str]]:
+    """Number, parent and command of all processes."""
+    for place in Path("/proc").glob("[0-9]*"):
+        try:
+            state = (place / "stat").read_text().rpartition(")")[2].split()
+            yield int(place.name), int(state[1]), (place / "cmdline").read_text().replace("\0", " ")
+        except OSError:
+            continue
+
+
+def children_of(parent: int, word: str) -> list[int]:
+    return [pid for pid, of, command in processes() if of == parent and word in command]
+
+
+def listening(pid: int) -> set[str]:
+    """Local addresses (hexadecimal, as in /proc/net/tcp) on which a process listens."""
+    sockets: set[Any] = set()
+    for handle in Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            target = os.readlink(handle)
+        except OSError:
+            continue
+        if target.startswith("socket:["):
+            sockets.add(target[8:-1])
+    found = set()
+    for file in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(file).read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == "0A" and fields[9] in sockets:
+                found.add(fields[1])
+    return found
