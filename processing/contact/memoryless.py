@@ -222,7 +222,10 @@ def memoryless_law(
     ) -> BranchMoments:
         own = scaled_values(scalings, values, pendulum, 1.0).values()
         found = moments_of(np.array([*own, 0.0, 1.0, relative_curvature(pendulum)]), 0.0, 0.0)
-        assert found is not None
+        if found is None:
+            # a fit may end outside of what the law takes; what is withheld is drawn nowhere
+            undefined = np.full(np.shape(phi_rad), np.nan)
+            return BranchMoments(undefined, undefined)
         weight, size = weight_moment(pendulum), np.abs(phi_rad)
         with np.errstate(all="ignore"):  # ln 0 in derivatives
             friction, elastic = (one.moment(size)[..., 0] for one in found)
