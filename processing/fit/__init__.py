@@ -33,7 +33,7 @@ from processing.fit.remeasure import (
     known_motion,
     measured_again,
     points_in_true_time,
-    settlement,
+    settled_by_either,
     shift_of,
 )
 from processing.fit.reported import (

@@ -242,6 +242,39 @@ class Settlement(NamedTuple):
     doubt: str = ""
 
 
+def settled_by_either(
+    swings: Sequence[Swing],
+    blocks: Iterable[Deflections],
+    motion: KnownMotion,
+    first: FitResult,
+    fit: FitOfSwings,
+    again: Sequence[Swing] | None = None,
+    before: Sequence[Swing] = (),
+) -> Settlement:
+    """The second measurement; where it is refused, once more with the drive that the first fit has seen.
+
+    A drive that is not known may pass for a rest position that moves: the uncertainties of the half-cycles
+    then grow until none of them says anything. It is not told at once, because a drive that the first fit saw
+    by mistake would be found again.
+
+    Parameters
+    ----------
+    again
+        The half-cycles measured again on the motion, where that is done already.
+    before
+        Half-cycles before them, which are fitted with them and not measured again.
+    """
+    every = [*before, *swings]
+    if again is None:
+        again = measured_again(swings, blocks, motion)
+    found = settlement(every, [*before, *again], motion, first, fit)
+    if not found.doubt or first.ground is None or not first.ground.seen:
+        return found
+    driven = replace(motion, drive=first.ground.noise.step)
+    with_drive = settlement(every, [*before, *measured_again(swings, blocks, driven)], driven, first, fit)
+    return found if with_drive.doubt else with_drive
+
+
 def settlement(
     swings: Sequence[Swing], again: Sequence[Swing], motion: KnownMotion, first: FitResult, fit: FitOfSwings
 ) -> Settlement:
@@ -297,6 +330,5 @@ def fitted_twice(
         motion = fit.motion(first, every)
     except DataError:
         return Settlement(every, None), first
-    again = [*before, *measured_again(swings, blocks, motion)]
-    found = settlement(every, again, motion, first, fit)
+    found = settled_by_either(every[len(before) :], blocks, motion, first, fit, before=every[: len(before)])
     return found, found.exact or fit.of(found.swings, first)

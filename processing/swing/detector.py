@@ -122,7 +122,9 @@ class SwingDetector:
                 self._broken_off = None
             self._emit(index, first.half.reference_ns, first.half.side, first.result, flags, swings)
         self._search = None
-        self._follower = Follower(onset, index, self._before)
+        self._follower = Follower(
+            onset, index, self._before, drive=0.0 if self._known is None else self._known.drive
+        )
         self._samples.forget_before(self._samples.position(self._follower.start_ns))
 
     def _continuation(self, before: Swing, first: FirstHalfCycle) -> SwingFlag:

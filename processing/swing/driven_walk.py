@@ -49,10 +49,11 @@ class Within(NamedTuple):
 
 
 class DrivenWalk:
-    """Variance of the steps; 0 while none are seen."""
+    """Variance of the steps; 0 while none are seen. A `variance` that is known is not learned."""
 
-    def __init__(self) -> None:
-        self.variance = 0.0
+    def __init__(self, variance: float = 0.0) -> None:
+        self.variance = variance
+        self._known = variance > 0.0
         self._means = [1.0, 1.0]
         self._offsets = [0.0, 0.0]
         self._in_turns = self._before = 0.0
@@ -122,6 +123,8 @@ class DrivenWalk:
         now = math.copysign(math.sqrt(ratios[0]), differences[0])
         self._in_turns += (-now * self._before - self._in_turns) / _AT_FIRST
         self._before = now
+        if self._known:
+            return False
         if self.variance == 0.0:
             self._offsets = [0.0, 0.0]
             together = sum(self._means)

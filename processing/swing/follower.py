@@ -75,17 +75,20 @@ lost."""
 class Follower:
     """State of the oscillation, carried from half-cycle to half-cycle."""
 
-    def __init__(self, onset: Onset, index: int, before: "Follower | None" = None) -> None:
+    def __init__(
+        self, onset: Onset, index: int, before: "Follower | None" = None, drive: float = 0.0
+    ) -> None:
         """Start from a newly found oscillation; `index` is the index of its last half-cycle.
 
-        What the follower `before` it has learned of the samples' noise still holds.
+        What the follower `before` it has learned of the samples' noise still holds. `drive` is what is known
+        of the ground's (`KnownMotion`).
         """
         arc, last = onset.arc, onset.halves[-1]
         self.index = index
         self.side = last.side
         self.reference_ns = last.reference_ns
         self.noise: SampleNoise = SampleNoise(onset.noise_scale) if before is None else before.noise
-        self.walk = DrivenWalk()
+        self.walk = DrivenWalk(drive**2)
         self.misses = 0
         self.first_miss_ns = 0
         self._age = 0

@@ -14,8 +14,9 @@ class KnownMotion:
     """Frequency and shape of the half-swing at every amplitude (see `waveform` for the equation).
 
     `rate_rad_per_s` is the angular frequency of the linear part of the waveform's equation at the amplitude
-    `reference`, which has the unit of the deflection. The other fields are dimensionless, in the order of the
-    state's shape terms.
+    `reference`, which has the unit of the deflection. The fields from `damping` to `bend` are dimensionless,
+    in the order of the state's shape terms. `drive` is the step by which the ground moves either quadrature
+    in a half-swing, in the unit of the deflection: a rest that seems to move hides one that is unknown.
     """
 
     rate_rad_per_s: float
@@ -27,11 +28,12 @@ class KnownMotion:
     stiff: float = 0.0
     n: float = 1.0
     bend: float = 0.0
+    drive: float = 0.0
 
     def put_into(self, x: Floats) -> Floats:
         """Copy of the state `x` (see `half_cycle`) with this motion's frequency and shape."""
         out = np.array(x, dtype=np.float64)
         assert out.shape == (STATES,)
         out[RATE] = self.rate_rad_per_s
-        out[SHAPE : SHAPE + SHAPES] = astuple(self)[2:]
+        out[SHAPE : SHAPE + SHAPES] = astuple(self)[2 : 2 + SHAPES]
         return out

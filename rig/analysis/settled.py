@@ -17,7 +17,7 @@ from processing.fit import (
     known_motion,
     measured_again,
     place_errors,
-    settlement,
+    settled_by_either,
     shift_of,
 )
 from processing.least_squares import Loss
@@ -84,7 +84,7 @@ def settled_swings(
     turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turned), max(turned), watch.cycles)
     again = measured_again(swings, _watched(blocks, watch, search), motion)
-    settled = Settled(*settlement(swings, again, motion, first, fit), harmonics=harmonics)
+    settled = Settled(*settled_by_either(swings, blocks, motion, first, fit, again), harmonics=harmonics)
     found = search.found()
     if found is None:
         return settled
