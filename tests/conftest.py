@@ -4,8 +4,9 @@ import gc
 import os
 import sys
 import warnings
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator, Set
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +34,16 @@ leave_no_orphans()
 
 LONG_S = 120
 """A test that states a limit of its own of so many seconds waits for long, and begins early."""
+_SLOW_BETWEEN = 4
+"""Files that compute, between two that wait for long."""
 LONGER_S = {"kernel": 1500, "slow": 300, "realtime": 300}
 """Limits in s, for a busy machine, of tests that are marked so; the others have the one of pyproject.toml."""
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Two workers more than processors (`-n auto`): what measures real time waits, and others do at times."""
+    """Three workers more than processors (`-n auto`), since what measures real time waits."""
     waits = "not realtime" not in config.option.markexpr
-    return (os.cpu_count() or 1) + 2 * waits
+    return (os.cpu_count() or 1) + 3 * waits
 
 
 class FileByFile(LoadScopeScheduling):
@@ -71,7 +74,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> FileByFile:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Limits of time, and the order: real time, long files, slow files; short ones end together."""
+    """Limits of time, and the order of the files."""
     long_files = {
         item.path for item in items for mark in item.iter_markers("timeout") if mark.args[0] >= LONG_S
     }
@@ -82,13 +85,26 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if limit_s and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(limit_s))
     slow_files = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(
-        key=lambda item: (
-            not measures_real_time(item.path),
-            item.path not in long_files,
-            item.path not in slow_files,
-        )
-    )
+    places = _places(dict.fromkeys(item.path for item in items), long_files, slow_files)
+    items.sort(key=lambda item: places[item.path])
+
+
+def _places(files: Iterable[Path], long_files: Set[Path], slow_files: Set[Path]) -> dict[Path, int]:
+    """When each file's turn is: real time, then slow files with those that wait among them, then short ones.
+
+    Were all that wait for long begun first, the processors would wait with them.
+    """
+    files = list(files)
+    first = [path for path in files if measures_real_time(path)]
+    waiting = iter([path for path in files if path in long_files and path not in first])
+    others = [path for path in files if path not in long_files and path not in first]
+    others.sort(key=lambda path: path not in slow_files)
+    mixed = list(first)
+    for place, path in enumerate(others):
+        if place % _SLOW_BETWEEN == 0:
+            mixed += islice(waiting, 1)
+        mixed.append(path)
+    return {path: place for place, path in enumerate([*mixed, *waiting])}
 
 
 @pytest.hookimpl(wrapper=True)
