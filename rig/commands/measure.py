@@ -220,7 +220,9 @@ def view(
     follow: Annotated[bool, typer.Option("--follow", hidden=True)] = False,
     ports: Annotated[tuple[int, int] | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Show records in Rerun; several are overlaid, one that is being written is followed.
+    """Show records in Rerun; several are overlaid.
+
+    One that is being written is followed.
 
     \b
     Examples:

@@ -8,6 +8,7 @@ from nicegui import run, ui
 from processing.errors import ConfigurationError
 from rig.calibrate import Filed, Filing
 from rig.desk import tables
+from rig.desk.at_once import at_once
 from rig.desk.calibrating import FOLDER, Calibrating
 from rig.desk.chart_options import Curve
 from rig.desk.charts import Chart
@@ -161,7 +162,7 @@ def _field(label: str, value: str, key: str) -> ui.input:
 def _choice(name: str, key: str, label: str, choices: tuple[str, ...]) -> ui.input | ui.select:
     if not choices:
         return _field(label, "", f"{name} {key}").classes("full-width")
-    return ui.select(list(choices), label=label, value=choices[0]).props(
+    return at_once(ui.select(list(choices), label=label, value=choices[0])).props(
         f'dense outlined aria-label="{label}"'
     )
 

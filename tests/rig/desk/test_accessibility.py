@@ -111,7 +111,7 @@ def test_no_state_of_a_session_has_a_violation(shown: Shown, axe: str, theme: st
 
 
 @pytest.mark.parametrize("theme", THEMES)
-def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
+def test_no_form_error_drawer_archive_picture_or_hand_over_has_a_violation(
     shown: Shown, axe: str, theme: str, desk_output: Path
 ) -> None:
     _, page = shown
@@ -124,15 +124,14 @@ def test_no_wizard_error_drawer_archive_picture_or_hand_over_has_a_violation(
 
     page.key("5")
     page.click("lever")
-    page.click("Start over")
     page.wait_text("Lever: from px to radians")
-    judge("a wizard's first question")
-    page.click("geometry")
-    page.wait_text("Mirror to sensor")
-    page.fill("answer", "1 yard")
-    page.click("Answer")
-    page.wait_text("has the unit yard; m is meant")
-    judge("a wizard whose answer was wrong")
+    judge("the form of a calibration")
+    page.fill("lever list", "[geometry]\narm_m = -1.0\npixel_pitch_m = 4.8e-6\n")
+    page.click("File it")
+    page.wait_text("arm_m = -1.0: should be greater than 0")
+    judge("a form whose list was wrong")
+    page.click("close")
+    page.wait("document.querySelector('.errors > *') === null")
     page.key("4")
     runs = "document.querySelector('[data-key=\"session.runs\"]')"
     page.wait(f"{runs}.offsetParent !== null")

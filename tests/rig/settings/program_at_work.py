@@ -3,6 +3,7 @@
 import time
 from concurrent.futures import Future
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -81,12 +82,16 @@ class _Stubs:
 
     control = _Obedient()
     witness = None
+    permit = SimpleNamespace(latched=None)
 
     def now(self) -> DevicesNow:
         return DevicesNow()
 
     def laser_now(self) -> LaserNow:
         return LaserNow(Light.ON)
+
+    def safety(self) -> SafetyNow:
+        return SafetyNow(light=Light.ON)
 
     def darkness(self) -> str:
         return ""
