@@ -19,8 +19,10 @@ from concurrent.futures import ThreadPoolExecutor
 from difflib import unified_diff
 from fnmatch import fnmatchcase
 from html import unescape
+from itertools import chain
 from pathlib import Path
 
+from rig.cli import GROUPS
 from tests.ledger.cases import CASES, Case
 from tests.ledger.numbers import Difference, Entry, differences, entries
 
@@ -110,7 +112,8 @@ def _helps(command: tuple[str, ...]) -> Iterator[str]:
     yield f"== rig {' '.join(command)}".rstrip()
     yield text
     listed = text.partition("\nCommands:\n")[2]
-    for name in re.findall(r"^  (\S+)", listed, re.MULTILINE):
+    names = re.findall(r"^  (\S+)", listed, re.MULTILINE) if command else chain.from_iterable(GROUPS.values())
+    for name in names:
         yield from _helps((*command, name))
 
 

@@ -26,6 +26,7 @@ from rig.control import (
     EnvironmentSettings,
     LaserNow,
     Light,
+    SafetyNow,
     WitnessLines,
     WitnessSettings,
     simulated_controller,
@@ -43,6 +44,7 @@ from rig.measure.run_parts import RunParts
 from rig.measure.session import measure_session, session_folder
 from rig.measure.start_judge import start_limits
 from rig.settings import Configuration, load_configuration
+from rig.view.show import write_rrd
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.rig.control.instruments import FakeObis, FakeThorlabs
 from tests.rig.known_rig import known
@@ -61,6 +63,8 @@ def measure_one_session(folder: Path) -> None:
     """Camera to report: session, record, view, fit, pendulum, lever."""
     config = configuration(session__max_duration_s=2, view__file="true")
     measure_session(config, DEMO, folder / "out")
+    # as the viewer's own process does
+    write_rrd([folder / "out" / "run-1.mcap"], folder / "again.rrd")
     session_folder(config.model_copy(update={"session": _in(config, folder)}), DEMO, None)
 
 
