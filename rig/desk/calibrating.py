@@ -251,7 +251,9 @@ def _number(what: str, text: str) -> float:
 
 
 def _side(text: str) -> Literal["+", "-"] | None:
-    return None if text not in ("+", "-") else text  # type: ignore[return-value]
+    if text == "+":
+        return "+"
+    return "-" if text == "-" else None
 
 
 def _bits(text: str) -> int | None:

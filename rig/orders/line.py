@@ -73,7 +73,7 @@ class Line:
         self._ask(BEAT)
 
     def news(self, after: int = 0) -> dict[str, Any]:
-        """What `SessionNews.news` says."""
+        """The news of the session that came after number `after`, as `SessionNews.news` gives them."""
         found: dict[str, Any] = self._ask(NEWS, after)
         return found
 
