@@ -64,6 +64,17 @@ def test_what_is_known_of_the_air_is_shared_and_not_averaged_away() -> None:
     assert apart.standard_uncertainty == pytest.approx(own / 2, rel=1e-6)
 
 
+def test_the_interval_of_a_mean_is_students_of_what_scatters_and_the_normals_of_what_is_shared() -> None:
+    """Of two runs, at 95 %: t of one degree is 12.706, and the normal's 1.960 (tables)."""
+    found = combine("b", [Estimate(1.0, 5.0), Estimate(9.0, 5.0)], [4.0, 4.0])
+    u = found.standard_uncertainty
+    assert found.by_air == pytest.approx(4.0)
+    assert found.own == pytest.approx((u**2 - 16.0) ** 0.5)
+    assert found.own < u
+    expected = ((12.706 * found.own) ** 2 + (1.960 * 4.0) ** 2) ** 0.5
+    assert found.expanded_uncertainty_95 == pytest.approx(expected, rel=1e-4)
+
+
 def test_the_doubt_of_the_air_is_in_a_series_as_in_each_run() -> None:
     """Turning points alone: b is as uncertain as the air is, whatever the number of runs."""
     parameters, pendulum = paper_pair("glass_k8", 1.7e-3)
