@@ -30,14 +30,13 @@ ALLOWED = {
     "rig/orders/server.py": "a live port, gone with its process",
     "processing/byte_lock.py": "a lock",
     "rig/control/safety_state.py": "a lock",
-    "rig/control/presses.py": "the time of a file alone, where a full disk takes no content",
     "rig/desk/kept.py": "a lock",
     "rig/measure/session_file.py": "a lock",
     "rig/measure/record_file.py": "a record set aside under another name",
     "rig/terminal/interruption.py": "the null device",
     "rig/measure/screen.py": "the null device",
     # devices
-    "rig/control/beside.py": "a device's port",
+    "rig/control/presses.py": "the time of a file alone, where a full disk takes no content; a device's port",
     "rig/control/usbtmc.py": "a device's port",
     "acquisition/cameras/v4l2/kernel.py": "a device's node",
     # other programs' own

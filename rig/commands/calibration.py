@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from rig.commands.arguments import in_json
 from rig.commands.inputs import one_record, recorded, there
-from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without, output_option
 
 if TYPE_CHECKING:

@@ -5,11 +5,9 @@ from typing import Annotated, Any
 
 import typer
 
-from rig.commands.arguments import Config, Set
-from rig.commands.json_answers import in_json
-from rig.commands.opened_camera import opened_camera
+from rig.commands.arguments import Config, Set, in_json
 from rig.commands.outputs import new_file, output_option
-from rig.commands.pictures import align, expose, focus, frames, record, snap
+from rig.commands.pictures import align, expose, focus, frames, opened_camera, record, snap
 
 
 def register(app: typer.Typer) -> None:

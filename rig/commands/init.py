@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from rig.commands.json_answers import in_json
+from rig.commands.arguments import in_json
 
 
 def register(app: typer.Typer) -> None:

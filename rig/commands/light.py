@@ -6,9 +6,8 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import Config, Set
+from rig.commands.arguments import Config, Set, in_json
 from rig.commands.inputs import there
-from rig.commands.json_answers import in_json
 
 
 def register(app: typer.Typer) -> None:

@@ -8,9 +8,8 @@ import typer
 
 from acquisition.record import records_in
 from processing.errors import ConfigurationError
-from rig.commands.arguments import MODES, JsonLines, Record, ResultsFolder, Set, View
+from rig.commands.arguments import MODES, JsonLines, Record, ResultsFolder, Set, View, in_json
 from rig.commands.inputs import configuration, one_record, recorded, there
-from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_or_record, folder_without, new_file, output_option
 
 Rrd = Annotated[

@@ -1,18 +1,43 @@
 """Commands of `rig camera` that look: pictures, records for calibrations, focus, beam, exposure."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rig.commands.arguments import MODES, Config, NewRecord, Set, View
-from rig.commands.opened_camera import opened_camera
 from rig.commands.outputs import new_file, new_folder, old_folder, output_option
 
 if TYPE_CHECKING:
+    from acquisition.camera import Camera, CameraInfo, CameraSettings
     from acquisition.frame import Frame
     from processing.spot import Spot
     from rig.devices import PictureFigures
+
+
+@contextmanager
+def opened_camera(
+    config: Path, set_: list[str] | None
+) -> Iterator[tuple["Camera", "CameraInfo", "CameraSettings"]]:
+    """The configured camera, who it is, and the settings that hold; those that differ are said on stderr."""
+    from rig.instrument import camera_settings, check_full_scale, make_camera, setting_differences
+    from rig.settings import load_configuration
+
+    loaded = load_configuration(config, set_ or [])
+    camera = make_camera(loaded)
+    try:
+        info = camera.open()
+        asked = camera_settings(loaded)
+        applied = camera.configure(asked)
+        check_full_scale(loaded, info, applied)
+        for line in setting_differences(asked, applied):
+            typer.echo(line, err=True)
+        yield camera, info, applied
+    finally:
+        camera.close()
+
 
 Average = Annotated[
     int, typer.Option(help="Number of frames to average, against laser speckle.", min=1, max=10_000)

@@ -6,9 +6,8 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import Set
+from rig.commands.arguments import Set, in_json
 from rig.commands.inputs import is_of_table, one_record, recorded_or_fitted, there
-from rig.commands.json_answers import in_json
 from rig.commands.outputs import folder_without, output_option
 
 

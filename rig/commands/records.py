@@ -6,9 +6,8 @@ from typing import Annotated
 import typer
 
 from acquisition.record import records_in
-from rig.commands.arguments import Record
+from rig.commands.arguments import Record, in_json
 from rig.commands.inputs import one_record, there
-from rig.commands.json_answers import in_json
 from rig.commands.outputs import new_file, output_option
 
 

@@ -1,15 +1,14 @@
 """`rig report`, `rig paper`, `rig export` and `rig compare`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import Where
-from rig.commands.campaign import model_runs
-from rig.commands.inputs import with_results
-from rig.commands.json_answers import in_json
+from rig.commands.arguments import Where, in_json
+from rig.commands.inputs import there, with_results
 from rig.commands.outputs import folder_without, new_file, new_page, output_option, page_or_campaign
 
 
@@ -166,3 +165,44 @@ def compare(
     if output is not None:
         answer(written=[output])
         print(f"page         {output}, figure and tables in {output.with_suffix('')}")
+
+
+DEFAULT = "default"
+"""In place of a file: the model with nothing stated."""
+
+
+def model_runs(
+    model: str,
+    folders: Sequence[Path],
+    output: Path | None,
+    archive: Path | None,
+    where: str,
+    *,
+    by_sample: bool,
+    sample: bool,
+) -> None:
+    """Fit the model to the runs, print its tables and save what it found in `output`."""
+    if archive is None and not folders:
+        raise ConfigurationError("rig compare --model needs runs: name folders of sessions, or --archive")
+    from rig.analysis import encoded
+    from rig.campaigns import (
+        NamedRuns,
+        StatedCampaign,
+        answer_of,
+        campaign_tables,
+        read_campaign,
+        save_campaign,
+    )
+    from rig.presentation import answer, print_tables, say
+
+    stated = StatedCampaign() if model == DEFAULT else read_campaign(there(Path(model)))
+    runs = NamedRuns(list(folders), archive, where, by_sample=by_sample).found()
+    found = answer_of(runs, stated, sample=sample)
+    answer(campaign=encoded(found.results))
+    print_tables(campaign_tables(found))
+    for line in (*found.results.left_out, *found.results.warnings):
+        say(line)
+    if output is not None:
+        for path in save_campaign(found, output):
+            answer(written=[path])
+            print(f"{'campaign':<12} {path}")

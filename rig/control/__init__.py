@@ -1,15 +1,21 @@
 """Serial devices of the rig: controller, laser driver, environment sensor."""
 
-from rig.control.beside import darken_beside
 from rig.control.controller import Controller
 from rig.control.controller_answers import Trip
-from rig.control.device_nodes import udev_board, udev_matches
 from rig.control.environment import EnvironmentService
 from rig.control.laser_service import LONGEST_JOB_S, LaserService
 from rig.control.lasers import LASERS, LaserSettings, LaserState, laser_unit, make_laser
 from rig.control.light_permit import TO_BE_ASKED, Interlock, LightPermit, LightRefused, Stage
 from rig.control.link import ControllerReset
-from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
+from rig.control.ports import (
+    check_controller,
+    check_environment,
+    check_laser,
+    list_serial_ports,
+    udev_board,
+    udev_matches,
+)
+from rig.control.presses import darken_beside
 from rig.control.safety_state import (
     LatchedTrip,
     SafetyState,

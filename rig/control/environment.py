@@ -10,9 +10,9 @@ from dataclasses import asdict, dataclass, replace
 from processing.errors import DeviceError
 from processing.ticks import seconds
 from rig.control.controller_answers import AirReading
-from rig.control.device_thread import DeviceThread
 from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
 from rig.control.settings import EnvironmentSettings
+from rig.control.worker import DeviceThread
 
 _REOPEN_S = 1.0
 _READ_S = 0.1

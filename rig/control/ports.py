@@ -1,4 +1,4 @@
-"""Lists serial ports, and checks that the devices connected to them are as configured."""
+"""Serial ports: a list, whether the configured devices are on them, and the udev rules that open them."""
 
 import re
 import time
@@ -12,9 +12,31 @@ from rig.control.controller import Controller
 from rig.control.controller_answers import ControllerStatus
 from rig.control.environment import parse_environment
 from rig.control.lasers import LaserSettings, make_laser
+from rig.control.lasers.thorlabs4000 import USB_VENDOR as THORLABS
 from rig.control.serial_port import LineReader, PortLost, SerialPort, ports_here
 from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.presentation import Verdict
+
+PICO = 0x2E8A
+"""Raspberry Pi's USB vendor number, under which MicroPython presents the controller's board."""
+
+
+def udev_matches() -> dict[str, str]:
+    """For each kind of device what matches its node, in the language of udev's rules."""
+    return {
+        "laser drivers that the kernel's usbtmc serves": (
+            f'SUBSYSTEM=="usbmisc", KERNEL=="usbtmc*", ATTRS{{idVendor}}=="{THORLABS:04x}"'
+        ),
+        "serial ports on USB: the controller's board, lasers, sensors": (
+            'SUBSYSTEM=="tty", KERNEL=="ttyACM[0-9]*|ttyUSB[0-9]*", SUBSYSTEMS=="usb"'
+        ),
+    }
+
+
+def udev_board() -> str:
+    """What matches the controller's board itself."""
+    return f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{PICO:04x}"'
+
 
 _SILENT_S = 0.1
 _TRIPPED = range(101, 105)

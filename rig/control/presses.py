@@ -1,8 +1,10 @@
-"""Presses of LIGHT OFF, in a file beside the rig's state: who presses writes it, who lights reads it."""
+"""LIGHT OFF from beside the program that has the devices: the press as a file, and the words on the wire."""
 
 import datetime
+import errno
 import hashlib
 import os
+import secrets
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +13,9 @@ from pydantic import BaseModel, ValidationError
 
 from acquisition import atomic_write
 from processing.errors import DeviceError
+from rig.control.lasers import LaserSettings, off_line
+from rig.control.protocol import TAG_MAX, encode
+from rig.control.settings import ControllerSettings
 
 _READ_BYTES = 4096
 
@@ -87,3 +92,35 @@ class Presses:
             f"{self.path}: cannot be read: {error.strerror or error}; "
             "whether LIGHT OFF was pressed is unknown"
         )
+
+
+def darken_beside(laser: LaserSettings, controller: ControllerSettings) -> list[str]:
+    """Write "off" to the ports of controller and laser, whoever has them open; returns what failed.
+
+    Waits for nothing, neither for a lock nor for a reply: the reply goes to whoever has the port, who skips
+    it. A system on which a port cannot be opened twice says so.
+    """
+    orders = []
+    if laser.kind == "controller" and controller.kind == "serial":
+        # two tags: of a line whose first bytes were lost, or that was sent before, the other remains
+        first = 1 + secrets.randbelow(TAG_MAX - 1)
+        off = b"".join(b"\n" + encode(tag, "LASer:STATe OFF") for tag in (first, first + 1))
+        orders.append((controller.port, off))
+    if (line := off_line(laser)) is not None:
+        orders.append((laser.port, line))
+    problems = []
+    for port, data in orders:
+        try:
+            _write(port, data)
+        except OSError as error:
+            problems.append(f"{port}: cannot be switched off: {error.strerror or error}")
+    return problems
+
+
+def _write(port: str, data: bytes) -> None:
+    descriptor = os.open(port, os.O_WRONLY | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_NONBLOCK", 0))
+    try:
+        if os.write(descriptor, data) < len(data):
+            raise OSError(errno.EAGAIN, "the port took only part of the command")
+    finally:
+        os.close(descriptor)

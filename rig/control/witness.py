@@ -12,9 +12,9 @@ from typing import BinaryIO, NamedTuple
 
 from processing.errors import DeviceError
 from processing.ticks import seconds
-from rig.control.device_thread import DeviceThread
 from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
 from rig.control.settings import OWN_TIME, WitnessSettings
+from rig.control.worker import DeviceThread
 
 _REOPEN_S = 1.0
 _READ_S = 0.1

@@ -1,7 +1,5 @@
 """Configuration: reads a TOML file and command-line overrides into frozen, validated models."""
 
-from rig.settings.balance import BalanceSettings
-from rig.settings.calibration import TimebaseSettings
 from rig.settings.configuration import (
     Configuration,
     FitSettings,
@@ -16,6 +14,9 @@ from rig.settings.configuration_file import (
     apply_overrides,
     keys_with_faults,
     load_configuration,
+    read_toml,
+    shipped,
+    shipped_names,
     stored_configuration,
     unnumbered,
     validate_configuration,
@@ -23,10 +24,8 @@ from rig.settings.configuration_file import (
 from rig.settings.effect import Watched
 from rig.settings.instrument import InstrumentSettings
 from rig.settings.night_plan import PlannedSeries, load_plan
-from rig.settings.phases import PreflightSettings
-from rig.settings.shipped_configurations import shipped, shipped_names
+from rig.settings.sections import BalanceSettings, PreflightSettings, TimebaseSettings
 from rig.settings.stop_conditions import StopCondition
-from rig.settings.toml_file import read_toml
 from rig.settings.typed import number, optional, quantity
 from rig.settings.wording import in_words, validated, wanted
 from rig.settings.written_file import copy_shipped, refuse_existing, write_configuration

@@ -16,11 +16,16 @@ from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel
 from rig.control import LASERS, ControllerSettings, EnvironmentSettings, LaserSettings, WitnessSettings
-from rig.settings.balance import BalanceSettings
-from rig.settings.calibration import CalibrationSettings, TimebaseSettings
 from rig.settings.camera import CameraSection
 from rig.settings.instrument import InstrumentSettings
-from rig.settings.phases import PhaseSettings, PreflightSettings, StartSettings
+from rig.settings.sections import (
+    BalanceSettings,
+    CalibrationSettings,
+    PhaseSettings,
+    PreflightSettings,
+    StartSettings,
+    TimebaseSettings,
+)
 from rig.settings.stop_conditions import StopCondition, stop_conditions
 
 _OF_THE_RIG = ("controller.", "laser.", "session.output")

@@ -4,8 +4,10 @@ A file may begin with ``extends = "other.toml"`` (relative to itself) and then s
 differs. On the command line ``--set a.b.c=value`` replaces any key by its dotted path.
 """
 
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,9 +16,49 @@ from pydantic import BaseModel
 from processing.errors import ConfigurationError, require_schema
 from processing.units import unit_of_name
 from rig.settings.configuration import Configuration
-from rig.settings.toml_file import read_toml
 from rig.settings.typed import quantity, states_unit
 from rig.settings.wording import KeyFault, dotted, validated
+
+_TWICE = ("Cannot overwrite a value", "Cannot declare", "Duplicate")
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """The tables of a file that is called `what`; it may begin with a byte order mark.
+
+    Raises ConfigurationError with one line: missing, a folder, unreadable, not TOML.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: cannot be read: no such {what}") from None
+    except IsADirectoryError:
+        raise ConfigurationError(f"{path}: is a folder; name a TOML file") from None
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{path}: is not TOML: it contains bytes that are not UTF-8 text") from None
+    except ValueError as error:
+        raise ConfigurationError(f"{str(path)!r}: is not the name of a file ({error})") from None
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise ConfigurationError(f"{path}: is not TOML: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{path}: is not TOML: {error}{_hint(str(error), text)}") from None
+
+
+def _hint(said: str, text: str) -> str:
+    """What is usually meant by a slip that TOML's own words do not name."""
+    place = re.search(r"at line (\d+)", said)
+    line = text.splitlines()[int(place[1]) - 1] if place and int(place[1]) <= text.count("\n") + 1 else ""
+    if said.startswith(_TWICE):
+        return "; this is stated twice"
+    if number := re.search(r"=\s*([+-]?\d+),(\d+)", line):
+        return f"; a decimal point is meant: {number[1]}.{number[2]}"
+    if re.fullmatch(r"\s*[\w.]+\s*=\s*[A-Za-z_].*", line):
+        return "; put text in quotes"
+    return ""
+
 
 SCHEMA_KEY: Final = "schema"
 SCHEMA: Final = 1
@@ -180,3 +222,25 @@ def _apply_override(tree: dict[str, Any], override: str) -> None:
             raise ConfigurationError(f"--set {key.strip()} = {error}") from None
         if u is not None:
             place[f"u_{name}"] = u
+
+
+def _folder() -> Path:
+    package = Path(str(files("rig")))
+    return next(folder for folder in (package / "configs", package.parent / "configs") if folder.is_dir())
+
+
+def shipped_names() -> list[str]:
+    """Names by which `shipped` finds a configuration."""
+    return sorted(path.stem for path in _folder().glob("*.toml"))
+
+
+def shipped(name: str) -> Path:
+    """The file of a configuration, ``basement`` for ``basement.toml``.
+
+    Raises ConfigurationError with the names that there are.
+    """
+    if name not in (names := shipped_names()):
+        raise ConfigurationError(
+            f"example {name}: there is no such configuration; there are {', '.join(names)}"
+        )
+    return _folder() / f"{name}.toml"

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from processing.errors import ConfigurationError
-from rig.settings.toml_file import read_toml
+from rig.settings.configuration_file import read_toml
 from rig.settings.wording import validated
 
 

@@ -11,11 +11,11 @@ from contextlib import contextmanager
 import pytest
 
 from rig.control import environment, laser_service, link, serial_port, service, worker
-from rig.control.device_thread import DeviceThread
 from rig.control.firmware.core import Firmware
 from rig.control.lasers import ldc500, obis, serial_laser
 from rig.control.protocol import checksum
 from rig.control.serial_port import LineReader, PortLost
+from rig.control.worker import DeviceThread
 from tests.rig.control import instruments
 from tests.rig.control.instruments import Instrument
 

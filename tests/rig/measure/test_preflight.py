@@ -19,7 +19,7 @@ from rig.measure.preflight import TrialFrames, device_checks, frame_checks, rest
 from rig.presentation import failures
 from rig.presentation.verdict import Verdict, print_verdicts
 from rig.settings import PendulumSettings
-from rig.settings.phases import PreflightSettings
+from rig.settings.sections import PreflightSettings
 from tests.rig.control.test_states import opened
 
 LIMITS = PreflightSettings()

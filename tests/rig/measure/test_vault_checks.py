@@ -17,7 +17,7 @@ from rig.measure import preflight_rig
 from rig.measure.preflight import TrialFrames, vault_checks
 from rig.presentation import Verdict
 from rig.settings import ReferenceSettings, load_configuration
-from rig.settings.phases import PreflightSettings
+from rig.settings.sections import PreflightSettings
 from tests.processing.test_witness_at_rest import FRAMES_PER_S, shaken
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pydantic
 from pydantic import BaseModel
 
-from rig.settings.balance import BalanceSettings
+from rig.settings.sections import BalanceSettings
 
 Key = tuple[type, str]
 _PYDANTIC = str(Path(pydantic.__file__).parent)

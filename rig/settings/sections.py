@@ -1,8 +1,79 @@
-"""Sections [preflight], [phases] and [start]: checks and phases before a run, and how it starts."""
+"""Sections of the configuration that are plain values: balance, calibrations, phases of a session."""
 
+from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from processing.balance import BalanceLimits
+
+
+class WeightSettings(BaseModel, frozen=True, extra="forbid"):
+    """A trimming weight on a screw. `sense` -1: a clockwise turn moves it in the negative direction.
+
+    `mass_kg` 0 means that the mass is unknown.
+    """
+
+    mass_kg: float = Field(default=0.002, ge=0)
+    pitch_m: float = Field(default=0.5e-3, gt=0, description="pitch of the thread")
+    sense: int = Field(default=1, ge=-1, le=1)
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class BalanceSettings(BalanceLimits):
+    """Balancing: limits, and properties of the weights. `rig balance` learns the effect of a turn."""
+
+    seconds: float = Field(default=14.0, gt=9, description="length of one measurement, about three periods")
+    inertia_kg_m2: float | None = Field(
+        default=None, gt=0, description="about the contact; if left out, the height is not computed"
+    )
+    u_effect: float = Field(
+        default=1.0,
+        gt=0,
+        le=2,
+        description="relative uncertainty of the effect of a turn as computed from mass and thread; at 1 a "
+        "weight may be three times as strong or stand across; 0.2 if the drawing is trusted",
+    )
+    gamma_pa: float = Field(
+        default=0.0, ge=0, description="elastic adhesion, to compute T0 from T; 0: T0 = T"
+    )
+    n: float = Field(default=0.1, ge=0)
+    weight_x: WeightSettings = WeightSettings()
+    weight_y: WeightSettings = WeightSettings()
+    weight_height: WeightSettings = WeightSettings(mass_kg=0.005, pitch_m=0.7e-3)
+
+
+class CalibrationSettings(BaseModel, frozen=True, extra="forbid"):
+    """Calibration files in use. Each replaces a section of this file, which is then left out.
+
+    Relative paths start at the folder in which rig is run.
+    """
+
+    sensor: Path | None = Field(default=None, description="fills [sensor]")
+    lever: Path | None = Field(default=None, description="fills [lever]")
+    axes: Path | None = Field(default=None, description="fills [axes]")
+    clock: Path | None = Field(default=None, description="fills [timebase]")
+    shutter: Path | None = Field(default=None, description="fills [shutter]")
+    air: Path | None = Field(
+        default=None, description="fills fit.drag_s and its uncertainty, as rig calibrate air has measured it"
+    )
+    pointing: Path | None = Field(
+        default=None, description="result of rig calibrate pointing, stored with the record"
+    )
+    checks: tuple[Path, ...] = Field(
+        default=(), description="known-angle checks made before and after the series"
+    )
+
+
+class TimebaseSettings(BaseModel, frozen=True, extra="forbid"):
+    """Rate of the camera's clock relative to true time."""
+
+    camera_rate: float = Field(
+        default=1.0, gt=0.9, lt=1.1, description="true seconds per second of the camera"
+    )
+    u_camera_rate: float = Field(default=0.0, ge=0)
+
 
 StartWay = Literal["at once", "by hand", "magnet", "starter"]
 
