@@ -22,9 +22,9 @@ def watch_latest(
 ) -> Generator[list[Frame]]:
     """Yield blocks of `at_least` frames, at most one per `interval_s`; the queue drops older frames.
 
-    The camera must be configured and stopped. It runs until the monotonic time `end_s`, until its
-    source ends, or until the caller stops iterating, and is then stopped. Errors of the camera, and
-    frames that no camera may deliver, are raised here.
+    The camera must be configured and stopped. It runs until the monotonic time `end_s`, but for one block
+    at least; until its source ends; or until the caller stops iterating. It is then stopped. Errors of the
+    camera, and frames that no camera may deliver, are raised here.
     """
     errors: list[Exception] = []
     delivered = Delivered()
@@ -44,12 +44,14 @@ def watch_latest(
     thread = threading.Thread(target=acquire, name="camera", daemon=True)
     thread.start()
     try:
-        while time.monotonic() < end_s and not queue.drained:
+        while not queue.drained:
             frames: list[Frame] = []
             while len(frames) < at_least and not queue.drained:
                 frames += queue.take(at_least - len(frames), 0.1)
             if frames:
                 yield frames
+            if time.monotonic() >= end_s:
+                break
             time.sleep(interval_s)
         if errors:
             raise errors[0]

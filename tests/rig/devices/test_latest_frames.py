@@ -84,6 +84,14 @@ def test_a_live_picture_takes_no_frame_that_no_camera_may_deliver(
             pass
 
 
+def test_a_machine_that_was_slow_to_start_shows_one_picture_all_the_same() -> None:
+    def sound(number: int) -> Frame:
+        return Frame(np.zeros((12, 10), np.uint8), number, number, time.monotonic_ns())
+
+    found = list(watch_latest(Strange(sound), FrameQueue(1, "latest"), 1, end_s=0.0))
+    assert [len(block) for block in found] == [1]
+
+
 @pytest.mark.parametrize(("made", "said"), STRANGE)
 def test_an_exposure_is_found_in_no_such_frame(made: Callable[[int], Any], said: str) -> None:
     with pytest.raises(DeviceError, match=said):
