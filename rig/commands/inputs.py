@@ -104,9 +104,9 @@ def is_of_table(path: Path) -> bool:
 
 
 def with_results(given: _Given) -> _Given:
-    """The same, for folders of sessions, or of nights, which must hold results, and for files."""
+    """The same, for folders of sessions, or of several, which must hold results, and for files."""
     for path in _paths(there(given)):
-        # a night's folder has those of its series
+        # the folder of a list has those of its sessions
         if path.is_dir() and not (any(path.glob("results*.json")) or any(path.glob("*/results*.json"))):
             raise ConfigurationError(
                 f"{path}: holds no results.json; rig run makes one, and rig fit from records"

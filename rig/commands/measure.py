@@ -49,13 +49,18 @@ def demo(
     """
     from rig.settings import shipped
 
-    run(shipped("demo"), output, set_=set_, view=view, json_lines=json_lines)
+    run([shipped("demo")], output, set_=set_, view=view, json_lines=json_lines)
 
 
 def run(
-    config: Annotated[
-        Path | None,
-        typer.Argument(help="Configuration (TOML file).", show_default=False, callback=configuration),
+    configs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Configuration (TOML file); of several, one session after the other.",
+            metavar="CONFIG",
+            show_default=False,
+            callback=configuration,
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -71,10 +76,6 @@ def run(
         typer.Option(
             metavar="DIR", help="Continue the interrupted session in DIR, without CONFIG.", callback=there
         ),
-    ] = None,
-    plan: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Measure the series of a plan (TOML file).", callback=there),
     ] = None,
     instead: Annotated[
         Path | None,
@@ -104,19 +105,21 @@ def run(
       rig run --resume runs/first
       rig run --resume runs/first --set camera.exposure_us=80
       rig run --resume runs/first --config corrected.toml
+      rig run steel.toml silicon.toml -o runs/night
       rig run configs/demo.toml --record-only -o one.mcap --set session.max_duration_s=60
     """
+    named = configs or []
     if record_only:
-        _refuse_all_but_a_record(config, output, runs, resume, plan, view)
+        _refuse_all_but_a_record(named, output, runs, resume, view)
     elif output is not None and output.suffix.lower() == ".mcap":
         raise ConfigurationError(f"{output}: one record is written with --record-only; else name a folder")
     if instead is not None and resume is None:
         raise typer.BadParameter("--config goes with --resume DIR; else name the file as CONFIG")
-    if config is None and resume is None and plan is None:
+    if not named and resume is None:
         raise typer.BadParameter("Missing argument 'CONFIG'.")
 
     if resume is not None:
-        if config is not None or output is not None or runs is not None or view or plan:
+        if named or output is not None or runs is not None or view:
             raise typer.BadParameter(
                 "--resume takes its configuration from DIR: leave out CONFIG and options but --set, --force, "
                 "--json, --config FILE"
@@ -124,23 +127,19 @@ def run(
         from rig.measure import resume_session
 
         raise typer.Exit(resume_session(resume, instead, set_ or [], force=force, json_lines=json_lines))
-    if plan is not None:
-        if config is not None or set_ or runs is not None or view:
-            raise typer.BadParameter(
-                "--plan names its configurations: leave out CONFIG, --set, --runs and --view"
-            )
-        from rig.measure import measure_plan
-
-        raise typer.Exit(measure_plan(plan, output, force=force, json_lines=json_lines))
-    assert config is not None
 
     overrides = list(set_ or [])
     if runs is not None:
         overrides.append(f"session.runs={runs}")
     if view:
         overrides.append(f'view.mode="{MODES[view]}"')
+    if len(named) > 1:
+        from rig.measure import measure_sessions
+
+        raise typer.Exit(measure_sessions(named, overrides, output, force=force, json_lines=json_lines))
     from rig.settings import load_configuration
 
+    (config,) = named
     loaded = load_configuration(config, overrides)
     # after the faults of the configuration, as it takes a second
     from rig.measure import measure_session, simulate_record
@@ -152,10 +151,10 @@ def run(
 
 
 def _refuse_all_but_a_record(
-    config: Path | None, output: Path | None, runs: int | None, *others: object
+    configs: list[Path], output: Path | None, runs: int | None, *others: object
 ) -> None:
     """Raise where what is stated beside `--record-only` is not one configuration and one new record."""
-    if config is None or output is None or runs is not None or any(others):
+    if len(configs) != 1 or output is None or runs is not None or any(others):
         raise typer.BadParameter(
             "--record-only takes CONFIG, -o NAME.mcap and --set alone: it records one run"
         )

@@ -2,7 +2,6 @@
 
 import datetime
 import sys
-from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -27,6 +26,7 @@ from rig.measure.run import ready_for_frames
 from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import RunState, SessionFile, end_noted, withdraw_unrecorded
 from rig.measure.session_orders import await_leave, orders
+from rig.measure.waiting import Waiting, check_waiting
 from rig.orders import OrderSocket, SessionNews, devices_now
 from rig.presentation import answer, failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
@@ -40,24 +40,27 @@ def measure_session(
     *,
     force: bool = False,
     json_lines: bool = False,
+    waiting: Waiting | None = None,
 ) -> int:
     """Measure `session.runs` runs, fit each from its closed record, and write results.json.
 
     `force` continues after a failed preflight. With `json_lines` stdout gets one JSON object per
-    line instead of a table. Returns the exit status: 0 if every run ended regularly and was fitted,
+    line instead of a table. After a no-go of the preflight it waits as `waiting` says, by default as the
+    configuration states. Returns the exit status: 0 if every run ended regularly and was fitted,
     else 1. Raises ConfigurationError for an output folder that already contains a run.
     """
     config = complete(config)
     check_materials(config)
     check_stop_when(config)
+    check_waiting(config)
     if output is not None:
         withdraw_unrecorded(output)
     folder, made = session_folder(config, source, output)
     try:
         with announced(config.session, folder) as outcome:
-            outcome.status = make_session(
-                config, source, folder, SessionOptions(outcome.notices, force, json_lines)
-            )
+            waiting = waiting or Waiting(folder.name, config.preflight)
+            options = SessionOptions(outcome.notices, force, json_lines, waiting)
+            outcome.status = _make_session(config, source, folder, options)
     finally:
         withdraw_unrecorded(folder, made)
     return outcome.status
@@ -66,18 +69,17 @@ def measure_session(
 class SessionOptions(NamedTuple):
     """How runs are made: who gets notices, whether a failed preflight is passed over, what stdout gets.
 
-    `patience` is asked, with the reason, after a preflight that said no-go: if it returns True the run is
-    tried again. The laser is dark meanwhile. `planned` is what a plan says of the run that begins.
+    `waiting` is asked, with the reason, after a preflight that said no-go: if it returns True the run is
+    tried again. The laser is dark meanwhile.
     """
 
     notices: Notices
     force: bool
     json_lines: bool
-    patience: Callable[[str], bool] = lambda _why: False
-    planned: Callable[[], Sequence[str]] = tuple
+    waiting: Waiting
 
 
-def make_session(config: Configuration, source: Path, folder: Path, options: SessionOptions) -> int:
+def _make_session(config: Configuration, source: Path, folder: Path, options: SessionOptions) -> int:
     """As `measure_session`, with a complete configuration and in a folder that was made for it."""
     with ExitStack() as closing:
         with ready_for_frames(live=not config.on_demand), Devices(config, folder, "rig run") as devices:
@@ -150,7 +152,7 @@ def _make_runs(
             watchers=[options.notices],
             session_news=session_news,
             notes=notes,
-            planned=options.planned(),
+            planned=options.waiting.said(),
         )
         try:
             devices.lights_again = True
@@ -184,7 +186,7 @@ def _make_runs(
             session_news.note("preflight", f"no-go: {outcome.failure.against}", "warning")
             # who asks for light while it waits gets it with the next try
             devices.lights_again = True
-            if options.patience(outcome.failure.against):
+            if options.waiting(outcome.failure.against):
                 continue
             devices.lights_again = False
         reason = outcome.snapshot.reason

@@ -23,7 +23,6 @@ from rig.settings.configuration_file import (
 )
 from rig.settings.effect import Watched
 from rig.settings.instrument import InstrumentSettings
-from rig.settings.night_plan import PlannedSeries, load_plan
 from rig.settings.sections import BalanceSettings, PreflightSettings, TimebaseSettings
 from rig.settings.stop_conditions import StopCondition
 from rig.settings.typed import number, optional, quantity

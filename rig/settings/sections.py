@@ -111,6 +111,10 @@ class PreflightSettings(BaseModel, frozen=True, extra="forbid"):
     max_temperature_c: float = 40.0
     min_humidity_percent: float = Field(default=0.0, ge=0, le=100)
     max_humidity_percent: float = Field(default=100.0, ge=0, le=100)
+    wait_max_s: float = Field(
+        default=0.0, ge=0, description="after a no-go a session waits so long in all, with the laser dark"
+    )
+    try_every_s: float = Field(default=300.0, gt=0, description="meanwhile the run is tried again so often")
 
 
 class PhaseSettings(BaseModel, frozen=True, extra="forbid"):

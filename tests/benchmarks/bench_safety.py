@@ -34,7 +34,7 @@ OFTEN = (
 TRIALS = [
     *(("run", fault) for fault in (*EVERYTHING, *PLACES)),
     *(
-        ("plan", fault)
+        ("list", fault)
         for fault in (*OFTEN, "interlock opened for 20 ms", "relay stuck closed, then told to end")
     ),
     *(("align", fault) for fault in (*OFTEN, "camera stalls", "control thread hangs", "Ctrl-C")),

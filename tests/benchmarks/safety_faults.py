@@ -93,8 +93,8 @@ class Trial:
             demo=(CONFIGS / "demo.toml").as_posix(), folder=folder, port=self.board.port, when_dark=when_dark
         )
         self.config.write_text(text, encoding="utf-8")
-        plan = f'[[series]]\nname = "one"\nconfig = "{self.config}"\n'
-        (folder / "plan.toml").write_text(plan, encoding="utf-8")
+        for name in ("one", "two"):
+            (folder / f"{name}.toml").write_text(f'extends = "{self.config}"\n', encoding="utf-8")
         self.out = folder / "out"
         self.log = folder / "said"
         self.says_on_s = 0.0
@@ -142,7 +142,7 @@ class Trial:
             thread.join()
 
     def _listen(self) -> None:
-        folder = self.out / "one" if self.path == "plan" else self.out
+        folder = self.out / "one" if self.path == "list" else self.out
         while not self._listening.wait(0.05):
             with suppress(NoSession, RigError, OSError), Line(folder) as line:
                 while not self._listening.wait(0.05):
@@ -174,8 +174,8 @@ def _measured(trial: Trial, process: "subprocess.Popen[bytes]") -> Row:
         return Row("doctor", fault, None, "", None, relit, "–", "lit" * bool(relit))
     if not trial.wait(lambda: trial.lit or process.poll() is not None, LIT_WITHIN_S) or not trial.lit:
         return Row(trial.path, fault, None, _last(trial, 0), None, 0, "", "was not lit at all")
-    record = trial.out / "one" / "run-1.mcap" if trial.path == "plan" else trial.out / "run-1.mcap"
-    if trial.path in ("run", "plan"):
+    record = trial.out / "one" / "run-1.mcap" if trial.path == "list" else trial.out / "run-1.mcap"
+    if trial.path in ("run", "list"):
         trial.wait(lambda: record.exists() and record.stat().st_size > 60_000, 30.0)
     time.sleep(1.0)
     heard = trial.log.stat().st_size
@@ -203,7 +203,7 @@ def _measured(trial: Trial, process: "subprocess.Popen[bytes]") -> Row:
     if trial.path == "align":
         told = [json.loads(line) for line in trial.log.read_text().splitlines() if line.startswith("{")]
         trial.says_on_s = max((one["at_s"] for one in told if one["light"] == "on"), default=0.0)
-    talks = trial.path in ("run", "plan", "align") and fault not in SIGNALS
+    talks = trial.path in ("run", "list", "align") and fault not in SIGNALS
     says_on_s = max(trial.says_on_s - dark_at_s, 0.0) if talks else None
     needed, violation = _asked(trial)
     violation = violation or "lit again by itself" * bool(relit)

@@ -29,7 +29,6 @@ from rig.calibrate.inputs import read_ladder, read_transfer
 from rig.intake.table import TableColumns
 from rig.measure.session_file import SessionFile
 from rig.settings import load_configuration
-from rig.settings.night_plan import load_plan
 from tests.acquisition.record.samples import write_sample
 
 SAMPLES = Path(__file__).parent / "data" / "samples"
@@ -162,12 +161,6 @@ x_px = 12.5
 u_px = 0.01
 """
 GROUND = b"time_s,acceleration_um_per_s2\n" + b"".join(b"%.2f,%d\n" % (n / 100, n % 7) for n in range(80))
-PLAN = b"""[[series]]
-name = "first"
-config = "demo.toml"
-temperature_c = [20.0, 22.0]
-set = ["session.runs=2"]
-"""
 TURN = b'{"utc": "2026-11-22T00:00:00+00:00", "weight": "a", "turns": 0.5, '
 TURN += b'"before": [1.0, 2.0, 3e-6], "after": [1.5, 2.0, 3e-6], "u": [0.1, 0.1, 1e-7]}\n'
 FILES: dict[str, tuple[Path | bytes, str, Callable[[Path], Any]]] = {
@@ -187,7 +180,6 @@ FILES: dict[str, tuple[Path | bytes, str, Callable[[Path], Any]]] = {
         read_transfer,
     ),
     "ground": (GROUND, "ground.csv", read_ground_file),
-    "night's plan": (PLAN, "night.toml", load_plan),
     "turned weights": (2 * TURN, "weights.jsonl", history.read),
     "times": (b"time_ns,sequence\n10,0\n", "timestamps.csv", read_images),
 }

@@ -28,7 +28,6 @@ NEW_FILES = {
 }
 FOLDERS = {
     ("run", DEMO): "run-1.mcap",
-    ("run", "--plan", "no.toml"): "results.json",
     ("replay", "no.mcap"): "results.json",
     ("fit", "no.mcap"): "results.json",
     ("plan", "no.mcap"): "plan.svg",

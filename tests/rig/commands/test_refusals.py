@@ -124,7 +124,6 @@ def test_what_toml_does_not_say_is_said(tmp_path: Path, text: str, message: str)
     (tmp_path / "mine.toml").write_bytes(f"[session]\n{text}".encode("latin-1"))
     for command in (
         ("doctor", "mine.toml"),
-        ("run", "--plan", "mine.toml"),
         ("calibrate", "lever", "mine.toml"),
     ):
         assert message in said(*command, cwd=tmp_path)
@@ -141,12 +140,7 @@ def test_a_dotted_key_below_its_section_and_a_missing_base_are_said(tmp_path: Pa
     )
 
 
-def test_every_fault_of_a_plan_and_of_a_calibrations_file_is_said(tmp_path: Path) -> None:
-    (tmp_path / "plan.toml").write_text('[[series]]\nname = "a"\nruns = 0\nconfg = "a.toml"\n')
-    assert said("run", "--plan", "plan.toml", cwd=tmp_path) == (
-        "rig: plan.toml: series.0.confg: unknown key; did you mean config?; series.0.config: is missing; "
-        "state a value; series.0.runs = 0: should be at least 1\n"
-    )
+def test_every_fault_of_a_calibrations_file_is_said(tmp_path: Path) -> None:
     (tmp_path / "frames.toml").write_text("darks = 3\n")
     assert "is a configuration of the rig, to be named after --config" in said(
         "calibrate", "lever", DEMO, cwd=tmp_path

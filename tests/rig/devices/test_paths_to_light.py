@@ -380,12 +380,12 @@ def test_a_trip_is_acknowledged_and_then_asked_for_light(
         assert len(lit.at) == before + 1
 
 
-def test_a_plan_that_waits_in_the_dark_does_not_light_after_a_trip(
+def test_a_session_that_waits_in_the_dark_does_not_light_after_a_trip(
     config: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lit: Lit
 ) -> None:
     """Between two tries of a run whose preflight said no-go the door is opened for a moment."""
-    from rig.measure.notices import announced
-    from rig.measure.session import SessionOptions, make_session
+    from rig.measure.session import measure_session
+    from rig.measure.waiting import Waiting
 
     loop = Loop(monkeypatch)
     opened: list[Devices] = []
@@ -397,18 +397,12 @@ def test_a_plan_that_waits_in_the_dark_does_not_light_after_a_trip(
 
     monkeypatch.setattr(Devices, "_open", noted)
 
-    def patience(_why: str) -> bool:
-        loop.open_and_close(opened[-1])
-        return True
-
-    never = {"when": "always", "min_temperature_c": 35.0}
-    config = complete(config.model_copy(update={"preflight": config.preflight.model_copy(update=never)}))
-    folder = tmp_path / "series"
-    folder.mkdir()
-    with announced(config.session, folder) as outcome:
-        with pytest.raises(LightRefused, match="nobody has acknowledged it"):
-            make_session(config, LIVE, folder, SessionOptions(outcome.notices, False, False, patience))
-        outcome.status = 1
+    never = config.preflight.model_copy(update={"when": "always", "min_temperature_c": 35.0})
+    config = config.model_copy(update={"preflight": never})
+    patient = never.model_copy(update={"wait_max_s": 3600.0})
+    waiting = Waiting("series", patient, sleep=lambda _s: loop.open_and_close(opened[-1]))
+    with pytest.raises(LightRefused, match="nobody has acknowledged it"):
+        measure_session(config, LIVE, tmp_path / "series", waiting=waiting)
     assert len(lit.at) == 1
 
 
