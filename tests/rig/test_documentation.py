@@ -30,9 +30,14 @@ DOCUMENTS = [
 SHORT = ["--set", "session.max_duration_s=70"]
 
 
-def indented(document: Path) -> list[str]:
-    """Command lines: indented by four spaces, in or out of a fence, comments cut off."""
-    lines = re.findall(r"^ {4}(?:\$ )?((?:rig|make) .*)$", document.read_text(encoding="utf-8"), re.MULTILINE)
+def indented(document: Path, section: str = "") -> list[str]:
+    """Command lines of a page or of a section: indented by four spaces, in or out of a fence, comments cut off."""
+    text = document.read_text(encoding="utf-8")
+    if section:
+        _, found, text = text.partition(f"\n## {section}\n")
+        assert found, f"{document.name}: has no section {section}"
+        text = text.partition("\n## ")[0]
+    lines = re.findall(r"^ {4}(?:\$ )?((?:rig|make) .*)$", text, re.MULTILINE)
     return [line.split("  #")[0].strip() for line in lines]
 
 
@@ -85,7 +90,7 @@ def test_configurations_that_are_shown_are_valid() -> None:
         text = document.read_text(encoding="utf-8")
         blocks = re.findall(r"^ {4}\[[a-z_.0-9]+\]\n(?:(?: {4}.*)?\n)+", text, re.MULTILINE)
         for block in [*blocks, *re.findall(r"^```toml\n(\[\w.*?)^```", text, re.MULTILINE | re.DOTALL)]:
-            if document.name != "calibration.md":
+            if document.name != "calibrate.md":
                 tree = tomllib.loads(textwrap.dedent(block))
                 assert (ROOT / "configs" / tree.pop("extends", "demo.toml")).exists()
                 tree.setdefault("camera", {}).setdefault("driver", "simulated")
@@ -95,7 +100,7 @@ def test_configurations_that_are_shown_are_valid() -> None:
 
 
 def test_the_files_of_calibrations_are_read_as_they_are_shown(tmp_path: Path) -> None:
-    text = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "calibrate.md").read_text(encoding="utf-8")
     for name, block in re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
         (tmp_path / name).write_text(block, encoding="utf-8")
     levers = []
@@ -118,7 +123,7 @@ def test_a_rig_is_built_as_it_is_written(tmp_path: Path, measured_series: Path) 
     assert 'driver = "usb3vision"' in block
     validate_configuration(tomllib.loads(block), name)
     (tmp_path / name).write_text(block.replace("usb3vision", "simulated"), encoding="utf-8")
-    calibrations = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
+    calibrations = (ROOT / "docs" / "calibrate.md").read_text(encoding="utf-8")
     for file, shown in re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", calibrations, re.M | re.S):
         (tmp_path / file).write_text(shown, encoding="utf-8")
     made = []
@@ -139,7 +144,7 @@ def test_a_rig_is_built_as_it_is_written(tmp_path: Path, measured_series: Path) 
 
 
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a short session in the place of the tutorial's; the outputs it keeps are from that."""
+    """With a short session in the place of the one that `start.md` measures; the outputs it keeps are from that."""
     path = ROOT / "docs" / "notebooks" / "own-law.ipynb"
     shutil.copytree(ROOT / "tests" / "rig" / "data" / "samples" / "series", tmp_path / "runs" / "tutorial")
     (tmp_path / "docs" / "notebooks").mkdir(parents=True)
@@ -166,9 +171,10 @@ def test_messages_that_are_explained_exist() -> None:
 
 
 def test_sections_that_are_named_exist() -> None:
-    """In README and docs; the example in CONTRIBUTING adds a section of its own."""
+    """In README and docs; an example of `extending.md` adds a section of its own."""
     found = set()
-    for document in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
+    others = set((ROOT / "docs").rglob("*.md")) - {ROOT / "docs" / "extending.md"}
+    for document in [ROOT / "README.md", *sorted(others)]:
         for name in re.findall(r"`\[([\w.]+)\]`", document.read_text(encoding="utf-8")):
             assert is_section(name), f"{document.name}: [{name}] is no section of a configuration"
             found.add(name)
@@ -212,12 +218,13 @@ def test_the_snippet_about_records_runs(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-def test_the_commands_of_the_tutorial(tmp_path: Path, measured_series: Path) -> None:
+def test_the_commands_of_the_start(tmp_path: Path, measured_series: Path) -> None:
     """A series measured for all tests stands for those that `rig run` would measure for minutes."""
-    lines = [line for line in indented(ROOT / "docs" / "tutorial.md") if line.startswith("rig ")]
-    assert [line.split()[1] for line in lines] == ["run", "record", "view", "replay", "run", "compare"]
+    lines = [line for line in indented(ROOT / "docs" / "start.md") if line.startswith("rig ")]
+    named = "demo run record view replay run compare"
+    assert [line.split()[1] for line in lines] == named.split()
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
-    text = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
     for name, block in re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
         assert not (tmp_path / "configs" / name).exists()
         (tmp_path / "configs" / name).write_text(block, encoding="utf-8")
@@ -227,7 +234,7 @@ def test_the_commands_of_the_tutorial(tmp_path: Path, measured_series: Path) -> 
             load_configuration(tmp_path / words[1], words[words.index("--set") + 1 :])
             shutil.copytree(measured_series, tmp_path / words[words.index("-o") + 1])
         else:
-            done = rig(*words, cwd=tmp_path)
+            done = rig(*words, *(SHORT if words[0] == "demo" else []), cwd=tmp_path)
             assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
     assert (tmp_path / "runs" / "tutorial.rrd").stat().st_size > 0
 
@@ -236,10 +243,10 @@ def test_the_commands_of_the_tutorial(tmp_path: Path, measured_series: Path) -> 
 def test_the_commands_about_laws_and_plans(tmp_path: Path, measured_series: Path) -> None:
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
     shutil.copytree(measured_series, tmp_path / "runs" / "first")
-    pages = ("laws", "planning")
-    lines = [line for page in pages for line in indented(ROOT / "docs" / f"{page}.md")]
-    # two series of one's own are compared
-    lines = [line for line in lines if not line.startswith("rig compare")]
+    lines = [
+        *indented(ROOT / "docs" / "results.md", "Which law it is"),
+        *indented(ROOT / "docs" / "many-runs.md", "Plan runs"),
+    ]
     assert [line.split()[1] for line in lines] == ["fit", "fit", "fit", "plan", "plan"]
     for line in lines:
         # the others take minutes for a run so short that they do not converge
@@ -250,10 +257,15 @@ def test_the_commands_about_laws_and_plans(tmp_path: Path, measured_series: Path
 
 @pytest.mark.slow
 def test_the_readme_from_top_to_bottom(tmp_path: Path) -> None:
-    """And then the page that says more of the same commands."""
+    """And then the pages that say more of the same commands."""
     (tmp_path / "configs").symlink_to(ROOT / "configs")
-    pages = (ROOT / "README.md", ROOT / "docs" / "everyday.md")
-    commands = [line for page in pages for line in indented(page) if line.startswith("rig ")]
+    docs = ROOT / "docs"
+    commands = [
+        *(line for line in indented(ROOT / "README.md") if line.startswith("rig ")),
+        *indented(docs / "measure.md", "Look at a run again"),
+        *indented(docs / "results.md", "What to quote"),
+        *indented(docs / "results.md", "Fit again, compare with the paper"),
+    ]
     assert len(commands) >= 9
     for line in commands:
         words = shlex.split(line)[1:]

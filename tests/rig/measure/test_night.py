@@ -73,7 +73,7 @@ def night() -> Iterator[Night]:
 
 def shown_plan() -> str:
     (block,) = re.findall(
-        r"^```toml\n(\[\[series\]\].*?)^```", (ROOT / "docs" / "session.md").read_text(), re.M | re.S
+        r"^```toml\n(\[\[series\]\].*?)^```", (ROOT / "docs" / "measure.md").read_text(), re.M | re.S
     )
     return str(block)
 
