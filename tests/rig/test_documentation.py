@@ -31,7 +31,7 @@ SHORT = ["--set", "session.max_duration_s=70"]
 
 
 def indented(document: Path, section: str = "") -> list[str]:
-    """Command lines of a page or of a section: indented by four spaces, in or out of a fence, comments cut off."""
+    """Command lines of a page, or of a section: indented by four spaces, comments cut off."""
     text = document.read_text(encoding="utf-8")
     if section:
         _, found, text = text.partition(f"\n## {section}\n")
@@ -144,7 +144,7 @@ def test_a_rig_is_built_as_it_is_written(tmp_path: Path, measured_series: Path) 
 
 
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a short session in the place of the one that `start.md` measures; the outputs it keeps are from that."""
+    """With a short session in the place of the one of `start.md`; the outputs it keeps are from that."""
     path = ROOT / "docs" / "notebooks" / "own-law.ipynb"
     shutil.copytree(ROOT / "tests" / "rig" / "data" / "samples" / "series", tmp_path / "runs" / "tutorial")
     (tmp_path / "docs" / "notebooks").mkdir(parents=True)
@@ -275,3 +275,23 @@ def test_the_readme_from_top_to_bottom(tmp_path: Path) -> None:
         assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
     assert (tmp_path / "first.rrd").stat().st_size > 0
     assert (tmp_path / "runs" / "first" / "report.html").exists()
+
+
+def test_the_rooms_are_listed_from_top_to_bottom() -> None:
+    """Those of `rig` in the order in which they may import each other, and those of `processing`."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `(\w+)/` \|", text, re.MULTILINE)
+    pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    (layers,) = (
+        contract["layers"]
+        for contract in pyproject["tool"]["importlinter"]["contracts"]
+        if contract.get("containers") == ["rig"]
+    )
+    folders = {path.parent.name for path in (ROOT / "rig").glob("*/__init__.py")}
+    of_rig = listed[: len(folders)]
+    assert set(of_rig) == folders
+    floor = {room.strip(): number for number, layer in enumerate(layers) for room in layer.split("|")}
+    assert sorted(of_rig, key=floor.__getitem__) == of_rig
+    others = {path.parent.name for path in (ROOT / "processing").glob("*/__init__.py")}
+    assert set(listed[len(folders) :]) == others
+    assert len(listed) == len(folders) + len(others)
