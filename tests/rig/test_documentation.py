@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any, get_origin
 
 import pytest
+import typer.main
 
 from rig.calibrate.inputs import read_transfer
+from rig.cli import app
 from rig.settings import Configuration, load_configuration, validate_configuration
 from rig.settings.wording import section_fields, section_of
 from tests.rig.command_line import rig
@@ -57,6 +59,25 @@ def test_commands_that_are_named_exist() -> None:
     for document in DOCUMENTS:
         named = set(re.findall(r"`rig (\w+)", document.read_text(encoding="utf-8")))
         assert named <= known, f"{document.name}: {named - known}"
+
+
+def test_options_that_are_shown_exist() -> None:
+    """Of every command line in the documents, also of those that need an instrument."""
+    shown = 0
+    for document in DOCUMENTS:
+        text = document.read_text(encoding="utf-8")
+        for line in re.findall(r"^(?: {4,7})?(?:\$ )?(?:sudo )?(rig [a-z].*)$", text, re.MULTILINE):
+            words = shlex.split(line, comments=True)[1:]
+            command: Any = typer.main.get_command(app)
+            while inner := getattr(command, "commands", {}):
+                assert words[0] in inner, f"{document.name}: {line}"
+                command = inner[words.pop(0)]
+            known = {"--help", *(name for parameter in command.params for name in parameter.opts)}
+            known |= {name for parameter in command.params for name in parameter.secondary_opts}
+            given = {word for word in words if re.fullmatch(r"--?[a-z][\w-]*", word)}
+            assert given <= known, f"{document.name}: {line}: {given - known}"
+            shown += 1
+    assert shown > 80
 
 
 def test_version_help_and_completion(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -256,15 +277,23 @@ def test_the_commands_about_laws_and_plans(tmp_path: Path, measured_series: Path
 
 
 @pytest.mark.slow
+def test_the_commands_about_results(tmp_path: Path, measured_series: Path) -> None:
+    shutil.copytree(measured_series, tmp_path / "runs" / "first")
+    page = ROOT / "docs" / "results.md"
+    lines = [*indented(page, "What to quote"), *indented(page, "Fit again, compare with the paper")]
+    assert [line.split()[1] for line in lines] == ["export", "fit"]
+    for line in lines:
+        done = rig(*shlex.split(line)[1:], cwd=tmp_path)
+        assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
+
+
+@pytest.mark.slow
 def test_the_readme_from_top_to_bottom(tmp_path: Path) -> None:
-    """And then the pages that say more of the same commands."""
+    """And then the page that says more of the same commands."""
     (tmp_path / "configs").symlink_to(ROOT / "configs")
-    docs = ROOT / "docs"
     commands = [
         *(line for line in indented(ROOT / "README.md") if line.startswith("rig ")),
-        *indented(docs / "measure.md", "Look at a run again"),
-        *indented(docs / "results.md", "What to quote"),
-        *indented(docs / "results.md", "Fit again, compare with the paper"),
+        *indented(ROOT / "docs" / "measure.md", "Look at a run again"),
     ]
     assert len(commands) >= 9
     for line in commands:

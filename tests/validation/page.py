@@ -10,10 +10,11 @@ from tests.validation.row import NotTested, Row
 FILE = ROOT / "docs" / "validation.md"
 _HEAD = """# Validation
 
-How far the numbers of this program can be trusted. Each row is a claim, tested by means that share nothing with
-the code: certified values, a definition of a standard, published data, another program, or a simulation that
-has no formula in common with the analysis. **Bold** falls short of its limit. For a share of cases the limit is
-three binomial standard deviations about 68 %, if nothing else is said. `docs/validation.json` keeps the numbers.
+How far the numbers of this program can be trusted. Each row is a claim, tested by means that share nothing
+with the code: certified values, a definition of a standard, published data, another program, or a simulation
+that has no formula in common with the analysis. **Bold** falls short of its limit. For a share of cases the
+limit is three binomial standard deviations about 68 %, if nothing else is said. `docs/validation.json` keeps
+the numbers.
 
     make validation                         # rows that this commit has no number of; about two hours
     make validation ARGS="--quick"          # rows that take seconds
