@@ -1,4 +1,4 @@
-"""The optical pendulum rig; `import rig` gives scripts and notebooks the names in `__all__` (docs/api.md).
+"""The optical pendulum rig; `import rig` gives scripts the names in `__all__` (docs/scripts.md).
 
 Each name is imported when it is first used, so that `import rig` alone, and `rig --help`, load nothing.
 """

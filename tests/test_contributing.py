@@ -1,4 +1,4 @@
-"""The worked examples of CONTRIBUTING run in a copy of the tree, one after the other."""
+"""The worked examples of docs/extending.md run in a copy of the tree, one after the other."""
 
 import os
 import re
@@ -22,9 +22,8 @@ BLOCK = re.compile(r"^```(\w+)(?: ([^\n]+))?\n(.*?)^```$", re.MULTILINE | re.DOT
 
 def examples() -> dict[str, str]:
     """The text of each example by its title."""
-    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    part = text.partition("\n## Worked examples\n")[2].partition("\n## ")[0]
-    found = re.split(r"^### (.*)$", part, flags=re.MULTILINE)[1:]
+    text = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+    found = re.split(r"^## (.*)$", text, flags=re.MULTILINE)[1:]
     return dict(zip(found[::2], found[1::2], strict=True))
 
 

@@ -187,16 +187,16 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
 def _read(path: Path, model: type[_Model]) -> _Model:
     if path.suffix.lower() == ".mcap":
         raise ConfigurationError(
-            f"{path}: is a record; a list of measured values (TOML) is needed here, see docs/calibration.md"
+            f"{path}: is a record; a list of measured values (TOML) is needed here, see docs/calibrate.md"
         )
-    tree = read_toml(path, "file; docs/calibration.md shows one")
+    tree = read_toml(path, "file; docs/calibrate.md shows one")
     if {"camera", "session"} & set(tree):
         raise ConfigurationError(
             f"{path}: is a configuration of the rig, to be named after --config; a list of measured "
-            "values is needed here, docs/calibration.md shows one"
+            "values is needed here, docs/calibrate.md shows one"
         )
     found, faults = validated(model, tree)
     if found is None:
         said = "; ".join(fault.line for fault in faults)
-        raise ConfigurationError(f"{path}: {said}; docs/calibration.md shows such a file")
+        raise ConfigurationError(f"{path}: {said}; docs/calibrate.md shows such a file")
     return found

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Ladder = Annotated[
     Path,
     typer.Argument(
-        help="Steps or geometry of the lever (TOML file); docs/calibration.md shows one.",
+        help="Steps or geometry of the lever (TOML file); docs/calibrate.md shows one.",
         show_default=False,
         callback=there,
     ),
@@ -86,7 +86,7 @@ def sensor(
     frames: Annotated[
         Path,
         typer.Argument(
-            help="List of dark and evenly lit frames (TOML file); docs/calibration.md shows one.",
+            help="List of dark and evenly lit frames (TOML file); docs/calibrate.md shows one.",
             show_default=False,
             callback=there,
         ),
@@ -141,7 +141,7 @@ def air(
     vanes: Annotated[
         Path | None,
         typer.Argument(
-            help="Runs with their vanes or pressures (TOML file); docs/calibration.md shows one.",
+            help="Runs with their vanes or pressures (TOML file); docs/calibrate.md shows one.",
             show_default=False,
             callback=there,
         ),
@@ -173,9 +173,7 @@ def air(
     if vanes is not None:
         return calibrate_air(vanes, filing)
     if config is None:
-        raise typer.BadParameter(
-            "a list of runs is needed; docs/calibration.md shows one", param_hint="VANES"
-        )
+        raise typer.BadParameter("a list of runs is needed; docs/calibrate.md shows one", param_hint="VANES")
     loaded = load_configuration(config)
     # the period of [simulation] stands for what a rig does not know before its first run
     vanes_text = vanes_to_cut(loaded, loaded.simulation.contact.period0_s)
@@ -203,7 +201,7 @@ def check(
     ladder: Annotated[
         Path,
         typer.Argument(
-            help="Known tilts (TOML file); docs/calibration.md shows one.", show_default=False, callback=there
+            help="Known tilts (TOML file); docs/calibrate.md shows one.", show_default=False, callback=there
         ),
     ],
     *,

@@ -102,5 +102,5 @@ def _next_steps(file: Path, stated: Mapping[str, Any], *, lit: bool) -> list[str
     if not simulated:
         steps.append(f"rig camera expose {file}, then rig camera align {file}: the light on the sensor")
         if "lever.arm_m" not in stated:
-            steps.append("rig calibrate lever geometry.toml: px to radians (docs/calibration.md)")
+            steps.append("rig calibrate lever geometry.toml: px to radians (docs/calibrate.md)")
     return [*steps, f"rig run {file} -o runs/{file.stem}: measure"]

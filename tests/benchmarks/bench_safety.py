@@ -1,8 +1,9 @@
 """Faults and what came of them: light that goes, what is said meanwhile, who was needed for the next one.
 
 Run as ``python -m tests.benchmarks safety [--quick]``. The firmware runs on MicroPython, its line can
-be cut, the program in processes of its own; the table of docs/safety.md is build/safety.md. Beside it, random
-sequences of faults, keys and commands on a stepped clock. SAFETY_TRIALS chooses trials by words in them.
+be cut, the program in processes of its own; the table of single faults in docs/controller.md is
+build/safety.md. Beside it, random sequences of faults, keys and commands on a stepped clock. SAFETY_TRIALS
+chooses trials by words in them.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""All examples of docs/api.md run, and `import rig` loads nothing before it is used."""
+"""All examples of docs/scripts.md run, and `import rig` loads nothing before it is used."""
 
 import re
 import shutil
@@ -26,7 +26,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_every_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    blocks = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "api.md").read_text("utf-8"), re.M | re.S)
+    blocks = re.findall(
+        r"^```python\n(.*?)^```$", (ROOT / "docs" / "scripts.md").read_text("utf-8"), re.M | re.S
+    )
     assert len(blocks) >= 7
     names: dict[str, Any] = {}
     for block in blocks:
@@ -98,7 +100,7 @@ def test_every_name_is_there_and_no_other() -> None:
     for name in rig.__all__:
         assert getattr(rig, name).__doc__
     assert set(rig.__all__) <= set(dir(rig))
-    text = (ROOT / "docs" / "api.md").read_text("utf-8")
+    text = (ROOT / "docs" / "scripts.md").read_text("utf-8")
     functions = {name for name in rig.__all__ if name.islower()}
     assert {name for name in functions if f"rig.{name}(" not in text} == set()
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):

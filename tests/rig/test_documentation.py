@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any, get_origin
 
 import pytest
+import typer.main
 
 from rig.calibrate.inputs import read_transfer
+from rig.cli import app
 from rig.settings import Configuration, load_configuration, validate_configuration
 from rig.settings.wording import section_fields, section_of
 from tests.rig.command_line import rig
@@ -30,9 +32,14 @@ DOCUMENTS = [
 SHORT = ["--set", "session.max_duration_s=70"]
 
 
-def indented(document: Path) -> list[str]:
-    """Command lines: indented by four spaces, in or out of a fence, comments cut off."""
-    lines = re.findall(r"^ {4}(?:\$ )?((?:rig|make) .*)$", document.read_text(encoding="utf-8"), re.MULTILINE)
+def indented(document: Path, section: str = "") -> list[str]:
+    """Command lines of a page, or of a section: indented by four spaces, comments cut off."""
+    text = document.read_text(encoding="utf-8")
+    if section:
+        _, found, text = text.partition(f"\n## {section}\n")
+        assert found, f"{document.name}: has no section {section}"
+        text = text.partition("\n## ")[0]
+    lines = re.findall(r"^ {4}(?:\$ )?((?:rig|make) .*)$", text, re.MULTILINE)
     return [line.split("  #")[0].strip() for line in lines]
 
 
@@ -52,6 +59,25 @@ def test_commands_that_are_named_exist() -> None:
     for document in DOCUMENTS:
         named = set(re.findall(r"`rig (\w+)", document.read_text(encoding="utf-8")))
         assert named <= known, f"{document.name}: {named - known}"
+
+
+def test_options_that_are_shown_exist() -> None:
+    """Of every command line in the documents, also of those that need an instrument."""
+    shown = 0
+    for document in DOCUMENTS:
+        text = document.read_text(encoding="utf-8")
+        for line in re.findall(r"^(?: {4,7})?(?:\$ )?(?:sudo )?(rig [a-z].*)$", text, re.MULTILINE):
+            words = shlex.split(line, comments=True)[1:]
+            command: Any = typer.main.get_command(app)
+            while inner := getattr(command, "commands", {}):
+                assert words[0] in inner, f"{document.name}: {line}"
+                command = inner[words.pop(0)]
+            known = {"--help", *(name for parameter in command.params for name in parameter.opts)}
+            known |= {name for parameter in command.params for name in parameter.secondary_opts}
+            given = {word for word in words if re.fullmatch(r"--?[a-z][\w-]*", word)}
+            assert given <= known, f"{document.name}: {line}: {given - known}"
+            shown += 1
+    assert shown > 80
 
 
 def test_version_help_and_completion(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,7 +111,7 @@ def test_configurations_that_are_shown_are_valid() -> None:
         text = document.read_text(encoding="utf-8")
         blocks = re.findall(r"^ {4}\[[a-z_.0-9]+\]\n(?:(?: {4}.*)?\n)+", text, re.MULTILINE)
         for block in [*blocks, *re.findall(r"^```toml\n(\[\w.*?)^```", text, re.MULTILINE | re.DOTALL)]:
-            if document.name != "calibration.md":
+            if document.name != "calibrate.md":
                 tree = tomllib.loads(textwrap.dedent(block))
                 assert (ROOT / "configs" / tree.pop("extends", "demo.toml")).exists()
                 tree.setdefault("camera", {}).setdefault("driver", "simulated")
@@ -95,7 +121,7 @@ def test_configurations_that_are_shown_are_valid() -> None:
 
 
 def test_the_files_of_calibrations_are_read_as_they_are_shown(tmp_path: Path) -> None:
-    text = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "calibrate.md").read_text(encoding="utf-8")
     for name, block in re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
         (tmp_path / name).write_text(block, encoding="utf-8")
     levers = []
@@ -118,7 +144,7 @@ def test_a_rig_is_built_as_it_is_written(tmp_path: Path, measured_series: Path) 
     assert 'driver = "usb3vision"' in block
     validate_configuration(tomllib.loads(block), name)
     (tmp_path / name).write_text(block.replace("usb3vision", "simulated"), encoding="utf-8")
-    calibrations = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
+    calibrations = (ROOT / "docs" / "calibrate.md").read_text(encoding="utf-8")
     for file, shown in re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", calibrations, re.M | re.S):
         (tmp_path / file).write_text(shown, encoding="utf-8")
     made = []
@@ -139,7 +165,7 @@ def test_a_rig_is_built_as_it_is_written(tmp_path: Path, measured_series: Path) 
 
 
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a short session in the place of the tutorial's; the outputs it keeps are from that."""
+    """With a short session in the place of the one of `start.md`; the outputs it keeps are from that."""
     path = ROOT / "docs" / "notebooks" / "own-law.ipynb"
     shutil.copytree(ROOT / "tests" / "rig" / "data" / "samples" / "series", tmp_path / "runs" / "tutorial")
     (tmp_path / "docs" / "notebooks").mkdir(parents=True)
@@ -166,9 +192,10 @@ def test_messages_that_are_explained_exist() -> None:
 
 
 def test_sections_that_are_named_exist() -> None:
-    """In README and docs; the example in CONTRIBUTING adds a section of its own."""
+    """In README and docs; an example of `extending.md` adds a section of its own."""
     found = set()
-    for document in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
+    others = set((ROOT / "docs").rglob("*.md")) - {ROOT / "docs" / "extending.md"}
+    for document in [ROOT / "README.md", *sorted(others)]:
         for name in re.findall(r"`\[([\w.]+)\]`", document.read_text(encoding="utf-8")):
             assert is_section(name), f"{document.name}: [{name}] is no section of a configuration"
             found.add(name)
@@ -212,12 +239,13 @@ def test_the_snippet_about_records_runs(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-def test_the_commands_of_the_tutorial(tmp_path: Path, measured_series: Path) -> None:
+def test_the_commands_of_the_start(tmp_path: Path, measured_series: Path) -> None:
     """A series measured for all tests stands for those that `rig run` would measure for minutes."""
-    lines = [line for line in indented(ROOT / "docs" / "tutorial.md") if line.startswith("rig ")]
-    assert [line.split()[1] for line in lines] == ["run", "record", "view", "replay", "run", "compare"]
+    lines = [line for line in indented(ROOT / "docs" / "start.md") if line.startswith("rig ")]
+    named = "demo run record view replay run compare"
+    assert [line.split()[1] for line in lines] == named.split()
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
-    text = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
     for name, block in re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
         assert not (tmp_path / "configs" / name).exists()
         (tmp_path / "configs" / name).write_text(block, encoding="utf-8")
@@ -227,7 +255,7 @@ def test_the_commands_of_the_tutorial(tmp_path: Path, measured_series: Path) -> 
             load_configuration(tmp_path / words[1], words[words.index("--set") + 1 :])
             shutil.copytree(measured_series, tmp_path / words[words.index("-o") + 1])
         else:
-            done = rig(*words, cwd=tmp_path)
+            done = rig(*words, *(SHORT if words[0] == "demo" else []), cwd=tmp_path)
             assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
     assert (tmp_path / "runs" / "tutorial.rrd").stat().st_size > 0
 
@@ -236,10 +264,10 @@ def test_the_commands_of_the_tutorial(tmp_path: Path, measured_series: Path) -> 
 def test_the_commands_about_laws_and_plans(tmp_path: Path, measured_series: Path) -> None:
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
     shutil.copytree(measured_series, tmp_path / "runs" / "first")
-    pages = ("laws", "planning")
-    lines = [line for page in pages for line in indented(ROOT / "docs" / f"{page}.md")]
-    # two series of one's own are compared
-    lines = [line for line in lines if not line.startswith("rig compare")]
+    lines = [
+        *indented(ROOT / "docs" / "results.md", "Which law it is"),
+        *indented(ROOT / "docs" / "many-runs.md", "Plan runs"),
+    ]
     assert [line.split()[1] for line in lines] == ["fit", "fit", "fit", "plan", "plan"]
     for line in lines:
         # the others take minutes for a run so short that they do not converge
@@ -249,11 +277,24 @@ def test_the_commands_about_laws_and_plans(tmp_path: Path, measured_series: Path
 
 
 @pytest.mark.slow
+def test_the_commands_about_results(tmp_path: Path, measured_series: Path) -> None:
+    shutil.copytree(measured_series, tmp_path / "runs" / "first")
+    page = ROOT / "docs" / "results.md"
+    lines = [*indented(page, "What to quote"), *indented(page, "Fit again, compare with the paper")]
+    assert [line.split()[1] for line in lines] == ["export", "fit"]
+    for line in lines:
+        done = rig(*shlex.split(line)[1:], cwd=tmp_path)
+        assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
+
+
+@pytest.mark.slow
 def test_the_readme_from_top_to_bottom(tmp_path: Path) -> None:
     """And then the page that says more of the same commands."""
     (tmp_path / "configs").symlink_to(ROOT / "configs")
-    pages = (ROOT / "README.md", ROOT / "docs" / "everyday.md")
-    commands = [line for page in pages for line in indented(page) if line.startswith("rig ")]
+    commands = [
+        *(line for line in indented(ROOT / "README.md") if line.startswith("rig ")),
+        *indented(ROOT / "docs" / "measure.md", "Look at a run again"),
+    ]
     assert len(commands) >= 9
     for line in commands:
         words = shlex.split(line)[1:]
@@ -263,3 +304,23 @@ def test_the_readme_from_top_to_bottom(tmp_path: Path) -> None:
         assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
     assert (tmp_path / "first.rrd").stat().st_size > 0
     assert (tmp_path / "runs" / "first" / "report.html").exists()
+
+
+def test_the_rooms_are_listed_from_top_to_bottom() -> None:
+    """Those of `rig` in the order in which they may import each other, and those of `processing`."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `(\w+)/` \|", text, re.MULTILINE)
+    pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    (layers,) = (
+        contract["layers"]
+        for contract in pyproject["tool"]["importlinter"]["contracts"]
+        if contract.get("containers") == ["rig"]
+    )
+    folders = {path.parent.name for path in (ROOT / "rig").glob("*/__init__.py")}
+    of_rig = listed[: len(folders)]
+    assert set(of_rig) == folders
+    floor = {room.strip(): number for number, layer in enumerate(layers) for room in layer.split("|")}
+    assert sorted(of_rig, key=floor.__getitem__) == of_rig
+    others = {path.parent.name for path in (ROOT / "processing").glob("*/__init__.py")}
+    assert set(listed[len(folders) :]) == others
+    assert len(listed) == len(folders) + len(others)

@@ -10,22 +10,18 @@ from tests.validation.row import NotTested, Row
 FILE = ROOT / "docs" / "validation.md"
 _HEAD = """# Validation
 
-What README and these pages claim, and what came out when it was tested. Each row is tested by means that
-share nothing with the code that it judges: certified values, a definition written in a standard, data that
-others have published, another program, or a simulation that has no formula in common with the analysis.
-This page is written by
+How far the numbers of this program can be trusted. Each row is a claim, tested by means that share nothing
+with the code: certified values, a definition of a standard, published data, another program, or a simulation
+that has no formula in common with the analysis. **Bold** falls short of its limit. For a share of cases the
+limit is three binomial standard deviations about 68 %, if nothing else is said. `docs/validation.json` keeps
+the numbers.
 
     make validation                         # rows that this commit has no number of; about two hours
     make validation ARGS="--quick"          # rows that take seconds
     make validation ARGS="gum iso11146"     # those whose names begin like that
     make validation ARGS="--again gum-h1"   # also if this commit has a number
 
-from what it measured last, which `docs/validation.json` keeps; a run that is ended goes on where it was. The
-name of a row is its word for `ARGS`; rows are declared in `tests/validation/catalogue.py`. Other programs
-come with `pip install ".[bench]"`, public data from the folder that `RIG_SHARED_DATA` names. **Bold** falls
-short of its limit, and stays here until it no longer does. Where a row states a share of cases, its limit is
-three binomial standard deviations of so many cases about 68 %, if nothing else is said; the benchmarks take
-more seeds.
+Other programs come with `pip install ".[bench]"`, public data from the folder that `RIG_SHARED_DATA` names.
 """
 _FIGURE = (
     "![Shares of cases that intervals hold, for each fit](pictures/validation-coverage.svg)",

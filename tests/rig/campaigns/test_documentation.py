@@ -1,4 +1,4 @@
-"""The example of docs/campaign.md runs as it is written."""
+"""The example of the model in docs/many-runs.md runs as it is written."""
 
 import json
 import re
@@ -12,7 +12,8 @@ from tests.rig.campaigns.made_sessions import humid_campaign
 from tests.rig.command_line import rig
 
 ROOT = Path(__file__).resolve().parents[3]
-TEXT = (ROOT / "docs" / "campaign.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "many-runs.md").read_text(encoding="utf-8")
+TEXT = PAGE.partition("\n## One model of many runs\n")[2].partition("\n## ")[0]
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
 

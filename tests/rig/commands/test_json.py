@@ -141,7 +141,7 @@ def _inputs(name: str, folder: Path, series: Path) -> None:
 
 @pytest.mark.slow
 def test_the_lines_of_the_page_run(tmp_path: Path, measured_series: Path) -> None:
-    page = (CONFIGS.parent / "docs" / "reference" / "session.md").read_text(encoding="utf-8")
+    page = (CONFIGS.parent / "docs" / "scripts.md").read_text(encoding="utf-8")
     lines = [
         line.split()[1:] for line in page.splitlines() if line.startswith("    rig ") and "--json" in line
     ]

@@ -147,7 +147,7 @@ def test_every_fault_of_a_calibrations_file_is_said(tmp_path: Path) -> None:
     )
     assert said("calibrate", "sensor", "frames.toml", cwd=tmp_path) == (
         "rig: frames.toml: darks = 3: should be the name of a file, in quotes; level: is missing; "
-        "state a value; docs/calibration.md shows such a file\n"
+        "state a value; docs/calibrate.md shows such a file\n"
     )
 
 
