@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 MANY_SPOTS = 1_000_000
-"""Of the 5 million of a day: a spot that stayed in memory would cost at least 8 bytes in any number of them."""
+"""Of the 5 million of a day: a spot that stayed in memory would cost at least 8 bytes."""
 FLUSH_SPOTS = 35
 """Spots between two flushes, 0.6 s, when the 5 million of a day are spread over 24 h."""
 ALLOWED_BYTES_PER_SPOT = 60.0

@@ -150,7 +150,8 @@ def test_a_serial_witness_is_recorded_beside_frames_that_come_in_real_time(tmp_p
     )
     source, folder = CONFIGS / "demo.toml", tmp_path / "run"
     try:
-        measure_session(load_configuration(source, wanted), source, folder)
+        with figures_are_not_drawn():
+            measure_session(load_configuration(source, wanted), source, folder)
     finally:
         over.set()
         writing.join()
