@@ -127,7 +127,7 @@ def test_retracking_stays_within_a_tenth_of_the_uncertainty(short_session: Path)
 @pytest.mark.slow
 def test_fit_of_a_record_alone_gives_the_same_again(short_session: Path, tmp_path: Path) -> None:
     done = rig("fit", short_session / "run-2.mcap", "-o", tmp_path / "fit")
-    assert "SIMULATED run 1: " in done.stdout
+    assert "SIMULATED run 2: " in done.stdout
     assert done.returncode == 0, done.stderr
     (again,) = results_of(tmp_path / "fit")["runs"]
     run = results_of(short_session)["runs"][1]
