@@ -32,6 +32,7 @@ heed_signals()
 # A test that is killed, by its limit of time or by hand, ends nothing any more.
 leave_no_orphans()
 
+
 LONG_S = 120
 """A test that states a limit of its own of so many seconds waits for long, and begins early."""
 _SLOW_BETWEEN = 4
@@ -41,9 +42,12 @@ LONGER_S = {"kernel": 1500, "slow": 300, "realtime": 300}
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Three workers more than processors (`-n auto`), since what measures real time waits."""
+    """Two workers more than processors (`-n auto`), since what measures real time waits.
+
+    Each looks for all tests by itself, which takes it about ten seconds.
+    """
     waits = "not realtime" not in config.option.markexpr
-    return (os.cpu_count() or 1) + 3 * waits
+    return (os.cpu_count() or 1) + 2 * waits
 
 
 class FileByFile(LoadScopeScheduling):

@@ -12,6 +12,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
+from tests.rig.command_line import SMALL, set_words
 from tests.rig.view.rrd_contents import measured
 
 pytestmark = pytest.mark.slow
@@ -58,9 +59,10 @@ def put(copy: Path, place: str, content: str) -> None:
 
 
 def run(tree: Path, command: str) -> str:
-    """The output of a command in the copy."""
+    """The output of a command in the copy; the demonstration has small frames."""
     program, *words = shlex.split(command)
     assert program in ("rig", "pytest"), command
+    words += set_words(SMALL) if words[:2] == ["run", "configs/demo.toml"] else []
     environment = {**os.environ, "PYTHONPATH": str(tree), "COLUMNS": "200"}
     done = subprocess.run(
         [sys.executable, "-m", program, *words],
@@ -126,5 +128,5 @@ def test_a_term_of_the_fit_has_its_line_in_the_budget(tree: Path) -> None:
 
 def test_a_law_is_fitted(tree: Path) -> None:
     said = run_all(tree, "Adding a law of the contact")
-    assert " passed" in said["pytest tests/processing/contact/laws"]
-    assert "failed" not in said["pytest tests/processing/contact/laws"]
+    (tested,) = said.values()
+    assert re.search(r"\b[3-9] passed|\b\d\d passed", tested), tested

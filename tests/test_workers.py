@@ -1,55 +1,53 @@
 """What runs in which worker of pytest-xdist: a file in one, all that measures real time in one."""
 
-import os
-import shutil
-import subprocess
-import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
-import pytest
+from tests.conftest import FileByFile
 
-ROOT = Path(__file__).resolve().parent
-TESTS = """
-import os, pathlib, time, pytest
-pytestmark = {mark}
-@pytest.mark.parametrize("number", range(4))
-def test(number):
-    time.sleep(0.05)
-    with pathlib.Path("{said}").open("a") as said:
-        print("{name}", os.environ["PYTEST_XDIST_WORKER"], file=said)
-"""
+REAL = "import pytest\npytestmark = pytest.mark.realtime\n"
 
 
-@pytest.mark.slow
+class Worker:
+    """One of xdist's, which notes what it is given."""
+
+    def __init__(self, name: str) -> None:
+        self.gateway = SimpleNamespace(id=name)
+        self.workerinput: dict[str, Any] = {}
+        self.shutting_down = False
+        self.given: list[int] = []
+
+    def send_runtest_some(self, indices: list[int]) -> None:
+        self.given += indices
+
+    def shutdown(self) -> None:
+        self.shutting_down = True
+
+
 def test_files_stay_together_and_those_of_real_time_too(tmp_path: Path) -> None:
-    (tmp_path / "conftest.py").write_text((ROOT / "conftest.py").read_text(encoding="utf-8"))
-    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = realtime\n")
-    said = tmp_path / "said"
-    (tmp_path / "tests").mkdir()
-    shutil.copy(ROOT / "orphans.py", tmp_path / "tests")
-    for name in ("a", "b", "real", "true"):
-        mark = "[]" if name in ("a", "b") else "pytest.mark.realtime"
-        (tmp_path / f"test_{name}.py").write_text(TESTS.format(mark=mark, said=said, name=name))
-    options = ["-n", "4", "--no-loadscope-reorder", "-q"]
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", *options],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
+    for name, text in (("a", ""), ("b", ""), ("real", REAL), ("true", REAL)):
+        (tmp_path / f"test_{name}.py").write_text(text)
+    tests = [f"test_{name}.py::test[{number}]" for name in ("a", "real", "b", "true") for number in range(4)]
+    option = SimpleNamespace(tx=["popen"] * 4, maxschedchunk=None, loadscopereorder=False, debug=False)
+    config: Any = SimpleNamespace(
+        rootpath=tmp_path, option=option, getvalue=lambda name: getattr(option, name)
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    workers: dict[str, set[str]] = {}
-    for line in said.read_text().splitlines():
-        name, worker = line.split()
-        workers.setdefault(name, set()).add(worker)
-    assert {name: len(seen) for name, seen in workers.items()} == {
-        "a": 1,
-        "b": 1,
-        "real": 1,
-        "true": 1,
-    }
-    assert workers["real"] == workers["true"]
-    assert not workers["real"] & (workers["a"] | workers["b"])
+    scheduler = FileByFile(config, None)
+    workers: list[Any] = [Worker(f"gw{number}") for number in range(4)]
+    for worker in workers:
+        scheduler.add_node(worker)
+        scheduler.add_node_collection(worker, tests)
+    scheduler.schedule()
+    for worker in workers:
+        for index in worker.given:
+            scheduler.mark_test_complete(worker, index)
+    of_file: dict[str, set[str]] = {}
+    for worker in workers:
+        for index in worker.given:
+            of_file.setdefault(tests[index].partition("::")[0], set()).add(worker.gateway.id)
+    assert {name: len(seen) for name, seen in of_file.items()} == dict.fromkeys(
+        ("test_a.py", "test_b.py", "test_real.py", "test_true.py"), 1
+    )
+    assert of_file["test_real.py"] == of_file["test_true.py"]
+    assert not of_file["test_real.py"] & (of_file["test_a.py"] | of_file["test_b.py"])

@@ -49,6 +49,7 @@ class LightRefused(DeviceError):
 
 _UNHEARD_S: Final = 5.0
 """So long nobody may have looked whether LIGHT OFF was pressed: as for a stage that has stalled."""
+OVER: Final = "no frames are processed any more"
 TO_BE_ASKED: Final = "the trip is acknowledged; the laser stays off until a person asks for light"
 
 
@@ -73,7 +74,7 @@ class LightPermit:
         self._state = state or SafetyState()
         self._tripped = tripped
         self._moved_s: dict[Stage, float] = {}
-        self._begun = False
+        self._begun = self._over = False
         self._withdrawn = ""
         self._asked_before_trip = False
         self._looked_s: float | None = None
@@ -83,11 +84,11 @@ class LightPermit:
         """A laser is about to be lit: from now on camera and processing must move."""
         now_s = self._clock_s()
         self._moved_s |= {Stage.CAMERA: now_s, Stage.PROCESSING: now_s}
-        self._begun = True
+        self._begun, self._over = True, False
 
     def end(self) -> None:
-        """The lasers are dark, and nothing needs to move."""
-        self._begun = False
+        """The lasers go dark, and nothing needs to move; what still waits to be lit is refused."""
+        self._begun, self._over = False, True
 
     def moved(self, stage: Stage) -> None:
         """A stage has done something."""
@@ -194,7 +195,8 @@ class LightPermit:
         A trip that came since light was asked for needs more than its acknowledgement.
         """
         self.look_for_presses()
-        return self.refusal or self._state.problem or (TO_BE_ASKED if self._asked_before_trip else "")
+        to_be_asked = TO_BE_ASKED if self._asked_before_trip else ""
+        return self.refusal or self._state.problem or to_be_asked or (OVER if self._over else "")
 
     @property
     def paused_s(self) -> float:

@@ -76,10 +76,11 @@ class LitDevices:
         self.lights_again = True
         self.permit = LightPermit(state=self.state, tripped=self._tripped)
 
-    def light(self, *, asked: bool = False) -> str:
+    def light(self, *, asked: bool = False, in_run: bool = False) -> str:
         """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`.
 
         `asked`: a person asks for it now; after a trip, also an acknowledged one, nothing else will do.
+        `in_run`: only while the run that is under way processes frames; its end outdates the asking.
 
         From now on frames must be read and taken, else the laser is switched off again (`LightPermit`). To
         be called when the first frame is due. Raises LightRefused while a trip is not acknowledged. Nothing
@@ -94,7 +95,7 @@ class LitDevices:
             self.ask_for_light()
         # by a run and by an order at once, the second finds it lit
         with self._lighting:
-            return self._lit()
+            return self._lit(in_run)
 
     @property
     def remedy(self) -> str:
@@ -111,7 +112,7 @@ class LitDevices:
             f"{trip.number}, or at the desk"
         )
 
-    def _lit(self) -> str:
+    def _lit(self, in_run: bool) -> str:
         kind = self._config.laser.kind
         if self.waits_for_asking:
             self.audit(Audited.REFUSED, TO_BE_ASKED)
@@ -124,7 +125,8 @@ class LitDevices:
             self.audit(Audited.LIT, f"asked for by {self._task}", laser=kind)
             self._log.wait()
             self._was_lit = self._is_lit = True
-        self.permit.begin()
+        if not in_run:
+            self.permit.begin()
         try:
             return light(self._config.laser, self.control, self.laser)
         except DeviceError as error:
@@ -143,8 +145,9 @@ class LitDevices:
 
     def darken(self, why: str = "frames are not processed any more") -> None:
         """Switch the laser off before all waiting commands; never blocks."""
-        self._order_dark()
+        # first, so that nobody's command to light comes between
         self.permit.end()
+        self._order_dark()
         self.went_dark(why)
 
     @property

@@ -3,12 +3,10 @@
 The half-cycles come from the tests' own integration of a driven pendulum, without a formula of the fit.
 """
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from processing.contact import ContactParameters
 from processing.contact.laws import PAPER
 from processing.errors import RigError
 from processing.fit import FitResult, fit_exact
@@ -17,7 +15,8 @@ from rig.measure.end_of_run import EndLimits, EndOfRun
 from rig.posterior import FIRST_HALF_CYCLES
 from rig.posterior.posterior import following
 from rig.settings.stop_conditions import stop_conditions
-from tests.processing.fit.decays import paper_pair
+from tests.benchmarks.coverage import coverage, held, lines, named
+from tests.processing.fit.decays import paper_pair, truth
 from tests.processing.fit.driven import driven_decay
 
 
@@ -56,74 +55,45 @@ def stopped(points: TurningPoints, case: Stopping) -> FitResult | None:
 
 
 def stopping(case: Stopping, seeds: int) -> dict[str, Any]:
-    """Shares of runs whose one-u intervals hold the truth, and where they ended."""
+    """Shares of runs whose intervals hold the truth, errors over u, and where they ended."""
     parameters, pendulum = paper_pair(case.flat)
-    inside, ends, errors, runs = [], [], [], []
-    unended = failed = 0
+    names = PAPER.names()
+    true = truth(parameters, names)
+    fits, runs, failed = [], [], 0
     for seed in range(seeds):
         points = driven_decay(parameters, pendulum, q=case.q, noise_arcsec=NOISE_ARCSEC, seed=9000 + seed)
         try:
-            fit = stopped(points, case)
+            if (fit := stopped(points, case)) is not None:
+                fits.append(fit)
+                runs.append(points)
         except RigError:
             failed += 1
-            continue
-        if fit is None:
-            unended += 1
-            continue
-        ends.append(fit.half_cycles)
-        runs.append(points)
-        inside.append(holds(fit, parameters))
-        errors.append([pull(fit, name, getattr(parameters, name)) for name in PAPER.names()])
+    ends = [fit.half_cycles for fit in fits]
     length = int(np.median(ends))
-    fixed = [fit_exact(points.first(length), paper_pair(case.flat)[1], averaged=False) for points in runs]
+    fixed = [fit_exact(points.first(length), pendulum, averaged=False) for points in runs]
+    count = len(names)
+    pulls = [(fit.values[:count] - true) / fit.standard_uncertainty[:count] for fit in fits]
+    found, at_fixed = (
+        named(names, coverage(pulls, [held(fit, names, true) for fit in these])) for these in (fits, fixed)
+    )
     return {
-        "pair": case.flat,
-        "when": list(case.when),
         "seeds": seeds,
         "failed": failed,
-        "reached_the_last_amplitude": unended,
+        "reached_the_last_amplitude": seeds - failed - len(fits),
         "half_cycles": np.percentile(ends, [5, 50, 95]).tolist(),
-        "one_u": by_name(np.mean(inside, axis=0)),
-        "one_u_at_a_fixed_length": by_name(np.mean([holds(fit, parameters) for fit in fixed], axis=0)),
-        "mean_error_over_u": by_name(np.mean(errors, axis=0)),
+        **found,
+        "one_u_at_a_fixed_length": at_fixed["one_u"],
     }
 
 
-def holds(fit: FitResult, parameters: ContactParameters) -> list[bool]:
-    """Whether the interval of one u holds the truth, by parameter."""
-    found = []
-    for name in PAPER.names():
-        low, high = fit.interval(name, 0.6827)
-        found.append(low <= getattr(parameters, name) <= high)
-    return found
-
-
-def pull(fit: FitResult, name: str, true: float) -> float:
-    value, u = fit.estimate(name)
-    return (value - true) / u
-
-
-def by_name(values: Any) -> dict[str, float]:
-    return dict(zip(PAPER.names(), np.asarray(values, dtype=np.float64).tolist(), strict=True))
-
-
-def words(values: Mapping[str, float]) -> str:
-    return "  ".join(f"{name} {value:.2f}" for name, value in values.items())
-
-
-def stoppings(seeds: int) -> list[dict[str, Any]]:
+def stoppings(seeds: int) -> dict[str, dict[str, Any]]:
     """Runs that end by their conditions."""
-    out = []
+    out = {}
     for case in STOPPING:
-        found = stopping(case, seeds)
-        out.append(found)
-        print(
-            f"{case.flat}, {', '.join(case.when)}: {found['seeds']} runs ended after "
-            f"{found['half_cycles']} half-cycles (5, 50, 95 %)"
-        )
-        print("  within 1 u   ", words(found["one_u"]))
-        print("  fixed length ", words(found["one_u_at_a_fixed_length"]))
-        print("  mean error/u ", words(found["mean_error_over_u"]), flush=True)
+        name = f"{case.flat}, {', '.join(case.when)}"
+        found = out[name] = stopping(case, seeds)
+        print(f"{name}: {seeds} runs ended after {found['half_cycles']} half-cycles (5, 50, 95 %)")
+        print(*lines(found), f"  fixed length {found['one_u_at_a_fixed_length']}", sep="\n", flush=True)
     return out
 
 

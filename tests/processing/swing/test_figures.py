@@ -64,7 +64,7 @@ def test_at_the_bound_from_300_px_to_3_px(frames_per_s: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("frames_per_s", [30.0, 60.0, 100.0, 200.0, 500.0])
+@pytest.mark.parametrize("frames_per_s", [30.0, 500.0])
 def test_at_the_bound_in_every_part_of_the_decay(frames_per_s: float) -> None:
     rows, _, _ = gathered(6, frames_per_s)
     for first, last in ((0, 41), (41, 82), (82, 123), (123, 170)):
@@ -104,8 +104,7 @@ def test_true_waveform_of_the_strongest_friction(noise: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("contact", ["glass", "silicon", "steel"])
-@pytest.mark.parametrize("noise", [0.02, 0.005])
+@pytest.mark.parametrize(("contact", "noise"), [("glass", 0.02), ("silicon", 0.02), ("steel", 0.005)])
 def test_true_waveform_over_a_whole_run(contact: str, noise: float) -> None:
     clean = contact_decay(contact, 500)
     rows = []

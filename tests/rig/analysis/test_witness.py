@@ -3,6 +3,7 @@
 import re
 import sys
 from dataclasses import replace
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Response, WitnessUse
 from processing.fit.witness.fitting import WitnessVerdict
-from rig.analysis import analyse_record, session_results
+from rig.analysis import AnalysedTable, analyse_record, session_results
 from rig.analysis.results import RunResults, SessionResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.table_fit import TableColumns, analyse_table
@@ -71,15 +72,20 @@ def decay(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def fitted(folder: Path, *columns: str) -> TableResults:
+@cache
+def analysed(folder: Path, *columns: str) -> AnalysedTable:
     config = load_configuration(folder / "rig.toml", needs_camera=False)
     witness = StatedWitness(folder / "witness.csv", columns).read() if columns else None
-    return analyse_table(folder / "decay.csv", config, TableColumns(unit="arcsec"), witness).results
+    return analyse_table(folder / "decay.csv", config, TableColumns(unit="arcsec"), witness)
+
+
+def fitted(folder: Path, *columns: str) -> TableResults:
+    return analysed(folder, *columns).results
 
 
 @pytest.mark.slow
 def test_a_table_is_fitted_with_a_witness_and_says_what_it_saved(decay: Path) -> None:
-    alone, found = fitted(decay), fitted(decay, "north", "east")
+    alone, found = fitted(decay), fitted(decay, "east", "north")
     assert alone.witness is None
     assert found.witness is not None
     assert found.witness.used
@@ -114,9 +120,7 @@ def test_the_python_interface_takes_a_witness_of_a_table_as_the_terminal_does(de
 
 @pytest.mark.slow
 def test_the_report_of_a_table_draws_what_its_witness_explains(decay: Path, tmp_path: Path) -> None:
-    config = load_configuration(decay / "rig.toml", needs_camera=False)
-    witness = StatedWitness(decay / "witness.csv", ("north",)).read()
-    table = analyse_table(decay / "decay.csv", config, TableColumns(unit="arcsec"), witness)
+    table = analysed(decay, "east", "north")
     write_results(tmp_path / RESULTS_NAME, table.results)
     make_table_report(table, tmp_path)
     page = (tmp_path / "report.html").read_text()

@@ -1,5 +1,7 @@
 """`rig calibrate air`: runs with vanes, the file that they make, and a fit that uses it."""
 
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -7,13 +9,14 @@ import pytest
 
 from calibration import read_calibration
 from processing.errors import ConfigurationError, DataError
-from rig.analysis import analyse_record, remarks
+from rig.analysis import AnalysedRun, analyse_record, remarks
 from rig.calibrate import Filing, calibrate_air, filed, vanes_to_cut
 from rig.instrument import complete
 from rig.measure.session import simulate_record
 from rig.settings import validate_configuration
 
 DRAG_S = 1.7e-3
+fitted_once = cache(analyse_record)
 
 
 def configuration(area_m2: float, **sections: Any) -> Any:
@@ -45,7 +48,10 @@ def vanes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_drag_is_measured_filed_and_used(vanes: Path, tmp_path: Path) -> None:
+def test_the_drag_is_measured_filed_and_used(
+    vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.calibrate.air.analyse_record", fitted_once)
     path = calibrate_air(vanes, Filing(tmp_path / "c", 30, "A. Person"))
     found = read_calibration(path, "air")
     drag_s, u_drag_s = found.values["drag_s"], found.values["u_drag_s"]
@@ -100,16 +106,21 @@ def test_what_cannot_serve_is_said_in_one_line(vanes: Path, tmp_path: Path, line
 
 
 @pytest.mark.slow
-def test_a_run_too_short_for_the_waveform_is_refused(tmp_path: Path) -> None:
-    config = configuration(0.0)
-    short = config.model_copy(
-        update={"simulation": config.simulation.model_copy(update={"max_duration_s": 40.0})}
-    )
-    assert simulate_record(short, tmp_path / "none.toml", tmp_path / "s.mcap") == 0
-    runs = "".join(f"[[run]]\nrecord = 's.mcap'\narea_m2 = {area}\n" for area in (0.0, 0.1))
-    (tmp_path / "v.toml").write_text(runs)
+def test_a_run_too_short_for_the_waveform_is_refused(
+    vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As short runs are fitted: without the evidence of the waveform."""
+
+    def short(record: Path, *, air_known: bool) -> AnalysedRun:
+        run = fitted_once(record, air_known=air_known)
+        fit = run.fits["exact"]
+        without = replace(fit, evidence=replace(fit.evidence, waveform=None))
+        return replace(run, fits={**run.fits, "exact": without})
+
+    monkeypatch.setattr("rig.calibrate.air.analyse_record", short)
     with pytest.raises(DataError, match="too short for the waveform"):
-        calibrate_air(tmp_path / "v.toml", Filing(tmp_path / "c"))
+        calibrate_air(vanes, Filing(tmp_path / "c"))
+    assert not (tmp_path / "c").exists()
 
 
 def test_vanes_are_advised_and_asked_for() -> None:

@@ -18,7 +18,7 @@ from acquisition.frame import Frame
 from processing.errors import DeviceError, RigError
 from rig.balance.look import LooksView, look
 from rig.control import ControlService, LightRefused, Stage, TripCause
-from rig.control.light_permit import LONGEST_PAUSE_S
+from rig.control.light_permit import LONGEST_PAUSE_S, OVER
 from rig.control.simulated import SimulatedBoard
 from rig.desk.aligner import Aligner
 from rig.devices import Devices, LightWatch
@@ -302,6 +302,42 @@ def test_lighting_that_still_waits_for_a_device_is_outdated_by_light_off(
         assert devices.light(asked=True) == "laser on, 0.9 mW"
 
 
+def test_lighting_that_still_waits_for_a_device_is_outdated_by_the_end_of_the_run(
+    config: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lit: Lit
+) -> None:
+    """Somebody at a desk asks for light just when a run that has waited in the dark comes to its end."""
+    began, answers = Event(), Event()
+    usual = ControlService.set_laser_power_w
+
+    def slow(service: ControlService, power_w: float) -> object:
+        began.set()
+        answers.wait(20.0)
+        return usual(service, power_w)
+
+    monkeypatch.setattr(ControlService, "set_laser_power_w", slow)
+    said: list[str] = []
+
+    def ask() -> None:
+        try:
+            said.append(orders(devices, Notes(tmp_path, ""))["light"](""))
+        except LightRefused as refused:
+            said.append(str(refused))
+
+    with Devices(config) as devices:
+        devices.permit.begin()
+        asking = Thread(target=ask)
+        asking.start()
+        assert began.wait(20.0)
+        devices.darken("the run has ended")
+        answers.set()
+        asking.join(20.0)
+        assert lit.at == []
+        assert [OVER in text for text in said] == [True], said
+        assert not devices.permit.begun
+        # the next run lights by itself
+        assert devices.light() == "laser on, 0.9 mW"
+
+
 def test_asked_for_after_the_last_run_the_order_promises_no_light(
     config: Configuration, tmp_path: Path
 ) -> None:
@@ -328,6 +364,9 @@ def test_the_last_run_of_a_session_is_followed_by_no_light(
         usual(devices, camera)
 
     monkeypatch.setattr(Devices, "see_dark", see_dark)
+    # a machine that stands still for longer between two runs is no trip of its own
+    for stage in Stage:
+        monkeypatch.setitem(LONGEST_PAUSE_S, stage, 60.0)
     run(config.model_copy(update={"session": config.session.model_copy(update={"runs": 2})}), tmp_path)
     assert answers == ["no run follows that would light the laser; start one"]
 

@@ -7,6 +7,7 @@ import threading
 import time
 import tty
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ GROUND = (
     "simulation.witness.delay_s=0.05",
     "fit.drag='vacuum'",
 )
+fitted_once = cache(analyse_record)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +73,7 @@ def test_the_run_itself_is_fitted_with_it_and_so_is_its_record(vault: Path) -> N
     # it is late by 0.05 s, which is in the response's phase; so short a run bounds it
     delay_s, u_s = run.witness.delay_s
     assert abs(delay_s + 0.05) < 4 * u_s < 2.0
-    again = analyse_record(vault / "run-1.mcap").results
+    again = fitted_once(vault / "run-1.mcap").results
     assert again.witness == run.witness
     assert again.fits["exact"].estimate("b") == run.fits["exact"].estimate("b")
     alone = analyse_record(vault / "run-1.mcap", ["witness.kind='none'"]).results
@@ -96,7 +98,7 @@ def test_a_file_beside_a_record_is_accepted_in_its_place(vault: Path, tmp_path: 
         rows = zip((table["time_ns"] - zero_ns).tolist(), table["first"].tolist(), strict=True)
         lines = [f"{time_ns // 10**9}.{time_ns % 10**9:09d},{value:.9g}" for time_ns, value in rows]
         (tmp_path / name).write_text("\n".join(["time_s,counts", *lines]))
-    own = analyse_record(record).results
+    own = fitted_once(record).results
     assert own.witness is not None
     for name in ("utc.csv", "relative.csv"):
         found = analyse_record(record, witness=StatedWitness(tmp_path / name).read()).results
@@ -150,7 +152,8 @@ def test_a_serial_witness_is_recorded_beside_frames_that_come_in_real_time(tmp_p
     )
     source, folder = CONFIGS / "demo.toml", tmp_path / "run"
     try:
-        measure_session(load_configuration(source, wanted), source, folder)
+        with figures_are_not_drawn():
+            measure_session(load_configuration(source, wanted), source, folder)
     finally:
         over.set()
         writing.join()

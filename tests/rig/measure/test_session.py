@@ -125,14 +125,14 @@ def test_retracking_stays_within_a_tenth_of_the_uncertainty(short_session: Path)
 
 
 @pytest.mark.slow
-def test_fit_of_the_records_alone_gives_the_same_again(short_session: Path, tmp_path: Path) -> None:
-    done = rig("fit", short_session / "run-1.mcap", short_session / "run-2.mcap", "-o", tmp_path / "fit")
-    assert "SIMULATED run 1: " in done.stdout
+def test_fit_of_a_record_alone_gives_the_same_again(short_session: Path, tmp_path: Path) -> None:
+    done = rig("fit", short_session / "run-2.mcap", "-o", tmp_path / "fit")
+    assert "SIMULATED run 2: " in done.stdout
     assert done.returncode == 0, done.stderr
-    again = results_of(tmp_path / "fit")["runs"]
-    for old, new in zip(results_of(short_session)["runs"], again, strict=True):
-        assert new["sha256"] == old["sha256"]
-        assert new["fits"]["exact"]["b"] == old["fits"]["exact"]["b"]
+    (again,) = results_of(tmp_path / "fit")["runs"]
+    run = results_of(short_session)["runs"][1]
+    assert again["sha256"] == run["sha256"]
+    assert again["fits"]["exact"]["b"] == run["fits"]["exact"]["b"]
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """A record of a decay as `rig run` writes it, made quickly from spots instead of frames."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ def make_record(
     windows: bool = False,
     calibrated: bool = True,
     seed: int = 1,
+    overrides: Sequence[str] = (),
 ) -> Path:
     """Record `seconds` at 50 frames a second; one frame is missing, the spot of another one is lost.
 
@@ -37,7 +39,7 @@ def make_record(
 
     With `windows` there are pixels for every tenth frame, and for one more that has no spot message.
     """
-    config = complete(load_configuration(CONFIG))
+    config = complete(load_configuration(CONFIG, overrides))
     random = np.random.default_rng(seed)
     sequences = np.delete(np.arange(round(seconds * RATE_HZ)), GAP_FRAME)
     times_s = sequences / RATE_HZ

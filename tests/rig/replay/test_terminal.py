@@ -24,7 +24,9 @@ SECONDS = 60.0
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_record(tmp_path_factory.mktemp("terminal") / "run-1.mcap", SECONDS)
+    """Without a fit of the contact, which takes long for a short run."""
+    path = tmp_path_factory.mktemp("terminal") / "run-1.mcap"
+    return make_record(path, SECONDS, overrides=["instrument.kind='tomlinson'"])
 
 
 @pytest.fixture
