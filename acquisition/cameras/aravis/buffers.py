@@ -11,7 +11,7 @@ from acquisition.camera import ColourPlane
 from acquisition.cameras.colour_plane import plane_of
 from acquisition.cameras.pixel_formats import Format
 from acquisition.frame import Frame
-from acquisition.frames.numbers import BlockNumbers, Place
+from acquisition.frames.losses import BlockNumbers, Place
 from processing.errors import DeviceError
 
 SHORT_IDS: Final = 65535

@@ -27,7 +27,7 @@ from acquisition.cameras.aravis.library import (
 )
 from acquisition.cameras.device_settings import AravisSettings, kept_frames
 from acquisition.frame import Frame
-from acquisition.frames.numbers import BlockNumbers
+from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)

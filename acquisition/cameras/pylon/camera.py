@@ -26,7 +26,7 @@ from acquisition.cameras.device_settings import PylonSettings, kept_frames
 from acquisition.cameras.pixel_formats import Format
 from acquisition.cameras.pylon.features import PylonFeatures
 from acquisition.frame import Frame
-from acquisition.frames.numbers import BlockNumbers
+from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError, MissingPackage
 
 _POLL_MS: Final = 100

@@ -33,7 +33,7 @@ from acquisition.cameras.usb3vision.packets import (
 from acquisition.cameras.usb3vision.registers import TransferPlan
 from acquisition.cameras.usb3vision.transfers import Transfers
 from acquisition.frame import Frame
-from acquisition.frames.numbers import BlockNumbers, Place
+from acquisition.frames.losses import BlockNumbers, Place
 from processing.errors import DeviceError, RigError
 
 logger = logging.getLogger(__name__)
