@@ -18,9 +18,9 @@ from acquisition.camera import (
 )
 from acquisition.cameras import wiring
 from acquisition.cameras.aravis.buffers import SHORT_IDS, BufferReader
-from acquisition.cameras.aravis.features import AravisFeatures
 from acquisition.cameras.aravis.library import (
     AravisDevice,
+    AravisFeatures,
     Library,
     find_camera,
     load_library,

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import CameraLost, CameraStatus, ColourPlane
-from acquisition.cameras.colour_plane import plane_of
-from acquisition.cameras.pixel_formats import Format
+from acquisition.cameras.pixel_formats import Format, plane_of
 from acquisition.cameras.reading import Reading
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
 from acquisition.cameras.usb3vision.packets import (
