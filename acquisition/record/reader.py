@@ -1,13 +1,9 @@
-"""Reads a record, complete, truncated or still being written, chunk by chunk.
-
-Memory does not grow with the file.
-"""
+"""Reads a record, complete, truncated or still being written, chunk by chunk; memory does not grow with it."""
 
 import datetime
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Sized
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self, TypeAlias, TypeVar
 
 import numpy as np
@@ -72,7 +68,7 @@ class RecordReader:
     Raises
     ------
     RecordError
-        No such file, not an MCAP file, not a record of this program, or a record of a newer version.
+        No such file, not an MCAP file, not a record of this program, or one of another schema.
     """
 
     def __init__(self, path: Path) -> None:
@@ -121,9 +117,7 @@ class RecordReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -283,26 +277,18 @@ class RecordReader:
 
         Those before `start_ns` (on the frames' clock) are left out, and chunks before it are not read.
         """
-        from_ns = self._from_ns(start_ns)
-        for messages in self._by_chunk(messages_in, topic, from_ns):
-            for message in messages:
-                if message.log_time_ns >= from_ns:
-                    yield message
-
-    def _from_ns(self, start_ns: int | None) -> int:
-        return 0 if start_ns is None else start_ns + self.epoch_offset_ns
+        from_ns = self.epoch_offset_ns + (start_ns or 0)
+        for messages in self._by_chunk(messages_in, topic, start_ns):
+            yield from (one for one in messages if start_ns is None or one.log_time_ns >= from_ns)
 
     def _by_chunk(
-        self, take: Callable[[bytes, frozenset[int]], _Taken], topic: str, from_ns: int = 0
+        self, take: Callable[[bytes, frozenset[int]], _Taken], topic: str, start_ns: int | None = None
     ) -> Iterator[_Taken]:
+        from_ns = 0 if start_ns is None else start_ns + self.epoch_offset_ns
         for file in self.files:
             for number, known in file.contents.channels.items():
                 if known == topic:
                     yield from file.by_chunk(take, number, from_ns)
-
-    def has(self, topic: str) -> bool:
-        """Whether the record has any message of a topic."""
-        return topic in self.counts
 
     def table(self, topic: str) -> NDArray[Any]:
         """All messages of a topic of numbers as a structured array (n,).
@@ -391,10 +377,8 @@ class RecordReader:
 
     def log(self) -> list[RecordedLog]:
         """Lines of the log."""
-        offset_ns = self.epoch_offset_ns
-        return [
-            decode_log(message.log_time_ns - offset_ns, message.data) for message in self.messages(LOG_TOPIC)
-        ]
+        lines = self.messages(LOG_TOPIC)
+        return [decode_log(line.log_time_ns - self.epoch_offset_ns, line.data) for line in lines]
 
     def _tables(
         self, kind: MessageType, start_ns: int | None = None, fields: Collection[str] | None = None
@@ -402,7 +386,7 @@ class RecordReader:
         """The numbers of a topic, some thousand rows at a time: a chunk may hold only a few dozen."""
         held: list[NDArray[np.void]] = []
         count = 0
-        for part in self._by_chunk(packed_messages, kind.topic, self._from_ns(start_ns)):
+        for part in self._by_chunk(packed_messages, kind.topic, start_ns):
             if part.dtype.itemsize != kind.wire_dtype.itemsize:
                 raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
             held.append(part)

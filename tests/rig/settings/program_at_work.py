@@ -10,10 +10,10 @@ import pytest
 
 from acquisition.camera import CameraInfo, CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
-from acquisition.simulation.ground import SimulatedWitness
 from acquisition.simulation.inputs import FaultSettings, RigInputs
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_turning_points
+from acquisition.simulation.witness import SimulatedWitness
 from processing.errors import RigError
 from rig.balance.look import LooksView, look
 from rig.control import (
