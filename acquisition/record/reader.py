@@ -1,4 +1,4 @@
-"""Reads a record, complete, truncated or still being written, chunk by chunk; memory does not grow with it."""
+"""Reads a record, complete, truncated or being written, chunk by chunk; memory does not grow with it."""
 
 import datetime
 import time
