@@ -46,7 +46,7 @@ DRIVERS: dict[str, Driver] = {
         camera="acquisition.cameras.simulated:SimulatedCamera",
         settings=(
             "acquisition.simulation.settings:SimulationSettings",
-            "acquisition.simulation.faults:FaultSettings",
+            "acquisition.simulation.inputs:FaultSettings",
         ),
         sections=("simulation", "faults"),
         on_demand=True,
@@ -54,7 +54,7 @@ DRIVERS: dict[str, Driver] = {
     # images, a film or a .npy stack that another program recorded
     "files": Driver(
         camera="acquisition.cameras.files.camera:FilesCamera",
-        settings=("acquisition.cameras.files.settings:FilesSettings",),
+        settings=("acquisition.cameras.files.frame_source:FilesSettings",),
         on_demand=True,
     ),
     # any USB3 Vision camera, through pyusb
@@ -71,9 +71,9 @@ DRIVERS: dict[str, Driver] = {
     ),
     # Basler cameras through the vendor's pypylon, an optional package
     "pylon": Driver(
-        camera="acquisition.cameras.pylon.camera:PylonCamera",
+        camera="acquisition.cameras.pylon:PylonCamera",
         settings=("acquisition.cameras.device_settings:PylonSettings",),
-        find="acquisition.cameras.pylon.camera:list_cameras",
+        find="acquisition.cameras.pylon:list_cameras",
     ),
     # GigE Vision and USB3 Vision cameras through libaravis and PyGObject, which are optional
     "aravis": Driver(

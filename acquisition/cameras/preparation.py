@@ -6,14 +6,14 @@ from typing import Final, Literal
 
 from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, PixelFormat
 from acquisition.cameras import wiring
-from acquisition.cameras.colour_plane import (
+from acquisition.cameras.pixel_formats import (
+    Format,
     format_of,
     in_plane_px,
     in_sensor_px,
     names_by_depth,
     preferred_names,
 )
-from acquisition.cameras.pixel_formats import Format
 from acquisition.cameras.wiring import NamedFeatures, is_on
 from processing.errors import DeviceError
 

@@ -12,8 +12,7 @@ from acquisition.camera import (
     without_features,
 )
 from acquisition.frame import Frame
-from acquisition.simulation.faults import FaultSettings
-from acquisition.simulation.inputs import RigInputs
+from acquisition.simulation.inputs import FaultSettings, RigInputs
 from acquisition.simulation.run_reader import CAMERA_NAME, RunReader
 from acquisition.simulation.scene import Readings, Scene, block_frames
 from acquisition.simulation.settings import SimulationSettings

@@ -72,6 +72,10 @@ class Delivered:
         if not isinstance(frame, Frame):
             raise _refusal(f"read() returned {type(frame).__name__}", "return a Frame, or None at the end")
         image, *numbers = frame
+        if self._in_real_time and isinstance(frame.device_time_ns, int) and frame.device_time_ns >= _MOST:
+            # of a counter without a sign that shows nothing: one wrong time is no reason to end a run
+            numbers[1] = _MOST - 1
+            frame = frame._replace(device_time_ns=numbers[1])
         if set(map(type, numbers)) != {int} or not -_MOST <= min(numbers) <= max(numbers) < _MOST:
             numbers = [_whole(name, one) for name, one in zip(Frame._fields[1:], numbers, strict=True)]
             frame = Frame(image, *numbers)

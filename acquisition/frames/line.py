@@ -13,9 +13,15 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 from acquisition.frame import Frame
-from acquisition.frames.guard import NO_TIME_NS
-from acquisition.frames.rising import RisingTimes, rising_times
-from acquisition.frames.usual import BY_HOST_NS, REGULAR, SMOOTHING, UsualTimes
+from acquisition.frames.expected_times import (
+    BY_HOST_NS,
+    REGULAR,
+    SMOOTHING,
+    RisingTimes,
+    UsualTimes,
+    rising_times,
+)
+from acquisition.frames.guard import NO_TIME_NS, ClockWatch, Delivered
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.ticks import S_PER_NS, seconds
@@ -65,6 +71,8 @@ class FrameLine:
     not `in_real_time` have a clock of their own, whose times hold; theirs may pass more quickly than the
     computer's.
 
+    What a camera delivers is checked first, and a clock that cannot be right is refused (`guard`).
+
     `missing` counts the frames missed while the camera was gone, `rejected` those whose times fitted nothing,
     `wraps` the times that a counter began again.
     """
@@ -72,6 +80,8 @@ class FrameLine:
     def __init__(self, time_shift_ns: int = 0, *, in_real_time: bool = False) -> None:
         self._in_real_time = in_real_time
         self._to_middle_ns = time_shift_ns
+        self._delivered = Delivered(in_real_time=in_real_time)
+        self._clock = ClockWatch()
         self._usual = UsualTimes()
         self._waiting: list[_Doubtful] = []
         self._before_gap: Frame | None = None
@@ -90,6 +100,8 @@ class FrameLine:
 
     def begin_again(self) -> None:
         """The camera was opened again: the next frame is its first, whatever its clock shows is new."""
+        self._delivered.begin_again()
+        self._clock.begin_again()
         self._before_gap = self._usual.last or self._before_gap
         self._usual.begin_again()
         self.rejected += len(self._waiting)
@@ -97,8 +109,14 @@ class FrameLine:
         self._offset_ns = 0
         self._given_up = False
 
-    def take(self, frame: Frame) -> Passed:
-        """The frames that may go on: none, while a step is in doubt, or several once it is not."""
+    def take(self, read: object) -> Passed:
+        """The frames that may go on: none, while a step is in doubt, or several once it is not.
+
+        Raises DeviceError, in one line, for what no camera may deliver.
+        """
+        frame = self._delivered.checked(read)
+        if self._in_real_time:
+            self._clock.see(frame)
         last = self._before_gap
         if last is not None and (frame.device_time_ns < NO_TIME_NS or not self._in_real_time):
             note, step = self._go_on(frame, last)

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record import pixels_beside
+from acquisition.record.chunk import ChunkDamage, message_heads
 from acquisition.record.digest import sha256_of
-from acquisition.record.read_file import ChunkDamage, ReadFile, message_heads
+from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import RECOVERY
 from acquisition.record.topics import SPOT, WINDOW

@@ -7,171 +7,40 @@ are read, so that a file of any size takes about a second.
 
 import errno
 import io
+import json
 import logging
 import os
 import stat
 import struct
 import zlib
-from array import array
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sized
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sized
 from pathlib import Path
-from typing import IO, Any, NamedTuple, TypeVar
+from typing import IO, TypeVar
 
 import numpy as np
-import zstandard
-from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, Header, Schema, Statistics
+from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, Header, McapRecord, Statistics
+from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
-from numpy.typing import NDArray
 
 from acquisition.record import records_of
-from processing.errors import RecordError
+from acquisition.record.chunk import CHUNK_HEAD, HEAD, ChunkDamage, chunk_content, proved_content
+from acquisition.record.contents import ChunkPlace, Contents, Damage
+from acquisition.record.topics import LIBRARY, METADATA_COPY, SCHEMA_VERSION
+from processing.errors import RecordError, require_schema
 
 _log = logging.getLogger(__name__)
 _Found = TypeVar("_Found", bound=Sized)
-_HEAD = struct.Struct("<BQ")
-"""Opcode and length of a record's content."""
-_CHUNK_HEAD = struct.Struct("<BQQQQII")
-"""Opcode, length, first and last log time, bytes without compression, their checksum, length of the
-compression's name, which follows, then the bytes' number and the bytes.
-"""
 _INDEX_HEAD = struct.Struct("<BQHI")
 """Opcode and length of a chunk's message index, channel, bytes of entries, which follow."""
 _INDEX_ENTRY_BYTES = 16
 _FOOTER = struct.Struct("<BQQQI")
-_FOOTER_LENGTH = 20
 _DATA_END = struct.Struct("<BQI")
-_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
-"""Opcode, length, channel, sequence, log time, publish time."""
-_MESSAGE_HEAD_DTYPE = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time_ns", "<u8"),
-        ("publish_time_ns", "<u8"),
-    ]
-)
-"""The same as an array's row."""
-_COMPRESSIONS = {0: b"", 4: b"zstd"}
-"""Names of the compressions of a chunk by their lengths."""
 _SMALL_RECORD_BYTES = 256 * 1024 * 1024
 _BLOCK_BYTES = 256 * 1024
 _CRC_BYTES = 4
-_CLASSES: Mapping[int, Any] = {
-    Opcode.HEADER: Header,
-    Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-    Opcode.STATISTICS: Statistics,
-    Opcode.ATTACHMENT: Attachment,
-    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
-    Opcode.CHUNK_INDEX: ChunkIndex,
-}
 _FAULTS = {errno.EIO, getattr(errno, "EUCLEAN", errno.EIO), getattr(errno, "EBADMSG", errno.EIO)}
-
-
-class ChunkDamage(ValueError):
-    """The chunk's bytes differ from what was written; the message describes how."""
-
-
-class Damage(NamedTuple):
-    """A damaged part of a record: topics and times (UTC) of the chunk, and a description."""
-
-    start_ns: int
-    end_ns: int
-    topics: tuple[str, ...]
-    what: str
-
-
-class Message(NamedTuple):
-    """An encoded message; `log_time_ns` is UTC."""
-
-    channel: int
-    sequence: int
-    log_time_ns: int
-    data: bytes
-
-
-class ChunkPlace(NamedTuple):
-    """Position of a chunk in the file, its range of log times, and the channels in it, as far as known."""
-
-    offset: int
-    length: int
-    start_ns: int
-    end_ns: int
-    channels: frozenset[int]
-
-
-class ChunkPlaces:
-    """The chunks in the order of the file, 34 bytes each: a record of one day has 170,000."""
-
-    def __init__(self) -> None:
-        self._numbers = array("Q")
-        self._sets = array("H")
-        self._known: dict[frozenset[int], int] = {}
-
-    def append(self, place: ChunkPlace) -> None:
-        """Add the next chunk."""
-        self._numbers.extend(place[:4])
-        self._sets.append(self._known.setdefault(place.channels, len(self._known)))
-
-    def __len__(self) -> int:
-        return len(self._sets)
-
-    def __iter__(self) -> Iterator[ChunkPlace]:
-        return self.since(0)
-
-    def since(self, first: int) -> Iterator[ChunkPlace]:
-        """The chunks from this one on, counted from 0."""
-        channels = list(self._known)
-        rows = zip(*[iter(self._numbers[4 * first :])] * 4, self._sets[first:], strict=True)
-        for offset, length, start_ns, end_ns, known in rows:
-            yield ChunkPlace(offset, length, start_ns, end_ns, channels[known])
-
-
-@dataclass
-class Contents:
-    """Table of contents of a file.
-
-    `whole` is False for a file without an ending; `readable_bytes` is the end of its last complete record.
-    `indexed` is True if the chunks come from a summary with a correct checksum, so that their channels are
-    reliable. `schemas` describe the topics, where a summary does. `counts` are the numbers of messages by
-    channel. `attachments` are the sizes of attached files, `attachment_places` where their copies are.
-    `damage` describes parts of the structure that could not be read.
-    """
-
-    size: int = 0
-    library: str = ""
-    whole: bool = False
-    indexed: bool = False
-    readable_bytes: int = len(MAGIC)
-    channels: dict[int, str] = field(default_factory=dict)
-    schemas: dict[str, Schema] = field(default_factory=dict)
-    attachments: dict[str, int] = field(default_factory=dict)
-    attachment_places: dict[str, list[int]] = field(default_factory=dict)
-    chunks: ChunkPlaces = field(default_factory=ChunkPlaces)
-    counts: Counter[int] = field(default_factory=Counter)
-    start_ns: int = 0
-    end_ns: int = 0
-    data_end: int = 0
-    data_crc: int = 0
-    damage: list[str] = field(default_factory=list)
-
-    def add_chunk(self, place: ChunkPlace) -> None:
-        """Note the next chunk."""
-        self.start_ns = min(self.start_ns, place.start_ns) if len(self.chunks) else place.start_ns
-        self.end_ns = max(self.end_ns, place.end_ns)
-        self.chunks.append(place)
-
-    def add_attachment(self, name: str, size: int, place: int) -> None:
-        """Note an attached file; its checksum is verified when it is read."""
-        self.attachments[name] = size
-        self.attachment_places.setdefault(name, []).append(place)
 
 
 class ReadFile:
@@ -240,25 +109,7 @@ class ReadFile:
 
     def open_chunk(self, place: ChunkPlace) -> bytes:
         """The decompressed messages of a chunk. Raises ChunkDamage."""
-        record = _read_at(self.file, place.offset, place.length)
-        if len(record) < place.length:
-            raise ChunkDamage("ends early, or its disk cannot give all of it")
-        head = _chunk_head(record, place.length)
-        if head is None:
-            raise ChunkDamage("its head has changed")
-        size, crc, compression, start = head
-        data = record[start:]
-        if compression:
-            try:
-                # one changed bit of either size would take gigabytes
-                if zstandard.get_frame_parameters(data).content_size != size:
-                    raise ChunkDamage("its head has changed: it and its data state different sizes")
-                data = zstandard.ZstdDecompressor().decompress(data)
-            except zstandard.ZstdError as error:
-                raise ChunkDamage(f"cannot be decompressed ({error})") from None
-        if len(data) != size or crc != zlib.crc32(data):
-            raise ChunkDamage("its checksum does not match: bytes have changed")
-        return data
+        return proved_content(_read_at(self.file, place.offset, place.length), place.length)
 
     def attached(self, name: str) -> bytes | None:
         """The first intact copy of an attached file; None without any."""
@@ -271,11 +122,41 @@ class ReadFile:
 
     def attachment_at(self, place: int) -> bytes:
         """An attached file. Raises ValueError where its checksum does not match."""
-        data = _read_record(self.file, place)[1]
+        _, data = _content_at(self.file, place)
         if not _is_intact_attachment(data):
             raise ValueError("its checksum does not match: bytes have changed")
-        attachment: Attachment = _parse(Opcode.ATTACHMENT, data)
-        return attachment.data
+        record = _parsed(Opcode.ATTACHMENT, data)
+        assert isinstance(record, Attachment)
+        return record.data
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """The metadata from their copy, which has a checksum.
+
+        Raises RecordError where the file is not one of ours.
+        """
+        path, contents = self.path, self.contents
+        copy = self.attached(METADATA_COPY)
+        if copy is None:
+            if METADATA_COPY in contents.attachment_places or (
+                contents.damage and contents.library == LIBRARY
+            ):
+                raise RecordError(f"{path}: its own description is damaged")
+            if not contents.whole and not len(contents.chunks):
+                raise RecordError(f"{path}: was cut short before anything was recorded")
+            topics = ", ".join(sorted(contents.channels.values()))
+            raise RecordError(
+                f"{path}: is an MCAP file of another program (topics: {topics or 'none'}); "
+                "only records of rig run can be read"
+            )
+        metadata: dict[str, dict[str, str]] = json.loads(copy)
+        own = metadata.get("record", {})
+        try:
+            version = int(own["schema_version"])
+        except (KeyError, ValueError):
+            raise RecordError(f"{path}: its own description is damaged: {own}") from None
+        require_schema(str(path), version, SCHEMA_VERSION, RecordError)
+        return metadata
 
     def note_damage(self, place: ChunkPlace, what: str) -> None:
         """Add a damaged chunk to `damages`, once."""
@@ -304,59 +185,6 @@ class ReadFile:
         """Whether every byte is as it was written, by the checksums of summary and data section."""
         contents = self.contents
         return contents.whole and contents.indexed and not contents.damage and self.data_crc_matches()
-
-
-def messages_in(data: bytes, channels: frozenset[int] | None = None) -> list[Message]:
-    """Messages of the given channels (None: all) in a chunk."""
-    unpack, head_size = _MESSAGE_HEAD.unpack_from, _MESSAGE_HEAD.size
-    found = []
-    for place, size in zip(*_places(data, channels), strict=True):
-        _, _, channel, sequence, log_time_ns, _ = unpack(data, place)
-        content = data[place + head_size : place + head_size + size]
-        found.append(Message(channel, sequence, log_time_ns, content))
-    return found
-
-
-def packed_messages(data: bytes, channels: frozenset[int]) -> NDArray[np.void]:
-    """Contents of the messages of these channels, which are of equal length, as the items of an array."""
-    places, sizes = _places(data, channels)
-    contents = np.array(places, dtype=np.int64) + _MESSAGE_HEAD.size
-    return _items(data, contents, sizes[0] if sizes else 0)
-
-
-def message_heads(data: bytes) -> NDArray[np.void]:
-    """Headers (n,) of the messages in a chunk: channel, sequence, log_time_ns and more."""
-    places = np.array(_places(data)[0], dtype=np.int64)
-    return _items(data, places, _MESSAGE_HEAD.size).view(_MESSAGE_HEAD_DTYPE)
-
-
-def _items(data: bytes, places: NDArray[np.int64], size: int) -> NDArray[np.void]:
-    """Copies of `size` bytes each, from the given positions in `data`."""
-    # a view of the overlapping items that begin at each byte
-    every: NDArray[np.void] = np.ndarray(
-        (max(len(data) - size + 1, 0),), dtype=f"V{size}", buffer=data, strides=(1,)
-    )
-    return every[places]
-
-
-def _places(data: bytes, channels: frozenset[int] | None = None) -> tuple[list[int], list[int]]:
-    """Positions of the messages of the given channels in a chunk, and the sizes of their contents."""
-    places, sizes = [], []
-    place, end = 0, len(data)
-    unpack, head_size, of_message = (
-        struct.Struct("<BQH").unpack_from,
-        _MESSAGE_HEAD.size,
-        Opcode.MESSAGE.value,
-    )
-    while place < end:
-        opcode, length, channel = unpack(data, place)
-        following = place + _HEAD.size + length
-        # the first chunk also describes the topics
-        if opcode == of_message and (channels is None or channel in channels):
-            places.append(place)
-            sizes.append(following - place - head_size)
-        place = following
-    return places, sizes
 
 
 def open_mcap(path: Path) -> IO[bytes]:
@@ -405,51 +233,31 @@ def _read_at(file: IO[bytes], place: int, count: int) -> bytes:
         return b""
 
 
-def _read_record(file: IO[bytes], place: int) -> tuple[int, bytes]:
+def _content_at(file: IO[bytes], place: int) -> tuple[int, bytes]:
     """Opcode and content of the record at a position in the file. Raises ValueError if there is none."""
-    head = _read_at(file, place, _HEAD.size)
-    if len(head) < _HEAD.size:
+    head = _read_at(file, place, HEAD.size)
+    if len(head) < HEAD.size:
         raise ValueError(f"no record at byte {place}")
-    opcode, length = _HEAD.unpack(head)
+    opcode, length = HEAD.unpack(head)
     if length > _SMALL_RECORD_BYTES:
         raise ValueError(f"record at byte {place} claims {length} bytes")
-    data = _read_at(file, place + _HEAD.size, length)
+    data = _read_at(file, place + HEAD.size, length)
     if len(data) < length:
         raise ValueError(f"record at byte {place} ends early")
     return opcode, data
 
 
-def _parse(opcode: int, data: bytes) -> Any:
+def _parsed(opcode: int, data: bytes) -> McapRecord:
     """A record of the mcap library from its bytes. Raises ValueError if they are not such a record."""
-    stream = ReadDataStream(io.BytesIO(data))
+    stream = StreamReader(io.BytesIO(HEAD.pack(opcode, len(data)) + data), skip_magic=True)
     try:
-        record = _CLASSES[opcode].read(stream)
+        return next(stream.records)
     except (struct.error, UnicodeDecodeError, OverflowError, McapError) as error:
         raise ValueError(str(error) or type(error).__name__) from None
-    if stream.count != len(data):
-        raise ValueError("its lengths contradict each other")
-    return record
 
 
 def _is_intact_attachment(data: bytes) -> bool:
     return zlib.crc32(data[:-_CRC_BYTES]) == int.from_bytes(data[-_CRC_BYTES:], "little")
-
-
-def _chunk_head(data: bytes, length: int) -> tuple[int, int, bytes, int] | None:
-    """Size and checksum of a chunk's content, compression, where it starts; None where none of this length
-    begins here.
-    """
-    if len(data) < _CHUNK_HEAD.size:
-        return None
-    opcode, stated, start_ns, end_ns, size, crc, of_name = _CHUNK_HEAD.unpack_from(data)
-    start = _CHUNK_HEAD.size + of_name + 8
-    if opcode != Opcode.CHUNK or start_ns > end_ns or of_name not in _COMPRESSIONS or len(data) < start:
-        return None
-    name = data[_CHUNK_HEAD.size : start - 8]
-    content = int.from_bytes(data[start - 8 : start], "little")
-    if name != _COMPRESSIONS[of_name] or _HEAD.size + stated != start + content:
-        return None
-    return None if start + content != (length or start + content) else (size, crc, name, start)
 
 
 def _read_summary(file: IO[bytes], contents: Contents) -> bool:
@@ -459,7 +267,7 @@ def _read_summary(file: IO[bytes], contents: Contents) -> bool:
     if end < len(MAGIC) or len(data) < _FOOTER.size + len(MAGIC) or data[_FOOTER.size :] != MAGIC:
         return False
     opcode, length, start, _, crc = _FOOTER.unpack_from(data)
-    contents.whole = (opcode, length) == (Opcode.FOOTER, _FOOTER_LENGTH)
+    contents.whole = (opcode, length) == (Opcode.FOOTER, _FOOTER.size - HEAD.size)
     if not contents.whole or not start:
         return False
     if not len(MAGIC) <= start - _DATA_END.size <= end:
@@ -469,19 +277,19 @@ def _read_summary(file: IO[bytes], contents: Contents) -> bool:
     if crc != zlib.crc32(data[: _FOOTER.size - _CRC_BYTES], zlib.crc32(summary)):
         contents.damage.append("the summary's checksum does not match: bytes have changed")
         return False
-    place, schemas = 0, dict[int, Schema]()
-    while place < len(summary):
-        opcode, length = _HEAD.unpack_from(summary, place)
-        place += _HEAD.size
-        # of a sound summary every record can be read
-        if opcode in _CLASSES:
-            record = _parse(opcode, summary[place : place + length])
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel) and record.schema_id in schemas:
-                contents.schemas[record.topic] = schemas[record.schema_id]
-            _list_summarised(contents, record)
-        place += length
+    # of a sound summary every record can be read
+    for record in StreamReader(io.BytesIO(summary + data), skip_magic=True).records:
+        match record:
+            case Channel():
+                contents.channels[record.id] = record.topic
+            case Statistics():
+                contents.counts.update(record.channel_message_counts)
+            case AttachmentIndex():
+                contents.add_attachment(record.name, record.data_size, record.offset)
+            case ChunkIndex():
+                place = (record.chunk_start_offset, record.chunk_length)
+                times = (record.message_start_time, record.message_end_time)
+                contents.add_chunk(ChunkPlace(*place, *times, frozenset(record.message_index_offsets)))
     contents.data_end = start - _DATA_END.size
     *_, contents.data_crc = _DATA_END.unpack(_read_at(file, contents.data_end, _DATA_END.size))
     _list_or_note(file, contents, len(MAGIC))
@@ -490,29 +298,16 @@ def _read_summary(file: IO[bytes], contents: Contents) -> bool:
     return True
 
 
-def _list_summarised(contents: Contents, record: Any) -> None:
-    if isinstance(record, Channel):
-        contents.channels[record.id] = record.topic
-    elif isinstance(record, Statistics):
-        contents.counts.update(record.channel_message_counts)
-    elif isinstance(record, AttachmentIndex):
-        contents.add_attachment(record.name, record.data_size, record.offset)
-    elif isinstance(record, ChunkIndex):
-        place = (record.chunk_start_offset, record.chunk_length)
-        times = (record.message_start_time, record.message_end_time)
-        contents.add_chunk(ChunkPlace(*place, *times, frozenset(record.message_index_offsets)))
-
-
 def _walk(file: IO[bytes], contents: Contents) -> None:
     """List the data section record by record, without decompression, up to its last complete record.
 
     Behind bytes that are no record it goes on at the next chunk or attached file whose lengths agree.
     """
     place = before = contents.readable_bytes
-    while place + _HEAD.size <= contents.size:
-        data = _read_at(file, place, _CHUNK_HEAD.size + 16)
-        opcode, length = _HEAD.unpack_from(data) if len(data) >= _HEAD.size else (0, contents.size)
-        end = place + _HEAD.size + length
+    while place + HEAD.size <= contents.size:
+        data = _read_at(file, place, CHUNK_HEAD.size + 16)
+        opcode, length = HEAD.unpack_from(data) if len(data) >= HEAD.size else (0, contents.size)
+        end = place + HEAD.size + length
         if end > contents.size or not _list_record(file, contents, place, data):
             # the length of the record before may be what has changed
             found = _next_whole(file, before + 1, contents.size)
@@ -529,20 +324,20 @@ def _walk(file: IO[bytes], contents: Contents) -> None:
 
 def _list_record(file: IO[bytes], contents: Contents, place: int, data: bytes) -> bool:
     """List the record of the data section whose first bytes these are; False where there is none."""
-    opcode, length = _HEAD.unpack_from(data)
+    opcode, length = HEAD.unpack_from(data)
     if opcode == Opcode.CHUNK:
-        if _chunk_head(data, _HEAD.size + length) is None:
+        if chunk_content(data, HEAD.size + length) is None:
             return False
-        _, _, start_ns, end_ns, *_ = _CHUNK_HEAD.unpack_from(data)
-        contents.add_chunk(ChunkPlace(place, _HEAD.size + length, start_ns, end_ns, frozenset()))
+        _, _, start_ns, end_ns, *_ = CHUNK_HEAD.unpack_from(data)
+        contents.add_chunk(ChunkPlace(place, HEAD.size + length, start_ns, end_ns, frozenset()))
     elif opcode == Opcode.MESSAGE_INDEX:
         if len(data) < _INDEX_HEAD.size:
             return False
         _, _, channel, of_entries = _INDEX_HEAD.unpack_from(data)
-        if of_entries % _INDEX_ENTRY_BYTES or _HEAD.size + length != _INDEX_HEAD.size + of_entries:
+        if of_entries % _INDEX_ENTRY_BYTES or HEAD.size + length != _INDEX_HEAD.size + of_entries:
             return False
         contents.counts[channel] += of_entries // _INDEX_ENTRY_BYTES
-    elif opcode == Opcode.DATA_END and _HEAD.size + length == _DATA_END.size:
+    elif opcode == Opcode.DATA_END and HEAD.size + length == _DATA_END.size:
         contents.data_end = place
         *_, contents.data_crc = _DATA_END.unpack_from(data)
     elif opcode in (Opcode.HEADER, Opcode.ATTACHMENT):
@@ -556,28 +351,31 @@ def _list_record(file: IO[bytes], contents: Contents, place: int, data: bytes) -
 def _list_or_note(file: IO[bytes], contents: Contents, place: int) -> None:
     """List header or attached file; if it is damaged, note that and keep the rest readable."""
     try:
-        record = _parse(*_read_record(file, place))
-        if isinstance(record, Header):
-            contents.library = record.library
-        else:
-            contents.add_attachment(record.name, len(record.data), place)
-    except (ValueError, KeyError, AttributeError) as error:
+        record = _parsed(*_content_at(file, place))
+    except ValueError as error:
         contents.damage.append(f"the record at byte {place} cannot be read ({error})")
+        return
+    if isinstance(record, Header):
+        contents.library = record.library
+    elif isinstance(record, Attachment):
+        contents.add_attachment(record.name, len(record.data), place)
+    else:
+        contents.damage.append(f"the record at byte {place} cannot be read (it is another one)")
 
 
 def _next_whole(file: IO[bytes], place: int, size: int) -> int | None:
     """Position of the next chunk whose lengths agree, or attached file whose checksum does."""
-    while len(block := _read_at(file, place, _BLOCK_BYTES)) > _CHUNK_HEAD.size + 16:
-        values = np.frombuffer(block, dtype=np.uint8, count=len(block) - _CHUNK_HEAD.size - 16)
+    while len(block := _read_at(file, place, _BLOCK_BYTES)) > CHUNK_HEAD.size + 16:
+        values = np.frombuffer(block, dtype=np.uint8, count=len(block) - CHUNK_HEAD.size - 16)
         for at in np.flatnonzero((values == Opcode.CHUNK) | (values == Opcode.ATTACHMENT)).tolist():
-            opcode, length = _HEAD.unpack_from(block, at)
-            if place + at + _HEAD.size + length > size:
+            opcode, length = HEAD.unpack_from(block, at)
+            if place + at + HEAD.size + length > size:
                 continue
             if opcode == Opcode.CHUNK:
-                if _chunk_head(block[at : at + _CHUNK_HEAD.size + 16], _HEAD.size + length) is not None:
+                if chunk_content(block[at : at + CHUNK_HEAD.size + 16], HEAD.size + length) is not None:
                     return place + at
             elif length < _BLOCK_BYTES:
-                content = _read_at(file, place + at + _HEAD.size, length)
+                content = _read_at(file, place + at + HEAD.size, length)
                 if len(content) > _CRC_BYTES and _is_intact_attachment(content):
                     return place + at
         place += len(values)

@@ -1,14 +1,9 @@
-"""Reads a record, complete, truncated or still being written, chunk by chunk.
-
-Memory does not grow with the file.
-"""
+"""Reads a record, complete, truncated or being written, chunk by chunk; memory does not grow with it."""
 
 import datetime
-import json
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Sized
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self, TypeAlias, TypeVar
 
 import numpy as np
@@ -17,27 +12,19 @@ from numpy.typing import NDArray
 from acquisition.frame import Frame
 from acquisition.frames.losses import FrameLosses
 from acquisition.record import is_pixels, pixels_beside
+from acquisition.record.chunk import ChunkDamage, Message, messages_in, packed_messages
+from acquisition.record.contents import ChunkPlace, Contents, Damage
 from acquisition.record.events import Event
 from acquisition.record.file_lock import is_being_written
 from acquisition.record.foxglove import decode_log, decode_preview, preview_step
 from acquisition.record.pixels import decode_window
-from acquisition.record.read_file import (
-    ChunkDamage,
-    ChunkPlace,
-    Contents,
-    Damage,
-    Message,
-    ReadFile,
-    messages_in,
-    packed_messages,
-)
-from acquisition.record.schemas import MessageType, parse_message_type
+from acquisition.record.read_file import ReadFile
+from acquisition.record.schemas import MessageType
 from acquisition.record.spots_and_swings import balances_of, deflections_of, swings_of
 from acquisition.record.topics import (
     BALANCE,
     EVENT,
     IMAGE,
-    LIBRARY,
     LOG_TOPIC,
     LOSSES,
     METADATA_COPY,
@@ -45,7 +32,6 @@ from acquisition.record.topics import (
     PIXEL_KINDS,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
-    SCHEMA_VERSION,
     SPOT,
     SWING,
     WINDOW,
@@ -59,7 +45,7 @@ from acquisition.record.topics import (
 from acquisition.record.utc import utc
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
-from processing.errors import RecordError, require_schema
+from processing.errors import RecordError
 from processing.swing import Swing
 
 _Value = TypeVar("_Value")
@@ -82,7 +68,7 @@ class RecordReader:
     Raises
     ------
     RecordError
-        No such file, not an MCAP file, not a record of this program, or a record of a newer version.
+        No such file, not an MCAP file, not a record of this program, or one of another schema.
     """
 
     def __init__(self, path: Path) -> None:
@@ -93,7 +79,7 @@ class RecordReader:
         self._pixels: ReadFile | None = None
         self._taken, self._pictures_taken, self._picture_due_ns = 0, 0, 0
         try:
-            self.metadata = _metadata_of(self._numbers)
+            self.metadata = self._numbers.metadata
             self._own = self.metadata["record"]
             self.deflection_unit = DeflectionUnit(self._own["deflection_unit"])
             self.epoch_offset_ns = int(self._own["epoch_offset_ns"])
@@ -115,7 +101,7 @@ class RecordReader:
         try:
             pixels = ReadFile(path)
             try:
-                if _metadata_of(pixels)["record"]["record_id"] != self._own["record_id"]:
+                if pixels.metadata["record"]["record_id"] != self._own["record_id"]:
                     raise RecordError(f"{path}: has not the pixels of this record")
             except BaseException:
                 pixels.close()
@@ -131,9 +117,7 @@ class RecordReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -265,7 +249,7 @@ class RecordReader:
 
     def rows(self, topic: str, messages: Sequence[Message]) -> NDArray[Any]:
         """Messages of a topic of numbers as `table` gives them."""
-        kind = self._kind(topic)
+        kind = self._kinds[topic]
         data = b"".join(message.data for message in messages)
         return kind.decode_table(np.frombuffer(data, f"V{kind.wire_dtype.itemsize}"))
 
@@ -293,54 +277,36 @@ class RecordReader:
 
         Those before `start_ns` (on the frames' clock) are left out, and chunks before it are not read.
         """
-        from_ns = self._from_ns(start_ns)
-        for messages in self._by_chunk(messages_in, topic, from_ns):
-            for message in messages:
-                if message.log_time_ns >= from_ns:
-                    yield message
-
-    def _from_ns(self, start_ns: int | None) -> int:
-        return 0 if start_ns is None else start_ns + self.epoch_offset_ns
+        from_ns = self.epoch_offset_ns + (start_ns or 0)
+        for messages in self._by_chunk(messages_in, topic, start_ns):
+            yield from (one for one in messages if start_ns is None or one.log_time_ns >= from_ns)
 
     def _by_chunk(
-        self, take: Callable[[bytes, frozenset[int]], _Taken], topic: str, from_ns: int = 0
+        self, take: Callable[[bytes, frozenset[int]], _Taken], topic: str, start_ns: int | None = None
     ) -> Iterator[_Taken]:
+        from_ns = 0 if start_ns is None else start_ns + self.epoch_offset_ns
         for file in self.files:
             for number, known in file.contents.channels.items():
                 if known == topic:
                     yield from file.by_chunk(take, number, from_ns)
-
-    def _kind(self, topic: str) -> MessageType:
-        """The type of a topic's messages: as the file describes it, else as this version writes it."""
-        described = self.contents.schemas.get(topic)
-        own = self._kinds[topic]
-        if described is None or described.data == own.descriptor:
-            return own
-        return parse_message_type(described.name, topic, described.data)
-
-    def has(self, topic: str) -> bool:
-        """Whether the record has any message of a topic."""
-        return topic in self.counts
 
     def table(self, topic: str) -> NDArray[Any]:
         """All messages of a topic of numbers as a structured array (n,).
 
         The names of the fields are those in the file, with units.
         """
-        kind = self._kind(topic)
+        kind = self._kinds[topic]
         parts = list(self._tables(kind))
         return np.concatenate(parts) if parts else np.empty(0, dtype=kind.table_dtype)
 
-    def values(self, topic: str, value_class: type[_Value]) -> list[_Value]:
-        """All messages of a topic as values of the dataclass or NamedTuple with which they were written."""
-        return self.decoded(topic, value_class, self.messages(topic))
-
-    def decoded(self, topic: str, value_class: type[_Value], messages: Iterable[Message]) -> list[_Value]:
-        """The same of some of its messages."""
-        kind = self._kind(topic)
+    def values(
+        self, topic: str, value_class: type[_Value], messages: Iterable[Message] | None = None
+    ) -> list[_Value]:
+        """All messages of a topic, or some of them, as values of the class with which they were written."""
+        kind = self._kinds[topic]
         return [
             value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
-            for message in messages
+            for message in (self.messages(topic) if messages is None else messages)
         ]
 
     def spots(self) -> NDArray[Any]:
@@ -349,10 +315,7 @@ class RecordReader:
         Without a lever (`deflection_unit` is px) the fields are those of `topics.SPOT_UNCALIBRATED`. NaN
         where the spot was lost.
         """
-        spots = self.table(SPOT.topic)
-        if not set(self._kinds[SPOT.topic].names) <= set(spots.dtype.names or ()):
-            raise RecordError(f"{self.path}: {SPOT.topic} has other fields than this version writes")
-        return spots
+        return self.table(SPOT.topic)
 
     def deflections(self, spots: NDArray[Any] | None = None) -> Deflections:
         """Deflections in rows returned by `spots` or `spot_blocks`; without any, those of the whole
@@ -369,37 +332,25 @@ class RecordReader:
         not read. With `fields`, only these fields (and `time_ns`) are decoded, which is faster.
         """
         wanted = None if fields is None else {"time_ns", *fields}
-        for table in self._tables(self._kind(SPOT.topic), start_ns, wanted):
+        for table in self._tables(self._kinds[SPOT.topic], start_ns, wanted):
             if start_ns is not None:
                 table = table[table["time_ns"] >= start_ns]
             if len(table):
                 yield table
 
-    def swings(self) -> list[Swing]:
-        """All half-cycles, with amplitudes in `deflection_unit`."""
-        return swings_of(self.table(SWING.topic))
+    def swings(self, messages: Sequence[Message] | None = None) -> list[Swing]:
+        """All half-cycles, or those in some messages of their topic, with amplitudes in `deflection_unit`."""
+        return swings_of(self.table(SWING.topic) if messages is None else self.rows(SWING.topic, messages))
 
-    def swings_in(self, messages: Sequence[Message]) -> list[Swing]:
-        """The half-cycles in some messages of their topic."""
-        return swings_of(self.rows(SWING.topic, messages)) if messages else []
+    def balances(self, messages: Sequence[Message] | None = None) -> list[Balance]:
+        """All balances, or those in some messages of their topic, in `deflection_unit`."""
+        table = self.table(BALANCE.topic) if messages is None else self.rows(BALANCE.topic, messages)
+        return balances_of(table, self.deflection_unit)
 
-    def balances(self) -> list[Balance]:
-        """All balances, in `deflection_unit`."""
-        return balances_of(self.table(BALANCE.topic), self.deflection_unit)
-
-    def balances_in(self, messages: Sequence[Message]) -> list[Balance]:
-        """The balances in some messages of their topic."""
-        return balances_of(self.rows(BALANCE.topic, messages), self.deflection_unit) if messages else []
-
-    def events(self) -> list[Event]:
-        """All events."""
-        return self.events_in(self.messages(EVENT.topic))
-
-    def events_in(self, messages: Iterable[Message]) -> list[Event]:
-        """The events in some messages of their topic."""
-        kind = self._kind(EVENT.topic)
-        found = (dict(zip(kind.names, kind.decode(one.data), strict=True)) for one in messages)
-        return [Event(one["time_ns"], one["kind"], one["text"]) for one in found]
+    def events(self, messages: Iterable[Message] | None = None) -> list[Event]:
+        """All events, or those in some messages of their topic."""
+        of_topic = self.messages(EVENT.topic) if messages is None else messages
+        return [Event(*EVENT.decode(one.data)[:3]) for one in of_topic]
 
     def notes(self) -> list[RecordedNote]:
         """What operators have noted during the run."""
@@ -426,10 +377,8 @@ class RecordReader:
 
     def log(self) -> list[RecordedLog]:
         """Lines of the log."""
-        offset_ns = self.epoch_offset_ns
-        return [
-            decode_log(message.log_time_ns - offset_ns, message.data) for message in self.messages(LOG_TOPIC)
-        ]
+        lines = self.messages(LOG_TOPIC)
+        return [decode_log(line.log_time_ns - self.epoch_offset_ns, line.data) for line in lines]
 
     def _tables(
         self, kind: MessageType, start_ns: int | None = None, fields: Collection[str] | None = None
@@ -437,7 +386,7 @@ class RecordReader:
         """The numbers of a topic, some thousand rows at a time: a chunk may hold only a few dozen."""
         held: list[NDArray[np.void]] = []
         count = 0
-        for part in self._by_chunk(packed_messages, kind.topic, self._from_ns(start_ns)):
+        for part in self._by_chunk(packed_messages, kind.topic, start_ns):
             if part.dtype.itemsize != kind.wire_dtype.itemsize:
                 raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
             held.append(part)
@@ -447,27 +396,3 @@ class RecordReader:
                 held, count = [], 0
         if held:
             yield kind.decode_table(np.concatenate(held), fields)
-
-
-def _metadata_of(file: ReadFile) -> dict[str, dict[str, str]]:
-    """The metadata from their copy, which has a checksum. Raises RecordError where the file is not ours."""
-    path, contents = file.path, file.contents
-    copy = file.attached(METADATA_COPY)
-    if copy is None:
-        if METADATA_COPY in contents.attachment_places or (contents.damage and contents.library == LIBRARY):
-            raise RecordError(f"{path}: its own description is damaged")
-        if not contents.whole and not len(contents.chunks):
-            raise RecordError(f"{path}: was cut short before anything was recorded")
-        topics = ", ".join(sorted(contents.channels.values()))
-        raise RecordError(
-            f"{path}: is an MCAP file of another program (topics: {topics or 'none'}); "
-            "only records of rig run can be read"
-        )
-    metadata: dict[str, dict[str, str]] = json.loads(copy)
-    own = metadata.get("record", {})
-    try:
-        version = int(own["schema_version"])
-    except (KeyError, ValueError):
-        raise RecordError(f"{path}: its own description is damaged: {own}") from None
-    require_schema(str(path), version, SCHEMA_VERSION, RecordError)
-    return metadata

@@ -8,9 +8,11 @@ from pathlib import Path
 
 from acquisition.atomic_write import being_written
 from acquisition.record import pixels_beside
+from acquisition.record.chunk import ChunkDamage, messages_in
+from acquisition.record.contents import Damage
 from acquisition.record.digest import sha256_of
 from acquisition.record.mcap_file import McapFile
-from acquisition.record.read_file import ChunkDamage, Damage, ReadFile, messages_in
+from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
 from acquisition.record.writer import number_schemas, pixel_schemas, write_metadata
 from processing.errors import RecordError

@@ -13,12 +13,10 @@ from functools import cached_property
 from typing import Any, get_type_hints
 
 import numpy as np
-from google.protobuf import descriptor_pb2
 from numpy.typing import NDArray
 
-from acquisition.record.descriptor import PROTO_TYPE, Kind, Meanings, descriptor_of
+from acquisition.record.descriptor import Kind, Meanings, descriptor_of
 
-_KIND: dict[int, Kind] = {number: kind for kind, number in PROTO_TYPE.items()}
 _NUMPY: dict[Kind, str] = {"double": "<f8", "int": "<i8"}
 _WIRE_FIXED64, _WIRE_LENGTH = 1, 2
 
@@ -130,14 +128,6 @@ class MessageType:
         for name, _ in wanted:
             table[name] = wire[name]
         return table
-
-
-def parse_message_type(full_name: str, topic: str, descriptor: bytes) -> MessageType:
-    """Message type from the descriptor in a file."""
-    (file,) = descriptor_pb2.FileDescriptorSet.FromString(descriptor).file
-    named: list[tuple[str, Kind]] = [(field.name, _KIND[field.type]) for field in file.message_type[0].field]
-    count = sum(kind in _NUMPY for _, kind in named)
-    return MessageType(full_name, topic, tuple(named[:count]), tuple(named[count:]))
 
 
 def message_type_of(value_class: type, full_name: str, topic: str) -> MessageType:

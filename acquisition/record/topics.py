@@ -292,48 +292,37 @@ DEFLECTION_FIELDS = {
 }
 """Names of the fields for x, y and their standard uncertainties in the message of a spot, by unit."""
 
-SPOT = _message(
-    "Spot",
-    "/spot",
-    *_FRAME,
-    *_SPOT,
-    *_doubles(*DEFLECTION_FIELDS[DeflectionUnit.RAD], "x_arcsec", "y_arcsec"),
-    about=_ABOUT_SPOT,
-    meanings=(SpotFlag,),
+_UNITS: Final = ((DeflectionUnit.RAD, ""), (DeflectionUnit.PX, "Uncalibrated"))
+"""Units of deflections: with a calibrated lever, and without one."""
+SPOT, SPOT_UNCALIBRATED = (
+    _message(
+        f"{prefix}Spot",
+        "/spot",
+        *_FRAME,
+        *_SPOT,
+        *_doubles(*DEFLECTION_FIELDS[unit], *(() if prefix else ("x_arcsec", "y_arcsec"))),
+        about=_ABOUT_SPOT,
+        meanings=(SpotFlag,),
+    )
+    for unit, prefix in _UNITS
 )
 """One frame: its number and times, the spot, the deflections of the pendulum."""
-SPOT_UNCALIBRATED = _message(
-    "UncalibratedSpot",
-    "/spot",
-    *_FRAME,
-    *_SPOT,
-    *_doubles(*DEFLECTION_FIELDS[DeflectionUnit.PX]),
-    about=_ABOUT_SPOT,
-    meanings=(SpotFlag,),
-)
-"""The same without a calibrated lever: deflections in px."""
-SWING = _message(
-    "Swing",
-    "/swing",
-    *_turning_point(DeflectionUnit.RAD),
-    *_doubles("amplitude_arcsec", "period_s"),
-    about=_ABOUT_SWING,
-    meanings=(SwingFlag, Side),
+SWING, SWING_UNCALIBRATED = (
+    _message(
+        f"{prefix}Swing",
+        "/swing",
+        *_turning_point(unit),
+        *_doubles(*(() if prefix else ("amplitude_arcsec",)), "period_s"),
+        about=_ABOUT_SWING,
+        meanings=(SwingFlag, Side),
+    )
+    for unit, prefix in _UNITS
 )
 """One half-cycle."""
-SWING_UNCALIBRATED = _message(
-    "UncalibratedSwing",
-    "/swing",
-    *_turning_point(DeflectionUnit.PX),
-    *_doubles("period_s"),
-    about=_ABOUT_SWING,
-    meanings=(SwingFlag, Side),
+BALANCE, BALANCE_UNCALIBRATED = (
+    _message(f"{prefix}Balance", "/balance", *_balance(unit)) for unit, prefix in _UNITS
 )
-"""The same in px."""
-BALANCE = _message("Balance", "/balance", *_balance(DeflectionUnit.RAD))
-"""One state of the balance."""
-BALANCE_UNCALIBRATED = _message("UncalibratedBalance", "/balance", *_balance(DeflectionUnit.PX))
-"""The same in px, except the angle of the line."""
+"""One state of the balance; in px, except the angle of the line, without a lever."""
 _PIXELS = (
     *_ints("sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "compressed"),
     *_ints(*(f"model_{name}" for name in IntegerGaussian._fields), "bit_planes"),
@@ -384,11 +373,12 @@ def number_kinds(unit: DeflectionUnit) -> tuple[MessageType, ...]:
 
 
 def _measured(unit: DeflectionUnit) -> tuple[MessageType, ...]:
-    calibrated = unit is DeflectionUnit.RAD
+    calibrated, uncalibrated = (
+        (SPOT, SWING, BALANCE),
+        (SPOT_UNCALIBRATED, SWING_UNCALIBRATED, BALANCE_UNCALIBRATED),
+    )
     return (
-        SPOT if calibrated else SPOT_UNCALIBRATED,
-        SWING if calibrated else SWING_UNCALIBRATED,
-        BALANCE if calibrated else BALANCE_UNCALIBRATED,
+        *(calibrated if unit is DeflectionUnit.RAD else uncalibrated),
         *(EVENT, ENVIRONMENT, REFERENCE, WITNESS, NOTE, LOSSES, CLOCK, CAMERA_STEP, CAMERA_TEMPERATURE),
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation import randomness
-from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.motion import Motion
 from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from acquisition.simulation.smooth_series import KNOTS_PER_PERIOD, BandNoise, SmoothSeries

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from acquisition.camera import CameraLost, CameraStatus, FrameTimeout
 from acquisition.frame import Frame, Image
-from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.scene import PlannedFrames, Scene
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError

@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 from acquisition.frame import Image
 from acquisition.simulation import randomness, sensor
 from acquisition.simulation.disturbances import FrameNoise, Pointing, add_draught, laser_factor, vibration_rad
-from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.ground import ground_of
-from acquisition.simulation.inputs import RigInputs, RigState
+from acquisition.simulation.inputs import FaultSettings, RigInputs, RigState
 from acquisition.simulation.motion import motions
-from acquisition.simulation.optics import spot_position_px
-from acquisition.simulation.rolling_shutter import RollingReadout, Sheared
+from acquisition.simulation.optics import RollingReadout, Sheared, spot_position_px
 from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from acquisition.simulation.smooth_series import SmoothSeries
 from acquisition.simulation.true_path import axes_motion

@@ -31,7 +31,7 @@ _FIELDS = ("sequence", "flags", "x_px", "y_px", "u_x_px", "u_y_px")
 
 def less_beam_motion(reader: RecordReader, config: Configuration) -> "WithoutBeamMotion | None":
     """What the record's reference spot takes off; None without one, or where it was hardly ever found."""
-    if config.reference is None or not reader.has(REFERENCE.topic):
+    if config.reference is None or REFERENCE.topic not in reader.counts:
         return None
     try:
         return WithoutBeamMotion(reader, config)

@@ -139,8 +139,8 @@ class RunReader:
             ago_s = time.time() - seconds(self._start_ns + reader.epoch_offset_ns)
             self.began_s = time.monotonic() - ago_s
         start_ns, size = self._start_ns, reader.deflection_unit.shown_size
-        swings = [one for one in reader.swings_in(piece.get(SWING.topic, ())) if not one.flags]
-        balances = reader.balances_in(piece.get(BALANCE.topic, ()))
+        swings = [one for one in reader.swings(piece.get(SWING.topic, ())) if not one.flags]
+        balances = reader.balances(piece.get(BALANCE.topic, ()))
         if balances and self._config is not None:
             self.balance = _told(self._config, balances[-1])
         with self._lock:
@@ -154,17 +154,17 @@ class RunReader:
             for swing in swings:
                 self._history.swing(start_ns, swing, size)
             self._take_fits(reader, piece, start_ns)
-            events = reader.events_in(piece.get(EVENT.topic, ()))
-            notes = reader.decoded(NOTE.topic, RecordedNote, piece.get(NOTE.topic, ()))
+            events = reader.events(piece.get(EVENT.topic, ()))
+            notes = reader.values(NOTE.topic, RecordedNote, piece.get(NOTE.topic, ()))
             for event in [*events, *(note.event for note in notes)]:
                 self._events.append((seconds(event.time_ns - start_ns), event))
 
     def _take_fits(self, reader: RecordReader, piece: Piece, start_ns: int) -> None:
-        for row in reader.decoded(ESTIMATE.topic, RecordedEstimate, piece.get(ESTIMATE.topic, ())):
+        for row in reader.values(ESTIMATE.topic, RecordedEstimate, piece.get(ESTIMATE.topic, ())):
             self._history.estimate(
                 seconds(row.time_ns - start_ns), row.quantity, Estimate(row.value, row.u_value)
             )
-        self._history.fitted(reader.decoded(FITTED.topic, RecordedFittedPoint, piece.get(FITTED.topic, ())))
+        self._history.fitted(reader.values(FITTED.topic, RecordedFittedPoint, piece.get(FITTED.topic, ())))
 
 
 def _told(config: Configuration, balance: Balance) -> dict[str, Any]:

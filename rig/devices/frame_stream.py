@@ -6,14 +6,7 @@ import time
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, CameraStatus, FrameTimeout
 from acquisition.frame import Frame
-from acquisition.frames.guard import (
-    ClockWatch,
-    Counts,
-    Delivered,
-    HangingRead,
-    asking,
-    ended,
-)
+from acquisition.frames.guard import Counts, HangingRead, asking, ended
 from acquisition.frames.line import FrameLine
 from acquisition.frames.losses import FrameLosses
 from acquisition.frames.queue import Backlog, FrameQueue, Policy, most_waiting
@@ -67,8 +60,6 @@ class FrameStream:
         self._queue: FrameQueue | None = None
         self._backlog: Backlog | None = None
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
-        self._clock = ClockWatch()
-        self._delivered = Delivered(in_real_time=policy != "wait")
         self._counts = Counts(lambda: camera.status)
         self._thread: threading.Thread | None = None
         self._begun = threading.Event()
@@ -210,28 +201,24 @@ class FrameStream:
                     self._hanging.is_elsewhere()
                     self._reconnect(lost)
                     line.begin_again()
-                    self._clock.begin_again()
-                    self._delivered.begin_again()
                     silent_s = 0.0
                     continue
                 if read is None:
                     self.ended = self.ended or "the camera delivered its last frame"
                     break
-                frame = self._delivered.checked(read)
-                self.permit.frame_read(frame.image)
                 if self.policy != "wait":
                     self._standstill.raise_if_slept()
-                    self._clock.see(frame)
+                passed = line.take(read)
+                self.permit.frame_read(read.image)
                 if silent_s and begun:
                     self._events.append(
                         (EventKind.CAMERA_SPEAKS, f"after more than {silent_s:.2f} s of silence")
                     )
                 silent_s = 0.0
                 opened_again = False
-                if frame.host_time_ns >= self._look_ns:
-                    self._look_ns = frame.host_time_ns + _LOOK_NS
+                if read.host_time_ns >= self._look_ns:
+                    self._look_ns = int(read.host_time_ns) + _LOOK_NS
                     self._at_last_look = self.losses
-                passed = line.take(frame)
                 self._events.extend(passed.notes)
                 self._steps.extend(passed.steps)
                 for joined in passed.frames:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import CameraSettings
 from acquisition.cameras.files.camera import FilesCamera
-from acquisition.cameras.files.settings import FilesSettings
+from acquisition.cameras.files.frame_source import FilesSettings
 from acquisition.cameras.files.sources import IMAGES, images_in, is_film, natural_key
 from acquisition.frame import Image
 from processing.arrays import Floats

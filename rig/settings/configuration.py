@@ -8,7 +8,7 @@ from typing import Literal, Self
 from pydantic import AwareDatetime, BaseModel, Field, PrivateAttr, model_validator
 
 from acquisition.cameras.drivers import find_driver
-from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from calibration import Axes, Lever, Shutter, deflection_unit
 from processing.air import POSSIBLE

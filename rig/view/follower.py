@@ -124,7 +124,7 @@ class Follower:
         """Time of the run's first frame, once a piece tells it."""
         if SPOT.topic in piece:
             return int(self._reader.rows(SPOT.topic, piece[SPOT.topic][:1])["time_ns"][0])
-        events = self._reader.events_in(piece.get(EVENT.topic, ()))
+        events = self._reader.events(piece.get(EVENT.topic, ()))
         return next((event.time_ns for event in events if event.kind == EventKind.START), None)
 
     def _at(self, times_ns: int) -> float:
@@ -133,18 +133,18 @@ class Follower:
     def _draw(self, piece: Piece) -> None:
         reader, drawing, run = self._reader, self._drawing, self._run
         # the line of a balance separates the samples beside it
-        self._draw_balances(reader.balances_in(piece.get(BALANCE.topic, ())))
+        self._draw_balances(reader.balances(piece.get(BALANCE.topic, ())))
         for topic, draw in ((SPOT.topic, self._draw_spots), (REFERENCE.topic, self._draw_references)):
             if topic in piece:
                 draw(reader.rows(topic, piece[topic]))
-        self._draw_half_cycles(reader.swings_in(piece.get(SWING.topic, ())))
-        for event in reader.events_in(piece.get(EVENT.topic, ())):
+        self._draw_half_cycles(reader.swings(piece.get(SWING.topic, ())))
+        for event in reader.events(piece.get(EVENT.topic, ())):
             if event.kind == EventKind.ADVICE:
                 self._advised = True
                 drawing.text(run, layout.ADVICE, self._at(event.time_ns), event.text)
             else:
                 drawing.event(run, self._at(event.time_ns), event)
-        for note in reader.decoded(NOTE.topic, RecordedNote, piece.get(NOTE.topic, ())):
+        for note in reader.values(NOTE.topic, RecordedNote, piece.get(NOTE.topic, ())):
             drawing.event(run, self._at(note.time_ns), note.event)
         self._draw_session(piece)
 
@@ -198,25 +198,25 @@ class Follower:
     def _draw_session(self, piece: Piece) -> None:
         """What the session says of itself: phase, health, estimates."""
         reader, drawing, run = self._reader, self._drawing, self._run
-        for step in reader.decoded(CAMERA_STEP.topic, RecordedClockStep, piece.get(CAMERA_STEP.topic, ())):
+        for step in reader.values(CAMERA_STEP.topic, RecordedClockStep, piece.get(CAMERA_STEP.topic, ())):
             clock, largest_s = self._clock, max(self._clock.largest_step_s, seconds(step.step_ns), key=abs)
             self._clock = replace(clock, steps=clock.steps + 1, largest_step_s=largest_s)
-        for losses in reader.decoded(LOSSES.topic, RecordedLosses, piece.get(LOSSES.topic, ())):
+        for losses in reader.values(LOSSES.topic, RecordedLosses, piece.get(LOSSES.topic, ())):
             self._losses = FrameLosses(*losses[1:])
-        for health in reader.decoded(HEALTH.topic, RecordedHealth, piece.get(HEALTH.topic, ())):
+        for health in reader.values(HEALTH.topic, RecordedHealth, piece.get(HEALTH.topic, ())):
             self._health, before = health, self._clock
             drift_ppm, u_ppm = health.clock_drift_ppm, health.u_clock_drift_ppm
             self._clock = clock = replace(before, drift_ppm=drift_ppm, u_drift_ppm=u_ppm)
             if clock.known and clock != before:
                 drawing.clock(run, self._at(health.time_ns), drift_ppm, u_ppm)
-        rows = reader.decoded(ESTIMATE.topic, RecordedEstimate, piece.get(ESTIMATE.topic, ()))
+        rows = reader.values(ESTIMATE.topic, RecordedEstimate, piece.get(ESTIMATE.topic, ()))
         for time_ns in dict.fromkeys(row.time_ns for row in rows):
             of_one = {
                 row.quantity: Estimate(row.value, row.u_value) for row in rows if row.time_ns == time_ns
             }
             self._estimates |= of_one
             drawing.estimates(run, self._at(time_ns), of_one)
-        phases = reader.decoded(PHASE.topic, RecordedPhase, piece.get(PHASE.topic, ()))
+        phases = reader.values(PHASE.topic, RecordedPhase, piece.get(PHASE.topic, ()))
         if phases:
             self._phase = phases[-1]
             self._draw_state()

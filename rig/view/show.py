@@ -235,7 +235,7 @@ def setup_of(readers: Sequence[RecordReader], names: Sequence[str], layout: Layo
         amplitude=max(map(_amplitude, readers)),
         unit=readers[0].deflection_unit.shown,
         parameters={key: parameter_shown(key).label for key in _parameters(readers, config)},
-        has_reference=any(reader.has(REFERENCE.topic) for reader in readers)
+        has_reference=any(REFERENCE.topic in reader.counts for reader in readers)
         or (config is not None and config.reference is not None),
     )
 
@@ -272,7 +272,7 @@ def _parameters(readers: Sequence[RecordReader], config: Configuration | None) -
         and config.instrument.description().report == "contact"
         and pendulum_on_ball(config) is not None
     )
-    if not fitted or (readers[0].contents.whole and not readers[0].has(HEALTH.topic)):
+    if not fitted or (readers[0].contents.whole and HEALTH.topic not in readers[0].counts):
         return ()
     return DEFAULT_LAW.fit_names(calibrated=True, drag=config.fit.fits_drag)[:-2]
 

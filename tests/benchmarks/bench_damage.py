@@ -13,7 +13,7 @@ from rich.table import Table
 
 from acquisition.record import pixels_beside
 from acquisition.record.check import check_record
-from acquisition.record.read_file import messages_in
+from acquisition.record.chunk import messages_in
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
 from tests.acquisition.record.samples import BLOCK, write_sample

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.optics import spot_position_px
 from acquisition.simulation.scene import Readings, Scene
 from acquisition.simulation.settings import (

@@ -21,7 +21,7 @@ from acquisition.cameras.device_settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision import camera as driver
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.discovery import find_cameras
-from acquisition.cameras.usb3vision.libusb_transfers import LibusbTransfers
+from acquisition.cameras.usb3vision.transfers import LibusbTransfers
 from tests.acquisition.cameras.aravis.namespace import Missing, python_path
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 from tests.acquisition.cameras.usb3vision.usbip import UsbIpServer

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from acquisition.cameras.files.camera import FilesCamera
-from acquisition.cameras.files.settings import FilesSettings
+from acquisition.cameras.files.frame_source import FilesSettings
 from acquisition.record.check import check_record
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover

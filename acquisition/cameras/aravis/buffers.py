@@ -8,10 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from acquisition.camera import ColourPlane
-from acquisition.cameras.colour_plane import plane_of
-from acquisition.cameras.pixel_formats import Format
+from acquisition.cameras.pixel_formats import Format, plane_of
 from acquisition.frame import Frame
-from acquisition.frames.numbers import BlockNumbers, Place
+from acquisition.frames.losses import BlockNumbers, Place
 from processing.errors import DeviceError
 
 SHORT_IDS: Final = 65535

@@ -18,16 +18,16 @@ from acquisition.camera import (
 )
 from acquisition.cameras import wiring
 from acquisition.cameras.aravis.buffers import SHORT_IDS, BufferReader
-from acquisition.cameras.aravis.features import AravisFeatures
 from acquisition.cameras.aravis.library import (
     AravisDevice,
+    AravisFeatures,
     Library,
     find_camera,
     load_library,
 )
 from acquisition.cameras.device_settings import AravisSettings, kept_frames
 from acquisition.frame import Frame
-from acquisition.frames.numbers import BlockNumbers
+from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)

@@ -17,10 +17,15 @@ from acquisition.camera import (
     CameraStatus,
     without_features,
 )
-from acquisition.cameras.files.frame_source import FrameSource, Stored, Unreadable
-from acquisition.cameras.files.settings import FilesSettings
+from acquisition.cameras.files.frame_source import (
+    FilesSettings,
+    FrameSource,
+    FrameTimes,
+    Stored,
+    Unreadable,
+    frame_times,
+)
 from acquisition.cameras.files.sources import open_source
-from acquisition.cameras.files.timestamps import FrameTimes, frame_times
 from acquisition.frame import Frame, Image
 from processing.errors import DeviceError
 

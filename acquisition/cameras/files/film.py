@@ -10,12 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from acquisition.cameras.files.ffmpeg import ffmpeg_error, opened_film, pyav
-from acquisition.cameras.files.film_index import FilmIndex, film_index
+from acquisition.cameras.files.film_index import FilmIndex, ffmpeg_error, film_index, opened_film, pyav
 from acquisition.cameras.files.film_pixels import film_pixels
 from acquisition.cameras.files.formats import is_whole, slices_of
-from acquisition.cameras.files.frame_source import FrameSource, Stored, Unreadable
-from acquisition.cameras.files.timestamps import FrameTimes
+from acquisition.cameras.files.frame_source import FrameSource, FrameTimes, Stored, Unreadable
 from processing.errors import DeviceError
 
 if TYPE_CHECKING:

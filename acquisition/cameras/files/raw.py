@@ -8,8 +8,14 @@ from typing import Final, Literal, Self
 import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
-from acquisition.cameras.files.frame_source import FrameSource, Stored, Unreadable
-from acquisition.cameras.files.timestamps import FrameTimes, missing_frames, numbers_by_steps
+from acquisition.cameras.files.frame_source import (
+    FrameSource,
+    FrameTimes,
+    Stored,
+    Unreadable,
+    missing_frames,
+    numbers_by_steps,
+)
 from acquisition.cameras.pixel_formats import BY_NAME
 from processing.errors import DeviceError
 from processing.ticks import NS_PER_S

@@ -21,12 +21,11 @@ from acquisition.cameras.usb3vision.discovery import find_camera
 from acquisition.cameras.usb3vision.dump import dump
 from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
-from acquisition.cameras.usb3vision.libusb_transfers import LibusbTransfers
 from acquisition.cameras.usb3vision.link import UsbLink
 from acquisition.cameras.usb3vision.node_map import load_genapi
 from acquisition.cameras.usb3vision.open_camera import UsbConnection
 from acquisition.cameras.usb3vision.stream import ExpectedFrames, UsbFrameStream
-from acquisition.cameras.usb3vision.transfers import BlockingTransfers, Transfers
+from acquisition.cameras.usb3vision.transfers import BlockingTransfers, LibusbTransfers, Transfers
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 

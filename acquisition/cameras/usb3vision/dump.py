@@ -11,8 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from acquisition.cameras.usb3vision.gencp import RegisterRefused
-from acquisition.cameras.usb3vision.manifest import read_description
-from acquisition.cameras.usb3vision.open_camera import UsbConnection
+from acquisition.cameras.usb3vision.open_camera import UsbConnection, read_description
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers
 from processing.errors import DeviceError
 

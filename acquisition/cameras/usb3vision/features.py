@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from acquisition.camera import CameraSettings, FeatureValue, PixelFormat
 from acquisition.cameras import wiring
-from acquisition.cameras.colour_plane import names_by_depth
+from acquisition.cameras.pixel_formats import names_by_depth
 from acquisition.cameras.preparation import GenicamFeatures, Quantity
 from acquisition.cameras.usb3vision.node_map import NodeMap
 from processing.errors import DeviceError

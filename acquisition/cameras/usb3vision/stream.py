@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import CameraLost, CameraStatus, ColourPlane
-from acquisition.cameras.colour_plane import plane_of
-from acquisition.cameras.pixel_formats import Format
+from acquisition.cameras.pixel_formats import Format, plane_of
 from acquisition.cameras.reading import Reading
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
 from acquisition.cameras.usb3vision.packets import (
@@ -33,7 +32,7 @@ from acquisition.cameras.usb3vision.packets import (
 from acquisition.cameras.usb3vision.registers import TransferPlan
 from acquisition.cameras.usb3vision.transfers import Transfers
 from acquisition.frame import Frame
-from acquisition.frames.numbers import BlockNumbers, Place
+from acquisition.frames.losses import BlockNumbers, Place
 from processing.errors import DeviceError, RigError
 
 logger = logging.getLogger(__name__)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import ColourPlane, PixelFormat
-from acquisition.cameras.colour_plane import PITCH, place_in_mosaic
+from acquisition.cameras.pixel_formats import PITCH, place_in_mosaic
 from acquisition.cameras.v4l2.kernel import PixelLayout
 from acquisition.frame import Image
 

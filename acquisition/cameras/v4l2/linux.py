@@ -19,8 +19,8 @@ from acquisition.camera import (
     PixelFormat,
     without_wires,
 )
-from acquisition.cameras.colour_plane import in_plane_px, in_sensor_px
 from acquisition.cameras.device_settings import V4l2Settings, kept_frames
+from acquisition.cameras.pixel_formats import in_plane_px, in_sensor_px
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import VideoDevice, find_again, find_device, refusal
 from acquisition.cameras.v4l2.layouts import LAYOUTS, choose, image_bytes, possible, to_image

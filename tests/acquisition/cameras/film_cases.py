@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import CameraSettings
 from acquisition.cameras.files.camera import FilesCamera
-from acquisition.cameras.files.settings import FilesSettings
+from acquisition.cameras.files.frame_source import FilesSettings
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 from tests.acquisition.cameras.made_films import BLACK, Film, picture, places, write_film

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, PixelFormat
 from acquisition.cameras.files.camera import FilesCamera
-from acquisition.cameras.files.settings import FilesSettings
+from acquisition.cameras.files.frame_source import FilesSettings
 from acquisition.cameras.files.sources import IMAGES, natural_key
 from acquisition.frame import Frame
 from processing.errors import DeviceError

@@ -11,7 +11,7 @@ import pytest
 
 from acquisition.camera import Camera, CameraSettings, FrameTimeout, PixelFormat
 from acquisition.cameras.device_settings import PylonSettings
-from acquisition.cameras.pylon.camera import PylonCamera
+from acquisition.cameras.pylon import PylonCamera
 from processing.errors import DeviceError
 from rig.instrument import setting_differences
 from tests.acquisition.cameras.conformance import CameraConformance

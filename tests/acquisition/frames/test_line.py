@@ -1,5 +1,6 @@
 """A camera's clock that errs: nothing of it ends a run, and every frame keeps a time or is counted."""
 
+import time
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,8 @@ from acquisition.frames.line import FrameLine
 IMAGE = np.zeros((2, 2), np.uint8)
 RATE_HZ = 25.0
 INTERVAL_NS = round(1e9 / RATE_HZ)
+HOST_NS = time.monotonic_ns() - 10**14
+"""No frame of these hours is in the future of the computer's clock, which a line refuses."""
 
 
 def joined(
@@ -22,7 +25,7 @@ def joined(
     rng = np.random.default_rng(5)
     late = late_ms or [0.0] * len(device_ns)
     host_ns = [
-        10**12 + n * INTERVAL_NS + round(1e6 * (abs(rng.normal(1.0, 0.5)) + late[n]))
+        HOST_NS + n * INTERVAL_NS + round(1e6 * (abs(rng.normal(1.0, 0.5)) + late[n]))
         for n in range(len(device_ns))
     ]
     return carried(device_ns, host_ns)
@@ -113,7 +116,7 @@ def test_frames_that_are_read_late_or_lost_are_no_fault_of_the_clock(
     kept = [(n, t) for n, t in enumerate(times) if n not in lost]
     again = FrameLine(in_real_time=True)
     through = [
-        one for n, t in kept for one in again.take(Frame(IMAGE, n, t, 10**12 + n * INTERVAL_NS)).frames
+        one for n, t in kept for one in again.take(Frame(IMAGE, n, t, HOST_NS + n * INTERVAL_NS)).frames
     ]
     assert len(through) == len(kept)
 
@@ -124,7 +127,7 @@ def test_a_rate_that_changes_is_no_step() -> None:
     frames = [
         one
         for n, t in enumerate(times.tolist())
-        for one in clock.take(Frame(IMAGE, n, t, 10**12 + t + 10**6 * (n % 3))).frames
+        for one in clock.take(Frame(IMAGE, n, t, HOST_NS + t + 10**6 * (n % 3))).frames
     ]
     assert len(frames) == 300
     assert clock.rejected == 0
@@ -132,7 +135,7 @@ def test_a_rate_that_changes_is_no_step() -> None:
 
 def arrivals(times: list[int]) -> list[int]:
     rng = np.random.default_rng(6)
-    return [10**12 + t + round(1e6 * abs(rng.normal(1.0, 0.3))) for t in times]
+    return [HOST_NS + t + round(1e6 * abs(rng.normal(1.0, 0.3))) for t in times]
 
 
 def test_where_frames_without_numbers_are_missing_the_computer_s_clock_says_the_step() -> None:
@@ -229,7 +232,7 @@ def test_a_step_says_its_size_and_what_is_not_known_of_it() -> None:
     clock, steps = FrameLine(in_real_time=True), []
     for n, t in enumerate(steady()):
         shown = (t + 130_000_000 * (n >= 120)) % 2**32
-        steps += clock.take(Frame(IMAGE.copy(), n, shown, 10**12 + n * INTERVAL_NS)).steps
+        steps += clock.take(Frame(IMAGE.copy(), n, shown, HOST_NS + n * INTERVAL_NS)).steps
     assert clock.wraps == 2
     (step,) = steps
     assert abs(step.step_ns - 130_000_000) < 4 * step.u_step_ns < 100_000
@@ -240,7 +243,7 @@ def test_first_frames_that_waited_for_their_reader_are_no_step(rate_hz: float) -
     """All that came while the program began is read at once: the first by far later than the fourth."""
     each_ns = round(1e9 / rate_hz)
     times = [10**9 + n * each_ns for n in range(60)]
-    host_ns = [max(10**12 + t, 10**12 + times[3] + 5_000_000 + n * 300_000) for n, t in enumerate(times)]
+    host_ns = [max(HOST_NS + t, HOST_NS + times[3] + 5_000_000 + n * 300_000) for n, t in enumerate(times)]
     frames, _, notes = carried(times, host_ns)
     assert notes == []
     assert [one.device_time_ns for one in frames] == times
@@ -262,7 +265,7 @@ def test_times_never_run_backwards_however_irregularly_a_camera_without_numbers_
     late = [*late_ms, *[0.0] * 60]
     read_ns = np.maximum.accumulate([t + round(1e6 * late[n]) + 1000 * n for n, t in enumerate(true)])
     times = [10**9 + t + round(1e6 * step_ms) * (n >= at) for n, t in enumerate(true)]
-    frames, _, _ = carried(times, [10**12 + int(ns) for ns in read_ns])
+    frames, _, _ = carried(times, [HOST_NS + int(ns) for ns in read_ns])
     found = [one.device_time_ns for one in frames]
     assert all(later > earlier for earlier, later in pairwise(found))
 
@@ -359,9 +362,9 @@ def joined_one(line: FrameLine, number: int, device_ns: int, host_ns: int) -> tu
 def test_a_clock_that_began_again_is_shifted_and_said_so() -> None:
     line = FrameLine()
     for number in range(10):
-        joined_one(line, number, 10**12 + number * 10**7, 5 * 10**9 + number * 10**7)
+        joined_one(line, number, 10**12 + number * 10**7, HOST_NS + number * 10**7)
     line.begin_again()
-    host_ns = 5 * 10**9 + 9 * 10**7 + 2 * 10**9
+    host_ns = HOST_NS + 9 * 10**7 + 2 * 10**9
     frame, note = joined_one(line, 0, 12345, host_ns)
     assert frame.device_time_ns == 10**12 + 9 * 10**7 + 2 * 10**9
     assert frame.sequence == 9 + 200
@@ -374,9 +377,9 @@ def test_a_clock_that_another_one_set_meanwhile_is_shifted_too() -> None:
     """As by a network's clock, decades ahead of the camera's own."""
     line = FrameLine(in_real_time=True)
     for number in range(10):
-        joined_one(line, number, 10**9 + number * 10**7, 5 * 10**9 + number * 10**7)
+        joined_one(line, number, 10**9 + number * 10**7, HOST_NS + number * 10**7)
     line.begin_again()
-    passed = line.take(Frame(IMAGE, 0, 1_700_000_000 * 10**9, 5 * 10**9 + 9 * 10**7 + 10**9))
+    passed = line.take(Frame(IMAGE, 0, 1_700_000_000 * 10**9, HOST_NS + 9 * 10**7 + 10**9))
     (frame,), (step,), ((_, note),) = passed.frames, passed.steps, passed.notes
     assert (frame.sequence, frame.device_time_ns) == (109, 10**9 + 9 * 10**7 + 10**9)
     assert "clock restarted" in note
@@ -388,15 +391,15 @@ def test_a_camera_that_comes_back_without_times_continues_its_numbers_all_the_sa
     """Some first frames, or all, show no time; then a clock that began again, or the computer's."""
     line = FrameLine(in_real_time=True)
     for number in range(20):
-        joined_one(line, number, 10**12 + number * 10**7, 5 * 10**9 + number * 10**7)
+        joined_one(line, number, 10**12 + number * 10**7, HOST_NS + number * 10**7)
     line.begin_again()
     passed = [
-        line.take(Frame(IMAGE, n, 2**62 if n < senseless else 500 + n * 10**7, 6 * 10**9 + n * 10**7))
+        line.take(Frame(IMAGE, n, 2**62 if n < senseless else 500 + n * 10**7, HOST_NS + 10**9 + n * 10**7))
         for n in range(40)
     ]
     frames = [frame for one in passed for frame in one.frames]
     for frame in frames:
-        # 5.19 s was the last before it, which is 10**12 + 0.19 s by the camera
+        # 0.19 s was the last before it, which is 10**12 + 0.19 s by the camera
         assert frame.device_time_ns - 10**12 == pytest.approx((frame.sequence) * 10**7, abs=1000)
     assert (len(frames), line.rejected) == ((37, 3) if senseless == 3 else (40, 0))
     assert any("opened again" in text for one in passed for _, text in one.notes)
@@ -405,8 +408,8 @@ def test_a_camera_that_comes_back_without_times_continues_its_numbers_all_the_sa
 def test_what_waits_when_a_camera_is_lost_is_counted() -> None:
     line = FrameLine(in_real_time=True)
     for number in range(20):
-        joined_one(line, number, 10**12 + number * 10**7, 5 * 10**9 + number * 10**7)
-    assert line.take(Frame(IMAGE, 20, 7, 5 * 10**9 + 20 * 10**7)).frames == []
+        joined_one(line, number, 10**12 + number * 10**7, HOST_NS + number * 10**7)
+    assert line.take(Frame(IMAGE, 20, 7, HOST_NS + 20 * 10**7)).frames == []
     assert (line.waiting, line.rejected) == (1, 0)
     line.begin_again()
     assert (line.waiting, line.rejected) == (0, 1)
@@ -414,9 +417,9 @@ def test_what_waits_when_a_camera_is_lost_is_counted() -> None:
 
 def test_a_camera_that_is_lost_after_its_first_frame_continues_its_numbers() -> None:
     line = FrameLine()
-    first, _ = joined_one(line, 0, 10**12, 5 * 10**9)
+    first, _ = joined_one(line, 0, 10**12, HOST_NS)
     line.begin_again()
-    again, note = joined_one(line, 0, 7, 8 * 10**9)
+    again, note = joined_one(line, 0, 7, HOST_NS + 3 * 10**9)
     assert (first.sequence, again.sequence) == (0, 1)
     assert again.device_time_ns == first.device_time_ns + 3 * 10**9
     assert "opened again after 3.000 s" in note
@@ -424,9 +427,9 @@ def test_a_camera_that_is_lost_after_its_first_frame_continues_its_numbers() -> 
 
 def test_the_middle_of_the_exposure_continues_over_a_clock_that_began_again() -> None:
     line = FrameLine(time_shift_ns=-(10**6))
-    joined = [joined_one(line, n, 10**12 + n * 10**7, 5 * 10**9 + n * 10**7)[0] for n in range(10)]
+    joined = [joined_one(line, n, 10**12 + n * 10**7, HOST_NS + n * 10**7)[0] for n in range(10)]
     assert [frame.device_time_ns for frame in joined] == [10**12 - 10**6 + n * 10**7 for n in range(10)]
     line.begin_again()
-    again, _ = joined_one(line, 0, 500, 5 * 10**9 + 9 * 10**7 + 10**9)
+    again, _ = joined_one(line, 0, 500, HOST_NS + 9 * 10**7 + 10**9)
     assert (again.device_time_ns - joined[-1].device_time_ns, again.sequence) == (10**9, 9 + 100)
-    assert joined_one(line, 1, -1, 6 * 10**9)[0].device_time_ns == -1
+    assert joined_one(line, 1, -1, HOST_NS + 10**9)[0].device_time_ns == -1

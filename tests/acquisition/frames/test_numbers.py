@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from acquisition.camera import CameraLost, CameraStatus
 from acquisition.cameras.aravis.buffers import SHORT_IDS, Underruns
-from acquisition.frames.numbers import BlockNumbers
+from acquisition.frames.losses import BlockNumbers
 
 
 def short() -> BlockNumbers:

@@ -12,8 +12,9 @@ from mcap.reader import make_reader
 
 from acquisition.record import pixels_beside
 from acquisition.record.check import Finding, check_record
+from acquisition.record.contents import Contents
 from acquisition.record.digest import sha256_of
-from acquisition.record.read_file import Contents, ReadFile
+from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from acquisition.record.writer import RecordWriter

@@ -17,7 +17,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from rerun.chunk import RrdReader
 
 from acquisition.record import pixels_beside
-from acquisition.record.read_file import messages_in
+from acquisition.record.chunk import messages_in
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import METADATA_COPY, PIXEL_TOPICS, PREVIEW_TOPIC, SPOT
 from processing.angle import ARCSEC_RAD

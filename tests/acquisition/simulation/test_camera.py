@@ -11,7 +11,7 @@ from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout,
 from acquisition.cameras.drivers import make_camera
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.frame import Frame
-from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import ConfigurationError, DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug

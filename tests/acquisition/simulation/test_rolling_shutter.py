@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from acquisition.camera import CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
-from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.motion import motions
 from acquisition.simulation.optics import spot_position_px
 from acquisition.simulation.scene import Readings, Scene

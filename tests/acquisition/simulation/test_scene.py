@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 from scipy.signal import welch
 
-from acquisition.simulation.faults import FaultSettings
-from acquisition.simulation.inputs import RigInputs
+from acquisition.simulation.inputs import FaultSettings, RigInputs
 from acquisition.simulation.scene import PlannedFrames, Readings, Scene
 from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points

@@ -20,7 +20,7 @@ from acquisition.frames.guard import HangingRead
 from acquisition.frames.losses import FrameLosses
 from acquisition.frames.queue import Policy
 from acquisition.record.reader import RecordReader
-from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 from rig.devices.frame_stream import FrameStream

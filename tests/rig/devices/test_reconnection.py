@@ -18,7 +18,7 @@ import pytest
 
 from acquisition.camera import CameraInfo, CameraLost, CameraSettings, FrameTimeout
 from acquisition.cameras.files.camera import FilesCamera
-from acquisition.cameras.files.settings import FilesSettings
+from acquisition.cameras.files.frame_source import FilesSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.frame import Frame
 from acquisition.frames.losses import FrameLosses
@@ -255,7 +255,7 @@ def test_an_emulated_camera_of_pylon_is_opened_again(monkeypatch: pytest.MonkeyP
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         pytest.importorskip("pypylon.pylon", reason="pypylon is not installed (optional extra 'pylon')")
-    from acquisition.cameras.pylon.camera import PylonCamera
+    from acquisition.cameras.pylon import PylonCamera
 
     monkeypatch.setenv("PYLON_CAMEMU", "1")
 

@@ -10,8 +10,7 @@ import pytest
 
 from acquisition.camera import CameraInfo, CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
-from acquisition.simulation.faults import FaultSettings
-from acquisition.simulation.inputs import RigInputs
+from acquisition.simulation.inputs import FaultSettings, RigInputs
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_turning_points
 from acquisition.simulation.witness import SimulatedWitness

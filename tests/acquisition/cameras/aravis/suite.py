@@ -16,7 +16,7 @@ from acquisition.cameras.aravis.camera import AravisCamera
 from acquisition.cameras.aravis.library import find_cameras, load_library
 from acquisition.cameras.device_settings import AravisSettings
 from acquisition.frame import Frame
-from acquisition.frames.numbers import BlockNumbers, Place
+from acquisition.frames.losses import BlockNumbers, Place
 from processing.errors import DeviceError
 from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import wait_for_network_clock

@@ -1,1 +1,0 @@
-"""Basler cameras through the vendor's pypylon, an optional package."""

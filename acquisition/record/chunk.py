@@ -1,0 +1,128 @@
+"""One chunk of an MCAP file: proved by its checksum, and taken apart into messages with numpy."""
+
+import struct
+import zlib
+from typing import Final, NamedTuple
+
+import numpy as np
+import zstandard
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+HEAD: Final = struct.Struct("<BQ")
+"""Opcode and length of a record's content."""
+CHUNK_HEAD: Final = struct.Struct("<BQQQQII")
+"""Opcode, length, first and last log time, bytes without compression, their checksum, length of the
+compression's name, which follows, then the bytes' number and the bytes.
+"""
+_COMPRESSIONS = {0: b"", 4: b"zstd"}
+"""Names of the compressions of a chunk by their lengths."""
+_CHANNEL = struct.Struct("<BQH")
+"""Opcode and length of a message, and its channel."""
+_MESSAGE = struct.Struct("<BQHIQQ")
+"""Opcode, length, channel, sequence, log time, publish time; the same as an array's row:"""
+_MESSAGE_DTYPE = np.dtype(
+    {
+        "names": ["opcode", "length", "channel", "sequence", "log_time_ns", "publish_time_ns"],
+        "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
+    }
+)
+
+
+class ChunkDamage(ValueError):
+    """The chunk's bytes differ from what was written; the message describes how."""
+
+
+class Message(NamedTuple):
+    """An encoded message; `log_time_ns` is UTC."""
+
+    channel: int
+    sequence: int
+    log_time_ns: int
+    data: bytes
+
+
+def chunk_content(data: bytes, length: int) -> tuple[int, int, bytes, int] | None:
+    """Size and checksum of a chunk's content, compression, where it starts; None where none of this length
+    begins here.
+    """
+    if len(data) < CHUNK_HEAD.size:
+        return None
+    opcode, stated, start_ns, end_ns, size, crc, of_name = CHUNK_HEAD.unpack_from(data)
+    start = CHUNK_HEAD.size + of_name + 8
+    if opcode != Opcode.CHUNK or start_ns > end_ns or of_name not in _COMPRESSIONS or len(data) < start:
+        return None
+    name = data[CHUNK_HEAD.size : start - 8]
+    end = start + int.from_bytes(data[start - 8 : start], "little")
+    agree = name == _COMPRESSIONS[of_name] and end == HEAD.size + stated == length
+    return (size, crc, name, start) if agree else None
+
+
+def proved_content(record: bytes, length: int) -> bytes:
+    """The decompressed messages of a chunk of this length. Raises ChunkDamage."""
+    if len(record) < length:
+        raise ChunkDamage("ends early, or its disk cannot give all of it")
+    head = chunk_content(record, length)
+    if head is None:
+        raise ChunkDamage("its head has changed")
+    size, crc, compression, start = head
+    data = record[start:]
+    if compression:
+        try:
+            # one changed bit of either size would take gigabytes
+            if zstandard.get_frame_parameters(data).content_size != size:
+                raise ChunkDamage("its head has changed: it and its data state different sizes")
+            data = zstandard.ZstdDecompressor().decompress(data)
+        except zstandard.ZstdError as error:
+            raise ChunkDamage(f"cannot be decompressed ({error})") from None
+    if len(data) != size or crc != zlib.crc32(data):
+        raise ChunkDamage("its checksum does not match: bytes have changed")
+    return data
+
+
+def messages_in(data: bytes, channels: frozenset[int] | None = None) -> list[Message]:
+    """Messages of the given channels (None: all) in a chunk."""
+    unpack, head_size = _MESSAGE.unpack_from, _MESSAGE.size
+    found = []
+    for place, size in zip(*_places(data, channels), strict=True):
+        _, _, channel, sequence, log_time_ns, _ = unpack(data, place)
+        content = data[place + head_size : place + head_size + size]
+        found.append(Message(channel, sequence, log_time_ns, content))
+    return found
+
+
+def packed_messages(data: bytes, channels: frozenset[int]) -> NDArray[np.void]:
+    """Contents of the messages of these channels, which are of equal length, as the items of an array."""
+    places, sizes = _places(data, channels)
+    return _items(data, np.array(places, dtype=np.int64) + _MESSAGE.size, sizes[0] if sizes else 0)
+
+
+def message_heads(data: bytes) -> NDArray[np.void]:
+    """Headers (n,) of the messages in a chunk: channel, sequence, log_time_ns and more."""
+    places = np.array(_places(data)[0], dtype=np.int64)
+    return _items(data, places, _MESSAGE.size).view(_MESSAGE_DTYPE)
+
+
+def _items(data: bytes, places: NDArray[np.int64], size: int) -> NDArray[np.void]:
+    """Copies of `size` bytes each, from the given positions in `data`."""
+    # a view of the overlapping items that begin at each byte
+    every: NDArray[np.void] = np.ndarray(
+        (max(len(data) - size + 1, 0),), dtype=f"V{size}", buffer=data, strides=(1,)
+    )
+    return every[places]
+
+
+def _places(data: bytes, channels: frozenset[int] | None = None) -> tuple[list[int], list[int]]:
+    """Positions of the messages of the given channels in a chunk, and the sizes of their contents."""
+    places, sizes = [], []
+    place, end = 0, len(data)
+    unpack, of_message = _CHANNEL.unpack_from, Opcode.MESSAGE.value
+    while place < end:
+        opcode, length, channel = unpack(data, place)
+        following = place + HEAD.size + length
+        # the first chunk also describes the topics
+        if opcode == of_message and (channels is None or channel in channels):
+            places.append(place)
+            sizes.append(following - place - _MESSAGE.size)
+        place = following
+    return places, sizes
