@@ -49,9 +49,9 @@ from processing.fit import (
 from processing.noise_models import nlnm_db
 from processing.swing import TurningPoints
 from rig.analysis.contact_results import Adhesion, AdhesiveSpot, Correlation, Fit
-from rig.analysis.drifts import limit_sentence
 from rig.analysis.result_rows import result_rows, withheld
 from rig.analysis.results import RunResults
+from rig.analysis.surroundings import limit_sentence
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
 

@@ -1,17 +1,25 @@
 """Tables of the fitted parameters and of the quality of the fits, for terminal, report and Rerun."""
 
 from collections.abc import Mapping, Sequence
-from math import isnan, nan
+from math import hypot, isnan, nan
 
+from processing.angle import ARCSEC_RAD
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
-from processing.fit import FitMethod, FitQuality
+from processing.fit import (
+    FitMethod,
+    FitQuality,
+)
 from processing.quantity import quantities_of
-from rig.analysis.contact_results import Fit
-from rig.analysis.headline import dominant_text, has_apparatus
+from processing.swing import ORDERS
+from rig.analysis.contact_results import (
+    ComparedLaws,
+    Fit,
+)
+from rig.analysis.remarks import dominant_text, has_apparatus
 from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import RunResults, SessionResults
-from rig.presentation import Cell, Table, plain, quantity, signed_percent
+from rig.presentation import Cell, Table, decimals, plain, quantity, signed_percent
 
 _LARGEST_BIAS = 0.3
 """Of a parameter, as a fraction of it."""
@@ -146,3 +154,88 @@ def _heading(method: str) -> str:
 def _listed(items: Sequence[int]) -> str:
     text = ", ".join(str(item) for item in items[:8])
     return f"{len(items)}: {text}{', …' if len(items) > 8 else ''}" if items else "none"
+
+
+def law_table(compared: ComparedLaws) -> Table:
+    """The laws, how far each lies from the best, and what it needs to describe the run."""
+    rows: list[list[Cell]] = []
+    shown = []
+    for name, law in compared.laws.items():
+        measures = (law.bic_above_best, law.aic_above_best, law.log_odds_against)
+        waveform = plain(law.waveform_chance, 2)
+        rows.append([name, *measures, law.ground_rad_per_s2_rthz, law.waveform_chance, law.problem])
+        if law.problem:
+            shown.append([name, law.title, *[""] * 5, law.problem.partition(";")[0]])
+            continue
+        left = "as noise" if law.residuals_are_noise else "more than noise"
+        verdict = "excluded" if law.excluded else "remains"
+        ground = plain(law.ground_rad_per_s2_rthz, 2)
+        shown.append(
+            [
+                name,
+                law.title,
+                *(decimals(one, 1) for one in measures),
+                ground,
+                waveform,
+                f"{left}; {verdict}",
+            ]
+        )
+    return Table(
+        "laws",
+        "Laws of the contact",
+        (
+            "law",
+            "bic_above_best",
+            "aic_above_best",
+            "log_odds_against",
+            "ground_rad_per_s2_rthz",
+            "waveform_chance",
+            "problem",
+        ),
+        rows,
+        ("law", "", "BIC", "AIC", "ln odds", "drive", "waveform", "residuals; verdict"),
+        shown,
+        "BIC and AIC: distance from the best law; ln odds against the law, by the evidence. BIC above 10 "
+        "with ln odds above 5 excludes a law. Drive of the ground that the law needs, in rad/s²/√Hz; what a "
+        "law fails to describe appears as a stronger drive. Waveform: probability of a third harmonic this "
+        "far from the law's. Residuals: whether they exceed the noise.",
+    )
+
+
+def moments_table(compared: ComparedLaws) -> Table:
+    """The contact's moments without a law and those of the fitted laws, for a file."""
+    free = compared.without_law
+    columns = ["phi_rad", "friction_n_m", "u_friction_n_m", "elastic_n_m", "u_elastic_n_m"]
+    rows: list[list[Cell]] = []
+    if free is not None:
+        parts = [getattr(free, name) for name in columns]
+        for name, law in free.laws.items():
+            columns += [f"{name}_friction_n_m", f"{name}_elastic_n_m"]
+            parts += [law.friction_n_m, law.elastic_n_m]
+        rows = [list(row) for row in zip(*(part.tolist() for part in parts), strict=True)]
+    return Table("moments", "Moments of the contact without a law", columns, rows)
+
+
+def waveform_table(compared: ComparedLaws) -> Table:
+    """Every harmonic of every class, measured and by law; the third one shown."""
+    names = list(compared.waveform[0].laws) if compared.waveform else []
+    rows: list[list[Cell]] = []
+    shown = []
+    for one in compared.waveform:
+        for place, order in enumerate(ORDERS):
+            values = [one.measured, *(one.laws[name] for name in names)]
+            parts = [float(part[place]) for each in values for part in (each.cosine_rad, each.sine_rad)]
+            u = float(one.u_rad[place])
+            rows.append([one.amplitude_rad, order, u, *parts])
+            if order == 3:
+                sizes = [hypot(*part) for part in zip(parts[::2], parts[1::2], strict=True)]
+                texts = [f"{1e3 * size / ARCSEC_RAD:.2f}" for size in sizes]
+                texts[0] += f" ± {1e3 * u / ARCSEC_RAD:.2f}"
+                shown.append([f"{one.amplitude_rad / ARCSEC_RAD:.1f}", *texts])
+    columns = [f"{name}_{part}_rad" for name in ("measured", *names) for part in ("cosine", "sine")]
+    return Table(
+        "waveform", "Third harmonic of the swing, mas",
+        ("amplitude_rad", "order", "u_rad", *columns), rows, ("arcsec", "measured", *names), shown,
+        "Deflections stacked by phase. A law with a different third harmonic does not describe "
+        "the motion within the swing, however well it describes the decay.",
+    )  # fmt: skip

@@ -18,17 +18,14 @@ from processing.fit import (
 )
 from processing.spot import BeamUse
 from processing.swing import Swing, swings_of_blocks
-from rig.analysis.analysed_run import AnalysedRun
-from rig.analysis.beam import Beam
-from rig.analysis.less_reference import WithoutBeamMotion, less_beam_motion
-from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.contact_fits import of_source
+from rig.analysis.passing_deflections import PassingDeflections, WithoutBeamMotion, less_beam_motion
 from rig.analysis.recorded_witness import recorded_witness
-from rig.analysis.run_clock import run_clock
-from rig.analysis.run_conditions import run_conditions
+from rig.analysis.run_conditions import Beam, run_clock, run_conditions
+from rig.analysis.series import AnalysedRun
 from rig.analysis.surroundings import doubts_of, recorded_surroundings
 from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.witness_file import Begin, WitnessRecord
-from rig.analysis.witnessed_fits import of_source
 from rig.instrument import (
     balance_verdicts,
     inputs_sha256,

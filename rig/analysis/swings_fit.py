@@ -24,19 +24,15 @@ from processing.instruments import SharedError
 from processing.periods import mean_period
 from processing.surroundings import Surroundings
 from processing.swing import Swing, TurningPoints
-from rig.analysis.analysed_run import AnalysedRun
-from rig.analysis.contact_laws import DecayFits, fit_decay
+from rig.analysis.contact_fits import DecayFits, WitnessAt, WitnessedWith, fit_decay, settled_swings
 from rig.analysis.contact_verdicts import evaluate, fit_results, rig_quantities
 from rig.analysis.decay_values import values_of_points
-from rig.analysis.drifts import believed_drifts
-from rig.analysis.fitted_drag import OPEN_DRAG, evidence_of, known_drag
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.results import RunResults
-from rig.analysis.settled import settled_swings
-from rig.analysis.stored_turning_points import PositionErrors, StoredTurningPoints
+from rig.analysis.results import PositionErrors, RunResults, StoredTurningPoints
+from rig.analysis.series import AnalysedRun
+from rig.analysis.surroundings import OPEN_DRAG, believed_drifts, evidence_of, known_drag
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
-from rig.analysis.witnessed_fits import WitnessAt, WitnessedWith
 from rig.instrument import (
     pendulum_on_ball,
 )
