@@ -1,9 +1,9 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json."""
 
-from rig.analysis.compared_laws import chosen_laws, laws_of
+from rig.analysis.compared_laws import chosen_laws, with_laws
 from rig.analysis.contact_fits import loss_of, settled_swings
 from rig.analysis.contact_results import ComparedLaws, Correlation, Fit, MomentsWithoutLaw
-from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, evaluate, fit_results
+from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, contact_values
 from rig.analysis.curves import Curves, ModelCurve, curves_of, model_curves
 from rig.analysis.encoding import JsonObject, units_of
 from rig.analysis.fit_tables import law_table, moments_table, parameter_table, quality_table, waveform_table
@@ -18,15 +18,6 @@ from rig.analysis.instrument_results import (
 from rig.analysis.passing_deflections import PassingDeflections, less_beam_motion
 from rig.analysis.record_fit import analyse_record, analyse_run
 from rig.analysis.recorded_witness import taken
-from rig.analysis.remarks import (
-    Limit,
-    decay_lines,
-    dominant_text,
-    drive_text,
-    has_apparatus,
-    remarks,
-    whole_result,
-)
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, WithRows, named
 from rig.analysis.results import (
     AveragedCurves,
@@ -50,8 +41,17 @@ from rig.analysis.results_file import (
     results_schema,
     write_results,
 )
-from rig.analysis.screen import fit_envelope_table, fit_several, fit_trajectory, print_results
-from rig.analysis.series import AnalysedRun, combined_series, refuse_unread, session_results
+from rig.analysis.run_remarks import (
+    Limit,
+    decay_lines,
+    dominant_text,
+    drive_text,
+    has_apparatus,
+    remarks,
+    whole_result,
+)
+from rig.analysis.screen import TableFit, fit_envelope_table, fit_several, fit_trajectory, print_results
+from rig.analysis.series import AnalysedRun, combined_series, refuse_copies, refuse_unread, session_results
 from rig.analysis.surroundings import (
     evidence_of,
     expected_drag,

@@ -69,6 +69,11 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws |
     return with_waveform(replace(values, without_law=free), run, pendulum, compared)
 
 
+def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
+    """The run with these laws compared."""
+    return replace(run, results=replace(run.results, laws=laws_of(run, laws)))
+
+
 def _remedy(free: MomentsWithoutLaw, one: str, other: str) -> str:
     """Where two laws differ most in what one run knows, and how many runs make that three uncertainties."""
     by_moment = {

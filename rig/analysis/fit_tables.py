@@ -16,9 +16,9 @@ from rig.analysis.contact_results import (
     ComparedLaws,
     Fit,
 )
-from rig.analysis.remarks import dominant_text, has_apparatus
 from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import RunResults, SessionResults
+from rig.analysis.run_remarks import dominant_text, has_apparatus
 from rig.presentation import Cell, Table, decimals, plain, quantity, signed_percent
 
 _LARGEST_BIAS = 0.3

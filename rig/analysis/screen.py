@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from processing.decay_summary import DecayMean
 from processing.errors import ConfigurationError, DataError, DeviceError
@@ -15,9 +16,9 @@ from processing.swing import SwingFlag, turning_points
 from processing.ticks import seconds
 from rig.analysis.compared_laws import chosen_laws
 from rig.analysis.fit_tables import combined_table, law_table, parameter_table, quality_table, waveform_table
-from rig.analysis.remarks import brief_remarks, damping_lines, decay_lines, remarks
 from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
+from rig.analysis.run_remarks import brief_remarks, damping_lines, decay_lines, remarks
 from rig.analysis.table_fit import (
     AnalysedTable,
     FoundDecay,
@@ -111,38 +112,36 @@ _FLAGS = {
 }
 
 
-def fit_trajectory(
-    path: Path,
-    output: Path | None,
-    config_path: Path | None,
-    columns: TableColumns,
-    overrides: Sequence[str],
-    report: ReportWriter | None = None,
-    laws: Sequence[str] = (),
-    witness: StatedWitness | None = None,
-) -> int:
+class TableFit(NamedTuple):
+    """How tables are fitted: configuration with its changes, laws that are compared, a witness of the ground.
+
+    `report` draws what was found.
+    """
+
+    config_path: Path | None = None
+    overrides: Sequence[str] = ()
+    report: ReportWriter | None = None
+    laws: Sequence[str] = ()
+    witness: StatedWitness | None = None
+
+
+def fit_trajectory(path: Path, output: Path | None, columns: TableColumns, wanted: TableFit) -> int:
     """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
     inputs = [(run.run, path, lambda run=run: run) for run in columns.read_runs(path)]
-    return fit_several(inputs, output, config_path, overrides, report, laws, witness)
+    return fit_several(inputs, output, wanted)
 
 
 def fit_several(
-    inputs: Sequence[tuple[str, Path, Callable[[], Trajectory]]],
-    output: Path | None,
-    config_path: Path | None,
-    overrides: Sequence[str],
-    report: ReportWriter | None = None,
-    laws: Sequence[str] = (),
-    witness: StatedWitness | None = None,
+    inputs: Sequence[tuple[str, Path, Callable[[], Trajectory]]], output: Path | None, wanted: TableFit
 ) -> int:
     """The same of runs, each by its name, its file and what reads it; of several, a folder for each.
 
-    `report` draws what was found, `laws` are compared. One run of several that cannot be analysed does not
-    keep the others from it; 1 is returned if there was such a run.
+    One run of several that cannot be analysed does not keep the others from it; 1 is returned if there was
+    such a run.
     """
     if len(inputs) == 1:
         ((_, path, read),) = inputs
-        _fit(path, read(), output, config_path, overrides, report, laws, witness, alone=True)
+        _fit(path, read(), output, wanted, alone=True)
         return 0
     folders = [None if output is None else output / _folder_name(name) for name, _, _ in inputs]
     for folder in (output, *folders):
@@ -154,7 +153,7 @@ def fit_several(
     for (name, path, read), folder in zip(inputs, folders, strict=True):
         print_line(f"--- run {name}")
         try:
-            tables[name] = _fit(path, read(), folder, config_path, overrides, report, laws, witness)
+            tables[name] = _fit(path, read(), folder, wanted)
         except (DataError, DeviceError) as error:
             failed += 1
             answer(not_analysed=[{"run": name, "reason": str(error)}])
@@ -178,23 +177,15 @@ def _folder_name(name: str) -> str:
 
 
 def _fit(
-    path: Path,
-    trajectory: Trajectory,
-    output: Path | None,
-    config_path: Path | None,
-    overrides: Sequence[str],
-    report: ReportWriter | None,
-    laws: Sequence[str],
-    witness: StatedWitness | None,
-    *,
-    alone: bool = False,
+    path: Path, trajectory: Trajectory, output: Path | None, wanted: TableFit, *, alone: bool = False
 ) -> AnalysedTable:
     """One run, printed and written; its series as well if it is `alone`."""
-    ground = None if witness is None else witness.read()
+    laws, report = wanted.laws, wanted.report
+    ground = None if wanted.witness is None else wanted.witness.read()
     compared = chosen_laws(laws) if laws else ()
-    if config_path:
-        stated = load_configuration(config_path, overrides, needs_camera=False)
-        watched = Watched(stated, overrides, "a table holds neither frames nor spots")
+    if wanted.config_path:
+        stated = load_configuration(wanted.config_path, wanted.overrides, needs_camera=False)
+        watched = Watched(stated, wanted.overrides, "a table holds neither frames nor spots")
         table = analyse_trajectory(path, trajectory, fill_from_files(watched.config), compared, ground)
         if not table.results.problem:
             watched.refuse_unread()

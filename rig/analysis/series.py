@@ -7,10 +7,11 @@ from typing import Final
 
 import numpy as np
 
+from acquisition.record.digest import sha256_of
 from processing.arrays import Floats
 from processing.balance import Balance, PlaneOfSwing
 from processing.contact import PendulumOnBall
-from processing.errors import DataError
+from processing.errors import ConfigurationError, DataError
 from processing.fit import (
     DRIFTS,
     Budget,
@@ -320,3 +321,13 @@ def _series(runs: Sequence[AnalysedRun]) -> Series | None:
     )
     apart = tuple(replace(each, run=numbers[each.run - 1]) for each in joint.disagreements)
     return replace(joint, combined_runs=tuple(numbers), disagreements=apart)
+
+
+def refuse_copies(paths: Sequence[Path]) -> None:
+    """Raise ConfigurationError where two records are the same run: one was copied."""
+    first: dict[str, Path] = {}
+    for path in paths if len(paths) > 1 else ():
+        if path.is_file() and (other := first.setdefault(sha256_of(path), path)) is not path:
+            raise ConfigurationError(
+                f"{path}: holds the run of {other} (same hash), which counts once in a series"
+            )

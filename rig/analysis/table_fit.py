@@ -31,7 +31,7 @@ from processing.swing import (
     turning_points,
 )
 from processing.ticks import seconds
-from rig.analysis.compared_laws import laws_of
+from rig.analysis.compared_laws import with_laws
 from rig.analysis.contact_fits import of_source
 from rig.analysis.decay_values import amplitude_damping, decay_values
 from rig.analysis.passing_deflections import PassingDeflections
@@ -282,7 +282,7 @@ def _analyse(
             u_common_rad=u_common,
             followed=followed,
         )
-        run = replace(fitted.results, laws=laws_of(fitted, laws)) if laws else fitted.results
+        run = (with_laws(fitted, laws) if laws else fitted).results
         run = replace(run, witness=of_source(run.witness, witness))
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0

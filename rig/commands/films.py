@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 from processing.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from rig.analysis import (
-        AnalysedTable,
-    )
+    from rig.analysis import AnalysedTable
     from rig.intake import FilmAsked
 
 
@@ -27,9 +25,7 @@ def fit_film(
 
     `run` is the one of a folder of films, by name or number; empty: all.
     """
-    from rig.analysis import (
-        fit_several,
-    )
+    from rig.analysis import TableFit, fit_several
     from rig.intake import film_trajectory, films_in
     from rig.presentation import TimeLeft, print_line
 
@@ -45,7 +41,7 @@ def fit_film(
     inputs = [
         (one.stem, one, partial(film_trajectory, one, asked, TimeLeft(f"{one}: frames"))) for one in films
     ]
-    return fit_several(inputs, output, config, overrides, table_report, laws)
+    return fit_several(inputs, output, TableFit(config, overrides, table_report, laws))
 
 
 def _chosen_films(film: Path, inside: Sequence[Path], run: str) -> list[Path]:

@@ -74,10 +74,8 @@ def fitted(world: World, q: float, seed: int) -> Fitted:
     settled = settled_swings(swings, [samples], DeflectionUnit.RAD, PENDULUM, settings, drag=drag)
     points = turning_points(settled.swings)
     evidence = evidence_of(drag, settled.harmonics)
-    decay = fit_decay(points, PENDULUM, settings, settled.exact, evidence=evidence)
-    if not decay.fits:
-        raise RigError(decay.problem)
-    return Fitted(decay.fits[FitMethod.EXACT], points)
+    fits, _, _ = fit_decay(points, PENDULUM, settings, settled.exact, evidence=evidence)
+    return Fitted(fits[FitMethod.EXACT], points)
 
 
 class Outcome(NamedTuple):
