@@ -159,7 +159,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
     if run.results.damping is not None and not run.results.fits:
-        drawings.append(damped_figure(run.stored, run.results, motion.unit, "damping"))
+        drawings.append(damped_figure(run.stored, run.results, motion.unit))
     if run.results.position_errors is not None:
         drawings.append(place_figure(run.results.position_errors))
     if run.results.instrument is not None or run.of_table:
