@@ -13,7 +13,6 @@ from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.quantity import OWN, PART, PER, Quantity
 from processing.swing import TurningPoints
-from rig.analysis.encoding import Section
 
 _SHOWN = 9
 """Amplitudes at which the curve is kept; it is smooth."""
@@ -25,7 +24,7 @@ class DampingAt:
 
     amplitude: Annotated[float, PART]
     time_constant_s: Estimate = NOT_DETERMINED
-    quality_factor: Annotated[Estimate | None, Section] = None
+    quality_factor: Estimate | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

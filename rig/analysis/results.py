@@ -25,7 +25,7 @@ from processing.swing import KnownMotion, Swing, TurningPoints
 from processing.ticks import seconds
 from rig.analysis.contact_results import Adhesion, ComparedLaws, Fit
 from rig.analysis.decay_values import AmplitudeDamping
-from rig.analysis.encoding import Beside, Entries, Floats, Integers, JsonObject, Kept, Pendulum, Section
+from rig.analysis.encoding import Beside, Entries, Floats, Integers, JsonObject, Pendulum
 from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
 from rig.analysis.result_rows import ResultRow, WithRows
 from rig.analysis.run_conditions import Beam, RunClock
@@ -185,15 +185,15 @@ class RunResults(WithRows):
     sha256: str = ""
     simulated: bool | None = None
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
-    record_bytes: Annotated[int | None, Kept] = None
+    record_bytes: int | None = None
     pixels_sha256: str = ""
     frames: int = 0
     dropped_frames: int = 0
-    losses: Annotated[FrameLosses | None, Kept] = None
+    losses: FrameLosses | None = None
     beam: Beam | None = None
     half_cycles: int = 0
-    measured_again_on: Annotated[KnownMotion | None, Kept] = None
-    amplitude_unit: Annotated[str | None, Kept] = None
+    measured_again_on: KnownMotion | None = None
+    amplitude_unit: str | None = None
     initial_amplitude: Annotated[float, _IN_AMPLITUDE_UNIT] = nan
     final_amplitude: Annotated[float, _IN_AMPLITUDE_UNIT] = nan
     initial_amplitude_arcsec: float = nan
@@ -204,21 +204,21 @@ class RunResults(WithRows):
     warnings: tuple[str, ...] = ()
     settings: JsonObject = field(default_factory=dict)
     calibration: JsonObject = field(default_factory=dict)
-    pendulum: Annotated[Pendulum | None, Kept] = None
+    pendulum: Pendulum | None = None
     adhesion: Adhesion | None = None
-    drag: Annotated[Drag | None, Section] = None
+    drag: Drag | None = None
     strong_correlations: tuple[tuple[str, str, float], ...] = ()
     budget: Mapping[str, Budget] = field(default_factory=dict)
     work_per_cycle: tuple[Work, ...] = ()
     notes: tuple[str, ...] = ()
     instrument: InstrumentResults | None = None
-    turning_points: Annotated[StoredTurningPoints | None, Kept] = None
+    turning_points: StoredTurningPoints | None = None
     conditions: tuple[Verdict, ...] = ()
-    position_errors: Annotated[PositionErrors | None, Kept] = None
+    position_errors: PositionErrors | None = None
     laws: ComparedLaws | None = None
     ended: str | None = None
     surroundings: Surroundings | None = None
-    clock: Annotated[RunClock | None, Kept] = None
+    clock: RunClock | None = None
     witness: WitnessUse | None = None
     period_s: Estimate = NOT_DETERMINED
     log_decrement: Estimate = NOT_DETERMINED
@@ -272,7 +272,7 @@ class Series(WithRows):
     fits: Annotated[Mapping[str, Mapping[str, Combined]], Entries] = field(default_factory=dict)
     budget: Mapping[str, Budget] = field(default_factory=dict)
     disagreements: tuple[Disagreement, ...] = ()
-    averaged_curves: Annotated[Annotated[AveragedCurves, Beside("parameters")] | None, Section] = None
+    averaged_curves: Annotated[AveragedCurves, Beside("parameters")] | None = None
     problems: tuple[str, ...] = ()
     instrument: InstrumentSeries | None = None
 
@@ -293,7 +293,7 @@ class SessionResults(WithRows):
 
     schema: int = SCHEMA
     runs: tuple[RunResults, ...]
-    series: Annotated[Annotated[Series, Beside("fits")] | None, Section] = None
+    series: Annotated[Series, Beside("fits")] | None = None
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -347,7 +347,7 @@ class TableResults(TableDecay):
     unit: str
     understood: tuple[str, ...] = ()
     decays: tuple[TableDecay, ...] = ()
-    series: Annotated[Annotated[Series, Beside("fits")] | None, Section] = None
+    series: Annotated[Series, Beside("fits")] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -365,5 +365,5 @@ class EnvelopeResults:
     chi2_per_dof: float = nan
     noise_floor: float = nan
     damping: AmplitudeDamping | None = None
-    quality_factor: Annotated[Estimate | None, Section] = None
+    quality_factor: Estimate | None = None
     warnings: tuple[str, ...] = ()
