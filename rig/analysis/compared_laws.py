@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from math import nan
 from typing import Final
 
 import numpy as np
@@ -63,10 +64,20 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws |
     compared = compare_laws(run.points, pendulum, made, like=exact)
     free = _without_law(run.points, pendulum, compared, exact)
     remaining = [trial.law.name for trial in compared.remaining]
-    values = _values(compared)
+    verdict = compared.text()
     if free is not None and len(remaining) > 1:
-        values = replace(values, verdict=compared.text(_remedy(free, remaining[0], remaining[1])))
-    return with_waveform(replace(values, without_law=free), run, pendulum, compared)
+        verdict = compared.text(_remedy(free, remaining[0], remaining[1]))
+    classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
+    if not classes:
+        return ComparedLaws(_law_fits(compared, {}), verdict, free)
+    predicted = {
+        trial.law.name: predicted_harmonics(classes, trial.fit, pendulum)
+        for trial in compared.trials
+        if trial.fit is not None
+    }
+    chances = waveform_chances(classes, predicted)
+    verdict = f"{verdict}; {_said(classes, chances)}"
+    return ComparedLaws(_law_fits(compared, chances), verdict, free, _stored(classes, predicted))
 
 
 def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
@@ -119,49 +130,30 @@ def _without_law(
     )
 
 
-def _values(compared: LawComparison) -> ComparedLaws:
+def _law_fits(compared: LawComparison, chances: Mapping[str, float]) -> dict[str, LawFit]:
+    """Every law at its best; `chances` are those of its waveform, where the deflections say something."""
     found = {}
     for trial in compared.trials:
-        fit = trial.fit
-        head = LawFit(title=trial.law.title, source=trial.law.source, problem=trial.problem)
+        fit, law = trial.fit, trial.law
+        one = LawFit(title=law.title, source=law.source, problem=trial.problem)
         if fit is not None and fit.ground is not None and fit.whiteness is not None:
-            head = LawFit(
-                title=trial.law.title,
-                source=trial.law.source,
+            one = LawFit(
+                title=law.title,
+                source=law.source,
                 parameters={name: fit.estimate(name) for name in fit.names},
                 bic_above_best=compared.above_best(trial),
                 aic_above_best=trial.aic - min(one.aic for one in compared.trials),
                 log_odds_against=compared.odds_against(trial),
                 ground_rad_per_s2_rthz=fit.ground.density_rad_per_s2_rthz.value,
+                waveform_chance=chances.get(law.name, nan),
                 residuals_are_noise=not fit.whiteness.correlated,
                 excluded=trial not in compared.remaining,
             )
-        found[trial.law.name] = head
-    return ComparedLaws(found, compared.text())
+        found[law.name] = one
+    return found
 
 
 _THIRD = ORDERS.index(3)
-
-
-def with_waveform(
-    values: ComparedLaws, run: AnalysedRun, pendulum: PendulumOnBall, compared: LawComparison
-) -> ComparedLaws:
-    """The laws with what the record's deflections say of them; unchanged where they say nothing."""
-    classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
-    if not classes:
-        return values
-    predicted = {
-        trial.law.name: predicted_harmonics(classes, trial.fit, pendulum)
-        for trial in compared.trials
-        if trial.fit is not None
-    }
-    chances = waveform_chances(classes, predicted)
-    laws = {
-        name: replace(law, waveform_chance=chances[name]) if name in chances else law
-        for name, law in values.laws.items()
-    }
-    verdict = f"{values.verdict}; {_said(classes, chances)}"
-    return replace(values, laws=laws, verdict=verdict, waveform=_stored(classes, predicted))
 
 
 def _said(classes: Sequence[HarmonicClass], chances: Mapping[str, float]) -> str:

@@ -85,6 +85,11 @@ class ResultRow:
         return "not determined"
 
     @property
+    def interval_text(self) -> str:
+        """The 95 % interval in the unit shown."""
+        return interval(self.lower * self.shown.factor, self.upper * self.shown.factor)
+
+    @property
     def equation(self) -> str:
         """``b = (3.73 ± 0.02) × 10⁻³ rad⁻ᵖ``, ``c < 1.4 × 10⁻⁸ (95 %)``."""
         sign = {Determinacy.DETERMINED: "= ", Determinacy.INTERVAL: "in "}.get(self.verdict, "")
@@ -234,12 +239,14 @@ class WithRows:
     __slots__ = ()
 
     @property
+    def table(self) -> Sequence[ResultRow]:
+        """The rows in their order."""
+        raise NotImplementedError
+
+    @property
     def rows(self) -> Mapping[str, ResultRow]:
         """The rows by quantity."""
-        return {row.quantity: row for row in self._table()}
-
-    def _table(self) -> Sequence[ResultRow]:
-        raise NotImplementedError
+        return {row.quantity: row for row in self.table}
 
     def __getitem__(self, name: str) -> ResultRow:
         found = self.rows.get(_SHORT_NAMES.get(name, name))
@@ -250,4 +257,4 @@ class WithRows:
 
     def _summary(self, head: str) -> str:
         """A head and a line a row, for a person."""
-        return "\n".join([head, *(f"  {row}" for row in self._table())])
+        return "\n".join([head, *(f"  {row}" for row in self.table)])

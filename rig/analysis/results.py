@@ -239,9 +239,6 @@ class RunResults(WithRows):
             return f"{self.half_cycles} half-cycles{before_amplitudes}{text}"
         return f"{self.half_cycles} half-cycles{before_amplitudes}{first:.2f} to {last:.2f} {unit}"
 
-    def _table(self) -> Sequence[ResultRow]:
-        return self.table
-
     def __repr__(self) -> str:
         unit = self.amplitude_unit or ""
         return self._summary(
@@ -276,9 +273,6 @@ class Series(WithRows):
     problems: tuple[str, ...] = ()
     instrument: InstrumentSeries | None = None
 
-    def _table(self) -> Sequence[ResultRow]:
-        return self.table
-
     def combined(self, runs: Sequence[_Run]) -> Sequence[_Run]:
         """Those of all runs that are combined."""
         return [runs[number - 1] for number in self.combined_runs] or runs
@@ -303,7 +297,9 @@ class SessionResults(WithRows):
         is_whole = len(set(numbers)) == len(self.runs)
         return numbers if is_whole else tuple(range(1, len(self.runs) + 1))
 
-    def _table(self) -> Sequence[ResultRow]:
+    @property
+    def table(self) -> Sequence[ResultRow]:
+        """The rows of its series, or of its one run."""
         if self.series is not None and self.series.table:
             return self.series.table
         return next((run.table for run in self.runs if run.table), ())

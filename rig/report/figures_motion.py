@@ -23,7 +23,7 @@ from rig.report.drawing import (
     one_axes,
     thinned,
 )
-from rig.report.run_data import RecordedPicture, ShownTrajectory, ShownUnit
+from rig.report.source import RecordedPicture, ShownTrajectory, ShownUnit
 
 _WIDE = 0.11
 

@@ -19,8 +19,7 @@ from rig.report.drawing import ReportFigure, png, styled, svg
 from rig.report.figures_ground import witness_figure
 from rig.report.figures_instruments import instrument_figures
 from rig.report.figures_motion import damped_figure, place_figure
-from rig.report.run_data import ReportSource, RunData
-from rig.report.source import read_source
+from rig.report.source import ReportSource, RunData, read_source
 from rig.report.summary import notes_of, sentence, summary_of, title_of
 from rig.report.tables import run_tables, series_tables
 
