@@ -15,7 +15,7 @@ from rig.analysis.instrument_results import (
     PeriodTable,
     SwingPlane,
 )
-from rig.analysis.passing_deflections import PassingDeflections, less_beam_motion
+from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.record_fit import analyse_record, analyse_run
 from rig.analysis.recorded_witness import taken
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, WithRows, named

@@ -59,7 +59,7 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
     return Table.of(
         "parameters", "Parameters of the contact, exact fit",
         (*_COLUMNS, *(column for method in others for column in (method, f"u_{method}"))),
-        head, lines, _of_whole(run) + (f" {_of_bias(run.fits)}" if others else ""),
+        tuple(head), lines, _of_whole(run) + (f" {_of_bias(run.fits)}" if others else ""),
     )  # fmt: skip
 
 

@@ -209,6 +209,16 @@ class WithoutBeamMotion:
         )
 
 
+class LessBeamMotion:
+    """Deflections without the beam's motion, each time they are asked for."""
+
+    def __init__(self, blocks: Iterable[Deflections], less: WithoutBeamMotion) -> None:
+        self._blocks, self._less = blocks, less
+
+    def __iter__(self) -> Iterator[Deflections]:
+        return map(self._less, self._blocks)
+
+
 def _fitted(
     times_ns: Ints, spot_px: Floats, u_spot_px: Floats, reference_px: Floats, u_px: Floats
 ) -> Estimate | None:
