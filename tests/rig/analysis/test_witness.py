@@ -15,9 +15,9 @@ from processing.estimate import Estimate
 from processing.fit import Response, WitnessUse
 from processing.fit.witness.fitting import WitnessVerdict
 from rig.analysis import analyse_record, session_results
-from rig.analysis.contact_fits import witness_sentences
 from rig.analysis.results import RunResults, SessionResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
+from rig.analysis.run_remarks import witness_sentences
 from rig.analysis.table_fit import TableColumns, analyse_table
 from rig.analysis.witness_file import Begin, StatedWitness
 from rig.archive.session_rows import row_of_results
