@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from math import hypot
+from math import nan
 from typing import Final
 
 import numpy as np
@@ -23,7 +23,6 @@ from processing.fit import (
     waveform_chances,
 )
 from processing.swing import ORDERS, HarmonicClass, TurningPoints, harmonic_classes
-from rig.analysis.analysed_run import AnalysedRun
 from rig.analysis.contact_results import (
     ComparedLaws,
     Harmonics,
@@ -32,7 +31,7 @@ from rig.analysis.contact_results import (
     MomentsWithoutLaw,
     WaveformClass,
 )
-from rig.presentation import Cell, Table, decimals, plain
+from rig.analysis.series import AnalysedRun
 
 NO_LAW: Final = "none"
 _TELLING, _MOST_RUNS = 3.0, 100
@@ -65,10 +64,25 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws |
     compared = compare_laws(run.points, pendulum, made, like=exact)
     free = _without_law(run.points, pendulum, compared, exact)
     remaining = [trial.law.name for trial in compared.remaining]
-    values = _values(compared)
+    verdict = compared.text()
     if free is not None and len(remaining) > 1:
-        values = replace(values, verdict=compared.text(_remedy(free, remaining[0], remaining[1])))
-    return with_waveform(replace(values, without_law=free), run, pendulum, compared)
+        verdict = compared.text(_remedy(free, remaining[0], remaining[1]))
+    classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
+    if not classes:
+        return ComparedLaws(_law_fits(compared, {}), verdict, free)
+    predicted = {
+        trial.law.name: predicted_harmonics(classes, trial.fit, pendulum)
+        for trial in compared.trials
+        if trial.fit is not None
+    }
+    chances = waveform_chances(classes, predicted)
+    verdict = f"{verdict}; {_said(classes, chances)}"
+    return ComparedLaws(_law_fits(compared, chances), verdict, free, _stored(classes, predicted))
+
+
+def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
+    """The run with these laws compared."""
+    return replace(run, results=replace(run.results, laws=laws_of(run, laws)))
 
 
 def _remedy(free: MomentsWithoutLaw, one: str, other: str) -> str:
@@ -116,109 +130,30 @@ def _without_law(
     )
 
 
-def _values(compared: LawComparison) -> ComparedLaws:
+def _law_fits(compared: LawComparison, chances: Mapping[str, float]) -> dict[str, LawFit]:
+    """Every law at its best; `chances` are those of its waveform, where the deflections say something."""
     found = {}
     for trial in compared.trials:
-        fit = trial.fit
-        head = LawFit(title=trial.law.title, source=trial.law.source, problem=trial.problem)
+        fit, law = trial.fit, trial.law
+        one = LawFit(title=law.title, source=law.source, problem=trial.problem)
         if fit is not None and fit.ground is not None and fit.whiteness is not None:
-            head = LawFit(
-                title=trial.law.title,
-                source=trial.law.source,
+            one = LawFit(
+                title=law.title,
+                source=law.source,
                 parameters={name: fit.estimate(name) for name in fit.names},
                 bic_above_best=compared.above_best(trial),
                 aic_above_best=trial.aic - min(one.aic for one in compared.trials),
                 log_odds_against=compared.odds_against(trial),
                 ground_rad_per_s2_rthz=fit.ground.density_rad_per_s2_rthz.value,
+                waveform_chance=chances.get(law.name, nan),
                 residuals_are_noise=not fit.whiteness.correlated,
                 excluded=trial not in compared.remaining,
             )
-        found[trial.law.name] = head
-    return ComparedLaws(found, compared.text())
-
-
-def law_table(compared: ComparedLaws) -> Table:
-    """The laws, how far each lies from the best, and what it needs to describe the run."""
-    rows: list[list[Cell]] = []
-    shown = []
-    for name, law in compared.laws.items():
-        measures = (law.bic_above_best, law.aic_above_best, law.log_odds_against)
-        waveform = plain(law.waveform_chance, 2)
-        rows.append([name, *measures, law.ground_rad_per_s2_rthz, law.waveform_chance, law.problem])
-        if law.problem:
-            shown.append([name, law.title, *[""] * 5, law.problem.partition(";")[0]])
-            continue
-        left = "as noise" if law.residuals_are_noise else "more than noise"
-        verdict = "excluded" if law.excluded else "remains"
-        ground = plain(law.ground_rad_per_s2_rthz, 2)
-        shown.append(
-            [
-                name,
-                law.title,
-                *(decimals(one, 1) for one in measures),
-                ground,
-                waveform,
-                f"{left}; {verdict}",
-            ]
-        )
-    return Table(
-        "laws",
-        "Laws of the contact",
-        (
-            "law",
-            "bic_above_best",
-            "aic_above_best",
-            "log_odds_against",
-            "ground_rad_per_s2_rthz",
-            "waveform_chance",
-            "problem",
-        ),
-        rows,
-        ("law", "", "BIC", "AIC", "ln odds", "drive", "waveform", "residuals; verdict"),
-        shown,
-        "BIC and AIC: distance from the best law; ln odds against the law, by the evidence. BIC above 10 "
-        "with ln odds above 5 excludes a law. Drive of the ground that the law needs, in rad/s²/√Hz; what a "
-        "law fails to describe appears as a stronger drive. Waveform: probability of a third harmonic this "
-        "far from the law's. Residuals: whether they exceed the noise.",
-    )
-
-
-def moments_table(compared: ComparedLaws) -> Table:
-    """The contact's moments without a law and those of the fitted laws, for a file."""
-    free = compared.without_law
-    columns = ["phi_rad", "friction_n_m", "u_friction_n_m", "elastic_n_m", "u_elastic_n_m"]
-    rows: list[list[Cell]] = []
-    if free is not None:
-        parts = [getattr(free, name) for name in columns]
-        for name, law in free.laws.items():
-            columns += [f"{name}_friction_n_m", f"{name}_elastic_n_m"]
-            parts += [law.friction_n_m, law.elastic_n_m]
-        rows = [list(row) for row in zip(*(part.tolist() for part in parts), strict=True)]
-    return Table("moments", "Moments of the contact without a law", columns, rows)
+        found[law.name] = one
+    return found
 
 
 _THIRD = ORDERS.index(3)
-
-
-def with_waveform(
-    values: ComparedLaws, run: AnalysedRun, pendulum: PendulumOnBall, compared: LawComparison
-) -> ComparedLaws:
-    """The laws with what the record's deflections say of them; unchanged where they say nothing."""
-    classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
-    if not classes:
-        return values
-    predicted = {
-        trial.law.name: predicted_harmonics(classes, trial.fit, pendulum)
-        for trial in compared.trials
-        if trial.fit is not None
-    }
-    chances = waveform_chances(classes, predicted)
-    laws = {
-        name: replace(law, waveform_chance=chances[name]) if name in chances else law
-        for name, law in values.laws.items()
-    }
-    verdict = f"{values.verdict}; {_said(classes, chances)}"
-    return replace(values, laws=laws, verdict=verdict, waveform=_stored(classes, predicted))
 
 
 def _said(classes: Sequence[HarmonicClass], chances: Mapping[str, float]) -> str:
@@ -251,28 +186,3 @@ def _stored(
 
 def _harmonics(values: NDArray[np.complex128]) -> Harmonics:
     return Harmonics(values.real.copy(), -values.imag)
-
-
-def waveform_table(compared: ComparedLaws) -> Table:
-    """Every harmonic of every class, measured and by law; the third one shown."""
-    names = list(compared.waveform[0].laws) if compared.waveform else []
-    rows: list[list[Cell]] = []
-    shown = []
-    for one in compared.waveform:
-        for place, order in enumerate(ORDERS):
-            values = [one.measured, *(one.laws[name] for name in names)]
-            parts = [float(part[place]) for each in values for part in (each.cosine_rad, each.sine_rad)]
-            u = float(one.u_rad[place])
-            rows.append([one.amplitude_rad, order, u, *parts])
-            if order == 3:
-                sizes = [hypot(*part) for part in zip(parts[::2], parts[1::2], strict=True)]
-                texts = [f"{1e3 * size / ARCSEC_RAD:.2f}" for size in sizes]
-                texts[0] += f" ± {1e3 * u / ARCSEC_RAD:.2f}"
-                shown.append([f"{one.amplitude_rad / ARCSEC_RAD:.1f}", *texts])
-    columns = [f"{name}_{part}_rad" for name in ("measured", *names) for part in ("cosine", "sine")]
-    return Table(
-        "waveform", "Third harmonic of the swing, mas",
-        ("amplitude_rad", "order", "u_rad", *columns), rows, ("arcsec", "measured", *names), shown,
-        "Deflections stacked by phase. A law with a different third harmonic does not describe "
-        "the motion within the swing, however well it describes the decay.",
-    )  # fmt: skip

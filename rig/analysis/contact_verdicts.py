@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from processing.fit import (
     Budget,
     Determination,
     Drag,
+    FitMethod,
     FitQuality,
     FitResult,
     InputQuantity,
@@ -49,9 +50,8 @@ from processing.fit import (
 from processing.noise_models import nlnm_db
 from processing.swing import TurningPoints
 from rig.analysis.contact_results import Adhesion, AdhesiveSpot, Correlation, Fit
-from rig.analysis.drifts import limit_sentence
 from rig.analysis.result_rows import result_rows, withheld
-from rig.analysis.results import RunResults
+from rig.analysis.surroundings import limit_sentence
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
 
@@ -107,31 +107,38 @@ def rig_quantities(
     )
 
 
-def evaluate(
-    run: RunResults,
+def contact_values(
+    name: str,
     points: TurningPoints,
     pendulum: PendulumOnBall,
-    exact: FitResult,
+    fits: Mapping[str, FitResult],
     rig: RigQuantities | None,
     plane_errors: Floats | None = None,
     of_air: ExpectedDrag | None = None,
-) -> RunResults:
-    """The run with everything that is said about its exact fit beyond the fit's own numbers.
+    *,
+    stated: PendulumSettings | None = None,
+) -> dict[str, Any]:
+    """Fields of `RunResults`: the fits, the rows made of them, and all else that is said about the exact one.
 
     Parameters
     ----------
+    name
+        Of the run, in its rows.
     rig
         None without [pendulum]: there is no budget then.
     plane_errors : (points, terms)
         Independent errors of the amplitudes by what is not known of the plane of swing; None: there are none.
     of_air
         The drag that the air is expected to have; None: it is not known.
+    stated
+        States the height of the mass centre, if it is known.
 
     Notes
     -----
     What cannot be had (a comparison fit that does not converge, a parameter that the data leave
     open) is said in `notes`; nothing is raised for it.
     """
+    exact = fits[FitMethod.EXACT]
     notes: list[str] = []
     drag: Drag | None = None
     determinations: tuple[Determination, ...] = ()
@@ -162,23 +169,24 @@ def evaluate(
                 "the configuration states no type B uncertainty (u_mass_kg, u_ball_radius_m, u_arm_m, "
                 "u_youngs_modulus_pa, ...): budgets contain only the scatter of the swings"
             )
-    rows = result_rows(Path(run.record).stem, exact, determinations, tables, pendulum)
+    rows = result_rows(name, exact, determinations, tables, pendulum)
     sees_c = any(row.quantity == "c" and row.determined for row in rows)
-    return replace(
-        run,
-        pendulum=pendulum,
-        adhesion=_adhesion(exact.estimate("c"), pendulum, tables["contact_radius_m"])
-        if rig is not None and rig.contact_radius_m is None and sees_c
-        else None,
-        drag=drag,
-        table=rows,
-        strong_correlations=tuple(strong_correlations(exact)),
-        budget=withheld(tables, rows),
-        work_per_cycle=tuple(
+    adhesion = None
+    if rig is not None and rig.contact_radius_m is None and sees_c:
+        adhesion = _adhesion(exact.estimate("c"), pendulum, tables["contact_radius_m"])
+    return {
+        "fits": {method: fit_results(fit, stated) for method, fit in fits.items()},
+        "pendulum": pendulum,
+        "adhesion": adhesion,
+        "drag": drag,
+        "table": rows,
+        "strong_correlations": tuple(strong_correlations(exact)),
+        "budget": withheld(tables, rows),
+        "work_per_cycle": tuple(
             _work(amplitude, exact, pendulum, rig, sees_c=sees_c) for amplitude in _shown_amplitudes(points)
         ),
-        notes=(*notes, *run.notes),
-    )
+        "notes": notes,
+    }
 
 
 def fit_results(fit: FitResult, pendulum: PendulumSettings | None = None) -> Fit:

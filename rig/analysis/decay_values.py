@@ -1,22 +1,76 @@
 """What every decay has, whether or not a law can be fitted: period, decrement, damping, in its own unit."""
 
-from dataclasses import fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from math import hypot, pi
-from typing import Any
+from typing import Annotated, Any
 
-from processing.damping import fit_damping
+import numpy as np
+
+from processing.damping import PARTS, Damping, fit_damping
 from processing.decay_summary import DecaySummary, summarise_decay
 from processing.errors import DataError
-from processing.estimate import Estimate
+from processing.estimate import NOT_DETERMINED, Estimate
+from processing.quantity import OWN, PART, PER, Quantity
 from processing.swing import TurningPoints
-from rig.analysis.amplitude_damping import (
-    AmplitudeDamping,
-    DampingAt,
-    amplitude_damping,
-    damping_lines,
-)
-from rig.analysis.results import RunResults
-from rig.presentation import with_uncertainty
+
+_SHOWN = 9
+"""Amplitudes at which the curve is kept; it is smooth."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DampingAt:
+    """Time constant at an amplitude (in the decay's unit); quality factor where the frequency is known."""
+
+    amplitude: Annotated[float, PART]
+    time_constant_s: Estimate = NOT_DETERMINED
+    quality_factor: Estimate | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AmplitudeDamping:
+    """dA/dt = -(constant + linear A + quadratic A^2), in the amplitude's unit and s; see
+    `processing.damping`.
+
+    `needed` are the parts that the decay needs with a probability of more than 95 %, `probabilities` those of
+    all three in order. `curve` goes from the first amplitude to the last.
+    """
+
+    constant: Annotated[Estimate, Quantity("", "friction", unit=OWN + PER + "s")] = NOT_DETERMINED
+    linear: Annotated[Estimate, Quantity("", "viscous damping", unit="1/s")] = NOT_DETERMINED
+    quadratic: Annotated[Estimate, Quantity("", "quadratic drag", unit="1/s" + PER + OWN)] = NOT_DETERMINED
+    probabilities: tuple[float, ...] = ()
+    needed: tuple[str, ...] = ()
+    chi2_per_dof: float = float("nan")
+    curve: Annotated[tuple[DampingAt, ...], PART] = ()
+
+
+def amplitude_damping(
+    damping: Damping, frequency_hz: float | None, shown: Callable[[float], float] = float
+) -> AmplitudeDamping:
+    """The parts and the curve; `shown` brings an amplitude into the unit in which it is kept."""
+    amplitudes = damping.amplitudes(_SHOWN)
+    tau_s, u_tau_s = damping.time_constant_s(amplitudes)
+    parts = {name: Estimate(*getattr(damping, name)[:2]) for name in PARTS}
+    return AmplitudeDamping(
+        **parts,
+        probabilities=tuple(float(getattr(damping, name).probability) for name in PARTS),
+        needed=damping.needed,
+        chi2_per_dof=damping.chi2_per_dof,
+        curve=tuple(
+            DampingAt(
+                amplitude=shown(float(amplitude)),
+                time_constant_s=Estimate(float(tau), float(u)),
+                quality_factor=(
+                    None
+                    if frequency_hz is None
+                    else Estimate(pi * frequency_hz * float(tau), pi * frequency_hz * float(u))
+                ),
+            )
+            for amplitude, tau, u in zip(amplitudes, tau_s, u_tau_s, strict=True)
+            if np.isfinite(tau) and tau > 0
+        ),
+    )
 
 
 def decay_values(
@@ -59,21 +113,6 @@ def values_of_points(points: TurningPoints, unit_size: float, u_clock: float = 0
         return decay_values(points, summarise_decay(points), unit_size, u_clock=u_clock)
     except DataError:
         return {}
-
-
-def decay_lines(results: RunResults) -> list[str]:
-    """Lines for a person; none of a run without them."""
-    if not results.period_s.value > 0:
-        return []
-    lines = [
-        f"period {with_uncertainty(*results.period_s)} s",
-        f"log decrement {with_uncertainty(*results.log_decrement)}",
-    ]
-    if results.quality_factor is not None:
-        lines.append(f"quality factor {with_uncertainty(*results.quality_factor)}")
-    if results.damping is not None:
-        lines += damping_lines(results.damping, results.amplitude_unit or "")
-    return lines
 
 
 def _wider(found: Any, other: Any) -> Any:

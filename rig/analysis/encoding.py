@@ -51,7 +51,7 @@ class Codec:
     """Reads and writes values of one type; a frozen dataclass of any room needs no annotation for it.
 
     A float stands in the file as a number, or as null where it is not determined. A part that need not be
-    there (None) is left out, unless its field is marked `Kept`.
+    there (None) is left out.
     """
 
     def __init__(self, kind: Any) -> None:
@@ -77,9 +77,8 @@ def _as_stored(schema: Any) -> Any:
         written = core_schema.plain_serializer_function_ser_schema(_nan_to_null)
         return core_schema.no_info_before_validator_function(_null_to_nan, schema, serialization=written)
     found = {key: _as_stored(value) for key, value in schema.items()}
-    is_optional = schema.get("type") == "dataclass-field" and schema["schema"].get("default", "") is None
-    if is_optional and "serialization" not in schema["schema"]["schema"]:  # as a `Section` has
-        found.setdefault("serialization_exclude_if", _is_none)
+    if schema.get("type") == "dataclass-field" and schema["schema"].get("default", "") is None:
+        found["serialization_exclude_if"] = _is_none
     return found
 
 
@@ -198,26 +197,8 @@ def _allow_null(schema: Any) -> None:
             _allow_null(item)
 
 
-class _Section:
-    """Annotation of a part or None: None is an empty object in the file."""
-
-    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        inner = handler(source)
-        return core_schema.no_info_before_validator_function(
-            lambda value: None if value == {} else value,
-            inner,
-            serialization=core_schema.wrap_serializer_function_ser_schema(
-                lambda value, serialised: {} if value is None else serialised(value), schema=inner
-            ),
-        )
-
-
 Pendulum = Annotated[PendulumOnBall, AfterValidator(_possible_pendulum)]
 Floats = Annotated[NDArray[np.float64], _Array(float)]
 Integers = Annotated[NDArray[np.int64], _Array(int)]
-Section = _Section()
-"""Of a part that need not be there (None): an empty object in the file, so that its key is always there."""
-Kept = Field(exclude_if=lambda _: False)
-"""Of a part whose key is in the file where there is none, with null."""
 Entries = Field(json_schema_extra={"x-entries": True})
 """Marks the mapping whose entries stand `Beside` the keys of its dataclass, for the JSON schema."""

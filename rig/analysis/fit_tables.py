@@ -1,17 +1,25 @@
 """Tables of the fitted parameters and of the quality of the fits, for terminal, report and Rerun."""
 
 from collections.abc import Mapping, Sequence
-from math import isnan, nan
+from math import hypot, isnan, nan
 
+from processing.angle import ARCSEC_RAD
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
-from processing.fit import FitMethod, FitQuality
+from processing.fit import (
+    FitMethod,
+    FitQuality,
+)
 from processing.quantity import quantities_of
-from rig.analysis.contact_results import Fit
-from rig.analysis.headline import dominant_text, has_apparatus
+from processing.swing import ORDERS
+from rig.analysis.contact_results import (
+    ComparedLaws,
+    Fit,
+)
 from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import RunResults, SessionResults
-from rig.presentation import Cell, Table, plain, quantity, signed_percent
+from rig.analysis.run_remarks import dominant_text, has_apparatus
+from rig.presentation import Cell, Line, Table, decimals, plain, quantity, signed_percent
 
 _LARGEST_BIAS = 0.3
 """Of a parameter, as a fraction of it."""
@@ -23,34 +31,35 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
     What is not determined has no value by any method.
     """
     others = [method for method in _in_order(run.fits) if method != FitMethod.EXACT] if full else []
-    rows: list[list[Cell]] = []
-    shown = []
     named = (*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY)
+    lines = []
     for row in (row for row in run.table if full or row.quantity in named):
         found = [
             run.fits[method].estimate(row.quantity) if row.determined else NOT_DETERMINED for method in others
         ]
         numbers = [row.value, row.u, row.u_total, row.lower, row.upper]
-        rows.append(
-            [row.quantity, *numbers, str(row.verdict), row.unit, *(each for one in found for each in one)]
-        )
+        cells: list[Cell] = [
+            row.quantity,
+            *numbers,
+            str(row.verdict),
+            row.unit,
+            *(each for one in found for each in one),
+        ]
         item = run.budget.get(row.quantity)
-        texts = [row.text, row.shown.unit]
+        texts = [row.shown.symbol, row.text, row.shown.unit]
         if full:
             alone = row.u * row.shown.factor
             texts.append(plain(alone, 2) if alone > 0 else "")
             texts += ["" if isnan(one.value) else row.shown.text(*one) for one in found]
-        texts.append(
-            dominant_text(item) if item is not None and row.determined and has_apparatus(item) else ""
-        )
-        shown.append([row.shown.symbol, *texts])
+        is_whole = item is not None and row.determined and has_apparatus(item)
+        lines.append(Line(cells, [*texts, dominant_text(item) if item is not None and is_whole else ""]))
     head = ["", "value", "unit", *(["u of the swings", *map(_heading, others)] if full else []), _SOURCES]
-    if not any(row[-1] for row in shown):
-        head, shown = head[:-1], [row[:-1] for row in shown]
-    return Table(
+    if not any(line.shown[-1] for line in lines):
+        head, lines = head[:-1], [line._replace(shown=line.shown[:-1]) for line in lines]
+    return Table.of(
         "parameters", "Parameters of the contact, exact fit",
-        (*_COLUMNS, *(column for method in others for column in (method, f"u_{method}"))), rows,
-        tuple(head), shown, _of_whole(run) + (f" {_of_bias(run.fits)}" if others else ""),
+        (*_COLUMNS, *(column for method in others for column in (method, f"u_{method}"))),
+        tuple(head), lines, _of_whole(run) + (f" {_of_bias(run.fits)}" if others else ""),
     )  # fmt: skip
 
 
@@ -74,19 +83,17 @@ def combined_table(results: SessionResults) -> Table | None:
     series = results.series
     if len(runs) < 2 or series is None or not series.table:
         return None
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     for whole in series.table:
         found = [run.rows.get(whole.quantity) for _, run in runs] + [whole]
-        rows.append([whole.quantity, *(number for row in found for number in (row or (nan, nan)))])
+        cells: list[Cell] = [whole.quantity, *(number for row in found for number in (row or (nan, nan)))]
         texts = ["" if row is None else row.text for row in found]
-        shown.append([whole.shown.symbol, *texts, whole.shown.unit])
+        lines.append(Line(cells, [whole.shown.symbol, *texts, whole.shown.unit]))
     heads = [f"run {number}" for number, _ in runs]
-    return Table(
+    return Table.of(
         "combined", "Parameters of the contact, exact fits",
         ("parameter", *(column for head in (*heads, "together") for column in (head, f"u_total_{head}"))),
-        rows,
-        ("", *heads, "together", "unit"), shown,
+        ("", *heads, "together", "unit"), lines,
         f"{_of_whole(runs[0][1])} Together, also of what scatters between the runs.",
     )  # fmt: skip
 
@@ -146,3 +153,66 @@ def _heading(method: str) -> str:
 def _listed(items: Sequence[int]) -> str:
     text = ", ".join(str(item) for item in items[:8])
     return f"{len(items)}: {text}{', …' if len(items) > 8 else ''}" if items else "none"
+
+
+def law_table(compared: ComparedLaws) -> Table:
+    """The laws, how far each lies from the best, and what it needs to describe the run."""
+    lines = []
+    for name, law in compared.laws.items():
+        measures = (law.bic_above_best, law.aic_above_best, law.log_odds_against)
+        cells: list[Cell] = [name, *measures, law.ground_rad_per_s2_rthz, law.waveform_chance, law.problem]
+        if law.problem:
+            lines.append(Line(cells, [name, law.title, *[""] * 5, law.problem.partition(";")[0]]))
+            continue
+        texts = [*(decimals(one, 1) for one in measures), plain(law.ground_rad_per_s2_rthz, 2)]
+        left = "as noise" if law.residuals_are_noise else "more than noise"
+        verdict = f"{left}; {'excluded' if law.excluded else 'remains'}"
+        lines.append(Line(cells, [name, law.title, *texts, plain(law.waveform_chance, 2), verdict]))
+    return Table.of(
+        "laws",
+        "Laws of the contact",
+        "law bic_above_best aic_above_best log_odds_against ground_rad_per_s2_rthz waveform_chance problem",
+        ("law", "", "BIC", "AIC", "ln odds", "drive", "waveform", "residuals; verdict"),
+        lines,
+        "BIC and AIC: distance from the best law; ln odds against the law, by the evidence. BIC above 10 "
+        "with ln odds above 5 excludes a law. Drive of the ground that the law needs, in rad/s²/√Hz; what a "
+        "law fails to describe appears as a stronger drive. Waveform: probability of a third harmonic this "
+        "far from the law's. Residuals: whether they exceed the noise.",
+    )
+
+
+def moments_table(compared: ComparedLaws) -> Table:
+    """The contact's moments without a law and those of the fitted laws, for a file."""
+    free = compared.without_law
+    columns = ["phi_rad", "friction_n_m", "u_friction_n_m", "elastic_n_m", "u_elastic_n_m"]
+    rows: list[list[Cell]] = []
+    if free is not None:
+        parts = [getattr(free, name) for name in columns]
+        for name, law in free.laws.items():
+            columns += [f"{name}_friction_n_m", f"{name}_elastic_n_m"]
+            parts += [law.friction_n_m, law.elastic_n_m]
+        rows = [list(row) for row in zip(*(part.tolist() for part in parts), strict=True)]
+    return Table("moments", "Moments of the contact without a law", columns, rows)
+
+
+def waveform_table(compared: ComparedLaws) -> Table:
+    """Every harmonic of every class, measured and by law; the third one shown."""
+    names = list(compared.waveform[0].laws) if compared.waveform else []
+    lines = []
+    for one in compared.waveform:
+        for place, order in enumerate(ORDERS):
+            values = [one.measured, *(one.laws[name] for name in names)]
+            parts = [float(part[place]) for each in values for part in (each.cosine_rad, each.sine_rad)]
+            u = float(one.u_rad[place])
+            sizes = [hypot(*part) for part in zip(parts[::2], parts[1::2], strict=True)]
+            texts = [f"{1e3 * size / ARCSEC_RAD:.2f}" for size in sizes]
+            texts[0] += f" ± {1e3 * u / ARCSEC_RAD:.2f}"
+            shown = [f"{one.amplitude_rad / ARCSEC_RAD:.1f}", *texts] if order == 3 else ()
+            lines.append(Line([one.amplitude_rad, order, u, *parts], shown))
+    columns = [f"{name}_{part}_rad" for name in ("measured", *names) for part in ("cosine", "sine")]
+    return Table.of(
+        "waveform", "Third harmonic of the swing, mas",
+        ("amplitude_rad", "order", "u_rad", *columns), ("arcsec", "measured", *names), lines,
+        "Deflections stacked by phase. A law with a different third harmonic does not describe "
+        "the motion within the swing, however well it describes the decay.",
+    )  # fmt: skip

@@ -1,11 +1,29 @@
-"""Deflections of a run while they pass, and what its results say of all of them."""
+"""Deflections of a run while they pass, and those of a record less what its reference spot shares."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import REFERENCE
+from processing.arrays import Floats, Ints
 from processing.deflections import Deflections, DeflectionUnit
+from processing.errors import DataError
+from processing.estimate import Estimate
+from processing.reference_beam import (
+    LessReference,
+    ReferenceVerdict,
+    common_motion,
+    less_reference,
+    refused,
+)
+from processing.reference_gain import gain_in_swings
+from processing.spot import SPOT_DTYPE, Spot
+from rig.instrument import optics_of
+from rig.presentation import with_uncertainty
+from rig.settings import Configuration
 
 _SHORT = 300_000
 """Most frames of a run that are kept whole: some twenty megabytes, fifty minutes at 100 frames/s."""
@@ -100,3 +118,118 @@ def _finite(blocks: list[NDArray[np.float64]]) -> NDArray[np.float64]:
         values[count : count + len(good)] = good
         count += len(good)
     return values[:count]
+
+
+_SEEN = 4.0
+"""Standard uncertainties by which a gain that is not stated has to differ from none."""
+_FIELDS = ("sequence", "flags", "x_px", "y_px", "u_x_px", "u_y_px")
+
+
+def less_beam_motion(reader: RecordReader, config: Configuration) -> "WithoutBeamMotion | None":
+    """What the record's reference spot takes off; None without one, or where it was hardly ever found."""
+    if config.reference is None or REFERENCE.topic not in reader.counts:
+        return None
+    try:
+        return WithoutBeamMotion(reader, config)
+    except DataError:
+        return None
+
+
+class WithoutBeamMotion:
+    """What to add to a record's deflections, and to their variances, by the times of its frames.
+
+    Raises DataError for a reference that was found in too few frames.
+    """
+
+    def __init__(self, reader: RecordReader, config: Configuration) -> None:
+        assert config.reference is not None
+        reference, spots = reader.table(REFERENCE.topic), reader.spots()
+        gain = config.reference.gain
+        self._stated = None if gain is None else Estimate(gain, config.reference.u_gain)
+        _, ours, theirs = np.intersect1d(
+            spots["sequence"], reference["sequence"], assume_unique=True, return_indices=True
+        )
+        # nobody says when the pendulum rests: what is stated of the arms is believed
+        quiet = np.zeros(len(spots), dtype=np.bool_)
+        self.found: Mapping[str, LessReference] = {}
+        moved = spots[list(_FIELDS)].copy()
+        for name in ("x_px", "y_px"):
+            place, u = np.full(len(spots), np.nan), np.full(len(spots), np.nan)
+            place[ours], u[ours] = reference[name][theirs], reference[f"u_{name}"][theirs]
+            common = common_motion(spots["time_ns"], place, u)
+            ours_px, u_ours_px = spots[name], spots[f"u_{name}"]
+            stated = self._stated or _fitted(spots["time_ns"], ours_px, u_ours_px, place, u)
+            if stated is None or not stated.value > _SEEN * stated.standard_uncertainty:
+                unknown = stated or Estimate(np.nan, np.inf)
+                less = refused(ours_px, u_ours_px, unknown, ReferenceVerdict.UNKNOWN_GAIN)
+            else:
+                less = less_reference(ours_px, u_ours_px, common, stated, quiet)
+            self.found = {**self.found, name: less}
+            moved[name], moved[f"u_{name}"] = less.position_px, less.u_px
+        deflector = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
+        before, after = (deflector(spots["time_ns"], _spots(table)) for table in (spots, moved))
+        self._times_ns = spots["time_ns"]
+        self._moved = np.nan_to_num(np.stack([after.x - before.x, after.y - before.y]))
+        self._variance = np.nan_to_num(
+            np.stack([after.u_x**2 - before.u_x**2, after.u_y**2 - before.u_y**2]), nan=0.0
+        )
+
+    @property
+    def used(self) -> bool:
+        """Whether any axis is quieter."""
+        return any(one.verdict is ReferenceVerdict.USED for one in self.found.values())
+
+    @property
+    def text(self) -> str:
+        """What became of it, in a line."""
+        lost = int(np.count_nonzero(next(iter(self.found.values())).fallen_back))
+        said = ", ".join(f"{name[0]} {one.verdict}{self._gain(one)}" for name, one in self.found.items())
+        fallen = f"; {lost} frames without it are unchanged" if lost else ""
+        return f"reference spot: {said}{fallen}"
+
+    def _gain(self, one: LessReference) -> str:
+        if self._stated is not None or not np.isfinite(one.gain.value):
+            return ""
+        return f" with a gain of {with_uncertainty(*one.gain)} from the run itself"
+
+    def __call__(self, deflections: Deflections) -> Deflections:
+        """Deflections of some of the record's frames without the beam's motion."""
+        after = np.clip(np.searchsorted(self._times_ns, deflections.times_ns), 1, len(self._times_ns) - 1)
+        nearer = (
+            deflections.times_ns - self._times_ns[after - 1] < self._times_ns[after] - deflections.times_ns
+        )
+        rows = np.where(nearer, after - 1, after)
+        (x, y), (of_x, of_y) = self._moved[:, rows], self._variance[:, rows]
+        return replace(
+            deflections,
+            x=deflections.x + x,
+            y=deflections.y + y,
+            u_x=np.sqrt(deflections.u_x**2 + of_x),
+            u_y=np.sqrt(deflections.u_y**2 + of_y),
+        )
+
+
+class LessBeamMotion:
+    """Deflections without the beam's motion, each time they are asked for."""
+
+    def __init__(self, blocks: Iterable[Deflections], less: WithoutBeamMotion) -> None:
+        self._blocks, self._less = blocks, less
+
+    def __iter__(self) -> Iterator[Deflections]:
+        return map(self._less, self._blocks)
+
+
+def _fitted(
+    times_ns: Ints, spot_px: Floats, u_spot_px: Floats, reference_px: Floats, u_px: Floats
+) -> Estimate | None:
+    try:
+        return gain_in_swings(times_ns, spot_px, u_spot_px, reference_px, u_px)
+    except DataError:
+        return None
+
+
+def _spots(table: np.ndarray) -> list[Spot]:
+    whole = np.zeros(len(table), dtype=SPOT_DTYPE)
+    for name in ("x_px", "y_px", "u_x_px", "u_y_px"):
+        whole[name] = table[name]
+    return [Spot(*row) for row in whole.tolist()]

@@ -18,17 +18,14 @@ from processing.fit import (
 )
 from processing.spot import BeamUse
 from processing.swing import Swing, swings_of_blocks
-from rig.analysis.analysed_run import AnalysedRun
-from rig.analysis.beam import Beam
-from rig.analysis.less_reference import WithoutBeamMotion, less_beam_motion
-from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.contact_fits import of_source
+from rig.analysis.passing_deflections import LessBeamMotion, PassingDeflections, less_beam_motion
 from rig.analysis.recorded_witness import recorded_witness
-from rig.analysis.run_clock import run_clock
-from rig.analysis.run_conditions import run_conditions
+from rig.analysis.run_conditions import Beam, run_clock, run_conditions
+from rig.analysis.series import AnalysedRun
 from rig.analysis.surroundings import doubts_of, recorded_surroundings
 from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.witness_file import Begin, WitnessRecord
-from rig.analysis.witnessed_fits import of_source
 from rig.instrument import (
     balance_verdicts,
     inputs_sha256,
@@ -59,20 +56,15 @@ def analyse_record(
         # what this reads, the recorded deflections were made with
         optics_of(watched.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])
         watched.refuse_read()
-        less = less_beam_motion(reader, config)
-        blocks = _RecordedDeflections(reader, less if less is not None and less.used else None)
-        swings, unit = reader.swings(), reader.deflection_unit
-        if less is not None and less.used:
-            swings = swings_of_blocks(blocks)
+        blocks = _RecordedDeflections(reader)
         run = analyse_run(
             reader,
             watched.config,
-            swings,
+            reader.swings(),
             blocks,
-            unit,
+            reader.deflection_unit,
             blocks.beam,
             lambda frames: blocks.following - frames,
-            note="" if less is None else less.text,
             witness=witness,
         )
         return replace(run, watched=watched)
@@ -81,12 +73,10 @@ def analyse_record(
 class _RecordedDeflections:
     """The deflections of a record, read again each time.
 
-    `following` is the number after the last frame's, `beam` what the spots say, each taken once. `less` takes
-    off what a reference spot shares with the pendulum's.
+    `following` is the number after the last frame's, `beam` what the spots say, each taken once.
     """
 
-    def __init__(self, reader: RecordReader, less: WithoutBeamMotion | None = None) -> None:
-        self._less = less
+    def __init__(self, reader: RecordReader) -> None:
         self.following = 0
         self.beam = BeamUse()
         self._reader = reader
@@ -97,8 +87,7 @@ class _RecordedDeflections:
             if int(spots["sequence"][0]) >= self.following:
                 self.beam.take(spots["sequence"], spots["flags"])
                 self.following = int(spots["sequence"][-1]) + 1
-            deflections = self._reader.deflections(spots)
-            yield deflections if self._less is None else self._less(deflections)
+            yield self._reader.deflections(spots)
 
 
 def analyse_run(
@@ -110,31 +99,33 @@ def analyse_run(
     beam: BeamUse,
     dropped: Callable[[int], int],
     *,
-    note: str = "",
     witness: WitnessRecord | None = None,
 ) -> AnalysedRun:
     """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it.
 
     `blocks` are the deflections of consecutive frames, in `unit`. Once they have passed, `beam` is what their
     spots say, and `dropped` tells how many frames are missing between the first and the last, from how many
-    there were. `note` is one more for the results.
+    there were. What a reference spot shares with the pendulum's is taken off.
     """
+    less = less_beam_motion(reader, config)
+    if less is not None and less.used:
+        blocks = LessBeamMotion(blocks, less)
+        swings = swings_of_blocks(blocks)
     deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
     clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate
 
-    def beside(turn_time_ns: int) -> tuple[Witness, bool]:
-        assert witness is not None
-        in_file_ns = turn_time_ns - deflections.first_ns
-        return witness.beside(Begin(in_file_ns, turn_time_ns + reader.epoch_offset_ns))
-
     own = recorded_witness(reader, config) if witness is None else None
+    of_ground = own or witness
 
-    def of_record(turn_time_ns: int) -> tuple[Witness, bool]:
-        assert own is not None
-        return own.beside(Begin(turn_time_ns))
+    def beside(turn_time_ns: int) -> tuple[Witness, bool]:
+        assert of_ground is not None
+        if own is not None:
+            return own.beside(Begin(turn_time_ns))
+        in_file_ns = turn_time_ns - deflections.first_ns
+        return of_ground.beside(Begin(in_file_ns, turn_time_ns + reader.epoch_offset_ns))
 
-    at = of_record if own is not None else None if witness is None else beside
+    at = None if of_ground is None else beside
     run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, at)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
@@ -151,11 +142,11 @@ def analyse_run(
         losses=reader.losses(),
         beam=judged,
         warnings=tuple(warnings),
-        notes=(*run.results.notes, *filter(None, [note])),
+        notes=(*run.results.notes, *([] if less is None else [less.text])),
         calibration=calibration,
         inputs_sha256=inputs_sha256(reader),
         ended=None if end is None else end.text,
-        witness=of_source(run.results.witness, own or witness),
+        witness=of_source(run.results.witness, of_ground),
         surroundings=surroundings,
         clock=clock,
         conditions=run_conditions(

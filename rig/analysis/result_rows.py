@@ -1,9 +1,9 @@
 """The table of results: what is known of every quantity, made once, and read by every output."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import exp, floor, hypot, inf, isfinite, log, log10, nan
-from typing import Annotated, Final
+from typing import Annotated, Final, NamedTuple
 
 from processing.contact import DRAG, PendulumOnBall, surface_energy
 from processing.errors import ConfigurationError
@@ -85,6 +85,11 @@ class ResultRow:
         return "not determined"
 
     @property
+    def interval_text(self) -> str:
+        """The 95 % interval in the unit shown."""
+        return interval(self.lower * self.shown.factor, self.upper * self.shown.factor)
+
+    @property
     def equation(self) -> str:
         """``b = (3.73 ± 0.02) × 10⁻³ rad⁻ᵖ``, ``c < 1.4 × 10⁻⁸ (95 %)``."""
         sign = {Determinacy.DETERMINED: "= ", Determinacy.INTERVAL: "in "}.get(self.verdict, "")
@@ -119,20 +124,15 @@ def result_rows(
     rows = []
     for name in fit.contact_names:
         value, u = fit.estimate(name)
-        row = ResultRow(quantity=name, value=value, u=u, verdict=Determinacy.UNDETERMINED)
         if (found := known.get(name)) is not None:
-            row = replace(
-                row,
-                lower=found.lower_95,
-                upper=found.upper_95,
-                verdict=found.verdict,
-                by_profile=found.profile_likelihood,
-            )
+            ends, verdict = (found.lower_95, found.upper_95), found.verdict
         elif u <= WELL_DETERMINED * abs(value):
-            lower, upper = fit.interval(name)
-            row = replace(row, lower=lower, upper=upper, verdict=Determinacy.DETERMINED)
-        rows.append(row)
-    return _completed(run, rows, budget, pendulum)
+            ends, verdict = fit.interval(name), Determinacy.DETERMINED
+        else:
+            ends, verdict = (nan, nan), Determinacy.UNDETERMINED
+        by_profile = found is not None and found.profile_likelihood
+        rows.append(_Known(name, value, u, *ends, verdict, by_profile))
+    return _rows(run, rows, budget, pendulum)
 
 
 def series_rows(
@@ -148,75 +148,83 @@ def series_rows(
             verdict = Determinacy.INTERVAL
             if lower <= 0 and law_parameters()[name].lower == 0:
                 verdict, lower = Determinacy.UPPER_BOUND, 0.0
-        rows.append(
-            ResultRow(
-                quantity=name,
-                value=item.value,
-                u=item.standard_uncertainty,
-                lower=lower,
-                upper=upper,
-                verdict=verdict,
-            )
-        )
-    return _completed("series", rows, budget, pendulum)
+        rows.append(_Known(name, item.value, item.standard_uncertainty, lower, upper, verdict))
+    return _rows("series", rows, budget, pendulum)
 
 
-def _completed(
-    run: str, fitted: Sequence[ResultRow], budget: Mapping[str, Budget], pendulum: PendulumOnBall
+class _Known(NamedTuple):
+    """What the swings say of a quantity."""
+
+    quantity: str
+    value: float
+    u: float
+    lower: float
+    upper: float
+    verdict: Determinacy = Determinacy.DETERMINED
+    by_profile: bool = False
+
+
+def _rows(
+    run: str, fitted: Sequence[_Known], budget: Mapping[str, Budget], pendulum: PendulumOnBall
 ) -> tuple[ResultRow, ...]:
-    """The rows with what follows from them, the whole uncertainty, units and the run's name."""
+    """The rows of what was fitted, of the surface energies, and of what the apparatus alone gives."""
     rows = list(fitted)
-    c = next((row for row in rows if row.quantity == "c"), None)
-    if c is not None:
+    for c in (one for one in fitted if one.quantity == "c"):
         # each surface energy is c times what is known of the apparatus
-        for name, per_c in zip(ENERGIES, _energies_per_c(pendulum), strict=True):
-            value, u, low, high = (per_c * number for number in (c.value, c.u, c.lower, c.upper))
-            rows.append(replace(c, quantity=name, value=value, u=u, lower=low, upper=high))
+        per_c = surface_energy(Estimate(1.0, 0.0), pendulum)
+        for name, factor in zip(ENERGIES, (per_c.table2.value, per_c.eq2.value), strict=True):
+            value, u, lower, upper = (factor * number for number in (c.value, c.u, c.lower, c.upper))
+            rows.append(_Known(name, value, u, lower, upper, c.verdict, c.by_profile))
+    names = {one.quantity for one in rows}
     for name, item in budget.items():
-        if not any(row.quantity == name for row in rows):
-            rows.append(ResultRow(quantity=name, value=item.value, u=0.0, lower=item.value, upper=item.value))
-    return tuple(
-        _stated(replace(_whole(row, budget.get(row.quantity)), unit=unit_of(row.quantity), run=run))
-        for row in rows
+        if name not in names:
+            rows.append(_Known(name, item.value, 0.0, item.value, item.value))
+    return tuple(_row(run, one, budget.get(one.quantity)) for one in rows)
+
+
+def _row(run: str, known: _Known, item: Budget | None) -> ResultRow:
+    """With what the apparatus adds to the uncertainty, and to both sides of the interval.
+
+    Without value and uncertainty where they would not describe what is known.
+    """
+    name, value, u, lower, upper, verdict, by_profile = known
+    part = 0.0
+    if item is not None and item.of_apparatus > 0:
+        part = item.of_apparatus
+        lower, upper = _wider_ends(known, item.coverage_factor_95 * part)
+    if verdict is not Determinacy.DETERMINED:
+        value = u = part = nan
+    return ResultRow(
+        quantity=name,
+        value=value,
+        u=u,
+        u_total=hypot(u, part),
+        lower=lower,
+        upper=upper,
+        verdict=verdict,
+        unit=unit_of(name),
+        run=run,
+        by_profile=by_profile,
     )
 
 
-def _energies_per_c(pendulum: PendulumOnBall) -> tuple[float, float]:
-    found = surface_energy(Estimate(1.0, 0.0), pendulum)
-    return found.table2.value, found.eq2.value
-
-
-def _whole(row: ResultRow, item: Budget | None) -> ResultRow:
-    """The row with what the apparatus adds to its uncertainty, and to both sides of its interval."""
-    part = 0.0 if item is None else item.of_apparatus
-    if not part > 0:
-        return replace(row, u_total=row.u)
-    assert item is not None
-    value, expanded = row.value, item.coverage_factor_95 * part
-    low, high = value - row.lower, row.upper - value
-    parameter = law_parameters().get(row.quantity)
+def _wider_ends(known: _Known, expanded: float) -> tuple[float, float]:
+    """The ends of an interval with what the apparatus adds to both sides of it."""
+    value, ends = known.value, (known.lower, known.upper)
+    parameter = law_parameters().get(known.quantity)
+    logarithmic = parameter is not None and parameter.logarithmic and ends[0] > 0
     relative = expanded / value if value > 0 else inf
-    if parameter is not None and parameter.logarithmic and row.lower > 0 and relative < _TANGENT:
+    if logarithmic and relative < _TANGENT:
         # their units hold an exponent: the interval is symmetric in the logarithm
-        low, high = (_wider(side, relative) for side in (log(value / row.lower), log(row.upper / value)))
-        lower, upper = value * exp(-low), value * exp(high)
-    else:
-        lower, upper = value - _wider(low, expanded), value + _wider(high, expanded)
-        if row.lower == 0 or (parameter is not None and parameter.logarithmic and row.lower > 0 > lower):
-            # a limit by physics, which no apparatus moves
-            lower = 0.0
-    return replace(row, u_total=hypot(row.u, part), lower=lower, upper=upper)
+        low, high = (_wider(side, relative) for side in (log(value / ends[0]), log(ends[1] / value)))
+        return value * exp(-low), value * exp(high)
+    lower, upper = value - _wider(value - ends[0], expanded), value + _wider(ends[1] - value, expanded)
+    # a limit by physics, which no apparatus moves
+    return 0.0 if ends[0] == 0 or (logarithmic and lower < 0) else lower, upper
 
 
 def _wider(side: float, part: float) -> float:
     return hypot(max(side, 0.0), part) if isfinite(side) else side
-
-
-def _stated(row: ResultRow) -> ResultRow:
-    """Without value and uncertainty where they would not describe what is known."""
-    if not row.determined:
-        return replace(row, value=nan, u=nan, u_total=nan)
-    return row
 
 
 def withheld(budget: Mapping[str, Budget], rows: Sequence[ResultRow]) -> dict[str, Budget]:
@@ -231,12 +239,14 @@ class WithRows:
     __slots__ = ()
 
     @property
+    def table(self) -> Sequence[ResultRow]:
+        """The rows in their order."""
+        raise NotImplementedError
+
+    @property
     def rows(self) -> Mapping[str, ResultRow]:
         """The rows by quantity."""
-        return {row.quantity: row for row in self._table()}
-
-    def _table(self) -> Sequence[ResultRow]:
-        raise NotImplementedError
+        return {row.quantity: row for row in self.table}
 
     def __getitem__(self, name: str) -> ResultRow:
         found = self.rows.get(_SHORT_NAMES.get(name, name))
@@ -247,4 +257,4 @@ class WithRows:
 
     def _summary(self, head: str) -> str:
         """A head and a line a row, for a person."""
-        return "\n".join([head, *(f"  {row}" for row in self._table())])
+        return "\n".join([head, *(f"  {row}" for row in self.table)])

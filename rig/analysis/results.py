@@ -6,31 +6,156 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from math import isfinite, nan
 from pathlib import Path
 from typing import Annotated, TypeVar
 
+import numpy as np
+
 from acquisition.frames.losses import FrameLosses
+from processing.deflections import DeflectionUnit
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import Budget, Drag, WitnessUse, Work
-from processing.quantity import STATED, Quantity
+from processing.position_map import PositionMap
+from processing.quantity import IN_UNIT, STATED, Quantity
 from processing.series import Combined, Disagreement
 from processing.surroundings import Surroundings
-from processing.swing import KnownMotion
-from rig.analysis.amplitude_damping import AmplitudeDamping
-from rig.analysis.beam import Beam
+from processing.swing import KnownMotion, Swing, TurningPoints
+from processing.ticks import seconds
 from rig.analysis.contact_results import Adhesion, ComparedLaws, Fit
-from rig.analysis.encoding import Beside, Entries, JsonObject, Kept, Pendulum, Section
+from rig.analysis.decay_values import AmplitudeDamping
+from rig.analysis.encoding import Beside, Entries, Floats, Integers, JsonObject, Pendulum
 from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
 from rig.analysis.result_rows import ResultRow, WithRows
-from rig.analysis.run_clock import RunClock
-from rig.analysis.stored_turning_points import PositionErrors, StoredTurningPoints
+from rig.analysis.run_conditions import Beam, RunClock
 from rig.presentation import Verdict
 
 SCHEMA = 1
 _OF_A_RUN = re.compile(r"run-(\d+)(-recovered)?\.mcap")
 _Run = TypeVar("_Run")
 _IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitude_unit")
+
+
+class TableUnit(StrEnum):
+    """Unit of the amplitudes of a table that is no angle."""
+
+    OWN = "own"
+    """The one that its results name, `amplitude_unit`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredTurningPoints:
+    """The turning points that were fitted, and the half-cycles that were left out.
+
+    Times are in true seconds from `first_ns`, the record's time of the first turning point. Amplitudes are
+    in `unit`; for a table without an angle, in its `amplitude_unit`. `left_out_flags` are those of
+    `processing.swing.SwingFlag`.
+    """
+
+    first_ns: int = 0
+    unit: DeflectionUnit | TableUnit = DeflectionUnit.RAD
+    index: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    time_s: Floats = field(default_factory=lambda: np.empty(0))
+    u_time_s: Floats = field(default_factory=lambda: np.empty(0))
+    amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    u_amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    left_out_time_s: Floats = field(default_factory=lambda: np.empty(0))
+    left_out_amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    left_out_flags: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    def __post_init__(self) -> None:
+        fitted = (self.index, self.time_s, self.u_time_s, self.amplitude, self.u_amplitude)
+        left_out = (self.left_out_time_s, self.left_out_amplitude, self.left_out_flags)
+        if len(set(map(len, fitted))) > 1 or len(set(map(len, left_out))) > 1:
+            raise ValueError("columns of equal length")
+
+    @classmethod
+    def of(
+        cls,
+        points: TurningPoints,
+        swings: Sequence[Swing],
+        unit: DeflectionUnit | TableUnit,
+        clock_rate: float,
+    ) -> "StoredTurningPoints":
+        """`points` were made of `swings`, of whose seconds each takes `clock_rate` true ones."""
+        first_ns = next((swing.turn_time_ns for swing in swings if swing.flags == 0), None)
+        if first_ns is None:
+            first_ns = swings[0].turn_time_ns if swings else 0
+        left_out = [swing for swing in swings if swing.flags]
+        return cls(
+            first_ns=first_ns,
+            unit=unit,
+            index=points.index,
+            time_s=points.time_s,
+            u_time_s=points.u_time_s,
+            amplitude=points.amplitude,
+            u_amplitude=points.u_amplitude,
+            left_out_time_s=np.array(
+                [seconds(swing.turn_time_ns - first_ns) * clock_rate for swing in left_out]
+            ),
+            left_out_amplitude=np.array([swing.amplitude for swing in left_out]),
+            left_out_flags=np.array([swing.flags for swing in left_out], dtype=np.int64),
+        )
+
+    def points(self) -> TurningPoints:
+        """As the fits take them."""
+        return TurningPoints(self.index, self.time_s, self.u_time_s, self.amplitude, self.u_amplitude)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PositionErrors:
+    """Errors of position fixed on the sensor, as the run showed them; they were subtracted before the fits.
+
+    `place` are true deflections along the slow axis, `error` the excess of the measured ones there, `u_error`
+    its standard uncertainty apart from a constant and a scale, which no swing shows; all in `unit`.
+    `correlation_length` is the distance over which the error changes, `significance` the score for it in
+    standard deviations, from `cycles` whole cycles. `noise_scale` is the scatter of the remainder over the
+    uncertainties of the samples.
+    """
+
+    unit: DeflectionUnit = DeflectionUnit.RAD
+    place: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    error: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    u_error: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    correlation_length: Annotated[float, IN_UNIT] = float("nan")
+    significance: float = float("nan")
+    cycles: int = 0
+    noise_scale: float = float("nan")
+
+    def __post_init__(self) -> None:
+        if len({len(self.place), len(self.error), len(self.u_error)}) > 1:
+            raise ValueError("columns of equal length")
+
+    @classmethod
+    def of(cls, found: PositionMap, unit: DeflectionUnit) -> "PositionErrors":
+        """At the knots of the map."""
+        place = found.splines.centres[1:-1]
+        return cls(
+            unit=unit,
+            place=place,
+            error=found.error(place),
+            u_error=found.u_error(place),
+            correlation_length=found.correlation_length,
+            significance=found.significance,
+            cycles=found.cycles,
+            noise_scale=found.noise_scale,
+        )
+
+    @property
+    def rms(self) -> float:
+        """Of the error about its mean, in `unit`."""
+        return float(np.std(self.error))
+
+    @property
+    def text(self) -> str:
+        """One line for the notes."""
+        size, unit = self.unit.shown_size, self.unit.shown
+        return (
+            f"errors of position that are fixed on the sensor, {self.rms / size:.2g} {unit} r.m.s. over "
+            f"{self.correlation_length / size:.2g} {unit}, were found in {self.cycles} cycles and subtracted "
+            "before the fits; the budget has a line for what remains"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -60,15 +185,15 @@ class RunResults(WithRows):
     sha256: str = ""
     simulated: bool | None = None
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
-    record_bytes: Annotated[int | None, Kept] = None
+    record_bytes: int | None = None
     pixels_sha256: str = ""
     frames: int = 0
     dropped_frames: int = 0
-    losses: Annotated[FrameLosses | None, Kept] = None
+    losses: FrameLosses | None = None
     beam: Beam | None = None
     half_cycles: int = 0
-    measured_again_on: Annotated[KnownMotion | None, Kept] = None
-    amplitude_unit: Annotated[str | None, Kept] = None
+    measured_again_on: KnownMotion | None = None
+    amplitude_unit: str | None = None
     initial_amplitude: Annotated[float, _IN_AMPLITUDE_UNIT] = nan
     final_amplitude: Annotated[float, _IN_AMPLITUDE_UNIT] = nan
     initial_amplitude_arcsec: float = nan
@@ -79,21 +204,21 @@ class RunResults(WithRows):
     warnings: tuple[str, ...] = ()
     settings: JsonObject = field(default_factory=dict)
     calibration: JsonObject = field(default_factory=dict)
-    pendulum: Annotated[Pendulum | None, Kept] = None
+    pendulum: Pendulum | None = None
     adhesion: Adhesion | None = None
-    drag: Annotated[Drag | None, Section] = None
+    drag: Drag | None = None
     strong_correlations: tuple[tuple[str, str, float], ...] = ()
     budget: Mapping[str, Budget] = field(default_factory=dict)
     work_per_cycle: tuple[Work, ...] = ()
     notes: tuple[str, ...] = ()
     instrument: InstrumentResults | None = None
-    turning_points: Annotated[StoredTurningPoints | None, Kept] = None
+    turning_points: StoredTurningPoints | None = None
     conditions: tuple[Verdict, ...] = ()
-    position_errors: Annotated[PositionErrors | None, Kept] = None
+    position_errors: PositionErrors | None = None
     laws: ComparedLaws | None = None
     ended: str | None = None
     surroundings: Surroundings | None = None
-    clock: Annotated[RunClock | None, Kept] = None
+    clock: RunClock | None = None
     witness: WitnessUse | None = None
     period_s: Estimate = NOT_DETERMINED
     log_decrement: Estimate = NOT_DETERMINED
@@ -113,9 +238,6 @@ class RunResults(WithRows):
             text = f"{first / 3600:.4f} to {last / 3600:.4f} deg"
             return f"{self.half_cycles} half-cycles{before_amplitudes}{text}"
         return f"{self.half_cycles} half-cycles{before_amplitudes}{first:.2f} to {last:.2f} {unit}"
-
-    def _table(self) -> Sequence[ResultRow]:
-        return self.table
 
     def __repr__(self) -> str:
         unit = self.amplitude_unit or ""
@@ -147,12 +269,9 @@ class Series(WithRows):
     fits: Annotated[Mapping[str, Mapping[str, Combined]], Entries] = field(default_factory=dict)
     budget: Mapping[str, Budget] = field(default_factory=dict)
     disagreements: tuple[Disagreement, ...] = ()
-    averaged_curves: Annotated[Annotated[AveragedCurves, Beside("parameters")] | None, Section] = None
+    averaged_curves: Annotated[AveragedCurves, Beside("parameters")] | None = None
     problems: tuple[str, ...] = ()
     instrument: InstrumentSeries | None = None
-
-    def _table(self) -> Sequence[ResultRow]:
-        return self.table
 
     def combined(self, runs: Sequence[_Run]) -> Sequence[_Run]:
         """Those of all runs that are combined."""
@@ -168,7 +287,7 @@ class SessionResults(WithRows):
 
     schema: int = SCHEMA
     runs: tuple[RunResults, ...]
-    series: Annotated[Annotated[Series, Beside("fits")] | None, Section] = None
+    series: Annotated[Series, Beside("fits")] | None = None
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -178,7 +297,9 @@ class SessionResults(WithRows):
         is_whole = len(set(numbers)) == len(self.runs)
         return numbers if is_whole else tuple(range(1, len(self.runs) + 1))
 
-    def _table(self) -> Sequence[ResultRow]:
+    @property
+    def table(self) -> Sequence[ResultRow]:
+        """The rows of its series, or of its one run."""
         if self.series is not None and self.series.table:
             return self.series.table
         return next((run.table for run in self.runs if run.table), ())
@@ -222,7 +343,7 @@ class TableResults(TableDecay):
     unit: str
     understood: tuple[str, ...] = ()
     decays: tuple[TableDecay, ...] = ()
-    series: Annotated[Annotated[Series, Beside("fits")] | None, Section] = None
+    series: Annotated[Series, Beside("fits")] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,5 +361,5 @@ class EnvelopeResults:
     chi2_per_dof: float = nan
     noise_floor: float = nan
     damping: AmplitudeDamping | None = None
-    quality_factor: Annotated[Estimate | None, Section] = None
+    quality_factor: Estimate | None = None
     warnings: tuple[str, ...] = ()

@@ -1,20 +1,229 @@
-"""The conditions of a run as its record shows them: end, light, losses, beam, air, steps, ground, balance."""
+"""What a record shows of its run beside the swings: beam, clock, light, losses, steps, each judged."""
 
+import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import nan
+from typing import Annotated, Self
 
 import numpy as np
 
 from acquisition.record.events import Event, EventKind, end_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import ENVIRONMENT
+from acquisition.record.recorded_camera import RecordedCamera
+from acquisition.record.topics import CAMERA_STEP, CLOCK, ENVIRONMENT, RecordedClockStep
+from calibration import relate_clocks
+from processing.errors import DataError
 from processing.fit import Ground
-from processing.spot import SpotFlag
-from rig.analysis.beam import Beam
-from rig.analysis.run_clock import RunClock, clock_verdict
+from processing.quantity import Quantity
+from processing.spot import LONGEST_CHOICE_FRAMES, BeamUse, SpotFlag, SpotModel
+from processing.ticks import seconds
+from rig.devices import U_FREE_RUNNING, U_QUARTZ, U_SYNCHRONISED
+from rig.instrument import rate_text
 from rig.presentation import Verdict, percent
-from rig.settings import PreflightSettings
+from rig.settings import Configuration, PreflightSettings
+
+_EASED = SpotFlag.MULTIPLE | SpotFlag.LEARNED
+"""Flags that name the model, and are no fault of a spot."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Beam:
+    """What the spots of a run reveal about its beam.
+
+    `model` is the model in use at the end, `since_frame` the number of the first frame fitted with it,
+    `changes` how often the model changed after the first choice. `flags` are the numbers of spots with each
+    flag, without zeros. POOR_FIT is judged on the `judged_frames` spots after `choosing_frames`, from which
+    the profile was learned; `poor_fit_frames` of them have it, and `likely_cause` says why.
+    """
+
+    model: str = ""
+    since_frame: int = -1
+    changes: int = 0
+    flags: Mapping[str, int] = field(default_factory=dict)
+    choosing_frames: int = 0
+    judged_frames: int = 0
+    poor_fit_frames: int = 0
+    poor_fit_fraction: float = nan
+    likely_cause: str = ""
+    remedy: str = ""
+
+    @classmethod
+    def of(cls, use: BeamUse, *, noise_is_known: bool) -> Self:
+        """From the flags; `noise_is_known`: the sensor's noise is stated, not assumed."""
+        cause, remedy = _cause(use, noise_is_known=noise_is_known) if use.poor_frames else ("", "")
+        return cls(
+            model=use.model or "",
+            since_frame=use.since_frame,
+            changes=use.changes,
+            flags={flag.name or "": count for flag, count in use.flags.items() if count},
+            choosing_frames=use.choosing_frames,
+            judged_frames=use.judged_frames,
+            poor_fit_frames=use.poor_frames,
+            poor_fit_fraction=use.poor_frames / use.judged_frames if use.judged_frames else nan,
+            likely_cause=cause,
+            remedy=remedy,
+        )
+
+    @property
+    def sentence(self) -> str:
+        """`Beam: learned profile since frame 147; POOR_FIT 147 (before it was learned).`"""
+        if not self.model:
+            return "Beam: no spot was found."
+        flagged = [
+            f"{name} {count}"
+            + (" (while it was learned)" if name == "POOR_FIT" and self._only_at_first else "")
+            for name, count in self.flags.items()
+            if not SpotFlag[name] & _EASED
+        ]
+        changed = f", after {self.changes} changes" if self.changes else ""
+        flags = f"spots with {', '.join(flagged)}" if flagged else "no spot is flagged as faulty"
+        return f"Beam: {self.model} since frame {self.since_frame}{changed}; {flags}."
+
+    @property
+    def _only_at_first(self) -> bool:
+        return self.choosing_frames > 0 and not self.poor_fit_frames
+
+    def verdict(self, most: float) -> Verdict:
+        """A warning where more than the fraction `most` of the judged spots have the flag POOR_FIT."""
+        poor = self.poor_fit_fraction > most
+        return Verdict(
+            "beam",
+            True,
+            f"the model does not fit it, and uncertainties are only widened for that: {self.likely_cause}"
+            if poor
+            else "",
+            self.remedy if poor else "",
+            measured=f"{self.model or 'no spot'}, POOR_FIT in {self.poor_fit_frames} of {self.judged_frames} "
+            f"({percent(self.poor_fit_frames / max(self.judged_frames, 1))})",
+            limit=f"{100 * most:g} %",
+        )
+
+
+def _cause(use: BeamUse, *, noise_is_known: bool) -> tuple[str, str]:
+    """The most likely reason of POOR_FIT, and its remedy."""
+    half = 0.5 * use.poor_frames
+    if use.poor_with[SpotFlag.EDGE] > half:
+        return "the edge of the sensor cuts the spot", "move the spot to the middle: rig camera align"
+    if use.poor_with[SpotFlag.CUT] > half:
+        return "something cuts the spot", "centre the beam in lens, mirrors and window; free its path"
+    if use.poor_with[SpotFlag.SATURATED] > half:
+        return (
+            "it is saturated, and only its flanks are fitted",
+            "lower the exposure (exposure_us) or the laser's power",
+        )
+    if use.changes:
+        return "it changed during the run", "let the laser warm up; fix the optics; look for what moved"
+    if use.model is SpotModel.LEARNED:
+        return (
+            "it changes with position (something cuts it, dust or fringes on the window) or with time",
+            "free the beam's path, clean the window; then rig camera align",
+        )
+    if use.judged_frames < LONGEST_CHOICE_FRAMES:
+        return "the run was too short to learn its profile", "measure longer, or clean the optics"
+    if not noise_is_known:
+        return "the noise of the sensor is assumed, not measured", "rig calibrate sensor"
+    return (
+        "no constant profile fits it: it flickers, or the sensor's noise is not as stated",
+        "let the laser warm up, shield the beam from air; rig calibrate sensor",
+    )
+
+
+_MOST_FRAMES = 20_000
+"""A line through so many shows the rate as well as all."""
+_U_UNKNOWN = 100e-6 / math.sqrt(3.0)
+"""Of a quartz within its usual tolerance, 100 ppm, whose rate nothing shows."""
+_MOST_STEP_S = 1e-3
+"""Turning points are timed to some 0.1 ms: a step that is known less well is seen in them."""
+_LIMIT = f"steps known to {_MOST_STEP_S:g} s"
+_FIELDS = ("sequence", "device_time_ns", "host_time_ns")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunClock:
+    """The clock of a run.
+
+    `drift_ppm` is the camera's rate against the computer's, less 1; NaN if unknown. `u_rate` is the relative
+    uncertainty of the run's second, as in the budget: that of the calibration or, without one, of the assumed
+    ideal rate; it includes `u_steps_s`, that of all steps together. `steps` were subtracted from the times,
+    the largest is `largest_step_s`.
+    """
+
+    drift_ppm: Annotated[float, Quantity("clock drift", "rate of the camera's clock against the computer's")]
+    u_drift_ppm: float
+    u_rate: Annotated[float, Quantity("u(clock)", "standard uncertainty of the run's second, relative")]
+    steps: int = 0
+    largest_step_s: Annotated[float, Quantity("step", "largest step of the camera's clock")] = 0.0
+    u_steps_s: float = 0.0
+    synchronised: bool = False
+
+    @property
+    def text(self) -> str:
+        """The clock in one line."""
+        known = math.isfinite(self.drift_ppm)
+        rate = rate_text(self.drift_ppm, self.u_drift_ppm) if known else "rate unknown"
+        times = "once" if self.steps == 1 else f"{self.steps} times, at most"
+        stepped = f", stepped {times} by {self.largest_step_s:+.4g} s" if self.steps else ""
+        return f"{rate}, second within {1e6 * self.u_rate:.2g} ppm{stepped}"
+
+
+def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
+    """What the record shows of its clock; None of frames made on demand, whose times are their own."""
+    if config.on_demand:
+        return None
+    anchors = reader.table(CLOCK.topic)
+    synchronised = len(anchors) > 0 and bool(np.all(anchors["synchronised"]))
+    u_host = U_SYNCHRONISED if synchronised else U_FREE_RUNNING
+    blocks = [block[list(_FIELDS)] for block in reader.spot_blocks(fields=_FIELDS)]
+    if RecordedCamera.of(reader.metadata).has_clock is False or not blocks:
+        return RunClock(drift_ppm=math.nan, u_drift_ppm=math.nan, u_rate=u_host, synchronised=synchronised)
+    table = np.concatenate(blocks)
+    sequence, device_ns, host_ns = (table[name].astype(np.int64) for name in _FIELDS)
+    steps = reader.values(CAMERA_STEP.topic, RecordedClockStep)
+    u_steps_s = seconds(math.sqrt(sum(float(step.u_step_ns) ** 2 for step in steps)))
+    every = max(1, len(sequence) // _MOST_FRAMES)
+    try:
+        relation = relate_clocks(device_ns[::every], host_ns[::every], sequence[::every])
+        rate, u_rate, drift_ppm, u_drift_ppm = (
+            relation.rate, relation.u_rate, relation.drift_ppm, relation.u_drift_ppm,
+        )  # fmt: skip
+    except DataError:
+        rate, u_rate, drift_ppm, u_drift_ppm = 1.0, math.nan, math.nan, math.nan
+    over_s = max(seconds(int(device_ns[-1] - device_ns[0])), 1e-9)
+    return RunClock(
+        drift_ppm=drift_ppm,
+        u_drift_ppm=u_drift_ppm,
+        u_rate=math.hypot(_u_of_rate(config, rate, u_rate, u_host), u_steps_s / over_s),
+        steps=len(steps),
+        largest_step_s=seconds(max((step.step_ns for step in steps), key=abs, default=0)),
+        u_steps_s=u_steps_s,
+        synchronised=synchronised,
+    )
+
+
+def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float) -> float:
+    """Relative standard uncertainty of the rate by which the run's times were taken.
+
+    A calibrated rate that the run contradicts, and one that was assumed, are wrong by what the run shows.
+    """
+    u_seen = math.hypot(u_rate, u_host, U_QUARTZ)
+    if config.timebase is None:
+        return _U_UNKNOWN if math.isnan(u_rate) else math.hypot(rate - 1.0, u_seen)
+    off, u_known = rate - config.timebase.camera_rate, config.timebase.u_camera_rate
+    contradicted = math.isfinite(u_rate) and abs(off) > 3.0 * math.hypot(u_known, u_seen)
+    return math.hypot(off, u_seen) if contradicted else u_known
+
+
+def clock_verdict(clock: RunClock) -> Verdict:
+    """Steps that were taken off are a warning while they are known to a part of what turning points are."""
+    if not clock.steps:
+        return Verdict("camera's clock", True, measured=clock.text, limit=_LIMIT)
+    known = f"it was taken off its times, known to {clock.u_steps_s:.1g} s"
+    remedy = "network clock, supply, cable of the camera; rig calibrate clock"
+    ok = clock.u_steps_s <= _MOST_STEP_S
+    return Verdict("camera's clock", ok, known, remedy, measured=clock.text, limit=_LIMIT)
+
 
 _MOST_KELVIN = 1.0
 """Of the air during a run: the paper's arm of 1 m of steel grows by 12 um, 2 arcsec, with each kelvin."""

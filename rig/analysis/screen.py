@@ -1,17 +1,36 @@
-"""Results on the terminal: the tables of every run's fits, and what is said about them."""
+"""Results on the terminal: of records, of tables and films, of envelopes."""
 
 import logging
-from collections.abc import Sequence
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
+from processing.decay_summary import DecayMean
+from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.fit import FitMethod
-from rig.analysis.compared_laws import law_table, waveform_table
-from rig.analysis.decay_values import decay_lines
-from rig.analysis.fit_remarks import brief_remarks, remarks
-from rig.analysis.fit_tables import combined_table, parameter_table, quality_table
-from rig.analysis.results import RunResults, SessionResults
-from rig.analysis.results_file import encoded
-from rig.presentation import answer, print_line, print_tables
+from processing.swing import SwingFlag, turning_points
+from processing.ticks import seconds
+from rig.analysis.compared_laws import chosen_laws
+from rig.analysis.fit_tables import combined_table, law_table, parameter_table, quality_table, waveform_table
+from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionResults, TableResults
+from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
+from rig.analysis.run_remarks import brief_remarks, damping_lines, decay_lines, remarks
+from rig.analysis.table_fit import (
+    AnalysedTable,
+    FoundDecay,
+    analyse_envelope,
+    analyse_trajectory,
+    series_of_runs,
+)
+from rig.analysis.witness_file import StatedWitness
+from rig.instrument import fill_from_files
+from rig.intake import TableColumns, Trajectory
+from rig.presentation import answer, print_line, print_tables, with_uncertainty
+from rig.settings import Watched, load_configuration
 
 logger = logging.getLogger(__name__)
 
@@ -77,3 +96,224 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
     hidden = () if full or short else [f"{FitMethod.ASYMPTOTIC} fit: {warning}" for warning in of_other]
     for warning in (one for one in run.warnings if one not in hidden):
         print_line(f"  note: {warning}")
+
+
+_TOO_QUIET = 0.01
+"""Chi-square per degree of freedom that no scatter by the stated noise gives."""
+ReportWriter = Callable[[AnalysedTable, Path], Sequence[tuple[str, Path]]]
+"""Writes the report of a table into a folder; what it made, by names."""
+ENVELOPES = ("amplitude", "power")
+_FLAGS = {
+    SwingFlag.GAP: "with a gap",
+    SwingFlag.VIBRATION: "disturbed",
+    SwingFlag.LOW_AMPLITUDE: "too small",
+    SwingFlag.START: "of a release or kick",
+    SwingFlag.INFERRED: "outside the sensor",
+}
+
+
+class TableFit(NamedTuple):
+    """How tables are fitted: configuration with its changes, laws that are compared, a witness of the ground.
+
+    `report` draws what was found.
+    """
+
+    config_path: Path | None = None
+    overrides: Sequence[str] = ()
+    report: ReportWriter | None = None
+    laws: Sequence[str] = ()
+    witness: StatedWitness | None = None
+
+
+def fit_trajectory(path: Path, output: Path | None, columns: TableColumns, wanted: TableFit) -> int:
+    """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
+    inputs = [(run.run, path, lambda run=run: run) for run in columns.read_runs(path)]
+    return fit_several(inputs, output, wanted)
+
+
+def fit_several(
+    inputs: Sequence[tuple[str, Path, Callable[[], Trajectory]]], output: Path | None, wanted: TableFit
+) -> int:
+    """The same of runs, each by its name, its file and what reads it; of several, a folder for each.
+
+    One run of several that cannot be analysed does not keep the others from it; 1 is returned if there was
+    such a run.
+    """
+    if len(inputs) == 1:
+        ((_, path, read),) = inputs
+        _fit(path, read(), output, wanted, alone=True)
+        return 0
+    folders = [None if output is None else output / _folder_name(name) for name, _, _ in inputs]
+    for folder in (output, *folders):
+        if folder is not None and (folder / RESULTS_NAME).exists():
+            raise ConfigurationError(
+                f"{folder / RESULTS_NAME}: exists already and is not overwritten; choose another folder"
+            )
+    failed, tables = 0, dict[str, AnalysedTable]()
+    for (name, path, read), folder in zip(inputs, folders, strict=True):
+        print_line(f"--- run {name}")
+        try:
+            tables[name] = _fit(path, read(), folder, wanted)
+        except (DataError, DeviceError) as error:
+            failed += 1
+            answer(not_analysed=[{"run": name, "reason": str(error)}])
+            print_line(f"not analysed: {error}")
+    together = series_of_runs(inputs[0][1], tables)
+    if together is not None:
+        print_line(f"--- runs {', '.join(tables)}")
+        _print_series(together.series)
+        answer(series=encoded(together)["series"])
+        if output is not None:
+            write_results(output / RESULTS_NAME, together)
+            answer(written=[output / RESULTS_NAME])
+            print(f"results      {output / RESULTS_NAME}")
+    return int(failed > 0)
+
+
+def _folder_name(name: str) -> str:
+    """A run's name as that of a folder."""
+    plain = re.sub(r"[^\w.-]+", "-", name).strip("-.")
+    return f"run-{plain}" if plain.isdigit() or not plain else plain
+
+
+def _fit(
+    path: Path, trajectory: Trajectory, output: Path | None, wanted: TableFit, *, alone: bool = False
+) -> AnalysedTable:
+    """One run, printed and written; its series as well if it is `alone`."""
+    laws, report = wanted.laws, wanted.report
+    ground = None if wanted.witness is None else wanted.witness.read()
+    compared = chosen_laws(laws) if laws else ()
+    if wanted.config_path:
+        stated = load_configuration(wanted.config_path, wanted.overrides, needs_camera=False)
+        watched = Watched(stated, wanted.overrides, "a table holds neither frames nor spots")
+        table = analyse_trajectory(path, trajectory, fill_from_files(watched.config), compared, ground)
+        if not table.results.problem:
+            watched.refuse_unread()
+    else:
+        table = analyse_trajectory(path, trajectory, None)
+    if laws and table.results.problem:
+        raise ConfigurationError(f"--law {laws[0]}: {table.results.problem}")
+    if not alone:
+        # what they say together is another result
+        table = replace(table, results=replace(table.results, series=None))
+    _print(path, table)
+    _write(path, output, table.results)
+    if output is not None and report is not None:
+        for name, made in report(table, output):
+            answer(written=[made])
+            print(f"{name:<12} {made}")
+    return table
+
+
+def fit_envelope_table(
+    path: Path, output: Path | None, columns: TableColumns, kind: str, frequency_hz: float | None
+) -> int:
+    """Analyse an envelope, print its time constant, write results.json. Returns the exit status."""
+    if kind not in ENVELOPES:
+        raise ConfigurationError(f"--envelope {kind!r}: take one of {', '.join(ENVELOPES)} (in dB)")
+    found, results = analyse_envelope(path, columns, decibel=kind == "power", frequency_hz=frequency_hz)
+    unit = f" {results.unit}"
+    print_line(f"{path}: an envelope of {found.samples} values, noise of one {found.noise:.3g}{unit}")
+    for line in results.understood:
+        print_line(f"  {line}")
+    floor = (
+        f"noise floor {found.floor:.3g}{unit}" if math.isfinite(found.floor) else "no noise floor to be seen"
+    )
+    print_line(f"  {found.initial:.4g}{unit} at the start, {floor}")
+    of_power = with_uncertainty(0.5 * found.tau_s, 0.5 * found.u_tau_s)
+    print_line(f"  time constant of the amplitude {with_uncertainty(found.tau_s, found.u_tau_s)} s")
+    print_line(f"  time constant of the power {of_power} s")
+    if results.damping is not None:
+        for line in damping_lines(results.damping, unit.strip() if kind != "power" else "sqrt(power)"):
+            print_line(f"  {line}")
+    if results.quality_factor is not None:
+        print_line(f"  quality factor {with_uncertainty(*results.quality_factor)}")
+    for warning in results.warnings:
+        print_line(f"  note: {warning}")
+    _write(path, output, results)
+    return 0
+
+
+def _write(path: Path, output: Path | None, results: TableResults | EnvelopeResults) -> None:
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        if isinstance(results, TableResults):
+            record = relative_record(path, output)
+            decays = tuple(replace(decay, record=record) for decay in results.decays)
+            results = replace(results, record=record, decays=decays)
+        write_results(output / RESULTS_NAME, results)
+        answer(written=[output / RESULTS_NAME])
+        print(f"results      {output / RESULTS_NAME}")
+    answer(results=[encoded(results)])
+
+
+def _print(path: Path, table: AnalysedTable) -> None:
+    trajectory = table.trajectory
+    print_line(
+        f"{path}: {len(trajectory.times_ns)} samples, {', '.join(trajectory.names)} in {trajectory.unit}, "
+        f"{'' if trajectory.time_unit == 's' else f'time in {trajectory.time_unit}, '}"
+        f"{len(table.decays)} {'decay' if len(table.decays) == 1 else 'decays'}"
+    )
+    for line in trajectory.understood:
+        print_line(f"  {line}")
+    print_line(
+        f"  noise of a sample {table.noise:.3g} {trajectory.unit}, from the scatter about a smooth curve"
+    )
+    for part in table.passed_over:
+        print_line(
+            f"  from {seconds(part[0].turn_time_ns):.4g} s on: {len(turning_points(part))} usable "
+            f"half-cycles of {len(part)}, too few for a decay"
+        )
+    for number, decay in enumerate(table.decays, start=1):
+        _print_decay(number, decay)
+    _print_series(table.results.series)
+
+
+def _print_series(series: Series | None) -> None:
+    if series is not None and series.instrument is not None:
+        for line in series.instrument.text:
+            print_line(line)
+
+
+def _print_decay(number: int, decay: FoundDecay) -> None:
+    results, summary = decay.results, decay.summary
+    flagged = len(decay.swings) - summary.half_cycles
+    lines = [
+        f"period {_mean_text(summary.period_s, ' s', results.period_s.standard_uncertainty)}",
+        f"log decrement {_mean_text(summary.decrement, '', results.log_decrement.standard_uncertainty)}",
+    ]
+    if summary.decrement.value > math.pi:
+        lines.append("the decay is faster than a swing: no quality factor")
+    elif results.quality_factor is not None:
+        lines.append(f"quality factor {with_uncertainty(*results.quality_factor)}")
+    if results.damping is not None:
+        lines += damping_lines(results.damping, results.amplitude_unit or "")
+    if summary.period_s.chi2_per_dof < _TOO_QUIET and summary.decrement.chi2_per_dof < _TOO_QUIET:
+        lines.append(
+            "the half-cycles scatter far less than the estimated noise of a sample implies (with few samples "
+            "a swing that estimate is too large): the uncertainties are upper limits"
+        )
+    head = (
+        f"decay {number}, {results.began_s:.4g} to {results.ended_s:.4g} s: {summary.half_cycles} "
+        f"half-cycles ({flagged} more flagged and left out{_reasons(decay)}), "
+        f"amplitude {results.initial_amplitude:.4g} to "
+        f"{results.final_amplitude:.4g} {results.amplitude_unit}"
+    )
+    print_run(results, head, lines)
+
+
+def _reasons(decay: FoundDecay) -> str:
+    """Which flags the half-cycles have that are left out, the most frequent first."""
+    counts = Counter(name for swing in decay.swings for flag, name in _FLAGS.items() if swing.flags & flag)
+    return "".join(f"{', ' if k else ': '}{n} {name}" for k, (name, n) in enumerate(counts.most_common()))
+
+
+def _mean_text(mean: DecayMean, unit: str, u: float) -> str:
+    """A mean with its uncertainty `u`, or the range over which it changes."""
+    if not mean.changes:
+        constant = f"constant with χ²/dof {mean.chi2_per_dof:.3g}"
+        return f"{with_uncertainty(mean.value, u)}{unit} ({constant})"
+    if math.isnan(mean.first):
+        return f"about {mean.value:.3g}{unit}, not constant"
+    first, last = with_uncertainty(mean.first, mean.u_first), with_uncertainty(mean.last, mean.u_last)
+    return f"{first}{unit} at the start, {last}{unit} at the end"

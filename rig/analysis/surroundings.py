@@ -1,9 +1,10 @@
-"""What surrounded a run: the air, and how long the contact and its surfaces had been as they were."""
+"""What surrounded a run, and what its fits believe of it: the drag of the air, and what may drift."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from datetime import datetime
-from math import nan
+from math import isfinite, nan
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,8 +12,13 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT, SPOT
 from acquisition.record.utc import utc
 from processing.air import humid_air
+from processing.arrays import Floats
 from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_drag_s
+from processing.estimate import Estimate
+from processing.fit import Evidence, FitResult, InputQuantity, waveform_of
 from processing.surroundings import Surroundings, doubtful_humidity
+from processing.swing import SwingHarmonics
+from rig.presentation import percent, quantity
 from rig.settings import Configuration
 
 _AIR = ("temperature_c", "humidity_percent", "pressure_pa")
@@ -105,4 +111,85 @@ def expected_drag(
         width_m=bar.width_m,
         assumed=tuple(name for name in _AIR if name not in found.known())
         + tuple(name for name, value in (("length_m", length), ("width_m", width)) if value is None),
+    )
+
+
+_DOUBT, _DOUBT_OF_STATED = 0.75, 0.3
+"""Relative standard uncertainty of the drag of a bar in the pendulum's place: a factor of two up or down, and
+what ends, mirror and weights may do where length and width are stated."""
+_GEOMETRY = frozenset({"length_m", "width_m"})
+
+
+class FittedDrag(NamedTuple):
+    """Whether a drag is fitted, and what is known of it beside the run; None: nothing."""
+
+    fitted: bool = True
+    known_s: Estimate | None = None
+
+
+OPEN_DRAG = FittedDrag()
+
+
+def known_drag(
+    config: Configuration, air: Surroundings, pendulum: PendulumOnBall, period_s: float
+) -> tuple[FittedDrag, ExpectedDrag]:
+    """As [fit] has it, and what the air is expected to exert."""
+    of_air, settings = expected_drag(air, pendulum, period_s, config), config.fit
+    if settings.drag == "vacuum":
+        return FittedDrag(fitted=False), of_air
+    if settings.drag == "open":
+        return FittedDrag(), of_air
+    if settings.drag_s is not None:
+        return FittedDrag(known_s=Estimate(settings.drag_s, settings.u_drag_s)), of_air
+    doubt = _DOUBT if _GEOMETRY & set(of_air.assumed) else _DOUBT_OF_STATED
+    return FittedDrag(known_s=Estimate(of_air.drag_s, doubt * of_air.drag_s)), of_air
+
+
+def evidence_of(drag: FittedDrag, harmonics: SwingHarmonics | None) -> Evidence:
+    """What restrains the fit of a run beside its turning points."""
+    waveform = None if harmonics is None else waveform_of(harmonics)
+    return Evidence(waveform, drag.known_s)
+
+
+_DRAG_PER_K = 2.7e-3
+"""Relative growth of the air's viscosity per kelvin."""
+_SAID = {"ageing": "friction b", "adhesion_ageing": "c", "drag_drift": "the drag"}
+
+
+def believed_drifts(config: Configuration, air: Surroundings) -> dict[str, InputQuantity]:
+    """Relative changes over a run by the names of `RigQuantities`, as [fit] has them.
+
+    Period and drag follow the temperature, as it was read: the one with the body's expansion, the other with
+    the viscosity of the air.
+    """
+    fit, change_k = config.fit, config.fit.u_temperature_change_k
+    if isfinite(air.temperature_change_k):
+        change_k = abs(air.temperature_change_k)
+    expansion = 0.0 if config.pendulum is None else config.pendulum.expansion_per_k
+    u = {
+        "ageing": fit.u_ageing,
+        "adhesion_ageing": fit.u_ageing if fit.u_adhesion_ageing is None else fit.u_adhesion_ageing,
+        "drag_drift": _DRAG_PER_K * change_k if fit.u_drag_drift is None else fit.u_drag_drift,
+        "period_drift": expansion * change_k,
+    }
+    return {name: InputQuantity(0.0, one) for name, one in u.items()}
+
+
+def limit_sentence(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], fit: FitResult) -> str:
+    """What a decay alone cannot tell of its contact's age and of its air; empty where it hardly matters."""
+    said = []
+    for source, what in _SAID.items():
+        moved = []
+        for name, slope in zip(fit.contact_names, drifts[source].tolist(), strict=True):
+            by = abs(slope) * u_drifts[source]
+            if by > (u := fit.estimate(name).standard_uncertainty):
+                moved.append(f"{quantity(name).symbol} by {by / u:.2g} u")
+        if moved:
+            said.append(f"{percent(u_drifts[source])} of {what} over the run would move {', '.join(moved)}")
+    if not said:
+        return ""
+    return (
+        f"A single decay cannot reveal ageing of the contact, or a drag that drifts: {'; '.join(said)} of "
+        "the swings; the budget includes it (fit.u_ageing, u_adhesion_ageing, u_drag_drift). Runs from other "
+        "first amplitudes, and after waiting, can reveal it."
     )

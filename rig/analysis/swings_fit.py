@@ -12,9 +12,8 @@ from acquisition.record import pixels_beside
 from acquisition.record.digest import known_sha256_of_any
 from calibration import Axes
 from processing.deflections import DeflectionUnit
-from processing.errors import RecordError
+from processing.errors import DataError, RecordError
 from processing.fit import (
-    FitMethod,
     FitResult,
     InputQuantity,
     delay_of_rows,
@@ -24,19 +23,15 @@ from processing.instruments import SharedError
 from processing.periods import mean_period
 from processing.surroundings import Surroundings
 from processing.swing import Swing, TurningPoints
-from rig.analysis.analysed_run import AnalysedRun
-from rig.analysis.contact_laws import DecayFits, fit_decay
-from rig.analysis.contact_verdicts import evaluate, fit_results, rig_quantities
+from rig.analysis.contact_fits import WitnessAt, WitnessedWith, fit_decay, settled_swings
+from rig.analysis.contact_verdicts import contact_values, rig_quantities
 from rig.analysis.decay_values import values_of_points
-from rig.analysis.drifts import believed_drifts
-from rig.analysis.fitted_drag import OPEN_DRAG, evidence_of, known_drag
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.results import RunResults
-from rig.analysis.settled import settled_swings
-from rig.analysis.stored_turning_points import PositionErrors, StoredTurningPoints
+from rig.analysis.results import PositionErrors, RunResults, StoredTurningPoints
+from rig.analysis.series import AnalysedRun
+from rig.analysis.surroundings import OPEN_DRAG, believed_drifts, evidence_of, known_drag
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
-from rig.analysis.witnessed_fits import WitnessAt, WitnessedWith
 from rig.instrument import (
     pendulum_on_ball,
 )
@@ -81,46 +76,32 @@ def analyse_swings(
     believed = believed_drifts(config, air)
     settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
     points = points_in_true_time(settled.swings, clock_rate)
-    if followed.problem:
-        decay = DecayFits({}, followed.problem)
-    elif unit is DeflectionUnit.RAD:
-        evidence = evidence_of(drag, settled.harmonics)
-        decay = fit_decay(
-            points,
-            pendulum,
-            config.fit,
-            settled.exact,
-            drag=drag.fitted,
-            evidence=evidence,
-            drifts={name: one.u for name, one in believed.items()} if config.fit.drifts else None,
-            witness=_witness_beside(settled.swings, witness),
-        )
-        points = points if decay.points is None else decay.points
-    else:
-        decay = DecayFits(
-            {}, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
-        )
+    fits: Mapping[str, FitResult] = {}
+    of_ground, problem = None, followed.problem
+    if not problem and unit is not DeflectionUnit.RAD:
+        problem = "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
+    try:
+        if not problem:
+            fits, points, of_ground = fit_decay(
+                points,
+                pendulum,
+                config.fit,
+                settled.exact,
+                drag=drag.fitted,
+                evidence=evidence_of(drag, settled.harmonics),
+                drifts={name: one.u for name, one in believed.items()} if config.fit.drifts else None,
+                witness=_witness_beside(settled.swings, witness),
+            )
+    except DataError as error:
+        problem = str(error)
     ratio = deflections.fast_ratio()
     across = why_no_half_cycles(path.name, ratio, len(points), config.axes)
     errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
-    warnings = list(dict.fromkeys([*_fit_warnings(decay.fits), *filter(None, [settled.doubt])]))
+    warnings = list(dict.fromkeys([*_fit_warnings(fits), *filter(None, [settled.doubt])]))
     if settled.harmonics is not None and config.lever is not None and len(points) > 1:
         of_rows = delay_of_rows(settled.harmonics, mean_period(points))
         if of_rows.seen:
             warnings.append(of_rows.text(config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)))
-    results = RunResults(
-        **_head(path, points, unit),
-        **values_of_points(points, unit.shown_size, _u_second(config, u_clock)),
-        measured_again_on=settled.motion,
-        position_errors=errors,
-        fits={name: fit_results(fit, config.pendulum) for name, fit in decay.fits.items()},
-        problem=across or decay.problem,
-        warnings=tuple(warnings),
-        settings=config.fit.model_dump(),
-        turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
-        witness=decay.witness,
-        notes=tuple(filter(None, [followed.text, "" if errors is None else errors.text])),
-    )
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
     rig = rig_quantities(config, ratio, rest_rad, u_clock)
     if rig is not None:
@@ -131,15 +112,31 @@ def analyse_swings(
             plane_of_swing_rad=InputQuantity(0.0, followed.u_rad),
             **drifting,
         )
-    if decay.fits and pendulum is not None:
+    contact: dict[str, Any] = {}
+    if fits and pendulum is not None:
         plane_errors = followed.amplitude_errors(points)
-        exact = decay.fits[FitMethod.EXACT]
-        results = evaluate(results, points, pendulum, exact, rig, plane_errors, of_air)
+        contact = contact_values(
+            path.stem, points, pendulum, fits, rig, plane_errors, of_air, stated=config.pendulum
+        )
+    said = [*contact.pop("notes", ()), followed.text, "" if errors is None else errors.text]
+    results = RunResults(
+        **_head(path, points, unit),
+        **values_of_points(points, unit.shown_size, _u_second(config, u_clock)),
+        **contact,
+        measured_again_on=settled.motion,
+        position_errors=errors,
+        problem=across or problem,
+        warnings=tuple(warnings),
+        settings=config.fit.model_dump(),
+        turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
+        witness=of_ground,
+        notes=tuple(filter(None, said)),
+    )
     return AnalysedRun(
         path,
         results,
         points,
-        decay.fits,
+        fits,
         rig,
         harmonics=settled.harmonics,
         decay_balances=followed.balances,

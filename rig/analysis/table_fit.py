@@ -31,19 +31,25 @@ from processing.swing import (
     turning_points,
 )
 from processing.ticks import seconds
-from rig.analysis.amplitude_damping import amplitude_damping
-from rig.analysis.analysed_run import AnalysedRun, instrument_series
-from rig.analysis.compared_laws import laws_of
-from rig.analysis.decay_values import decay_values
+from rig.analysis.compared_laws import with_laws
+from rig.analysis.contact_fits import of_source
+from rig.analysis.decay_values import amplitude_damping, decay_values
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.results import EnvelopeResults, RunResults, Series, TableDecay, TableResults
+from rig.analysis.results import (
+    EnvelopeResults,
+    RunResults,
+    Series,
+    StoredTurningPoints,
+    TableDecay,
+    TableResults,
+    TableUnit,
+)
 from rig.analysis.results_file import relative_record
-from rig.analysis.stored_turning_points import StoredTurningPoints, TableUnit
+from rig.analysis.series import AnalysedRun, instrument_series
 from rig.analysis.surroundings import doubts_of, stated_surroundings, surroundings_of_table
 from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
-from rig.analysis.witnessed_fits import of_source
 from rig.intake import (
     TableColumns,
     Trajectory,
@@ -276,7 +282,7 @@ def _analyse(
             u_common_rad=u_common,
             followed=followed,
         )
-        run = replace(fitted.results, laws=laws_of(fitted, laws)) if laws else fitted.results
+        run = (with_laws(fitted, laws) if laws else fitted).results
         run = replace(run, witness=of_source(run.witness, witness))
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0

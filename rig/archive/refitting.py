@@ -5,7 +5,6 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -18,8 +17,8 @@ from rig.analysis import (
     analyse_record,
     chosen_laws,
     free_path,
-    laws_of,
     session_results,
+    with_laws,
     write_results,
 )
 from rig.archive.listing import meant, selected
@@ -73,7 +72,7 @@ def _analysed(record: Path, task: Task) -> AnalysedRun:
     else:
         run = analyse_replayed(record, retrack=task.level == "pixels", overrides=task.settings)
     if task.laws:
-        run = replace(run, results=replace(run.results, laws=laws_of(run, chosen_laws(task.laws))))
+        run = with_laws(run, chosen_laws(task.laws))
     return run
 
 

@@ -1,15 +1,14 @@
 """Tables of a campaign, for terminal, page, CSV and LaTeX."""
 
-from collections.abc import Sequence
 from math import isfinite, nan
-from typing import Final, NamedTuple
+from typing import Final
 
 from processing.angle import ARCSEC_RAD
 from processing.estimate import Estimate
 from processing.series import ALIKE, POSITIVE, SeriesModel
 from rig.campaigns.results import CampaignEffect, CampaignResults
 from rig.campaigns.stated import StatedLevel
-from rig.presentation import SOURCES, Cell, Table, plain, quantity, with_uncertainty
+from rig.presentation import SOURCES, Cell, Line, Table, plain, quantity, with_uncertainty
 
 _LARGEST = 4
 _OTHERS: Final = {
@@ -18,22 +17,6 @@ _OTHERS: Final = {
     "load_n": ("load", "load / N", 1.0),
 }
 """Covariates that are no quantities of the surroundings: words, label, factor."""
-
-
-class _Row(NamedTuple):
-    """Values for the file, and texts for the user, none where it is only in the file."""
-
-    cells: Sequence[Cell]
-    shown: Sequence[str] = ()
-
-
-def _table(
-    name: str, title: str, columns: str, head: Sequence[str], rows: Sequence[_Row], note: str
-) -> Table:
-    return Table(
-        name, title, columns.split(), [row.cells for row in rows], head,
-        [row.shown for row in rows if row.shown], note,
-    )  # fmt: skip
 
 
 def scaled(name: str) -> tuple[str, float]:
@@ -54,7 +37,7 @@ def contacts_table(results: CampaignResults) -> Table:
             of, ends = quantity(name), (found.lower_95, found.upper_95)
             band = " … ".join(plain(end * of.factor, 4) for end in ends)
             rows.append(
-                _Row(
+                Line(
                     [contact, name, *found.estimate, *ends, *found.without_priors],
                     [
                         contact if not place else "", of.label, of.text(*found.estimate), band,
@@ -62,7 +45,7 @@ def contacts_table(results: CampaignResults) -> Table:
                     ],
                 )
             )  # fmt: skip
-    return _table(
+    return Table.of(
         "contacts", "Contacts",
         "contact quantity value u lower_95 upper_95 without_priors u_without_priors",
         ("contact", "", "value", "95 %", "without priors"), rows,
@@ -79,7 +62,7 @@ def _differences_table(results: CampaignResults) -> Table | None:
     for one in results.differences:
         label, factor = scaled(one.parameter)
         rows.append(
-            _Row(
+            Line(
                 [
                     one.first, one.second, one.parameter, *one.difference, one.lower_95, one.upper_95,
                     one.chance, "differ" if one.seen else "no difference seen",
@@ -90,7 +73,7 @@ def _differences_table(results: CampaignResults) -> Table | None:
             )
         )  # fmt: skip
     seen = sum(one.seen for one in results.differences)
-    return _table(
+    return Table.of(
         "differences", "Differences of contacts",
         "first second quantity difference u lower_95 upper_95 chance verdict",
         ("", "", "difference", "chance"), rows,
@@ -105,7 +88,7 @@ def effects_table(results: CampaignResults) -> Table | None:
     if not both:
         return None
     rows = [
-        _Row(
+        Line(
             [
                 one.label, kind, *one.slope, one.lower_95, one.upper_95, *one.over_span, one.chance,
                 "seen" if one.seen else "not seen", one.log_bayes_factor, one.probability,
@@ -128,7 +111,7 @@ def effects_table(results: CampaignResults) -> Table | None:
             f" Probability: posterior, of each form tried alone; of no effect: "
             f"{plain(results.nothing, 2)}, with a prior of one half."
         )
-    return _table(
+    return Table.of(
         "effects", "Effects",
         "effect kind slope u_slope lower_95 upper_95 over_span u_over_span chance verdict log_bayes_factor "
         "probability equivalent slope_without_priors u_slope_without_priors",
@@ -172,8 +155,8 @@ def _runs_table(results: CampaignResults) -> Table:
         for name, one in zip(names, off, strict=True):
             cells += [*run.alone.get(name, none), *run.together.get(name, none), one]
         bad = f"{100 * run.bad:.0f} %" if run.bad > 0.05 else ""
-        rows.append(_Row(cells, [run.label, run.contact, *(plain(one, 2) for one in off), bad]))
-    return _table(
+        rows.append(Line(cells, [run.label, run.contact, *(plain(one, 2) for one in off), bad]))
+    return Table.of(
         "runs", "Residuals by run", columns,
         ("run", "contact", *(quantity(name).symbol for name in names), "bad"), rows,
         "Deviation from the model over its uncertainty from the run and the scatter between runs.",
@@ -187,8 +170,8 @@ def _scatter_table(results: CampaignResults) -> Table:
         found = results.between_runs if what == "between runs" else results.between_contacts
         for name, one in found.items():
             label, factor = scaled(name)
-            rows.append(_Row([what, name, *one], [what, label, _text(one, factor)]))
-    return _table(
+            rows.append(Line([what, name, *one], [what, label, _text(one, factor)]))
+    return Table.of(
         "scatter", "Scatter", "between quantity standard_deviation u", ("", "", "deviation"), rows,
         f"Standard deviations, of b and γ at {results.reference_arcsec:g} arcsec.",
     )  # fmt: skip
@@ -207,8 +190,8 @@ def _budget_table(results: CampaignResults) -> Table:
             shown = [contact if not place else "", quantity(name).symbol, words]
             for rank, one in enumerate(parts):
                 cells: list[Cell] = [contact, name, one.source, one.contribution, one.share]
-                rows.append(_Row(cells, () if rank else shown))
-    return _table(
+                rows.append(Line(cells, () if rank else shown))
+    return Table.of(
         "budget", "What limits the answer now", "contact quantity source contribution share",
         ("contact", "", "verdict"), rows,
         "Shares of the variance of each level, in its coordinate. Shared inputs do not shrink with the "
@@ -232,12 +215,12 @@ def _changes_table(results: CampaignResults) -> Table | None:
         place = f"from {labels[one.first_run]} on ({labels[one.at_least]} to {labels[one.at_most]})"
         seen = place if one.probability > 0.5 else "none seen"
         rows.append(
-            _Row(
+            Line(
                 [one.parameter, one.probability, one.first_run, one.at_least, one.at_most],
                 [quantity(one.parameter).symbol, plain(one.probability, 2), seen],
             )
         )
-    return _table(
+    return Table.of(
         "changes", "Changes", "quantity probability first_run at_least at_most",
         ("", "probability", "where"), rows,
         "Probability of a change at some run, against none, allowing for the choice of the run. Runs count "
@@ -253,13 +236,13 @@ def _priors_table(results: CampaignResults, model: SeriesModel, stated: dict[str
         label, factor = scaled(name)
         after = "" if now is None else _text(now, factor)
         before = f"half-normal, {plain(size * factor, 2)}"
-        rows.append(_Row([name, size, *(now or (nan, nan))], [f"scatter of {label}", before, after]))
+        rows.append(Line([name, size, *(now or (nan, nan))], [f"scatter of {label}", before, after]))
     for source, found in results.shared.items():
-        rows.append(_Row([source, 1.0, *found], [source_words(source), "0 ± 1 of its u", _text(found)]))
+        rows.append(Line([source, 1.0, *found], [source_words(source), "0 ± 1 of its u", _text(found)]))
     for key, one in stated.items():
         shown = [quantity(key).label, quantity(key).text(one.value, one.u), "see Contacts"]
-        rows.append(_Row([key, one.value, one.u, nan], shown))
-    return _table(
+        rows.append(Line([key, one.value, one.u, nan], shown))
+    return Table.of(
         "priors", "Prior and posterior", "what before now u_now", ("", "prior", "posterior"), rows,
         "The prior of an effect: it changes a quantity by about its size over the campaign, up or down.",
     )  # fmt: skip

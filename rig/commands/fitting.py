@@ -1,7 +1,6 @@
 """`rig fit`."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -161,10 +160,7 @@ def fit(
         raise ConfigurationError(
             f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
         )
-    from rig.analysis import (
-        fit_envelope_table,
-        fit_trajectory,
-    )
+    from rig.analysis import TableFit, fit_envelope_table, fit_trajectory
     from rig.intake import TableColumns
 
     _refuse("on a table", of_films)
@@ -179,9 +175,8 @@ def fit(
         raise ConfigurationError("--witness: has no effect without --config, which gives the pendulum")
     if envelope is not None:
         raise typer.Exit(fit_envelope_table(files[0], output, asked_of, envelope, frequency))
-    raise typer.Exit(
-        fit_trajectory(files[0], output, config, asked_of, set_ or [], table_report, law or [], ground)
-    )
+    wanted = TableFit(config, set_ or [], table_report, law or [], ground)
+    raise typer.Exit(fit_trajectory(files[0], output, asked_of, wanted))
 
 
 def _refuse(where: str, *options: Mapping[str, object]) -> None:
@@ -224,9 +219,10 @@ def fit_records(
         analyse_record,
         chosen_laws,
         free_path,
-        laws_of,
         print_results,
+        refuse_copies,
         session_results,
+        with_laws,
         write_results,
     )
     from rig.presentation import say
@@ -236,7 +232,7 @@ def fit_records(
     ground = None if witness is None else witness.read()
     runs = [analyse_record(path, overrides, witness=ground) for path in paths]
     if compared:
-        runs = [replace(run, results=replace(run.results, laws=laws_of(run, compared))) for run in runs]
+        runs = [with_laws(run, compared) for run in runs]
     folder = output or paths[0].parent
     results = session_results(runs, folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -249,19 +245,6 @@ def fit_records(
             f"earlier results stay, to be named ({folder / RESULTS_NAME}); -o FOLDER writes elsewhere"
         )
     return 1 if any(run.problem for run in results.runs) else 0
-
-
-def refuse_copies(paths: Sequence[Path]) -> None:
-    """Raise ConfigurationError where two records are the same run: one was copied."""
-    from acquisition.record.digest import sha256_of
-
-    first: dict[str, Path] = {}
-    for path in paths if len(paths) > 1 else ():
-        other = first.setdefault(sha256_of(path), path)
-        if other is not path:
-            raise ConfigurationError(
-                f"{path}: holds the run of {other} (same hash), which counts once in a series"
-            )
 
 
 def fit_film(
@@ -277,9 +260,7 @@ def fit_film(
 
     `run` is the one of a folder of films, by name or number; empty: all.
     """
-    from rig.analysis import (
-        fit_several,
-    )
+    from rig.analysis import TableFit, fit_several
     from rig.intake import film_trajectory, films_in
     from rig.presentation import TimeLeft, print_line
 
@@ -295,7 +276,7 @@ def fit_film(
     inputs = [
         (one.stem, one, partial(film_trajectory, one, asked, TimeLeft(f"{one}: frames"))) for one in films
     ]
-    return fit_several(inputs, output, config, overrides, table_report, laws)
+    return fit_several(inputs, output, TableFit(config, overrides, table_report, laws))
 
 
 def _chosen_films(film: Path, inside: Sequence[Path], run: str) -> list[Path]:

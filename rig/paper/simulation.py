@@ -25,7 +25,7 @@ from processing.deflections import slow_deflections
 from processing.fit import FitMethod, FitResult, InputQuantity, RigQuantities, fit_asymptotic, fit_exact
 from processing.swing import TurningPoints, swings_of, swings_of_blocks, turning_points
 from processing.ticks import seconds
-from rig.analysis import RunResults, Series, combined_series, evaluate, fit_results, settled_swings
+from rig.analysis import RunResults, Series, combined_series, contact_values, settled_swings
 from rig.report import ShownTrajectory, ShownUnit
 from rig.settings import FitSettings
 
@@ -165,8 +165,8 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
         InputQuantity(MASS_KG), InputQuantity(BALL_RADIUS_M), MATERIALS[BALL], MATERIALS[pair.flat],
         InputQuantity(1.0), InputQuantity(1.0),
     )  # fmt: skip
-    run = RunResults(record="", fits={name: fit_results(found[0]) for name, found in fits.items()})
-    run = evaluate(run, runs[0], pendulum, exact[0], rig)
+    of_first = {name: found[0] for name, found in fits.items()}
+    run = RunResults(record="", **contact_values("", runs[0], pendulum, of_first, rig))
     series = combined_series(fits, runs, pendulum, rig)
     return PairSeries(pair, pair.parameters(b_exponent), pendulum, runs, shown[0], run, series)
 

@@ -13,7 +13,6 @@ from processing.number_text import (
     with_uncertainty,
 )
 from rig.presentation import palette
-from rig.presentation.balance import balance_drawn, balance_numbers, balance_panels, balance_table
 from rig.presentation.json_object import answer, one_json_object
 from rig.presentation.keys import Keys
 from rig.presentation.latex import latex_rows, latex_table
@@ -26,7 +25,17 @@ from rig.presentation.printing import (
     print_line,
     say,
 )
-from rig.presentation.quantities import SOURCES, Shown, law_parameters, quantity, unit_of
-from rig.presentation.table import Cell, Table, harmless_line, harmless_text
+from rig.presentation.quantities import (
+    SOURCES,
+    Shown,
+    balance_drawn,
+    balance_numbers,
+    balance_panels,
+    balance_table,
+    law_parameters,
+    quantity,
+    unit_of,
+)
+from rig.presentation.table import Cell, Line, Table, harmless_line, harmless_text
 from rig.presentation.terminal import print_tables, screen_width
 from rig.presentation.verdict import Verdict, failures, print_verdicts, table_tree

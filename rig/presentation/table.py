@@ -6,11 +6,19 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 Cell = float | int | str
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 _FORMULA_WITHIN = re.compile(r"([,;|](?:\s*(?=[=@]))?\"?)([=+@-])")
 """Behind what may part cells: a sign directly, = and @ also behind a blank or a quote."""
+
+
+class Line(NamedTuple):
+    """A line of a table: cells for the file, and texts for the user, none where it is only in the file."""
+
+    cells: Sequence[Cell]
+    shown: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -27,6 +35,21 @@ class Table:
     head: Sequence[str] = ()
     shown: Sequence[Sequence[str]] = ()
     note: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        title: str,
+        columns: str | Sequence[str],
+        head: Sequence[str],
+        lines: Sequence[Line],
+        note: str = "",
+    ) -> "Table":
+        """A table of lines; `columns` may be words in one text."""
+        columns = columns.split() if isinstance(columns, str) else columns
+        shown = [line.shown for line in lines if line.shown]
+        return cls(name, title, columns, [line.cells for line in lines], head, shown, note)
 
     def csv(self) -> str:
         """Comma-separated values with one header line; numbers have all digits, NaN is an empty cell."""

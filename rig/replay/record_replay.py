@@ -9,13 +9,11 @@ from pathlib import Path
 from acquisition.record.events import Event
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
-from processing.swing import swings_of_blocks
 from rig.analysis import (
     RESULTS_NAME,
     AnalysedRun,
     analyse_record,
     analyse_run,
-    less_beam_motion,
     print_results,
     recorded_results,
     session_results,
@@ -150,20 +148,14 @@ def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = 
 
 
 def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> AnalysedRun:
-    swings, deflections = result.swings, result.deflections
-    less = less_beam_motion(reader, config)
-    if less is not None and less.used:
-        deflections = [less(one) for one in deflections]
-        swings = swings_of_blocks(deflections)
     return analyse_run(
         reader,
         config,
-        swings,
-        deflections,
+        result.swings,
+        result.deflections,
         config.deflection_unit,
         result.beam,
         lambda _: result.dropped_frames,
-        note="" if less is None else less.text,
     )
 
 

@@ -4,7 +4,6 @@ from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.comparison import compare
 from rig.report.drawing import INK, ReportFigure, canvas, png, styled, svg
 from rig.report.html import check_report
-from rig.report.run_data import ShownTrajectory, ShownUnit
 from rig.report.session_report import (
     draw_run,
     latex_tables,
@@ -13,5 +12,6 @@ from rig.report.session_report import (
     save_figures,
     save_tables,
 )
+from rig.report.source import ShownTrajectory, ShownUnit
+from rig.report.tables import series_table
 from rig.report.tables_instruments import instrument_table
-from rig.report.tables_uncertainty import series_table

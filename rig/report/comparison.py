@@ -14,6 +14,7 @@ from processing.series import Combined, Comparison, combine, compare_series
 from rig.analysis import SURFACE_ENERGY, ResultRow, RunResults, SessionResults, read_results
 from rig.presentation import (
     Cell,
+    Line,
     Table,
     plain,
     quantity,
@@ -174,27 +175,22 @@ def values_table(
     """One row a quantity, one column a series; what is not determined as interval or bound."""
     known = {name for rows in found.values() for name in rows}
     names = [name for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY, *_OF_ANY_DECAY) if name in known]
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     for name in names:
         items = [each.get(name) for each in found.values()]
         cells: list[Cell] = [name]
         for row in items:
-            cells += (
-                [nan] * 4 + [""]
-                if row is None
-                else [row.value, row.u_total, row.lower, row.upper, row.verdict]
-            )
-        rows.append(cells)
-        shown.append([quantity(name).label, *("–" if row is None else row.text for row in items)])
-    columns = [
-        f"{label}_{what}"
-        for label in series
-        for what in ("value", "u_total", "lower_95", "upper_95", "verdict")
-    ]
+            if row is None:
+                cells += [nan, nan, nan, nan, ""]
+            else:
+                cells += [row.value, row.u_total, row.lower, row.upper, row.verdict]
+        texts = ("–" if row is None else row.text for row in items)
+        lines.append(Line(cells, [quantity(name).label, *texts]))
+    what = ("value", "u_total", "lower_95", "upper_95", "verdict")
+    columns = [f"{label}_{each}" for label in series for each in what]
     runs = ", ".join(f"{label}: {len(_runs(one))}" for label, one in series.items())
-    return Table(
-        "values", "Parameters of each series", ("parameter", *columns), rows, ("", *series), shown,
+    return Table.of(
+        "values", "Parameters of each series", ("parameter", *columns), ("", *series), lines,
         ("Means over the decays" if known <= set(_OF_ANY_DECAY) else "Exact fits")
         + f", value ± standard uncertainty of swings and apparatus, as far as stated. Runs: {runs}.",
     )  # fmt: skip
@@ -219,40 +215,26 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
     """Every pair of series, parameter by parameter; of two single runs without a verdict."""
     limit = DIFFERENT / max(sum(isfinite(item.p_value) for item in comparisons), 1)
     untested = sum(not isfinite(item.p_value) for item in comparisons)
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     for item in comparisons:
         verdict = "differ" if item.p_value < limit else "no difference seen"
         if not isfinite(item.p_value):
             far = abs(item.difference) > _FAR * item.standard_uncertainty
             verdict = "not tested" if far else "not tested, within the swings' u"
-        rows.append(
-            [
-                item.first,
-                item.second,
-                item.name,
-                item.difference,
-                item.standard_uncertainty,
-                item.p_value,
-                verdict,
-            ]
-        )
-        if verdict not in ("differ", "not tested"):
-            continue
-        shown.append(
-            [
-                f"{item.first} − {item.second}", quantity(item.name).label,
-                quantity(item.name).text(item.difference, item.standard_uncertainty),
-                plain(item.p_value, 2) if isfinite(item.p_value) else "–", verdict,
-            ]
-        )  # fmt: skip
-    tested = len(rows) - untested
+        difference, of = (item.difference, item.standard_uncertainty), quantity(item.name)
+        chance = plain(item.p_value, 2) if isfinite(item.p_value) else "–"
+        told = verdict in ("differ", "not tested")
+        shown = [f"{item.first} − {item.second}", of.label, of.text(*difference), chance, verdict]
+        cells: list[Cell] = [item.first, item.second, item.name, *difference, item.p_value, verdict]
+        lines.append(Line(cells, shown if told else ()))
+    tested = len(lines) - untested
     said = []
     if tested:
+        differ = sum(line.cells[-1] == "differ" for line in lines)
         said.append(
-            f"{sum(row[-1] == 'differ' for row in rows)} of {tested} comparisons differ; the others are in "
-            "the CSV. Welch's t test; chance: the probability of a difference at least as large between "
-            "identical series, the 5 % level being shared by all rows."
+            f"{differ} of {tested} comparisons differ; the others are in the CSV. Welch's t test; chance: "
+            "the probability of a difference at least as large between identical series, the 5 % level "
+            "being shared by all rows."
         )
     if untested:
         said.append(
@@ -261,9 +243,9 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
             "A3 combines runs, rig compare --model default --by-sample takes their scatter)."
         )
     said.append("Errors common to all series (mass, radius, scale) are left out.")
-    return Table(
+    return Table.of(
         "differences", "Differences",
-        ("first", "second", "parameter", "difference", "standard_uncertainty", "p_value", "verdict"), rows,
-        ("", "", "difference", "chance", "verdict"), shown,
+        "first second parameter difference standard_uncertainty p_value verdict",
+        ("", "", "difference", "chance", "verdict"), lines,
         " ".join(said),
     )  # fmt: skip

@@ -4,7 +4,7 @@ import contextlib
 import io
 import re
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, cast
 
@@ -104,6 +104,29 @@ def canvas(height_in: float) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, height_in))
     FigureCanvasAgg(figure)
     return figure
+
+
+def one_axes(
+    height_in: float, x_label: str, y_label: str, *, left: float = 0.12, right: float = 0.97, bottom: float
+) -> tuple[Figure, Axes]:
+    """A figure with one pair of axes and their labels."""
+    figure = canvas(height_in)
+    axes = figure.subplots()
+    figure.subplots_adjust(left=left, right=right, bottom=bottom, top=0.95)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    return figure, axes
+
+
+def three_columns(count: int, rows_in: Callable[[int], float], **margins: float) -> tuple[Figure, list[Axes]]:
+    """A figure with `count` panels, three in a row; `rows_in` is its height by the number of rows."""
+    rows = (count + 2) // 3
+    figure = canvas(rows_in(rows))
+    panels = list(figure.subplots(rows, 3, squeeze=False).flat)
+    figure.subplots_adjust(right=0.985, **margins)
+    for spare in panels[count:]:
+        spare.set_visible(False)
+    return figure, panels[:count]
 
 
 def svg(drawing: ReportFigure) -> bytes:

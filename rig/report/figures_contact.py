@@ -10,7 +10,7 @@ from processing.contact import ContactParameters, PendulumOnBall, cycle_work, mo
 from processing.fit import FitMethod
 from rig.analysis import TABLE4_AMPLITUDE_ARCSEC, Correlation, ResultRow, Series
 from rig.presentation import palette, plain, quantity
-from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, ReportFigure, canvas
+from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, ReportFigure, canvas, three_columns
 
 
 def loop_figure(
@@ -97,10 +97,16 @@ def series_figure(series: Series) -> ReportFigure:
     method = FitMethod.EXACT if FitMethod.EXACT in series.fits else next(iter(series.fits))
     combined = series.fits[method]
     names = list(combined)
-    figure = canvas(0.35 + 1.55 * ((len(names) + 2) // 3))
-    panels = figure.subplots((len(names) + 2) // 3, 3, squeeze=False)
-    figure.subplots_adjust(left=0.115, right=0.985, bottom=0.11, top=0.93, wspace=0.55, hspace=0.5)
-    for axes, name in zip(panels.flat, names, strict=False):
+    figure, panels = three_columns(
+        len(names),
+        lambda rows: 0.35 + 1.55 * rows,
+        left=0.115,
+        bottom=0.11,
+        top=0.93,
+        wspace=0.55,
+        hspace=0.5,
+    )
+    for axes, name in zip(panels, names, strict=True):
         scale = quantity(name).factor
         item = combined[name]
         x = np.arange(1, len(item.runs) + 1)
@@ -115,8 +121,6 @@ def series_figure(series: Series) -> ReportFigure:
         axes.set_title(quantity(name).label)
         axes.ticklabel_format(axis="y", useOffset=False, scilimits=(-3, 4))
         axes.tick_params(axis="y", labelsize=7)
-    for axes in list(panels.flat)[len(names) :]:
-        axes.set_visible(False)
     return ReportFigure(
         "series",
         "Runs of the series",
@@ -127,12 +131,11 @@ def series_figure(series: Series) -> ReportFigure:
 
 def comparison_figure(names: Sequence[str], series: Mapping[str, Mapping[str, ResultRow]]) -> ReportFigure:
     """One panel a parameter, one bar a series: its 95 % interval, and the value where there is one."""
-    rows = (len(names) + 2) // 3
-    figure = canvas(0.5 + 1.9 * rows)
-    panels = figure.subplots(rows, 3, squeeze=False)
-    figure.subplots_adjust(left=0.1, right=0.985, bottom=0.16, top=0.93, wspace=0.5, hspace=0.75)
+    figure, panels = three_columns(
+        len(names), lambda rows: 0.5 + 1.9 * rows, left=0.1, bottom=0.16, top=0.93, wspace=0.5, hspace=0.75
+    )
     x = np.arange(len(series))
-    for axes, name in zip(panels.flat, names, strict=False):
+    for axes, name in zip(panels, names, strict=True):
         scale = quantity(name).factor
         for position, (values, colour) in enumerate(
             zip(series.values(), (DATA, EXACT, ASYMPTOTIC, *palette.SEQUENCE) * len(series), strict=False)
@@ -146,6 +149,4 @@ def comparison_figure(names: Sequence[str], series: Mapping[str, Mapping[str, Re
         axes.set_xlim(-0.5, len(series) - 0.5)
         axes.set_title(quantity(name).label)
         axes.tick_params(axis="y", labelsize=7)
-    for axes in list(panels.flat)[len(names) :]:
-        axes.set_visible(False)
     return ReportFigure("comparison", "Series compared", "Bars are 95 % intervals of each series.", figure)

@@ -7,7 +7,7 @@ from processing.instruments import DEGREE_RAD
 from processing.swing import TurningPoints
 from rig.analysis import DampingResults, DecrementTable, InstrumentResults, PeriodTable, SwingPlane
 from rig.presentation import with_uncertainty
-from rig.report.drawing import DATA, EXACT, INK, SMOOTH, Array, ReportFigure, canvas
+from rig.report.drawing import DATA, EXACT, INK, SMOOTH, Array, ReportFigure, one_axes
 
 _SEEN = 0.01
 """Share of the drawn range from which on a bar is longer than its point."""
@@ -30,9 +30,7 @@ def instrument_figures(values: InstrumentResults, points: TurningPoints) -> list
 
 
 def _damping(found: DampingResults, points: TurningPoints) -> ReportFigure:
-    figure = canvas(3.0)
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.12, right=0.97, bottom=0.16, top=0.95)
+    figure, axes = one_axes(3.0, "t / s", "amplitude / degrees", bottom=0.16)
     amplitude = points.amplitude / DEGREE_RAD
     inside = (amplitude <= found.start_amplitude_deg) & (amplitude >= found.end_amplitude_deg)
     axes.plot(points.time_s[~inside], amplitude[~inside], "o", mfc="none", mec=DATA, label="turning points")
@@ -50,8 +48,6 @@ def _damping(found: DampingResults, points: TurningPoints) -> ReportFigure:
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_minor_formatter(lambda value, _: f"{value:g}")
-    axes.set_xlabel("t / s")
-    axes.set_ylabel("amplitude / degrees")
     axes.legend(loc="lower left")
     return ReportFigure(
         "kind-damping",
@@ -64,9 +60,7 @@ def _damping(found: DampingResults, points: TurningPoints) -> ReportFigure:
 
 
 def _ten_swings(values: InstrumentResults, points: TurningPoints) -> ReportFigure:
-    figure = canvas(3.0)
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.12, right=0.97, bottom=0.16, top=0.95)
+    figure, axes = one_axes(3.0, "t / s", "turning angle / degrees", bottom=0.16)
     number = points.index - points.index[0]
     angle = points.amplitude / DEGREE_RAD * np.where(number % 2, -1.0, 1.0)
     axes.plot(points.time_s, angle, color=INK, lw=0.5)
@@ -75,8 +69,6 @@ def _ten_swings(values: InstrumentResults, points: TurningPoints) -> ReportFigur
         end = float(points.time_s[int(np.searchsorted(number, 10))])
         axes.axvspan(float(points.time_s[0]), end, color=EXACT, alpha=0.12, lw=0)
     axes.axhline(0, color=INK, lw=0.5)
-    axes.set_xlabel("t / s")
-    axes.set_ylabel("turning angle / degrees")
     ten = (
         ""
         if values.time_hardness_s is None
@@ -88,15 +80,11 @@ def _ten_swings(values: InstrumentResults, points: TurningPoints) -> ReportFigur
 
 
 def _decrement(table: DecrementTable) -> ReportFigure:
-    figure = canvas(2.8)
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.12, right=0.97, bottom=0.17, top=0.95)
+    figure, axes = one_axes(2.8, "amplitude / degrees", "log decrement of a whole swing", bottom=0.17)
     bars = _dots(axes, table.amplitude_deg, table.log_decrement, table.u_log_decrement)
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.xaxis.set_minor_formatter(lambda value, _: f"{value:.2g}")
-    axes.set_xlabel("amplitude / degrees")
-    axes.set_ylabel("log decrement of a whole swing")
     return ReportFigure(
         "kind-decrement",
         "Log decrement against amplitude",
@@ -106,9 +94,7 @@ def _decrement(table: DecrementTable) -> ReportFigure:
 
 
 def _period(table: PeriodTable) -> ReportFigure:
-    figure = canvas(3.2)
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.12, right=0.97, bottom=0.15, top=0.95)
+    figure, axes = one_axes(3.2, "amplitude / degrees", "period / s", bottom=0.15)
     amplitude = table.amplitude_deg
     order = np.argsort(amplitude)
     bars = _dots(axes, amplitude, table.period_s, table.u_period_s, label="measured")
@@ -120,8 +106,6 @@ def _period(table: PeriodTable) -> ReportFigure:
         color=SMOOTH,
         label="1 + alpha²/16",
     )
-    axes.set_xlabel("amplitude / degrees")
-    axes.set_ylabel("period / s")
     axes.legend()
     return ReportFigure(
         "kind-period",
@@ -132,12 +116,8 @@ def _period(table: PeriodTable) -> ReportFigure:
 
 
 def _plane(table: SwingPlane) -> ReportFigure:
-    figure = canvas(2.6)
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.12, right=0.97, bottom=0.18, top=0.95)
+    figure, axes = one_axes(2.6, "time / s", "direction / degrees", bottom=0.18)
     axes.plot(table.time_s, table.direction_deg, "o", color=DATA)
-    axes.set_xlabel("time / s")
-    axes.set_ylabel("direction / degrees")
     return ReportFigure(
         "kind-plane",
         "Turning of the swing plane",

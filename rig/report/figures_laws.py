@@ -27,7 +27,7 @@ from rig.report.drawing import (
     span,
     thinned,
 )
-from rig.report.run_data import ShownUnit
+from rig.report.source import ShownUnit
 
 _DOTS = 700
 _BARS = 150

@@ -10,8 +10,20 @@ from matplotlib.patches import Circle
 from processing.damping import amplitude_at
 from rig.analysis import PositionErrors, RunResults, StoredTurningPoints
 from rig.presentation import palette
-from rig.report.drawing import DATA, EXACT, INK, Array, ReportFigure, broken, canvas, dots, envelope, thinned
-from rig.report.run_data import RecordedPicture, ShownTrajectory, ShownUnit
+from rig.report.drawing import (
+    DATA,
+    EXACT,
+    INK,
+    Array,
+    ReportFigure,
+    broken,
+    canvas,
+    dots,
+    envelope,
+    one_axes,
+    thinned,
+)
+from rig.report.source import RecordedPicture, ShownTrajectory, ShownUnit
 
 _WIDE = 0.11
 
@@ -20,15 +32,13 @@ def place_figure(found: PositionErrors) -> ReportFigure:
     """The map that was taken off, with its standard uncertainty."""
     size, unit = found.unit.shown_size, found.unit.shown
     place, error, u_error = found.place / size, found.error / size, found.u_error / size
-    figure = canvas(2.3)
-    axes = figure.add_subplot()
+    figure, axes = one_axes(
+        2.3, f"deflection / {unit}", f"error / {unit}", left=0.11, right=0.985, bottom=0.2
+    )
     axes.axhline(0.0, color=INK, lw=0.6, ls=":")
     axes.fill_between(place, error - u_error, error + u_error, color=DATA, alpha=0.3, lw=0)
     axes.plot(place, error, color=DATA, lw=0.9)
     axes.set_xlim(place[0], place[-1])
-    axes.set_xlabel(f"deflection / {unit}")
-    axes.set_ylabel(f"error / {unit}")
-    figure.subplots_adjust(left=0.11, right=0.985, bottom=0.2, top=0.95)
     words = (
         "Error of the measured position across the sensor, with its standard uncertainty, from the "
         f"residuals of {found.cycles} whole cycles, each of which passes every position twice. It was "
@@ -179,9 +189,7 @@ def trajectory_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
     )
 
 
-def damped_figure(
-    stored: StoredTurningPoints, results: RunResults, unit: ShownUnit, name: str
-) -> ReportFigure:
+def damped_figure(stored: StoredTurningPoints, results: RunResults, unit: ShownUnit) -> ReportFigure:
     """Amplitude against time with its residuals and what was left out, period, and time constant against
     amplitude.
     """
@@ -224,8 +232,8 @@ def damped_figure(
     period.set_xlabel("t / s")
     period.set_ylabel("2 × half-period / s")
     return ReportFigure(
-        name,
-        name.capitalize().replace("-", " "),
+        "damping",
+        "Damping",
         "Amplitude of every half-cycle with the damping that was fitted, its residuals, the time constant "
         "against the amplitude with its standard uncertainty, and twice the time between turning points.",
         figure,

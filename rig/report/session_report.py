@@ -19,8 +19,7 @@ from rig.report.drawing import ReportFigure, png, styled, svg
 from rig.report.figures_ground import witness_figure
 from rig.report.figures_instruments import instrument_figures
 from rig.report.figures_motion import damped_figure, place_figure
-from rig.report.run_data import ReportSource, RunData
-from rig.report.source import read_source
+from rig.report.source import ReportSource, RunData, read_source
 from rig.report.summary import notes_of, sentence, summary_of, title_of
 from rig.report.tables import run_tables, series_tables
 
@@ -159,7 +158,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
     if run.results.damping is not None and not run.results.fits:
-        drawings.append(damped_figure(run.stored, run.results, motion.unit, "damping"))
+        drawings.append(damped_figure(run.stored, run.results, motion.unit))
     if run.results.position_errors is not None:
         drawings.append(place_figure(run.results.position_errors))
     if run.results.instrument is not None or run.of_table:

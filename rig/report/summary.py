@@ -19,7 +19,7 @@ from rig.analysis import (
 )
 from rig.presentation import latex_rows, plain, quantity
 from rig.report import html
-from rig.report.run_data import ReportSource, RunData
+from rig.report.source import ReportSource, RunData
 from rig.report.tables_instruments import headline
 
 _NOT_STATED = "not stated"

@@ -1,12 +1,16 @@
-"""Tables of a run: its fits and what follows from them. Every number comes from results.json."""
+"""Tables of a run and of a series: fits, what follows from them, what is known how well."""
 
 import math
+from collections.abc import Mapping
 
 from processing.angle import ARCSEC_RAD
 from processing.contact import ExpectedDrag, weight_moment
-from processing.fit import FitMethod
+from processing.estimate import NOT_DETERMINED, Estimate
+from processing.fit import Budget, FitMethod
 from rig.analysis import (
+    AveragedCurves,
     Curves,
+    ResultRow,
     RunResults,
     Series,
     encoded,
@@ -18,21 +22,128 @@ from rig.analysis import (
 )
 from rig.presentation import (
     NOT_KNOWN,
+    SOURCES,
     Cell,
+    Line,
     Table,
     Verdict,
+    law_parameters,
     plain,
     quantity,
     signed_percent,
     with_uncertainty,
 )
-from rig.report.run_data import RunData
+from rig.report.source import RunData
 from rig.report.tables_instruments import instrument_series_table, instrument_table
-from rig.report.tables_uncertainty import (
-    budget_table,
-    identifiability_table,
-    series_table,
-)
+
+_NEGLIGIBLE = 0.005
+"""Share of the variance below which a source is shown with others in one line."""
+
+
+def identifiability_table(results: RunResults) -> Table:
+    """Which quantities the data determine, and the interval in which each lies."""
+    lines = []
+    for row in (row for row in results.table if row.quantity in law_parameters()):
+        form = row.shown
+        by = "profile likelihood" if row.by_profile else "covariance"
+        cells: list[Cell] = [row.quantity, row.verdict, row.lower, row.upper, str(row.by_profile)]
+        lines.append(Line(cells, [form.symbol, row.verdict, row.interval_text, form.unit, by]))
+    return Table.of(
+        "identifiability", "What the data determine",
+        "parameter verdict lower_95 upper_95 profile_likelihood",
+        ("", "verdict", "95 % interval", "unit", "by"), lines,
+    )  # fmt: skip
+
+
+def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], name: str = "budget") -> Table:
+    """GUM budgets of all quantities, largest contribution first.
+
+    Of what the data do not determine, its bound and the shares of the sources alone.
+    """
+    rows: list[list[Cell]] = []
+    shown = []
+    for key, item in budget.items():
+        scale = quantity(key).factor
+        u, row = item.standard_uncertainty, known.get(key)
+        text = quantity(key).text(item.value, u) if row is None else row.text
+        ends = row.interval_text if row is not None and row.determined else ""
+        head = [quantity(key).label, text, ends]
+        small = []
+        for line in item.sources:
+            contribution, share = line.contribution, line.share
+            rows.append(
+                [
+                    key, item.value, u, line.source, line.type, line.u_source, line.sensitivity,
+                    contribution, share,
+                ]
+            )  # fmt: skip
+            if share < _NEGLIGIBLE:
+                small.append(line)
+                continue
+            cells = [SOURCES.get(line.source, line.source), line.type]
+            shown.append([*head, *cells, _part(contribution * scale), f"{100 * share:.1f} %"])
+            head = [""] * 3
+        if small:
+            rest = math.hypot(*(line.contribution for line in small)) * scale
+            count = f"{len(small)} more" if len(small) < len(item.sources) else f"{len(small)} sources"
+            share = sum(line.share for line in small)
+            shown.append([*head, count, "", _part(rest), f"{100 * share:.2f} %"])
+    return Table(
+        name, "Uncertainty budget (GUM)",
+        ("quantity", "value", "u_total", "source", "type", "u_source", "sensitivity",
+         "contribution", "share"),
+        rows, ("", "value ± u", "95 %", "source", "type", "u", "share"), shown,
+        "Largest contribution first. Type A: from the swings; B: stated in the configuration. Sources "
+        "without a stated uncertainty contribute nothing; those below 0.5 % of the variance are summed here "
+        "and listed one by one in budget.csv. What is not determined has a bound and no contributions.",
+    )  # fmt: skip
+
+
+def _part(contribution: float) -> str:
+    return "" if math.isnan(contribution) else plain(contribution, 2)
+
+
+def series_table(series: Series) -> Table:
+    """A series combined: exact, asymptotic, and the paper's way."""
+    rows: list[list[Cell]] = []
+    shown = []
+    exact, asymptotic = (series.fits.get(method, {}) for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC))
+    average = series.averaged_curves or AveragedCurves()
+    for name in exact or asymptotic:
+        shown_as, row = quantity(name), series.rows.get(name)
+        cells = [getattr(exact.get(name), key, math.nan) for key in _SERIES_KEYS]
+        item = asymptotic.get(name)
+        others = [
+            NOT_DETERMINED if item is None else Estimate(item.value, item.standard_uncertainty),
+            average.parameters.get(name, NOT_DETERMINED),
+        ]
+        known = (row.value, row.u_total, row.lower, row.upper) if row is not None else [math.nan] * 4
+        rows.append([name, *known, *cells, *others[0], *others[1]])
+        between = cells[1] * shown_as.factor
+        told = row is None or row.determined
+        shown.append(
+            [
+                shown_as.label,
+                "" if row is None else row.text,
+                "" if row is None else row.interval_text,
+                plain(between, 2) if between else "none seen",
+                *(shown_as.text(value, u) if told else "" for value, u in others),
+            ]
+        )  # fmt: skip
+    return Table(
+        "series", "The series",
+        ("parameter", "value", "u_total", "lower_95", "upper_95", *_SERIES_KEYS, "asymptotic_value",
+         "asymptotic_u", "averaged_curves_value", "averaged_curves_u"),
+        rows,
+        ("", FitMethod.EXACT, "95 % interval", "between runs", FitMethod.ASYMPTOTIC.heading,
+         "curves averaged first"), shown,
+        "Runs combined with their own and the between-run scatter, Student's t for the 95 % interval, and "
+        "with the apparatus as far as stated; beside it, of the swings alone, Eqs. 5 and 6, and the paper's "
+        "way: the runs' curves averaged, then Eqs. 5 and 6 fitted.",
+    )  # fmt: skip
+
+
+_SERIES_KEYS = ("within_runs", "between_runs", "p_homogeneous")
 
 
 def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
@@ -83,8 +194,7 @@ def _judged(item: Verdict) -> str:
 
 def adhesion_table(results: RunResults) -> Table:
     """The contact with adhesion, where c is determined; Hertz's is in the table of results."""
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     note = ""
     if results.adhesion is not None:
         for theory, spot in results.adhesion.spots().items():
@@ -93,27 +203,24 @@ def adhesion_table(results: RunResults) -> Table:
                 ("surface_energy_table2_j_per_m2", spot.surface_energy_j_per_m2),
             ):
                 form = quantity(key)
-                rows.append([f"{key} ({theory})", *value])
-                shown.append([f"{form.symbol}, {theory}", form.text(*value), form.unit])
+                shown = [f"{form.symbol}, {theory}", form.text(*value), form.unit]
+                lines.append(Line([f"{key} ({theory})", *value], shown))
         note = (
             "With adhesion the spot is larger than Hertz's and the surface energy smaller. The Tabor "
             f"parameter of {results.adhesion.tabor:.2g} (equilibrium separation 0.3 nm) selects "
             f"{results.adhesion.holds}; all other values follow the paper, with Hertz's theory."
         )
-    return Table(
-        "adhesion", "Contact with adhesion",
-        ("quantity", "value", "standard_uncertainty"), rows, ("", "value", "unit"), shown, note,
-    )  # fmt: skip
+    columns = "quantity value standard_uncertainty"
+    return Table.of("adhesion", "Contact with adhesion", columns, ("", "value", "unit"), lines, note)
 
 
 def work_table(results: RunResults) -> Table:
     """4A and 4A_t at the amplitude of Table 4, or the measured one nearest to it, and at the run's start."""
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     c = results.rows.get("c")
     for item in results.work_per_cycle:
         pairs = (item.dissipated_4a_j, item.adhesive_4at_j)
-        rows.append([item.amplitude_arcsec, *pairs[0], *pairs[1]])
+        cells: list[Cell] = [item.amplitude_arcsec, *pairs[0], *pairs[1]]
         texts = [with_uncertainty(value * 1e15, u * 1e15) for value, u in pairs]
         share = f"{100 * pairs[1].value / pairs[0].value:.1f} %" if pairs[0].value else NOT_KNOWN
         if math.isnan(pairs[1].value):
@@ -122,11 +229,10 @@ def work_table(results: RunResults) -> Table:
             if c is not None and results.pendulum is not None:
                 moment_n_m = weight_moment(results.pendulum)
                 texts[1] = c.scaled_text(1e15 * 4 * moment_n_m * item.amplitude_arcsec * ARCSEC_RAD)
-        shown.append([plain(item.amplitude_arcsec, 4), *texts, share])
-    return Table(
-        "work", "Work over one cycle",
-        ("amplitude_arcsec", "4A_j", "u_4A_j", "4A_t_j", "u_4A_t_j"), rows,
-        ("α / arcsec", "4A / fJ", "4Aₜ / fJ", "share of adhesion"), shown,
+        lines.append(Line(cells, [plain(item.amplitude_arcsec, 4), *texts, share]))
+    return Table.of(
+        "work", "Work over one cycle", "amplitude_arcsec 4A_j u_4A_j 4A_t_j u_4A_t_j",
+        ("α / arcsec", "4A / fJ", "4Aₜ / fJ", "share of adhesion"), lines,
     )  # fmt: skip
 
 

@@ -1,8 +1,8 @@
 """What is reported of pendulums that swing by degrees: the result that is looked for first, and its table."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from math import nan
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 
 from pydantic import JsonValue
 
@@ -39,7 +39,7 @@ def headline(values: InstrumentResults, series: InstrumentSeries | None) -> list
     They are those of the series where it has several places, else of the run; the ratio to a reference is the
     series'.
     """
-    found = list(_results(values))
+    found = list(_reported(values, _RESULTS))
     if series is not None:
         many = series.time_s is not None and series.time_s.places > 1
         found = [*_ratios(series), *(_of_places(series) if many else found)]
@@ -51,7 +51,7 @@ def instrument_table(results: RunResults) -> Table:
     values = results.instrument
     if values is None:
         return Table("instrument", "", (), ())
-    shown = [[item.name, item.text, item.unit, ""] for item in (*_results(values), *_more(values))]
+    shown = [[item.name, item.text, item.unit, ""] for item in _reported(values, (*_RESULTS, *_MORE))]
     for check in (*(values.environment or ()), *(values.apparatus or ())):
         limits = f"{check.lowest:g} to {check.highest:g} wanted: {check.verdict}"
         shown.append([check.name, f"{check.value:.5g}", check.unit, limits])
@@ -78,54 +78,50 @@ def instrument_series_table(series: InstrumentSeries) -> Table:
     )  # fmt: skip
 
 
-def _results(values: InstrumentResults) -> Iterator[Reported]:
-    """What the kind is made to measure, first things first."""
-    if values.time_hardness_s is not None:
-        yield Reported("time hardness, ten single swings", values.time_hardness_s, "s")
-    if values.scale_hardness is not None:
-        yield Reported("scale hardness, first swing", values.scale_hardness, "divisions")
-    if values.time_hardness_first_swing_s is not None:
-        yield Reported("time hardness, first swing × 10", values.time_hardness_first_swing_s, "s")
-    if (damping := values.damping) is not None:
-        span = f"{damping.start_amplitude_deg:g}° to {damping.end_amplitude_deg:g}°"
-        yield Reported(f"damping time, {span}", damping.time_s, "s")
-        yield Reported(f"swings, {span}", damping.swings)
-    law = values.friction_law
-    at = f" at {law.reference_amplitude_deg:.3g}°" if law is not None else ""
-    if values.rolling_friction_coefficient is not None:
-        yield Reported(f"coefficient of rolling friction{at}", values.rolling_friction_coefficient)
-    if values.log_decrement is not None:
-        yield Reported(f"log decrement of a whole swing{at}", values.log_decrement)
-    if values.period0_s is not None:
-        yield Reported("period at vanishing amplitude", values.period0_s, "s")
-    if values.circular_factor is not None:
-        yield Reported("circular error over the ideal pendulum's", values.circular_factor)
-    if (plane := values.swing_plane) is not None:
-        yield Reported("turning of the swing plane", plane.rate_deg_per_min, "deg/min")
+_RESULTS: Final = (
+    ("time_hardness_s", "time hardness, ten single swings", "s"),
+    ("scale_hardness", "scale hardness, first swing", "divisions"),
+    ("time_hardness_first_swing_s", "time hardness, first swing × 10", "s"),
+    ("damping.time_s", "damping time, {span}", "s"),
+    ("damping.swings", "swings, {span}", ""),
+    ("rolling_friction_coefficient", "coefficient of rolling friction{at}", ""),
+    ("log_decrement", "log decrement of a whole swing{at}", ""),
+    ("period0_s", "period at vanishing amplitude", "s"),
+    ("circular_factor", "circular error over the ideal pendulum's", ""),
+    ("swing_plane.rate_deg_per_min", "turning of the swing plane", "deg/min"),
+)
+"""What the kinds are made to measure, first things first: names of `InstrumentResults`, words, units."""
+_MORE: Final = (
+    ("first_amplitude_deg", "first amplitude", "deg"),
+    ("damping.missing_half_cycles", "half-cycles missing in it", ""),
+    ("friction_law.exponent", "power of the amplitude of the friction", ""),
+    ("friction_law.moment", "frictional moment over m g d", ""),
+    ("friction_law.chi2_per_dof", "χ² per degree of freedom of that power", ""),
+    ("chi2_per_dof", "χ² per degree of freedom", ""),
+    ("swing_plane.turned_deg", "turned in all", "deg"),
+    ("swing_plane.width_ratio", "width of the swing over its length", ""),
+    ("inferred_half_cycles", "turning points off the sensor", ""),
+    ("amplitude_deg.0", "first amplitude", "deg"),
+    ("amplitude_deg.1", "last amplitude", "deg"),
+    ("mean_period_s", "mean period", "s"),
+)
+"""What belongs to the result."""
 
 
-def _more(values: InstrumentResults) -> Iterator[Reported]:
-    """What belongs to the result."""
-    if values.first_amplitude_deg is not None:
-        yield Reported("first amplitude", Estimate(values.first_amplitude_deg, nan), "deg")
-    if values.damping is not None:
-        yield Reported("half-cycles missing in it", Estimate(values.damping.missing_half_cycles, nan))
-    if (law := values.friction_law) is not None:
-        yield Reported("power of the amplitude of the friction", law.exponent)
-        yield Reported("frictional moment over m g d", law.moment)
-        yield Reported("χ² per degree of freedom of that power", Estimate(law.chi2_per_dof, nan))
-    if values.chi2_per_dof is not None:
-        yield Reported("χ² per degree of freedom", Estimate(values.chi2_per_dof, nan))
-    if (plane := values.swing_plane) is not None:
-        yield Reported("turned in all", plane.turned_deg, "deg")
-        yield Reported("width of the swing over its length", Estimate(plane.width_ratio, nan))
-    if values.inferred_half_cycles is not None:
-        yield Reported("turning points off the sensor", Estimate(values.inferred_half_cycles, nan))
-    if values.amplitude_deg is not None:
-        for which, value in zip(("first", "last"), values.amplitude_deg, strict=True):
-            yield Reported(f"{which} amplitude", Estimate(value, nan), "deg")
-    if values.mean_period_s is not None:
-        yield Reported("mean period", Estimate(values.mean_period_s, nan), "s")
+def _reported(values: InstrumentResults, named: Sequence[tuple[str, str, str]]) -> Iterator[Reported]:
+    """Those of some numbers that there are."""
+    words, law, damping = {"at": "", "span": ""}, values.friction_law, values.damping
+    if law is not None:
+        words["at"] = f" at {law.reference_amplitude_deg:.3g}°"
+    if damping is not None:
+        words["span"] = f"{damping.start_amplitude_deg:g}° to {damping.end_amplitude_deg:g}°"
+    for path, name, unit in named:
+        found: Any = values
+        for part in path.split("."):
+            found = found[int(part)] if isinstance(found, tuple) else getattr(found, part, None)
+        if found is not None:
+            value = found if isinstance(found, Estimate) else Estimate(found, nan)
+            yield Reported(name.format(**words), value, unit)
 
 
 def _of_places(series: InstrumentSeries) -> Iterator[Reported]:

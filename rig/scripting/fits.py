@@ -1,7 +1,6 @@
 """Fits of records and of tables, and one model over many runs."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from acquisition.record import records_in
@@ -16,13 +15,14 @@ from rig.analysis import (
     analyse_record,
     analyse_table,
     analyse_trajectory,
-    laws_of,
     model_curves,
+    refuse_copies,
     session_results,
+    with_laws,
 )
 from rig.campaigns import Campaign, StatedCampaign, answer_of, read_campaign, runs_of_folders, save_campaign
 from rig.intake import FilmAsked, TableColumns, film_trajectory
-from rig.scripting.given import columns_of, overrides_of, path_of, refuse_twice, several, text_of
+from rig.scripting.given import columns_of, overrides_of, path_of, several, text_of
 from rig.scripting.record import Record
 from rig.scripting.session import Session
 from rig.settings import load_configuration
@@ -70,11 +70,11 @@ def fit(
     """
     changes = overrides_of(overrides)
     paths = [path for one in several(source, (Record, Session), "source") for path in _paths(one)]
-    refuse_twice(paths)
+    refuse_copies(paths)
     ground = None if witness is None else StatedWitness(path_of(witness, "witness")).read()
     runs = [analyse_record(path, changes, witness=ground) for path in paths]
     if laws := _laws(law, elastic):
-        runs = [replace(run, results=replace(run.results, laws=laws_of(run, laws))) for run in runs]
+        runs = [with_laws(run, laws) for run in runs]
     return session_results(runs, Path.cwd())
 
 

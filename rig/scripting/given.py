@@ -2,12 +2,11 @@
 
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from numbers import Integral
 from pathlib import Path
 from typing import Any
 
-from acquisition.record.digest import sha256_of
 from processing.errors import ConfigurationError
 
 _SAVED = "save what is in memory first (to_csv, numpy.save) and name the file"
@@ -60,17 +59,6 @@ def overrides_of(changes: Mapping[str, object] | None) -> list[str]:
             f"not {_named(changes)}"
         )
     return [f"{_key(key)}={_written(str(key), value)}" for key, value in changes.items()]
-
-
-def refuse_twice(paths: Sequence[Path]) -> None:
-    """Raise ConfigurationError where two records are one and the same run: it counts once in a series."""
-    first: dict[str, Path] = {}
-    for path in paths if len(paths) > 1 else ():
-        if not path.is_file():
-            continue
-        other = first.setdefault(sha256_of(path), path)
-        if other is not path:
-            raise ConfigurationError(f"{path}: is the same run as {other}, which counts once in a series")
 
 
 def _key(key: object) -> str:

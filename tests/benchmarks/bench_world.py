@@ -21,8 +21,8 @@ from processing.estimate import WELL_DETERMINED, Estimate
 from processing.fit import DragFinding, FitMethod, FitResult, drag_verdict, drifts_of
 from processing.swing import TurningPoints, swings_of_blocks, turning_points
 from rig.analysis import settled_swings
-from rig.analysis.contact_laws import fit_decay
-from rig.analysis.fitted_drag import FittedDrag, evidence_of
+from rig.analysis.contact_fits import fit_decay
+from rig.analysis.surroundings import FittedDrag, evidence_of
 from rig.settings import FitSettings
 from tests.benchmarks.cases import chosen
 from tests.benchmarks.coverage import rms
@@ -74,10 +74,8 @@ def fitted(world: World, q: float, seed: int) -> Fitted:
     settled = settled_swings(swings, [samples], DeflectionUnit.RAD, PENDULUM, settings, drag=drag)
     points = turning_points(settled.swings)
     evidence = evidence_of(drag, settled.harmonics)
-    decay = fit_decay(points, PENDULUM, settings, settled.exact, evidence=evidence)
-    if not decay.fits:
-        raise RigError(decay.problem)
-    return Fitted(decay.fits[FitMethod.EXACT], points)
+    fits, _, _ = fit_decay(points, PENDULUM, settings, settled.exact, evidence=evidence)
+    return Fitted(fits[FitMethod.EXACT], points)
 
 
 class Outcome(NamedTuple):

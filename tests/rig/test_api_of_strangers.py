@@ -30,7 +30,7 @@ class Frame:
         (Frame(), "not a Frame"),
         ([], "source: is empty; name at least one"),
         ([np.arange(3.0)], "source: a path is needed, not a ndarray; save what is in memory first"),
-        ([RECORD, rig.open_record(RECORD)], "is the same run as .*, which counts once in a series"),
+        ([RECORD, rig.open_record(RECORD)], "holds the run of .*, which counts once in a series"),
     ],
 )
 def test_what_is_no_record_is_refused(source: Any, said: str) -> None:

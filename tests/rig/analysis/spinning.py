@@ -14,9 +14,9 @@ from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.surroundings import Surroundings
 from processing.swing import swings_of_blocks
-from rig.analysis.analysed_run import AnalysedRun
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import RunResults
+from rig.analysis.series import AnalysedRun
 from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.table_fit import analyse_table
 from rig.instrument import complete

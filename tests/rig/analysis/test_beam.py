@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from processing.spot import BeamUse, SpotFlag
-from rig.analysis.beam import Beam
 from rig.analysis.results_file import read_results
+from rig.analysis.run_conditions import Beam
 from rig.settings import PreflightSettings
 
 MOST = PreflightSettings().max_poor_fit_fraction

@@ -8,8 +8,8 @@ from processing.estimate import Determinacy, Estimate
 from processing.fit import BaseMotion, Drag, DragFinding, Ground
 from rig.analysis import RunResults
 from rig.analysis.contact_results import Fit
-from rig.analysis.fit_remarks import ground_sentence, remarks
 from rig.analysis.result_rows import ResultRow
+from rig.analysis.run_remarks import ground_sentence, remarks
 from rig.report.tables import drag_table
 
 _SEEN = Drag(

@@ -7,7 +7,7 @@ from acquisition.simulation.ground_settings import GroundTruth
 from processing.estimate import Estimate
 from processing.fit import fit_exact
 from rig.analysis.contact_verdicts import base_motion, fit_results
-from rig.analysis.fit_remarks import ground_sentence
+from rig.analysis.run_remarks import ground_sentence
 from rig.settings import PendulumSettings
 from tests.processing.fit.decays import decay, paper_pair
 from tests.processing.fit.driven import driven_decay

@@ -6,8 +6,8 @@ from processing.estimate import Determinacy, Estimate
 from processing.fit import Budget, Drag, DragFinding
 from processing.fit.uncertainty import BudgetSource
 from rig.analysis import RunResults
-from rig.analysis.headline import drag_headline, headline, whole_result
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
+from rig.analysis.run_remarks import drag_headline, headline, whole_result
 
 
 def source(name: str, kind: str, share: float) -> BudgetSource:

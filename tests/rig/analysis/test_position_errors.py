@@ -10,9 +10,9 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.fit import PLACE, fit_exact, known_motion, measured_again
 from processing.swing import HarmonicsWatch, turning_points
 from rig.analysis import PositionErrors, RunResults, SessionResults, settled_swings
-from rig.analysis.fitted_drag import OPEN_DRAG, evidence_of
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results_file import read_results, write_results
+from rig.analysis.surroundings import OPEN_DRAG, evidence_of
 from rig.report.drawing import svg
 from rig.report.figures_motion import place_figure
 from rig.settings import FitSettings

@@ -22,7 +22,7 @@ from rig.analysis import RunResults, Series, SessionResults, encoded
 from rig.analysis.fit_tables import parameter_table
 from rig.analysis.result_rows import ResultRow, result_rows, series_rows, withheld
 from rig.presentation import latex_table
-from rig.report.tables_uncertainty import budget_table, identifiability_table
+from rig.report.tables import budget_table, identifiability_table
 from tests.processing.fit.decays import decay, paper_pair
 from tests.processing.fit.test_uncertainty import rig
 

@@ -7,8 +7,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.fit import Ground
-from rig.analysis.beam import Beam
-from rig.analysis.run_conditions import run_conditions
+from rig.analysis.run_conditions import Beam, run_conditions
 from rig.settings import PreflightSettings
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 

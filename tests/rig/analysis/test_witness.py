@@ -18,9 +18,9 @@ from processing.fit.witness.fitting import WitnessVerdict
 from rig.analysis import AnalysedTable, analyse_record, session_results
 from rig.analysis.results import RunResults, SessionResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
+from rig.analysis.run_remarks import witness_sentences
 from rig.analysis.table_fit import TableColumns, analyse_table
 from rig.analysis.witness_file import Begin, StatedWitness
-from rig.analysis.witnessed_fits import witness_sentences
 from rig.archive.session_rows import row_of_results
 from rig.report import make_table_report
 from rig.settings import load_configuration

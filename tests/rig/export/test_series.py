@@ -17,9 +17,9 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.units import size
 from rig.analysis import InstrumentSeries, Series, read_results, write_results
-from rig.analysis.analysed_run import session_results
 from rig.analysis.instrument_results import OverPlaces
 from rig.analysis.record_fit import analyse_record
+from rig.analysis.series import session_results
 from rig.export.session_export import export_session
 from rig.report.figures_contact import series_figure
 from rig.report.session_report import latex_tables

@@ -13,7 +13,8 @@ from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing, swings_of_blocks
-from rig.analysis import analyse_record, less_beam_motion, read_results
+from rig.analysis import analyse_record, read_results
+from rig.analysis.passing_deflections import less_beam_motion
 from rig.devices import FrameStream
 from rig.instrument import (
     LESS_BEAM,

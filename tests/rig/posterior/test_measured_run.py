@@ -12,8 +12,8 @@ from processing.deflections import Deflections, DeflectionUnit, slow_deflections
 from processing.fit import FitOfSwings, FitResult, Linearised, with_misfit
 from processing.swing import HarmonicsWatch, Swing, SwingDetector
 from rig.analysis import evidence_of, settled_swings
-from rig.analysis.fitted_drag import OPEN_DRAG
 from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.surroundings import OPEN_DRAG
 from rig.analysis.turning_plane import follow_plane
 from rig.posterior.worker import MeasuredRun
 from rig.settings import FitSettings

@@ -14,7 +14,7 @@ from rig.analysis import Curves, InstrumentResults
 from rig.report.drawing import ReportFigure, amplitude_axis, canvas, from_data, png, styled
 from rig.report.figures_instruments import instrument_figures
 from rig.report.figures_laws import decay_figure, period_figure
-from rig.report.run_data import ShownUnit
+from rig.report.source import ShownUnit
 
 ARCSEC = np.pi / 648000
 

@@ -146,7 +146,7 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
     assert "a comparison needs two sessions or more" in rig("compare", one).stderr
     unfitted = tmp_path / "unfitted"
     unfitted.mkdir()
-    tree = {"schema": 1, "runs": [{"record": "run-1.mcap", "problem": "no [pendulum]"}], "series": {}}
+    tree = {"schema": 1, "runs": [{"record": "run-1.mcap", "problem": "no [pendulum]"}]}
     (unfitted / "results.json").write_text(json.dumps(tree))
     with pytest.raises(RecordError, match=r"no run of it was fitted \(no \[pendulum\]\)"):
         compare([one, unfitted], None)

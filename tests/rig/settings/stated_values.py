@@ -16,10 +16,10 @@ from processing.surroundings import Surroundings
 from processing.swing import Swing
 from rig.analysis import clock_rate_of, known_drag
 from rig.analysis.contact_verdicts import base_motion, rig_quantities
-from rig.analysis.drifts import believed_drifts
 from rig.analysis.other_instruments import reduce_run
-from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.series import reduce_series
+from rig.analysis.surroundings import believed_drifts
 from rig.analysis.turning_plane import FollowedPlane
 from rig.instrument import (
     height_of,

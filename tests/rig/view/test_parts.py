@@ -19,13 +19,15 @@ from processing.fit import Derived, FitQuality, Work
 from processing.quantity import quantities_of
 from processing.surroundings import Surroundings
 from rig.presentation import palette
-from rig.presentation.balance import (
+from rig.presentation.quantities import (
     BALANCE,
     balance_drawn,
     balance_numbers,
     balance_table,
+    declaration,
+    law_parameters,
+    quantity,
 )
-from rig.presentation.quantities import declaration, law_parameters, quantity
 from rig.view.gathering import Decimator
 from rig.view.graticule import Graticule, reach_beyond, tick_label, ticks, trajectory_graticule
 from rig.view.lissajous import Trail

@@ -1,6 +1,7 @@
-"""Half-cycles as they stand once the motion, and the errors of position that the sensor has, are known."""
+"""Half-cycles as they stand once the motion is known, and both fits of their decay."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,16 +10,34 @@ from processing.contact import PendulumOnBall
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import (
+    MISFIT,
+    NO_EVIDENCE,
     PLACE,
+    Evidence,
+    FitMethod,
     FitOfSwings,
     FitResult,
+    Linearised,
     PlaceErrors,
+    Witness,
+    WitnessUse,
+    alternation_of,
     describes_as_well,
+    domain_warnings,
+    drift_term,
+    fit_asymptotic,
+    fit_exact,
+    fit_with_witness,
     known_motion,
     measured_again,
     place_errors,
     settled_by_either,
     shift_of,
+    steeper_drag,
+    with_changes,
+    with_misfit,
+    with_steeper_drag,
+    without_alternation,
 )
 from processing.least_squares import Loss
 from processing.position_map import PositionMap, PositionMapSearch
@@ -28,9 +47,11 @@ from processing.swing import (
     KnownMotion,
     Swing,
     SwingHarmonics,
+    TurningPoints,
     with_learned_weights,
 )
-from rig.analysis.fitted_drag import OPEN_DRAG, FittedDrag, evidence_of
+from rig.analysis.surroundings import OPEN_DRAG, FittedDrag, evidence_of
+from rig.analysis.witness_file import WitnessRecord
 from rig.settings import FitSettings
 
 
@@ -181,3 +202,107 @@ def _place_errors(
 def loss_of(settings: FitSettings) -> Loss:
     """Robust or not, as the settings say."""
     return "soft_l1" if settings.robust else "linear"
+
+
+WitnessAt = Callable[[int], tuple[Witness, bool]]
+"""A witness for a run whose first fitted turning point is at a time in ns, and whether its clock is known."""
+
+
+class WitnessedWith(NamedTuple):
+    """A witness on the clock of a run's turning points, and whether that is known."""
+
+    witness: Witness
+    clock_known: bool
+
+    def fit(
+        self, points: TurningPoints, pendulum: PendulumOnBall, alone: FitResult
+    ) -> tuple[FitResult, WitnessUse]:
+        """The exact fit with the witness; the one without it where the witness does not pay."""
+        found = fit_with_witness(points, pendulum, self.witness, alone, offset_known=self.clock_known)
+        fit = found.fit.with_terms_of(alone, PLACE) if found.use.used else found.fit
+        return fit, found.use
+
+
+def of_source(use: WitnessUse | None, record: WitnessRecord | None) -> WitnessUse | None:
+    """The same with where it came from, and what was read there."""
+    if use is None or record is None:
+        return use
+    return replace(use, source=record.name, understood=record.understood)
+
+
+def fit_decay(
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    settings: FitSettings,
+    exact: FitResult | None = None,
+    *,
+    drag: bool = True,
+    evidence: Evidence = NO_EVIDENCE,
+    drifts: Mapping[str, float] | None = None,
+    witness: WitnessedWith | None = None,
+) -> tuple[Mapping[str, FitResult], TurningPoints, WitnessUse | None]:
+    """Asymptotic and exact fit of turning points, by name; the points that were fitted; a witness's use.
+
+    `exact` is the exact fit of these points where it has been made; otherwise a `drag` is fitted or not, and
+    `evidence` restrains the fit. `witness` tells of the ground; Eqs. 5 and 6 keep the paper's procedure.
+    Raises DataError for a decay that cannot be fitted.
+    """
+    if pendulum is None:
+        raise DataError(
+            "no [pendulum] in the configuration: state mass_kg and ball_radius_m to fit the contact"
+        )
+    loss = loss_of(settings)
+    if exact is None:
+        exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
+    exact, points = _of_one_moment(points, pendulum, exact)
+    steeper = steeper_drag(Linearised.of(points, pendulum, exact)) if exact.has_drag else None
+    asymptotic = fit_asymptotic(
+        points,
+        pendulum,
+        drag=exact.has_drag,
+        loss=loss,
+        printed_curvature=settings.printed_055,
+        exact=exact,
+    )
+
+    def judged(fit: FitResult) -> FitResult:
+        fit = _judged(Linearised.of(points, pendulum, fit), drifts, settings)
+        fit = replace(fit, warnings=(*fit.warnings, *domain_warnings(points, pendulum, fit)))
+        return fit if steeper is None else with_steeper_drag(fit, steeper)
+
+    use, alone = None, exact
+    if witness is not None:
+        exact, use = witness.fit(points, pendulum, exact)
+    exact = judged(exact)
+    if use is not None and use.used:
+        # of the uncertainties as they are reported
+        use = use.beside(judged(alone), exact)
+    asymptotic = asymptotic.with_terms_of(exact, PLACE, MISFIT)
+    return {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}, points, use
+
+
+def _of_one_moment(
+    points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult
+) -> tuple[FitResult, TurningPoints]:
+    """The fit and its points without row times of a shutter that nobody stated, where it has any."""
+    found = alternation_of(points, pendulum, exact)
+    if not found.seen:
+        return exact, points
+    at_once = without_alternation(points, found)
+    fit = fit_exact(
+        at_once, pendulum, drag=exact.has_drag, evidence=exact.evidence, loss=exact.loss, near=exact
+    )
+    fit = fit.with_terms_of(exact, PLACE)
+    return replace(fit, warnings=(*fit.warnings, found.taken_off_text)), at_once
+
+
+def _judged(at: Linearised, drifts: Mapping[str, float] | None, settings: FitSettings) -> FitResult:
+    """A fit with what it does not describe: drifts, errors of the law, changes during the run.
+
+    Each is found beside the fit as it ended, so that their order does not matter; what smooth errors of the
+    law explain is no change.
+    """
+    terms = [] if drifts is None else [drift_term(at, drifts)]
+    fit = with_misfit(at, at.described(*terms))
+    explained = 0.0 if fit.misfit is None else fit.misfit.against_law
+    return with_changes(at, settings.u_ageing, explained, fit)

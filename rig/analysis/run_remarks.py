@@ -1,0 +1,390 @@
+"""What is said about a run beside its numbers, the same on the terminal and in reports."""
+
+from collections.abc import Mapping, Sequence
+from math import isfinite, pi
+from typing import Final, NamedTuple
+
+from processing.contact import DRAG
+from processing.contact.laws import DEFAULT_LAW
+from processing.damping import PARTS
+from processing.estimate import Determinacy, Estimate
+from processing.fit import (
+    WAVEFORM,
+    BaseMotion,
+    Budget,
+    Drag,
+    DragFinding,
+    FitMethod,
+    Ground,
+    Response,
+    WitnessUse,
+)
+from rig.analysis.decay_values import (
+    AmplitudeDamping,
+)
+from rig.analysis.recorded_witness import CLOCK_SET
+from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
+from rig.analysis.results import RunResults, Series
+from rig.presentation import SOURCES, percent, plain, quantity, signed_percent, with_uncertainty
+
+_LARGE = 0.25
+"""Share of the variance from which on a source is named; the largest one always is."""
+
+
+def has_apparatus(item: Budget | None) -> bool:
+    """Whether the apparatus has a part in a budget."""
+    return item is not None and any(line.type == "B" and line.share > 0 for line in item.sources)
+
+
+def dominant_text(item: Budget) -> str:
+    """`E of the flat 71 %, swings (fit) 26 %`: what makes most of the variance, largest first."""
+    lines = sorted(item.sources, key=lambda line: -line.share)
+    named = [line for line in lines if line.share >= _LARGE] or lines[:1]
+    return ", ".join(f"{SOURCES.get(line.source, line.source)} {100 * line.share:.0f} %" for line in named)
+
+
+def drag_headline(drag: Drag | None, rows: Mapping[str, ResultRow], *, fitted: bool) -> str:
+    """A drag that is seen, or that the fit has none; empty otherwise."""
+    shown = quantity("drag_s")
+    if not fitted:
+        text = "Fitted without a drag, as in vacuum: if there was air, its drag is in b and c"
+        if drag is not None and drag.significant:
+            text += f"; the data show a drag of {shown.text(*drag.of_data_s)} s"
+        return f"{text}."
+    if drag is None or not drag.significant:
+        return ""
+    row, seen = rows.get("drag_s"), "The drag of the air is seen"
+    if row is None or row.verdict is not Determinacy.UNDETERMINED:
+        seen += f", {shown.text(*drag.drag_s) if row is None else row.text} s"
+    shifts = shifts_by_drag(drag, rows)
+    return f"{seen}; without it b would differ by {shifts['b']}." if "b" in shifts else f"{seen}."
+
+
+def shifts_by_drag(drag: Drag, rows: Mapping[str, ResultRow]) -> dict[str, str]:
+    """What the drag does to b and c; of one that is not determined, a change in per cent says nothing."""
+    return {
+        name: signed_percent(shift)
+        for name, shift in (("b", drag.relative_shift_b), ("c", drag.relative_shift_c))
+        if name not in rows or rows[name].determined
+    }
+
+
+def headline(rows: Mapping[str, ResultRow], budget: Mapping[str, Budget]) -> str:
+    """The surface energy with the whole budget, and what dominates; empty without a type B uncertainty."""
+    row, item = rows.get(SURFACE_ENERGY), budget.get(SURFACE_ENERGY)
+    if row is None or item is None or not (row.determined and has_apparatus(item)):
+        return ""
+    sources = f"main sources of its variance: {dominant_text(item)}"
+    return f"{row.equation} with the whole budget, swings and apparatus; {sources}."
+
+
+_SHOWN_SHARE = 0.02
+_LIMITS_FROM = 0.25
+_DO: Final[Mapping[str, str]] = {
+    "swings": "measure longer, or make more runs",
+    "ground": "measure while the ground is quieter, or record it beside the run (rig fit --witness)",
+    "misfit": "see in the report where the law misses the decay, and compare laws (rig fit --law all)",
+    "position_errors": "correct the sensor's errors of position",
+    "friction_step": "fit the parts of the decay on their own, or make more runs",
+    "ageing": "wait until the contact has settled, or state its history",
+    "adhesion_ageing": "wait until the contact has settled, or state its history",
+    "drag_drift": "let the air and its temperature settle, or measure in vacuum",
+    "plane_of_swing_rad": "let the pendulum settle before the release, and calibrate the axes",
+    "period_drift": "let the temperature settle before the next run",
+}
+
+
+class Limit(NamedTuple):
+    """A source of a result's uncertainty, and its share of the variance."""
+
+    source: str
+    share: float
+
+    @property
+    def name(self) -> str:
+        """As a person reads it."""
+        return SOURCES.get(self.source, self.source)
+
+
+class WholeResult(NamedTuple):
+    """A result as text, whether its uncertainty is the whole or the swings' alone, and what makes it.
+
+    Empty where nothing was fitted. `limits` are the largest first; `symbol` is
+    that of a quantity which the data determine.
+    """
+
+    text: str = ""
+    of: str = ""
+    limits: Sequence[Limit] = ()
+    symbol: str = ""
+
+    @property
+    def next_steps(self) -> list[str]:
+        """What to do about each of the sources that make most of the uncertainty."""
+        large = [one for one in self.limits if one.share >= _LIMITS_FROM]
+        steps = [_DO.get(one.source, f"determine {one.name} more accurately") for one in large]
+        return list(dict.fromkeys(steps))
+
+
+def whole_result(run: RunResults, series: Series | None = None) -> WholeResult:
+    """The surface energy, else the first parameter of the law that the data determine.
+
+    Of a `series` with a table of its own its rows are taken instead of the run's.
+    """
+    if run.instrument is not None:
+        return WholeResult(run.instrument.text[0] if run.instrument.text else "", "the swings")
+    found = series if series is not None and series.table else run
+    if not found.table:
+        return WholeResult()
+    rows = found.rows
+    names = (name for name in (SURFACE_ENERGY, *DEFAULT_LAW.names(drag=False)) if name in rows)
+    row = next((rows[name] for name in names if rows[name].determined), None)
+    if row is None:
+        return WholeResult("No parameter is determined", "", [Limit("swings", 1.0)])
+    item = found.budget.get(row.quantity)
+    symbol = quantity(row.quantity).symbol
+    text = row.equation.replace(symbol, named(row.quantity).partition(" / ")[0], 1)
+    if item is None or not has_apparatus(item):
+        return WholeResult(text, "the swings alone", [Limit("swings", 1.0)], symbol)
+    sources = sorted(item.sources, key=lambda line: -line.share)
+    limits = [Limit(one.source, one.share) for one in sources if one.share >= _SHOWN_SHARE]
+    return WholeResult(text, "the whole budget, swings and apparatus", limits, symbol)
+
+
+_FOUND = {
+    DragFinding.SEEN: "The decay shows a linear drag",
+    DragFinding.NEGATIVE: "A negative drag fits best, so something is missing from the model",
+    DragFinding.UNSEEN: "No linear drag is seen",
+    DragFinding.OPEN: "This decay cannot distinguish a drag from friction",
+}
+_MUCH = 1.5
+"""Factor by which the ground enlarges an uncertainty, from which on it is named."""
+
+
+def remarks(run: RunResults) -> list[str]:
+    """The headline, sentences on beam, ground, drag and what is hardly determined, then the run's notes."""
+    exact = run.fits.get(FitMethod.EXACT)
+    parameters = {} if exact is None else exact.parameters
+    of_drag = drag_headline(run.drag, run.rows, fitted=DRAG.key in parameters) if parameters else ""
+    lines = list(filter(None, [headline(run.rows, run.budget), of_drag]))
+    lines += [] if run.beam is None else [run.beam.sentence]
+    lines += [] if run.clock is None else [f"Camera's clock: {run.clock.text}."]
+    lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
+    lines += [] if run.witness is None else witness_sentences(run.witness)
+    row = run.rows.get(DRAG.key)
+    is_withheld = row is not None and row.verdict is Determinacy.UNDETERMINED
+    if run.drag is not None and not (run.drag.significant and is_withheld):
+        lines.append(_drag_sentence(run.drag, run.rows))
+    lines += [] if exact is None else list(filter(None, [_worth_sentence(exact.worth)]))
+    if run.strong_correlations:
+        pairs = run.strong_correlations
+        names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
+        lines.append(f"Strongly correlated in this run: {names}.".replace("-", "−"))
+    lines += [
+        f"Not determined: {row.shown.symbol}, {row.text} {row.shown.unit}".rstrip() + "."
+        for row in run.table
+        if not row.determined and row.quantity not in ENERGIES
+    ]
+    return [*lines, *run.notes]
+
+
+def brief_remarks(run: RunResults) -> list[str]:
+    """What no reader of the result should miss: a drag, a ground that is seen, a witness, what to do next."""
+    exact = run.fits.get(FitMethod.EXACT)
+    if exact is None:
+        return []
+    lines = [drag_headline(run.drag, run.rows, fitted=DRAG.key in exact.parameters)]
+    lines += [ground_sentence(exact.ground)] if exact.ground is not None and exact.ground.seen else []
+    lines += [] if run.witness is None else witness_sentences(run.witness)
+    result = whole_result(run)
+    steps = "; ".join(result.next_steps)
+    if steps and result.symbol:
+        lines.append(f"{result.symbol} is limited by: {result.limits[0].name}. To improve it: {steps}.")
+    elif steps:
+        lines.append(f"{result.text}. To improve it: {steps}.")
+    return list(filter(None, lines))
+
+
+def ground_sentence(ground: Ground) -> str:
+    """How strongly the ground drove the pendulum: a value, or a bound where the run shows none."""
+    left_out = (
+        f"; the last {ground.left_out_half_cycles} half-cycles are its motion and were not fitted"
+        if ground.left_out_half_cycles
+        else ""
+    )
+    drive = drive_text(ground.density_rad_per_s2_rthz, ground.upper_95, ground.base, seen=ground.seen)
+    return f"Ground at the pendulum's frequency: {drive}{left_out}.{_cost(ground)}"
+
+
+def drive_text(
+    density: Estimate, upper_95: float, base: BaseMotion | None, *, seen: bool, unit: str = "rad"
+) -> str:
+    """A drive, and the motion of the ground where the mass centre's height says what that is."""
+    text = _density(density, upper_95, f"{unit}/s²/√Hz", seen)
+    if base is None:
+        return text
+    nano = Estimate(*(1e9 * number for number in base.acceleration_m_per_s2_rthz))
+    text += ", " + _density(nano, 1e9 * base.upper_95, "nm/s²/√Hz", seen)
+    text += f" of acceleration for a mass centre {plain(1e3 * base.mass_centre_height_m, 3)} mm high"
+    return text + (f", NLNM {base.above_low_noise_model_db:+.0f} dB" if seen else "")
+
+
+def _density(found: Estimate, upper_95: float, unit: str, seen: bool) -> str:
+    return f"{with_uncertainty(*found)} {unit}" if seen else f"below {plain(upper_95, 2)} {unit} (95 %)"
+
+
+def _cost(ground: Ground) -> str:
+    """What the ground adds to the uncertainties, and what would help; nothing where it adds little."""
+    widened = {name: factor for name, factor in ground.widening.items() if factor > _MUCH}
+    if not widened or not ground.seen:
+        return ""
+    listed = ", ".join(
+        f"{plain(factor, 2)} ({quantity(name).symbol})"
+        for name, factor in sorted(widened.items(), key=lambda item: -item[1])
+    )
+    return (
+        f" It enlarges the uncertainties by factors of {listed}. "
+        "Finer balancing, a quieter hour, a larger first amplitude or more runs would help."
+    )
+
+
+def _worth_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
+    """What the waveform gave, where that is much."""
+    gained = {name: one for name, one in worth.get(WAVEFORM, {}).items() if one > _MUCH}
+    if not gained:
+        return ""
+    ordered = sorted(gained.items(), key=lambda item: -item[1])
+    listed = ", ".join(f"{plain(one, 2)} ({quantity(name).symbol})" for name, one in ordered if isfinite(one))
+    said = [f"the uncertainties would be larger, by factors of {listed}"] if listed else []
+    lost = " and ".join(quantity(name).symbol for name, one in ordered if not isfinite(one))
+    said += [f"{lost} would not be determined at all"] if lost else []
+    return f"Without the waveform of the swing {', and '.join(said)}."
+
+
+def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow]) -> str:
+    """What the data say of a drag, and whose value stands where they say nothing."""
+    shown, shifts, row = quantity("drag_s"), shifts_by_drag(drag, rows), rows.get("drag_s")
+    changes = " and ".join(f"{name} by {shift}" for name, shift in shifts.items())
+    moved = f"; it changes {changes}" if changes else ""
+    match drag.finding:
+        case DragFinding.SEEN:
+            said = f"{shown.text(*drag.drag_s) if row is None else row.text} s{moved}"
+        case DragFinding.OPEN if _by_the_data(drag):
+            return (
+                f"This decay cannot distinguish a drag below {plain(drag.upper_95_s, 2)} s (95 %) from "
+                f"friction; what it allows, {shown.text(*drag.of_data_s)} s, is part of every uncertainty"
+                f"{moved}."
+            ).replace("-", "−")
+        case DragFinding.OPEN if drag.known_s is not None:
+            said = (
+                f"the drag expected of the air, {shown.text(*drag.known_s)} s, is used; its uncertainty is "
+                f"part of all others{moved}"
+            )
+        case DragFinding.OPEN:
+            said = f"{shown.text(*drag.drag_s)} s; state what you know of the air (fit.drag)"
+        case _:
+            said = (
+                f"{shown.text(*drag.of_data_s)} s, with a probability of {plain(drag.p_value, 2)} by chance"
+            )
+    return f"{_FOUND[drag.finding]}: {said}.".replace("-", "−")
+
+
+def _by_the_data(drag: Drag) -> bool:
+    """Whether the data know the drag better than what is known of the air."""
+    u_s = drag.of_data_s.standard_uncertainty
+    return isfinite(drag.upper_95_s) and (drag.known_s is None or u_s < drag.known_s.standard_uncertainty)
+
+
+def decay_lines(results: RunResults) -> list[str]:
+    """Lines for a person; none of a run without them."""
+    if not results.period_s.value > 0:
+        return []
+    lines = [
+        f"period {with_uncertainty(*results.period_s)} s",
+        f"log decrement {with_uncertainty(*results.log_decrement)}",
+    ]
+    if results.quality_factor is not None:
+        lines.append(f"quality factor {with_uncertainty(*results.quality_factor)}")
+    if results.damping is not None:
+        lines += damping_lines(results.damping, results.amplitude_unit or "")
+    return lines
+
+
+_SURE = 3.0
+
+
+def damping_lines(results: AmplitudeDamping, unit: str) -> list[str]:
+    """Lines for a person: the parts with what speaks for them, and the time constants at both ends."""
+    units = {"constant": f" {unit}/s", "linear": " /s", "quadratic": f" /({unit} s)"}
+    said = []
+    for name, probability in zip(PARTS, results.probabilities, strict=True):
+        part = with_uncertainty(*getattr(results, name))
+        said.append(f"damping, {name} part {part}{units[name]}, needed with probability {probability:.2g}")
+        value, u = getattr(results, name)
+        if value < -_SURE * u:
+            said.append(f"a negative {name} part fits the decay but is not friction: something else changes")
+    if results.curve:
+        for where in (results.curve[0], results.curve[-1]):
+            quality = where.quality_factor
+            more = "" if quality is None else f", quality factor {with_uncertainty(*quality)}"
+            tau = with_uncertainty(*where.time_constant_s)
+            said.append(f"time constant {tau} s at {where.amplitude:.4g} {unit}{more}")
+    return said
+
+
+_WELL = 1.05
+"""Factor by which an uncertainty is smaller, from which on it is named."""
+
+
+def witness_sentences(use: WitnessUse) -> list[str]:
+    """What a witness told, or why it was refused; and what was left out where it was read."""
+    lost = [line for line in use.understood if line.startswith(("left out", "missing", CLOCK_SET))]
+    return [*_told(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
+
+
+def _told(use: WitnessUse) -> list[str]:
+    if not use.used:
+        gain = use.gain_of_prediction
+        judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
+        reason = f": {use.reason}" if use.reason else ""
+        sought = f"; {use.offsets_tried} offsets of its clock were tried" if use.offsets_tried else ""
+        said = f"Witness of the ground {use.verdict}{reason}{judged}{sought}."
+        return [f"{said} The results are the same as without it."]
+    before, left = use.ground_alone_rad_per_s2_rthz, use.ground_left_rad_per_s2_rthz
+    explained = (
+        f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
+        f"{with_uncertainty(*before)} to {with_uncertainty(*left)} rad/s²/√Hz"
+    )
+    if use.spectra is not None and isfinite(use.spectra.coherence_near):
+        explained += (
+            f" (squared coherence within a tenth of it {use.spectra.coherence_near:.4g}, over "
+            f"{use.spectra.stretches} stretches)"
+        )
+    responses = "; ".join(map(_response_text, use.responses))
+    lines = [f"Witness of the ground: {explained}. Its response: {responses}."]
+    saved = ", ".join(
+        f"{plain(factor, 3)} ({quantity(name).symbol})"
+        for name, factor in use.saved.items()
+        if factor > _WELL
+    )
+    if saved:
+        lines.append(f"The witness reduces the uncertainties by factors of {saved}.")
+    found = f"{use.offset_s:+.5g} s, the best of {use.offsets_tried}, and " if use.offsets_tried else ""
+    lines.append(
+        f"Clock of the witness: {found}{with_uncertainty(*use.delay_s)} s to be added to its times, drift "
+        f"{with_uncertainty(*use.clock_drift)} s/s."
+    )
+    if use.missing_half_cycles:
+        lines.append(
+            f"{use.missing_half_cycles} half-swings have no witness; their drive is treated as unknown."
+        )
+    return lines
+
+
+def _response_text(response: Response) -> str:
+    degrees = 180 / pi
+    slope = ", changing within the band" if response.with_slope else ""
+    return (
+        f"{response.name} {with_uncertainty(response.gain, response.u_gain)} rad/s² per unit at "
+        f"{with_uncertainty(degrees * response.phase_rad, degrees * response.u_phase_rad)}°{slope}"
+    )

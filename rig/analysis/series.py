@@ -1,0 +1,333 @@
+"""Runs together: a series of one contact pair, places on a sample against a reference, what is written."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from acquisition.record.digest import sha256_of
+from processing.arrays import Floats
+from processing.balance import Balance, PlaneOfSwing
+from processing.contact import PendulumOnBall
+from processing.errors import ConfigurationError, DataError
+from processing.fit import (
+    DRIFTS,
+    Budget,
+    BudgetSource,
+    FitMethod,
+    FitResult,
+    FittedContact,
+    InputQuantity,
+    RigQuantities,
+    budgets,
+    drifts_of,
+    fit_asymptotic,
+)
+from processing.instruments import Check, Description, Reading, check, over_places, ratio
+from processing.series import SeriesResult, average_curves, combine_runs
+from processing.swing import SwingHarmonics, TurningPoints
+from rig.analysis.instrument_results import InstrumentSeries, OverPlaces
+from rig.analysis.other_instruments import Reduction
+from rig.analysis.result_rows import series_rows, withheld
+from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults
+from rig.analysis.results_file import relative_record
+from rig.presentation import with_uncertainty
+from rig.settings import InstrumentSettings, Watched
+
+_PLANE: Final = "plane_of_swing_rad"
+
+
+def combined_series(
+    fits: Mapping[str, Sequence[FitResult]],
+    points: Sequence[TurningPoints],
+    pendulum: PendulumOnBall,
+    rig: RigQuantities | None,
+    *,
+    printed_curvature: bool = False,
+    of_runs: Sequence[Mapping[str, Budget]] = (),
+) -> Series:
+    """Parameters over the runs; what cannot be combined is said in `problems`.
+
+    Parameters
+    ----------
+    fits
+        By method, one fit a run.
+    points
+        The turning points of the same runs, for the averaged curve.
+    rig
+        Of the first of them.
+    of_runs
+        Budgets of the same runs, with lines that a series has because its runs have them.
+    """
+    combined: dict[str, SeriesResult] = {}
+    problems: list[str] = []
+    for method, results in fits.items():
+        try:
+            combined[method] = combine_runs(results)
+        except DataError as error:
+            problems.append(f"{method}: {error}")
+    averaged = None
+    try:
+        average = fit_asymptotic(average_curves(points), pendulum, printed_curvature=printed_curvature)
+        averaged = AveragedCurves(average.estimates(), average.arae_decay, average.arae_period)
+    except DataError as error:
+        problems.append(f"averaged curves: {error}")
+    default = combined.get(FitMethod.EXACT)
+    measured = None if default is None else default.measured
+    if measured is not None:
+        try:
+            measured = replace(measured, by_inputs=_by_drifts(points, pendulum, fits[FitMethod.EXACT]))
+        except DataError as error:
+            problems.append(f"the budget has no lines for drifts: {error}")
+    if measured is not None and rig is not None and of_runs and all(of_runs):
+        measured, rig = _with_lines_of(of_runs, measured, rig)
+    budget = budgets(measured, rig) if measured and rig else {}
+    table = () if default is None else series_rows(default.parameters, budget, pendulum)
+    return Series(
+        runs=len(points),
+        fits={method: found.parameters for method, found in combined.items()},
+        table=table,
+        budget=withheld(budget, table),
+        disagreements=default.disagreements if default else (),
+        averaged_curves=averaged,
+        problems=tuple(problems),
+    )
+
+
+def _with_lines_of(
+    of_runs: Sequence[Mapping[str, Budget]], measured: FittedContact, rig: RigQuantities
+) -> tuple[FittedContact, RigQuantities]:
+    """What a mean does for row time and film, which its runs share, and for their planes of swing.
+
+    How a plane turned is each run's own, and falls in the mean; the angle between the axes is common to all.
+    """
+    by_inputs = dict(measured.by_inputs)
+    for source in ("row_time_s", "common_amplitude_rad"):
+        if (u := rig.inputs()[source].u) > 0:
+            by_inputs[source] = _moved(of_runs, measured.names, source).mean(axis=0) / u
+    moved = _moved(of_runs, measured.names, _PLANE)
+    size = np.linalg.norm(moved, axis=0) / len(moved)
+    if rig.non_orthogonality_rad.u > 0:
+        size = np.abs(moved).mean(axis=0)
+    if np.any(size > 0):
+        first = moved[np.flatnonzero(np.any(moved != 0.0, axis=1))[0]]
+        u_rad = max(line.u_source for lines in of_runs for line in _lines(lines, measured.names, _PLANE))
+        by_inputs[_PLANE] = np.copysign(size, first) / u_rad
+        rig = replace(rig, plane_of_swing_rad=InputQuantity(0.0, u_rad))
+    return replace(measured, by_inputs=by_inputs), rig
+
+
+def _moved(of_runs: Sequence[Mapping[str, Budget]], names: Sequence[str], source: str) -> Floats:
+    """Changes (runs, parameters) by one standard uncertainty of a source; 0 where a run has no such line."""
+    return np.array(
+        [
+            [sum(one.sensitivity * one.u_source for one in _lines(lines, [name], source)) for name in names]
+            for lines in of_runs
+        ],
+        dtype=np.float64,
+    )
+
+
+def _lines(lines: Mapping[str, Budget], names: Sequence[str], source: str) -> list[BudgetSource]:
+    return [one for name in names if name in lines for one in lines[name].sources if one.source == source]
+
+
+def _by_drifts(
+    points: Sequence[TurningPoints], pendulum: PendulumOnBall, fits: Sequence[FitResult]
+) -> dict[str, Floats]:
+    """What drifts that every run has alike do to the mean."""
+    found = [drifts_of(one, pendulum, fit) for one, fit in zip(points, fits, strict=True)]
+    return {name: np.mean([drifts[name] for drifts in found], axis=0) for name in DRIFTS}
+
+
+_Readings = Sequence[Mapping[str, Reading]]
+
+
+def reduce_series(runs: Sequence[Reduction], numbers: Sequence[int] = ()) -> InstrumentSeries | None:
+    """Places on the sample against the reference; None for a kind that has no such comparison.
+
+    `numbers` are those by which `reference_runs` names the runs, default: they count from 1. Several decays
+    of one run have its number.
+    """
+    if not runs or runs[0].settings.description().report not in ("damping", "decay"):
+        return None
+    settings, description = runs[0].settings, runs[0].settings.description()
+    numbers = numbers or range(1, len(runs) + 1)
+    numbered = list(zip(numbers, (run.readings for run in runs), strict=True))
+    places = [one for number, one in numbered if one and number not in settings.reference_runs]
+    glass = [one for number, one in numbered if one and number in settings.reference_runs]
+    lines: list[str] = []
+    found = InstrumentSeries(kind=description.kind)
+    if places:
+        time_s = _over_places(places, "time_s", "damping time", " s", lines)
+        swings = _over_places(places, "swings", "swings", "", lines)
+        found = replace(found, time_s=time_s, swings=swings)
+    reference = _reference(settings, glass)
+    problem = _of_the_reference(settings, numbered)
+    if reference is None:
+        problem += ": no ratio"
+        return replace(found, problem=problem, text=(*lines, problem))
+    lines += [problem] if problem else []
+    found = replace(found, reference_time_s=reference.estimate)
+    if glass:
+        found = replace(found, acceptance=_acceptance(description, glass, lines))
+    if places:
+        relative = ratio(_mean(places, "time_s"), reference)
+        found = replace(found, ratio=relative)
+        lines.append(f"ratio of damping times, sample to reference: {with_uncertainty(*relative)}")
+        if glass:
+            counted = ratio(_mean(places, "swings"), _mean(glass, "swings"))
+            found = replace(found, ratio_of_swings=counted)
+            lines.append(f"ratio of swings, sample to reference: {with_uncertainty(*counted)}")
+    return replace(found, text=tuple(lines))
+
+
+def _mean(readings: _Readings, name: str) -> Reading:
+    return over_places([one[name] for one in readings]).mean
+
+
+def _over_places(readings: _Readings, name: str, what: str, unit: str, lines: list[str]) -> OverPlaces:
+    places = over_places([one[name] for one in readings])
+    mean = places.mean.estimate
+    of = f"{places.number} place{'s' if places.number > 1 else ''}"
+    line = f"{what} over {of}: {with_uncertainty(*mean)}{unit}"
+    if places.number > 1:
+        line += f", spread {places.spread:.3g}{unit}"
+        if places.mean.u_shared > places.mean.own:
+            line += f"; {places.mean.u_shared:.2g}{unit} of the uncertainty is common to all (scale, clock)"
+    lines.append(line)
+    return OverPlaces(
+        mean.value,
+        mean.standard_uncertainty,
+        places.number,
+        places.spread,
+        places.expanded_95,
+        places.mean.u_shared,
+    )
+
+
+def _reference(settings: InstrumentSettings, glass: _Readings) -> Reading | None:
+    if glass:
+        return _mean(glass, "time_s")
+    if settings.reference_time_s is not None and not settings.reference_runs:
+        return Reading(settings.reference_time_s, settings.u_reference_time_s)
+    return None
+
+
+def _of_the_reference(
+    settings: InstrumentSettings, numbered: Sequence[tuple[int, Mapping[str, Reading]]]
+) -> str:
+    """What is wrong with the reference that is stated; empty: nothing."""
+    stated = f"instrument.reference_runs = {list(settings.reference_runs)}"
+    there = list(dict.fromkeys(number for number, _ in numbered))
+    if absent := [number for number in settings.reference_runs if number not in there]:
+        return f"{stated}: there is no run {absent[0]}, only {', '.join(map(str, there))}"
+    if failed := [number for number, one in numbered if number in settings.reference_runs and not one]:
+        return f"{stated}: run {failed[0]} has no damping time, as its own line says"
+    if not settings.reference_runs and settings.reference_time_s is None:
+        return (
+            "no reference was measured, which instrument.reference_runs names by its runs, or "
+            "instrument.reference_time_s by its time"
+        )
+    return ""
+
+
+def _acceptance(description: Description, glass: _Readings, lines: list[str]) -> tuple[Check, ...]:
+    """The apparatus on glass against the standard."""
+    checks = []
+    for name, key, limits in (
+        ("period on glass", "period_s", description.period_s),
+        ("damping time on glass", "time_s", description.glass_time_s),
+    ):
+        if limits is not None:
+            checks.append(check(name, _mean(glass, key).estimate, limits, "s"))
+    lines += [item.text for item in checks]
+    if description.note and checks:
+        lines.append(f"note: {description.note}")
+    return tuple(checks)
+
+
+@dataclass(frozen=True)
+class AnalysedRun:
+    """The results of one run, and what a series of runs needs beyond them.
+
+    `points` are the turning points that were fitted. `reduction` is there for a pendulum that is not
+    described by the contact's laws, `rig` where the contact radius is calculated after Hertz,
+    `decay_balances` are those of its decay, `plane` how the plane of swing turned, None where unknown.
+    `watched` is the configuration of which keys were changed.
+    """
+
+    record: Path
+    results: RunResults
+    points: TurningPoints
+    fits: Mapping[str, FitResult]
+    rig: RigQuantities | None = None
+    reduction: Reduction | None = None
+    harmonics: SwingHarmonics | None = None
+    decay_balances: Sequence[Balance] = ()
+    plane: PlaneOfSwing | None = None
+    watched: Watched | None = None
+
+
+def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults:
+    """What is written of one or more runs; records are named relative to the folder of the file.
+
+    Raises ConfigurationError for a key that was changed and that nothing has used.
+    """
+    results = SessionResults(
+        runs=tuple(replace(run.results, record=relative_record(run.record, folder)) for run in runs),
+        series=_series(runs),
+    )
+    refuse_unread(runs)
+    return results
+
+
+def instrument_series(runs: Sequence[AnalysedRun], numbers: Sequence[int] = ()) -> Series | None:
+    """What runs of another instrument say together: places on the sample, the reference.
+
+    None where there is no such thing. `numbers` are as `reduce_series` has them.
+    """
+    reductions = [run.reduction for run in runs if run.reduction is not None]
+    found = reduce_series(reductions, numbers)
+    return None if found is None else Series(runs=len(reductions), instrument=found)
+
+
+def refuse_unread(runs: Sequence[AnalysedRun]) -> None:
+    """Raise ConfigurationError for a changed key that the fits of none of the runs have used."""
+    changed = [run.watched for run in runs if run.watched is not None]
+    # where nothing could be fitted, that is what is to be said
+    if changed and not any(run.results.problem for run in runs):
+        changed[0].refuse_unread(changed)
+
+
+def _series(runs: Sequence[AnalysedRun]) -> Series | None:
+    """Parameters of a series, None for fewer than two fitted runs; or that of other instruments."""
+    if any(run.reduction is not None for run in runs):
+        return instrument_series(runs)
+    numbers = [number for number, run in enumerate(runs, start=1) if run.fits]
+    fitted = [runs[number - 1] for number in numbers]
+    pendulum = fitted[0].results.pendulum if fitted else None
+    if len(fitted) < 2 or pendulum is None:
+        return None
+    joint = combined_series(
+        {name: [run.fits[name] for run in fitted] for name in fitted[0].fits},
+        [run.points for run in fitted],
+        pendulum,
+        fitted[0].rig,
+        printed_curvature=bool(fitted[0].results.settings.get("printed_055")),
+        of_runs=[run.results.budget for run in fitted],
+    )
+    apart = tuple(replace(each, run=numbers[each.run - 1]) for each in joint.disagreements)
+    return replace(joint, combined_runs=tuple(numbers), disagreements=apart)
+
+
+def refuse_copies(paths: Sequence[Path]) -> None:
+    """Raise ConfigurationError where two records are the same run: one was copied."""
+    first: dict[str, Path] = {}
+    for path in paths if len(paths) > 1 else ():
+        if path.is_file() and (other := first.setdefault(sha256_of(path), path)) is not path:
+            raise ConfigurationError(
+                f"{path}: holds the run of {other} (same hash), which counts once in a series"
+            )
