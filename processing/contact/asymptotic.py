@@ -18,6 +18,8 @@ from processing.contact.parameters import ContactParameters, PendulumOnBall, sti
 
 _PIECE, _PIECES = 0.1, 400
 """Pieces of ln x over which a decay is integrated, 8 nodes each: to 1e-13, and to e^-40 of the start."""
+_SETTLED = 1e-9
+"""Last change of ln x; each squares it."""
 
 PRINTED_CURVATURE = 0.55
 """The number printed in Eq. 6; averaging Eq. 3 gives `curvature(n)` instead."""
@@ -36,20 +38,25 @@ def decay_path(
     if not start > 0:
         return path, gradient
 
-    def rate(x: Floats) -> Floats:
-        return np.asarray(c + b * x**p + d * x)
-
     nodes, weights = _path_nodes()
 
-    def integrals(low: Floats, high: Floats) -> Floats:
-        """Of 1/r, and of its derivatives by b, p, c and d, from one ln x to another; NaN where x stops."""
+    def powers(y: Floats) -> tuple[Floats, Floats, Floats]:
+        """x and x^p where ln x is y, and the rate."""
+        x, power = np.exp(y), np.exp(p * y)
+        return x, power, c + b * power + d * x
+
+    def nodes_of(low: Floats, high: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """ln x, x and x^p at the nodes between two ln x, weights over the rate (NaN where x stops), rate."""
         half = 0.5 * (high - low)[:, None]
-        x = np.exp(low[:, None] + half * (1 + nodes))
-        power, weight = x**p, weights * half * x
-        r = c + b * power + d * x
-        by = [-power, -b * power * np.log(x), -np.ones_like(x), -x]
-        found = [np.sum(weight / r, axis=1), *(np.sum(weight * one / r**2, axis=1) for one in by)]
-        return np.where(np.all(r > 0, axis=1), np.array(found), np.nan).T
+        y = low[:, None] + half * (1 + nodes)
+        x, power, r = powers(y)
+        return y, x, power, np.where(np.all(r > 0, axis=1, keepdims=True), weights * half * x / r, np.nan), r
+
+    def integrals(low: Floats, high: Floats) -> Floats:
+        """Of 1/r, and of its derivatives by b, p, c and d."""
+        y, x, power, over, r = nodes_of(low, high)
+        by = -over / r
+        return np.array([part.sum(axis=1) for part in (over, by * power, b * by * power * y, by, by * x)]).T
 
     with np.errstate(all="ignore"):  # a search tries anything
         y: Floats = np.linspace(log(start), log(start) - _PIECE * _PIECES, _PIECES + 1)
@@ -63,16 +70,16 @@ def decay_path(
         width = np.where(following > k, passed[following, 0] - passed[k, 0], 1.0)
         at = y[k] - _PIECE * (wanted - passed[k, 0]) / width
         for _ in range(20):
-            more = integrals(at, y[k])
-            x = np.exp(at)
-            change = (passed[k, 0] + more[:, 0] - wanted) * rate(x) / x
-            at = np.clip(at + change, y[following], y[k])
-            if not np.any(np.abs(change) > 1e-15):
+            x, _power, r = powers(at)
+            late = passed[k, 0] + nodes_of(at, y[k])[3].sum(axis=1) - wanted
+            before, at = at, np.clip(at + late * r / x, y[following], y[k])
+            if not np.any(np.abs(at - before) > _SETTLED):
                 break
-        x = np.exp(at)
-        r, total = rate(x), passed[k] + integrals(at, y[k])
+        x, _power, r = powers(at)
+        total = passed[k] + integrals(at, y[k])
         path[reached] = x
-        gradient[reached] = np.column_stack([r / rate(np.array(start)), r[:, None] * total[:, 1:], -r])
+        of_start = powers(np.log(np.array(start)))[2]
+        gradient[reached] = np.column_stack([r / of_start, r[:, None] * total[:, 1:], -r])
     return path, gradient
 
 

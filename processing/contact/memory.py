@@ -205,7 +205,7 @@ def _table(
             held = steady * (1 + _on_grid(log_a, np.log(following), more))
     ratio = following / amplitude
     by = [(one[1 : 1 + count] - one[1 + count :]) / (2 * change[:, None]) for one in (ratio, duration)]
-    return SwingTable.of(log_a, np.concatenate([ratio[:1], duration[:1], *by]).T, _FEWEST, _BEYOND)
+    return SwingTable.of(log_a, np.concatenate([ratio[:1], duration[:1], *by]), _FEWEST, _BEYOND)
 
 
 def _on_grid(log_a: Floats, at: Floats, values: Floats) -> Floats:

@@ -12,7 +12,7 @@ from processing.arrays import Floats
 from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import CONSTANT, DRAG, FREE_PERIOD, PERIOD, Parameter
 from processing.contact.memory import Arrays, Branch, branch_law
-from processing.contact.memoryless import Moment, Moments, columns, memoryless_law, no_moment
+from processing.contact.memoryless import NO_MOMENT, Moment, Moments, memoryless_law
 from processing.contact.start_values import StartValues
 
 
@@ -22,15 +22,9 @@ def _coulomb_starts(found: StartValues, _: float) -> list[dict[str, float]]:
 
 
 def _coulomb(parameters: Floats, _: float, __: float) -> Moments:
-    c = parameters[0]
-
-    def friction(x: Floats) -> Floats:
-        return columns(x.shape, 2, np.full(x.shape, c), {0: 1.0})
-
-    def work(x: Floats) -> Floats:
-        return columns(x.shape, 2, c * x, {0: x})
-
-    return Moments(Moment(friction, work), no_moment(2))
+    c = float(parameters[0])
+    friction = Moment((0,), lambda x: np.full_like(x, c), lambda x: np.array([c * x, x]))
+    return Moments(friction, NO_MOMENT)
 
 
 COULOMB = memoryless_law(
@@ -55,7 +49,7 @@ VISCOUS = memoryless_law(
     "linear drag alone",
     "Stokes",
     (DRAG, FREE_PERIOD),
-    lambda parameters, _, __: Moments(no_moment(1), no_moment(1)),
+    lambda parameters, _, __: Moments(NO_MOMENT, NO_MOMENT),
     {},
     lambda _: logarithms_of(),
     _viscous_starts,
