@@ -16,7 +16,7 @@ from processing.fit.drifts import DRIFTS, drift_term, drifts_of
 from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, sine_covariance, waveform_of
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
-from processing.fit.known_drive import Signals
+from processing.fit.known_drive import LEAST_LEFT, Signals
 from processing.fit.law_comparison import (
     CONTRADICTED,
     LawComparison,
@@ -72,5 +72,4 @@ from processing.fit.without_law import fit_without_law
 from processing.fit.witness.fitting import Response, WitnessUse, fit_with_witness
 from processing.fit.witness.signals import Witness, plain_signals
 from processing.fit.witness.spectra import WitnessSpectra
-from processing.fit.witnessed_columns import LEAST_LEFT
 from processing.fit_method import FitMethod

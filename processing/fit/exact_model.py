@@ -14,11 +14,17 @@ from processing.contact import TABLE_RATIO, HalfSwings, OneHalfSwing, PendulumOn
 from processing.contact.laws import DEFAULT_LAW, Law
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
-from processing.fit.ground import AT_REST, Noise
-from processing.fit.ground_filter import GAINS, drive_filter
-from processing.fit.known_drive import KnownDrive
+from processing.fit.ground import (
+    AT_REST,
+    GAINS,
+    NOTHING_KNOWN,
+    Measured,
+    Noise,
+    Predictions,
+    drive_filter,
+)
+from processing.fit.known_drive import KnownDrive, WitnessedColumns
 from processing.fit.result import FitResult
-from processing.fit.witnessed_columns import NOT_WITNESSED, WitnessedColumns
 from processing.periods import mean_period
 from processing.swing import TurningPoints
 
@@ -267,28 +273,23 @@ class ExactModel:
             loss_by = np.column_stack([loss_by, of_loss, np.zeros_like(of_duration)])
             duration_by = np.column_stack([duration_by, np.zeros_like(of_loss), of_duration])
             start_by = np.column_stack([start_by, np.zeros((2, loss_by.shape[1] - matrix.shape[1]))])
+        nodes = np.array(
+            [
+                table.amplitude, table.loss, table.loss_slope,
+                period0_s * table.duration, period0_s * table.duration_slope,
+            ]
+        )  # fmt: skip
+        known = self.witnessed.known(columns, loss_by.shape[1]) if self.witnessed else NOTHING_KNOWN
+        variance = self._variance * noise.scale**2
         innovations, jacobian, state, log_det = drive_filter(
-            np.array(
-                [
-                    table.amplitude, table.loss, table.loss_slope,
-                    period0_s * table.duration, period0_s * table.duration_slope,
-                ]
-            ),
-            loss_by,
-            duration_by,
-            parameters[[-3, -1]],
-            start_by,
-            self._index,
-            self._measured,
-            self._variance * noise.scale**2,
+            Predictions(nodes, loss_by, duration_by, parameters[[-3, -1]], start_by),
+            Measured(self._index, self._measured, variance, self._rate, noise.averaged),
             noise.step,
-            self._rate,
-            noise.averaged,
-            noise.limit,
+            known,
             gains,
             held,
-            *(NOT_WITNESSED if self.witnessed is None else self.witnessed.known(columns, loss_by.shape[1])),
-        )  # fmt: skip
+            noise.limit,
+        )
         return Filtered(innovations.ravel(), jacobian.reshape(2 * count, -1), state, log_det, gains)
 
     def losses(self, columns: Floats) -> tuple[Floats, Floats]:

@@ -20,8 +20,8 @@ from processing.fit.drifts import by_drifts
 from processing.fit.evidence import Evidence, Waveform
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, step_of_density
+from processing.fit.known_drive import LEAST_LEFT
 from processing.fit.result import FitResult
-from processing.fit.witnessed_columns import LEAST_LEFT
 from processing.least_squares import covariance_of
 from processing.swing import HALVES, TurningPoints
 
