@@ -10,9 +10,8 @@ from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.evidence import Evidence
-from processing.fit.exact import fit_exact
+from processing.fit.exact import fit_exact, starts_of
 from processing.fit.exact_model import ExactModel
-from processing.fit.exact_starts import starts_of
 from processing.fit.ground import Noise
 from processing.fit.result import FitResult
 from processing.least_squares import Solution, solve
