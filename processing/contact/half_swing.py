@@ -21,8 +21,6 @@ TABLE_RATIO = 8.0
 """Largest amplitude over the smallest one of a table, where nothing else is known of a decay."""
 _MOST_GROWTH = 2.0
 """Of the first amplitude; a swing that grows by more is no decay, and such a law is searched no further."""
-_NODES = 20
-"""Nodes of a quarter; the error is below 1e-12 of a half period for any exponent above zero."""
 
 
 class HalfSwings(NamedTuple):
@@ -206,43 +204,3 @@ def _append(table: SwingTable, amplitudes: list[float], count: int, most: float)
         c3, c2, c1, c0 = cubics[k]
         here *= ((c3 * d + c2) * d + c1) * d + c0
         amplitudes.append(here)
-
-
-# The substitution ``phi = A cos(theta)`` removes the square-root singularity of the duration at the turning
-# point. Fractional powers of |phi| leave another one at the zero crossing, which ``pi/2 - theta =
-# (pi/2) v**3`` smooths. A Gauss-Legendre rule in v then converges quickly for every exponent.
-
-
-class QuarterNodes(NamedTuple):
-    """Nodes from the turning point (theta = 0) to the zero crossing (theta = pi/2).
-
-    `weight` are the weights for integration over theta, `turn_and_cos` is 1, then cos(theta). The square
-    matrix `travelled` maps values f at the nodes to ``integral_0^theta_k sin^2 f dtheta' / sin^2 theta_k``,
-    the work of a moment proportional to the speed; dividing by sin^2 avoids 0/0 at the turning point.
-    """
-
-    weight: Floats
-    turn_and_cos: Floats
-    sin2: Floats
-    travelled: Floats
-
-
-@lru_cache(maxsize=1)
-def quarter_nodes() -> QuarterNodes:
-    """The nodes; computed once and cached."""
-    x, w = np.polynomial.legendre.leggauss(_NODES)
-    v = (x[::-1] + 1.0) / 2.0  # falling v: rising theta
-    w = w[::-1] / 2.0
-    past_zero = np.pi / 2 * v**3
-    weight = 1.5 * np.pi * v**2 * w
-    sin2 = np.cos(past_zero) ** 2
-    # The integral from v_k to 1 of a polynomial through the nodes, by its Legendre coefficients.
-    legendre = np.polynomial.legendre.legvander(2 * v - 1, _NODES)
-    to_coefficients = ((2 * np.arange(_NODES) + 1)[:, None] * legendre[:, :_NODES].T) * w
-    integral = np.empty((_NODES, _NODES))
-    integral[:, 0] = 1.0 - v
-    for k in range(1, _NODES):
-        # integral_x^1 P_k = (P_{k-1}(x) - P_{k+1}(x)) / (2 k + 1); half of it, for dv = dx/2
-        integral[:, k] = (legendre[:, k - 1] - legendre[:, k + 1]) / (2 * (2 * k + 1))
-    travelled = (integral @ to_coefficients) * (1.5 * np.pi * v**2 * sin2) / sin2[:, None]
-    return QuarterNodes(weight, np.append(1.0, np.sin(past_zero)), sin2, travelled)

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from processing.arrays import Floats
+from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import FREE_PERIOD, PERIOD, Law, Parameter
 from processing.contact.memoryless import Moment, Moments, memoryless_law
-from processing.contact.start_values import StartValues
 from processing.periods import reference_amplitude
 from processing.swing import TurningPoints
 

@@ -27,11 +27,10 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
+from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Coordinates, Scaling, Straight
 from processing.contact.half_swing import SwingTable
-from processing.contact.law import DRAG, PERIOD, BranchMoments, Law, Parameter
-from processing.contact.parameters import PendulumOnBall, weight_moment
-from processing.contact.start_values import StartValues
+from processing.contact.law import DRAG, PERIOD, BranchMoments, Law, Parameter, PendulumOnBall, weight_moment
 
 Arrays = Mapping[str, Floats]
 

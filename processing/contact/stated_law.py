@@ -14,12 +14,11 @@ from math import isfinite, log
 import numpy as np
 
 from processing.arrays import Floats
+from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Scaling, logarithms_of
-from processing.contact.law import DRAG, FREE_PERIOD, PERIOD, Law, Parameter
+from processing.contact.law import DRAG, FREE_PERIOD, PERIOD, Law, Parameter, PendulumOnBall, stiffness_ratio
 from processing.contact.laws import LAWS, PAPER, STIFFNESS, elastic_moment
 from processing.contact.memoryless import Moment, Moments, memoryless_law
-from processing.contact.parameters import PendulumOnBall, stiffness_ratio
-from processing.contact.start_values import StartValues
 from processing.errors import DataError
 from processing.periods import reference_amplitude
 from processing.swing import TurningPoints

@@ -158,8 +158,8 @@ class Measured(NamedTuple):
 
     Attributes
     ----------
-    index
-        Rising half-cycle numbers.
+    numbers
+        Of the half-cycles, rising.
     points, variance
         (2, half-cycles) amplitudes and times, and the variances of their measurement.
     rate
@@ -168,7 +168,7 @@ class Measured(NamedTuple):
         The turning points were measured on the samples of their half-cycles.
     """
 
-    index: Ints
+    numbers: Ints
     points: Floats
     variance: Floats
     rate: float

@@ -1,4 +1,4 @@
-"""What an auxiliary seismometer recorded, as terms beside an exact fit, and what they do to its turning points.
+"""What an auxiliary seismometer recorded, as terms beside an exact fit, and what they do to turning points.
 
 The instrument's response is not known. Near the pendulum's frequency two numbers describe it: a gain, and one
 for the same record with every phase turned by a quarter; and two more where gain or phase change within the

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from processing.contact import PendulumOnBall
+from processing.contact.law import ContactParameters
 from processing.contact.moments import elastic_moment, friction_moment
-from processing.contact.parameters import ContactParameters
 from processing.errors import RigError
 from processing.fit import fit_without_law
 from processing.fit.model_free import FreeMoments

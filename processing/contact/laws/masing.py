@@ -17,13 +17,12 @@ there, and so may be uncertainties that hang on these amplitudes.
 """
 
 import numpy as np
-from scipy.special import loggamma
 
 from processing.arrays import Floats
+from processing.contact.asymptotic import StartValues, cosine_moment
 from processing.contact.coordinates import ComplexOrReal, Scaling, Straight, logarithms_of
 from processing.contact.law import CONSTANT, FREE_PERIOD, PERIOD, HeldColumn, Parameter
 from processing.contact.memory import Arrays, branch_law, masing
-from processing.contact.start_values import StartValues
 
 
 def _backbone(x: Floats, q: Arrays) -> Floats:
@@ -36,7 +35,7 @@ def _work(x: Floats, q: Arrays) -> Floats:
 
 def _stiffness(q: ComplexOrReal) -> ComplexOrReal:
     """Moment in phase with a swing of amplitude 1, for k = 1."""
-    return np.asarray(4 / np.sqrt(np.pi) * np.exp(loggamma(q + 0.5) - loggamma(q + 1)) * q / (q + 1))
+    return np.asarray(8 / np.pi * cosine_moment(2 * q) * q / (q + 1))
 
 
 def _scaled(values: ComplexOrReal) -> ComplexOrReal:

@@ -13,17 +13,19 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.asymptotic import cosine_moment
+from processing.contact.asymptotic import PeriodStart, StartValues, cosine_moment, from_straight, to_straight
 from processing.contact.coordinates import ComplexOrReal, Scaling, Straight
-from processing.contact.law import DRAG, PERIOD, HeldColumn, Parameter
-from processing.contact.memoryless import Moment, Moments, memoryless_law
-from processing.contact.parameters import (
+from processing.contact.law import (
+    DRAG,
+    PERIOD,
     ContactParameters,
+    HeldColumn,
+    Parameter,
     PendulumOnBall,
     relative_curvature,
     stiffness_ratio,
 )
-from processing.contact.start_values import PeriodStart, StartValues, from_straight, to_straight
+from processing.contact.memoryless import Moment, Moments, memoryless_law
 from processing.errors import DataError
 
 STIFFNESS = Scaling(0.0, -1.0, "n", lambda pendulum: stiffness_ratio(1.0, pendulum), loses=False)

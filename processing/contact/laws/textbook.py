@@ -9,11 +9,11 @@
 import numpy as np
 
 from processing.arrays import Floats
+from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import CONSTANT, DRAG, FREE_PERIOD, PERIOD, Parameter
 from processing.contact.memory import Arrays, Branch, branch_law
 from processing.contact.memoryless import NO_MOMENT, Moment, Moments, memoryless_law
-from processing.contact.start_values import StartValues
 
 
 def _coulomb_starts(found: StartValues, _: float) -> list[dict[str, float]]:

@@ -7,8 +7,8 @@ from scipy.integrate import solve_ivp
 
 from processing.contact import scaled_contact, turning_points_of
 from processing.contact.half_swing import SwingTable, walk
+from processing.contact.law import ContactParameters, PendulumOnBall
 from processing.contact.laws import PAPER
-from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.errors import DataError
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair
 

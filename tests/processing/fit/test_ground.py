@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from processing.contact import turning_points_of
+from processing.contact.law import ContactParameters, PendulumOnBall
 from processing.contact.laws import PAPER
-from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.asymptotic import fit_asymptotic

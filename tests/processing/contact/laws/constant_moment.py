@@ -8,10 +8,10 @@ Each half-swing takes 2 c from the amplitude and lasts T0/2, at every amplitude.
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import CONSTANT, FREE_PERIOD, PERIOD
 from processing.contact.memoryless import NO_MOMENT, Moment, Moments, memoryless_law
-from processing.contact.start_values import StartValues
 from processing.swing import TurningPoints
 
 Array = NDArray[np.float64]
