@@ -238,20 +238,16 @@ class ExactModel:
         *,
         with_rho: bool = False,
         errors: Errors | None = None,
-        loss: Callable[[Floats], Floats] | None = None,
     ) -> Filtered:
         """The Kalman filter over the half-cycles; with `gains` of an earlier call it uses these.
 
         `with_rho` adds a column to the Jacobian, the derivatives by ln(R/a), and `errors` one for each
-        relative error, those of the losses first. `loss` adds the derivatives by the size of a further loss,
-        which is given in units of the reference for amplitudes in these units.
+        relative error, those of the losses first.
         """
         parameters, matrix = self.columns.map_parameters(columns)
         if with_rho:
             by_rho = np.concatenate([self.columns.map_by_log_rho, [0.0, 0.0]])
             matrix = np.column_stack([matrix, by_rho])
-        if loss is not None:
-            matrix = np.column_stack([matrix, np.zeros(len(matrix))])
         count, held = len(self._x), gains is not None
         gains = np.zeros((count, GAINS)) if gains is None else gains
         table = self._swings.through_the_decay(parameters)
@@ -261,8 +257,6 @@ class ExactModel:
         period0_s = parameters[-2]
         of_map = np.ascontiguousarray(matrix[:-2])
         loss_by = table.loss_gradient @ of_map
-        if loss is not None:
-            loss_by[:, -1] = loss(table.amplitude)
         duration_by = period0_s * (table.duration_gradient @ of_map) + table.duration[:, None] * matrix[-2]
         start_by = matrix[[-3, -1]]
         if errors is not None:
@@ -304,10 +298,10 @@ class ExactModel:
         return table.amplitude, table.loss
 
     def filtered_here(
-        self, columns: Floats, *, with_rho: bool = False, loss: Callable[[Floats], Floats] | None = None
+        self, columns: Floats, *, with_rho: bool = False, errors: Errors | None = None
     ) -> Filtered:
         """The filter with the noise and the weights of this model, see `on_ground`."""
-        return self.filtered(columns, self._noise, self._gains, with_rho=with_rho, loss=loss)
+        return self.filtered(columns, self._noise, self._gains, with_rho=with_rho, errors=errors)
 
     def beside_here(self, columns: Floats) -> tuple[Floats, Floats]:
         """Residuals of the evidence as this model weighs them, and their derivatives by the columns."""

@@ -149,7 +149,8 @@ class Restricted:
         score = directions.T @ (self._score[own] - by.T @ of_others)
         told = 1.0 + np.outer(tried**2, np.maximum(power, 0.0))
         others = 2.0 * float(np.sum(np.log(np.diag(root)))) - float(of_others @ of_others)
-        return self._of_law + others + np.sum(np.log(told) - (tried[:, None] * score) ** 2 / told, axis=1)
+        own_part = np.sum(np.log(told) - (tried[:, None] * score) ** 2 / told, axis=1)
+        return np.asarray(self._of_law + others + own_part)
 
     def unexplained(self, sizes: Floats) -> Floats:
         """Residuals that neither law nor groups of these sizes explain."""
@@ -279,11 +280,15 @@ class Linearised:
         return np.asarray(changes, dtype=np.float64).T
 
     def by_loss(self, loss: Callable[[Floats], Floats], waveform: dict[str, float]) -> Floats:
-        """Derivatives (rows,) of the residuals by the size of a further loss (see `ExactModel.filtered`).
+        """Derivatives (rows,) of the residuals by the size of a further loss, which is given in units of the
+        reference for amplitudes in these units.
 
         `waveform` is added to the law's own values for the waveform that belongs to a size of 1.
         """
-        of_points = self.model.filtered_here(self.coordinates, loss=loss).jacobian[:, -1] / self.scale
+        _, lost = self.model.losses(self.coordinates)
+        further = Errors(lambda a, _: (loss(a) / lost)[:, None], lambda a, _: np.zeros((len(a), 1)))
+        found = self.model.filtered_here(self.coordinates, errors=further)
+        of_points = found.jacobian[:, -2] / self.scale
         before = self.model.of_evidence(self.coordinates)
         return np.concatenate([of_points, self.model.of_evidence(self.coordinates, waveform) - before])
 

@@ -1,4 +1,4 @@
-"""The contact laws as data, one file per law: parameters, moments, coordinates and start values.
+"""The contact laws as data: parameters, moments, coordinates and start values.
 
 To add a law, write a module in this package and list it here.
 """
@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from processing.contact.law import AMPLITUDE, DRAG, TIME, Law
-from processing.contact.laws.masing import MASING, MAXWELL_SLIP
 from processing.contact.laws.paper import PAPER, STIFFNESS, elastic_moment, scaled_contact, turning_points_of
-from processing.contact.laws.textbook import COULOMB, DAHL, VISCOUS
+from processing.contact.laws.textbook import COULOMB, DAHL, MASING, MAXWELL_SLIP, VISCOUS
 
 LAWS: Mapping[str, Law] = MappingProxyType(
     {
