@@ -1,8 +1,7 @@
 """Contact of ball and flat: Hertz theory, laws of friction and elasticity, decay, period, half-swing map."""
 
-from processing.contact.adhesion import AdhesiveContact, adhesive_contacts
 from processing.contact.air_drag import ExpectedDrag, bar_of, expected_drag_s, vane_drag_s_per_m2
-from processing.contact.asymptotic import decay_path, frequency_drop, period
+from processing.contact.asymptotic import decay_path, fit_decay, frequency_drop, period, period_start
 from processing.contact.free_swing import STEEPER_DRAG, law_harmonics
 from processing.contact.half_swing import TABLE_RATIO, HalfSwings, OneHalfSwing, SwingTable, walk
 from processing.contact.hertz import (
@@ -14,24 +13,31 @@ from processing.contact.hertz import (
     material,
     pendulum_on_ball,
 )
-from processing.contact.law import AMPLITUDE, DRAG, TIME, Columns, HeldColumn, Law, Parameter
+from processing.contact.law import (
+    AMPLITUDE,
+    DRAG,
+    STANDARD_GRAVITY_M_PER_S2,
+    TIME,
+    Columns,
+    ContactParameters,
+    HeldColumn,
+    Law,
+    Parameter,
+    PendulumOnBall,
+    relative_curvature,
+    stiffness_ratio,
+    weight_moment,
+)
 from processing.contact.law_of_splines import MomentSplines, spline_law
 from processing.contact.laws import DEFAULT_LAW, LAWS, scaled_contact, turning_points_of
 from processing.contact.moments import (
+    AdhesiveContact,
     SurfaceEnergy,
+    adhesive_contacts,
     cycle_work,
     measured_losses,
     model_losses,
     moment_loop,
     surface_energy,
 )
-from processing.contact.parameters import (
-    STANDARD_GRAVITY_M_PER_S2,
-    ContactParameters,
-    PendulumOnBall,
-    relative_curvature,
-    stiffness_ratio,
-    weight_moment,
-)
-from processing.contact.start_values import fit_decay, period_start
 from processing.contact.stated_law import StatedLaw, StatedMoment

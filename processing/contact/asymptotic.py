@@ -1,4 +1,6 @@
-"""The asymptotic theory of a decay: amplitude in first approximation (Eq. 5), period in second (Eq. 6).
+"""The asymptotic theory of a decay, its fit, and from it start values of an exact fit.
+
+Amplitude in first approximation (Eq. 5), period in second (Eq. 6):
 
     d alpha/dt = -(4/T) (c + b alpha^p/(p+1) + d alpha)                      (5, with a linear term d)
     T0/T = 1 - 2 kappa alpha^n J(n) (1 - curvature(n) rho alpha)             (6)
@@ -6,18 +8,26 @@
 Without the linear term a closed form exists, with which the tests compare.
 """
 
+from dataclasses import replace
 from functools import lru_cache
 from math import log, pi, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from processing.arrays import Floats
-from processing.contact.parameters import ContactParameters, PendulumOnBall, stiffness_ratio
+from processing.contact.law import ContactParameters, PendulumOnBall, stiffness_ratio
+from processing.errors import DataError
+from processing.estimate import Estimate
+from processing.least_squares import Loss, Solution, propagate, solve
+from processing.periods import FEWEST_PERIODS, full_periods, mean_period, reference_amplitude
+from processing.swing import TurningPoints
 
 _PIECE, _PIECES = 0.1, 400
 """Pieces of ln x over which a decay is integrated, 8 nodes each: to 1e-13, and to e^-40 of the start."""
+_SETTLED = 1e-9
+"""Last change of ln x; each squares it."""
 
 PRINTED_CURVATURE = 0.55
 """The number printed in Eq. 6; averaging Eq. 3 gives `curvature(n)` instead."""
@@ -36,20 +46,25 @@ def decay_path(
     if not start > 0:
         return path, gradient
 
-    def rate(x: Floats) -> Floats:
-        return np.asarray(c + b * x**p + d * x)
-
     nodes, weights = _path_nodes()
 
-    def integrals(low: Floats, high: Floats) -> Floats:
-        """Of 1/r, and of its derivatives by b, p, c and d, from one ln x to another; NaN where x stops."""
+    def powers(y: Floats) -> tuple[Floats, Floats, Floats]:
+        """x and x^p where ln x is y, and the rate."""
+        x, power = np.exp(y), np.exp(p * y)
+        return x, power, c + b * power + d * x
+
+    def nodes_of(low: Floats, high: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """ln x, x and x^p at the nodes between two ln x, weights over the rate (NaN where x stops), rate."""
         half = 0.5 * (high - low)[:, None]
-        x = np.exp(low[:, None] + half * (1 + nodes))
-        power, weight = x**p, weights * half * x
-        r = c + b * power + d * x
-        by = [-power, -b * power * np.log(x), -np.ones_like(x), -x]
-        found = [np.sum(weight / r, axis=1), *(np.sum(weight * one / r**2, axis=1) for one in by)]
-        return np.where(np.all(r > 0, axis=1), np.array(found), np.nan).T
+        y = low[:, None] + half * (1 + nodes)
+        x, power, r = powers(y)
+        return y, x, power, np.where(np.all(r > 0, axis=1, keepdims=True), weights * half * x / r, np.nan), r
+
+    def integrals(low: Floats, high: Floats) -> Floats:
+        """Of 1/r, and of its derivatives by b, p, c and d."""
+        y, x, power, over, r = nodes_of(low, high)
+        by = -over / r
+        return np.array([part.sum(axis=1) for part in (over, by * power, b * by * power * y, by, by * x)]).T
 
     with np.errstate(all="ignore"):  # a search tries anything
         y: Floats = np.linspace(log(start), log(start) - _PIECE * _PIECES, _PIECES + 1)
@@ -63,16 +78,16 @@ def decay_path(
         width = np.where(following > k, passed[following, 0] - passed[k, 0], 1.0)
         at = y[k] - _PIECE * (wanted - passed[k, 0]) / width
         for _ in range(20):
-            more = integrals(at, y[k])
-            x = np.exp(at)
-            change = (passed[k, 0] + more[:, 0] - wanted) * rate(x) / x
-            at = np.clip(at + change, y[following], y[k])
-            if not np.any(np.abs(change) > 1e-15):
+            x, _power, r = powers(at)
+            late = passed[k, 0] + nodes_of(at, y[k])[3].sum(axis=1) - wanted
+            before, at = at, np.clip(at + late * r / x, y[following], y[k])
+            if not np.any(np.abs(at - before) > _SETTLED):
                 break
-        x = np.exp(at)
-        r, total = rate(x), passed[k] + integrals(at, y[k])
+        x, _power, r = powers(at)
+        total = passed[k] + integrals(at, y[k])
         path[reached] = x
-        gradient[reached] = np.column_stack([r / rate(np.array(start)), r[:, None] * total[:, 1:], -r])
+        of_start = powers(np.log(np.array(start)))[2]
+        gradient[reached] = np.column_stack([r / of_start, r[:, None] * total[:, 1:], -r])
     return path, gradient
 
 
@@ -126,3 +141,219 @@ def period(
         printed_curvature=printed_curvature,
     )
     return parameters.period0_s / (1 - drop)
+
+
+# Start values of the fits: linear parameters by linear least squares, the exponent by a grid search.
+#
+# For a given exponent p the integrated decay (Eq. 5)
+#
+#     alpha(0) - alpha(t) = (4/T) [ c t + b/(p+1) integral alpha^p dt + d integral alpha dt ]
+#
+# is linear in c, b, d, and for a given n the frequency of Eq. 6 is linear in 1/T0 and kappa/T0.
+
+_EXPONENTS_P = np.array([0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0, 1.15, 1.35, 1.6, 2.0, 2.5, 3.0])
+_EXPONENTS_N = np.array([0.03, 0.06, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0])
+"""Start values, which the fit varies; the paper's pairs have p from 0.82 to 0.94 and n from 0.09 to 0.55."""
+
+
+class DecayStart(NamedTuple):
+    """Rate of the decay per s = 4 t/T: ``c + b x^p + d x`` (b stands for b/(p+1))."""
+
+    start: float
+    b: float
+    p: float
+    c: float
+    d: float
+
+
+class PeriodStart(NamedTuple):
+    period0_s: float
+    n: float
+    kappa: float
+
+
+def decay_start(s: Floats, x: Floats, u: Floats, *, drag: bool) -> DecayStart:
+    """Best fit over a grid of exponents p, by linear least squares with non-negative rates."""
+    from scipy.optimize import nnls
+
+    best, best_cost = DecayStart(float(x[0]), 0.0, 1.0, float((x[0] - x[-1]) / s[-1]), 0.0), np.inf
+    step = np.diff(s, prepend=s[0])
+
+    def integral(values: Floats) -> Floats:
+        mean = np.concatenate(([0.0], 0.5 * (values[1:] + values[:-1])))
+        return np.cumsum(mean * step)
+
+    for p in _EXPONENTS_P:
+        if drag and abs(p - 1) < 0.01:
+            continue
+        columns = [np.ones_like(s), -integral(x**p), -(s - s[0])]
+        if drag:
+            columns.append(-integral(x))
+        solution, rest = nnls(np.column_stack(columns) / u[:, None], x / u)
+        if rest < best_cost:
+            d = float(solution[3]) if drag else 0.0
+            best, best_cost = (
+                DecayStart(float(solution[0]), float(solution[1]), float(p), float(solution[2]), d),
+                rest,
+            )
+    return best
+
+
+def period_start(x: Floats, period_s: Floats, u_period_s: Floats, rho: float) -> list[PeriodStart]:
+    """T0 and kappa for every exponent n of a grid, in order of rising chi-square."""
+    frequency = 1 / period_s
+    weight = period_s**2 / u_period_s
+    found: list[tuple[float, PeriodStart]] = []
+    for n in _EXPONENTS_N:
+        columns = np.column_stack([np.ones_like(x), -frequency_drop(x, float(n), 1.0, rho)])
+        solution, *_ = np.linalg.lstsq(columns * weight[:, None], frequency * weight, rcond=None)
+        rest = float(np.sum(((columns @ solution - frequency) * weight) ** 2))
+        if solution[0] > 0:
+            found.append(
+                (rest, PeriodStart(1 / float(solution[0]), float(n), float(solution[1] / solution[0])))
+            )
+    found.sort(key=lambda item: item[0])
+    return [start for _, start in found]
+
+
+class StartValues(NamedTuple):
+    """Start values in units of the reference amplitude; `periods` in order of rising chi-square."""
+
+    decay: DecayStart
+    periods: list[PeriodStart]
+    mean_period_s: float
+
+
+def start_values(points: TurningPoints, rho: float, *, drag: bool) -> StartValues:
+    """Start values of an exact fit; `rho` is R/a times the reference amplitude."""
+    reference = reference_amplitude(points)
+    mean = mean_period(points)
+    decay, _ = fit_decay(points, reference, mean, drag, "soft_l1")
+    periods = full_periods(points)
+    if len(periods.where) >= FEWEST_PERIODS:
+        starts = period_start(
+            points.amplitude[periods.where] / reference, periods.period_s, periods.u_period_s, rho
+        )
+    else:
+        starts = [PeriodStart(mean, 0.3, 1e-3)]
+    b, p, c, *rest = decay.values.tolist()
+    return StartValues(DecayStart(rest[-1], b, p, c, rest[0] if drag else 0.0), starts, mean)
+
+
+_B, _P, _C, _D = range(4)
+"""Columns by name; the last one is always the first amplitude."""
+
+
+def fit_decay(
+    points: TurningPoints,
+    reference: float,
+    mean_period: float,
+    drag: bool,
+    loss: Loss,
+    known: Estimate | None = None,
+) -> tuple[Solution, Floats]:
+    """Fit ``dx/ds = -(c + b x^p/(p+1) + d x)`` to the amplitudes, where d may be `known` otherwise.
+
+    Returns the solution with columns b, p, c, (d,) first amplitude, in units of the reference and of
+    s = 4 t/T, and the fitted amplitudes in the unit of the points. With d the search runs in the
+    coordinates of `straight`.
+    """
+    x = points.amplitude / reference
+    u = points.u_amplitude / reference
+    s = (points.time_s - points.time_s[0]) * (4 / mean_period)
+    first = decay_start(s, x, u, drag=drag)
+
+    def natural(values: Floats) -> tuple[Floats, Floats]:
+        """b, p, c, (d,) start, and their derivatives by the solver's columns."""
+        out, matrix = values.copy(), np.eye(len(values))
+        if drag:
+            moved = np.column_stack([values, values[:, None] + 1e-30j * matrix])
+            b = np.exp(moved[_B])
+            found = np.array([b, *from_straight(b, moved[_P], moved[_D])])
+            out[[_B, _P, _D]], matrix[[_B, _P, _D]] = found[:, 0].real, found[:, 1:].imag / 1e-30
+        return out, matrix
+
+    def curve(values: Floats) -> tuple[Floats, Floats]:
+        now, matrix = natural(values)
+        b, p, c = now[:3]
+        if not -0.6 < p < 6.0:
+            return np.full_like(x, np.nan), np.full((len(x), len(values)), np.nan)
+        d = now[_D] if drag else 0.0
+        path, gradient = decay_path(s, now[-1], b / (p + 1), p, c, d)
+        jacobian = np.empty((len(s), len(values)))
+        jacobian[:, _B] = gradient[:, 1] / (p + 1)
+        jacobian[:, _P] = gradient[:, 2] - gradient[:, 1] * b / (p + 1) ** 2
+        jacobian[:, _C] = gradient[:, 3]
+        if drag:
+            jacobian[:, _D] = gradient[:, 4]
+        jacobian[:, -1] = gradient[:, 0]
+        return path, jacobian @ matrix
+
+    def model(values: Floats) -> tuple[Floats, Floats]:
+        path, jacobian = curve(values)
+        residuals, jacobian = (path - x) / u, jacobian / u[:, None]
+        if known is None:
+            return residuals, jacobian
+        now, matrix = natural(values)
+        held = matrix[_D] / known.standard_uncertainty
+        return np.append(residuals, (now[_D] - known.value) / known.standard_uncertainty), np.vstack(
+            [jacobian, held]
+        )
+
+    rate = (x[0] - x[-1]) / (s[-1] - s[0])
+    # with a rate of exactly zero the derivative by its exponent would vanish
+    b0 = max(first.b * (first.p + 1), 1e-3 * rate)
+    lower = np.full(5 if drag else 4, -np.inf)
+    upper = np.full(5 if drag else 4, np.inf)
+    lower[-1] = 0.1 * x.max()
+    if drag:
+        # as in the exact fit: if b accounts for several times the whole loss, b and drag merely cancel
+        lower[_B], upper[_B] = -30.0, np.log(6 * abs(np.log(x[0] / x[-1])) / (s[-1] - s[0]))
+    else:
+        lower[_P], upper[_P] = -0.5, 5.0
+    # because of noise the best start of the grid may reach zero before the data end: try slower decays
+    for slower in (1.0, 0.9, 0.7, 0.5, 0.3, 0.1):
+        b, c = b0 * slower, first.c * slower
+        start = np.array([b, first.p, c, *([first.d * slower] if drag else []), first.start])
+        if drag:
+            start[_B] = np.log(b)
+            start[_P], start[_D] = to_straight(float(b), first.p, first.d * slower)
+        start = np.clip(start, lower + 1e-9, upper - 1e-9)
+        if np.all(np.isfinite(model(start)[0])):
+            break
+    else:
+        raise DataError("the decay has no start from which Eq. 5 reaches the last half-cycle")
+    solution = solve(model, start, lower=lower, upper=upper, loss=loss)
+    found, matrix = natural(solution.values)
+    return (
+        replace(
+            solution,
+            values=found,
+            covariance=propagate(matrix, solution.covariance),
+            residuals=solution.residuals[: len(x)],
+            jacobian=solution.jacobian[: len(x)] @ np.linalg.inv(matrix),
+        ),
+        curve(solution.values)[0] * reference,
+    )
+
+
+# Coordinates that separate friction from a linear drag.
+#
+# For p near 1, b x^p = b x [1 + (p-1) ln x + ...] is nearly linear in x, and b is strongly correlated with a
+# drag. The data then determine the factor of the logarithm, ``omega = b (p-1)/(p+1)``, and the total linear
+# loss, ``linear = b/(p+1) + drag``. In the coordinates ln b, omega, linear the valley of chi-square is
+# straight and runs along ln b.
+
+
+def from_straight(b: Any, omega: Any, linear: Any) -> tuple[Any, Any]:
+    """p and drag (in the unit of the linear loss), of real or complex coordinates.
+
+    NaN if no p corresponds to the coordinates.
+    """
+    rest = np.where(np.abs(b - omega) > 1e-12 * np.abs(b), b - omega, np.nan)
+    return (b + omega) / rest, linear - rest / 2
+
+
+def to_straight(b: float, p: float, drag: float) -> tuple[float, float]:
+    """The coordinates omega and linear; the inverse of `from_straight`."""
+    return b * (p - 1) / (p + 1), b / (p + 1) + drag

@@ -8,9 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.arrays import Floats
-from processing.contact.law import AMPLITUDE, DRAG, PERIOD, TIME, HeldColumn, Parameter
-from processing.contact.parameters import PendulumOnBall, relative_curvature
-from processing.contact.start_values import StartValues, start_values
+from processing.contact.asymptotic import StartValues, start_values
+from processing.contact.law import (
+    AMPLITUDE,
+    DRAG,
+    PERIOD,
+    TIME,
+    HeldColumn,
+    Parameter,
+    PendulumOnBall,
+    relative_curvature,
+)
 from processing.errors import DataError
 from processing.periods import reference_amplitude
 from processing.swing import TurningPoints

@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Complexes, Floats
-from processing.contact.law import DRAG, Law
-from processing.contact.parameters import PendulumOnBall, weight_moment
+from processing.contact.law import DRAG, Law, PendulumOnBall, weight_moment
 from processing.errors import DataError
 from processing.swing import HALVES, SwingTerms
 

@@ -11,21 +11,16 @@ Angles are in units of a reference amplitude, times in units of T0.
 from collections.abc import Callable
 from functools import lru_cache
 from math import log
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from processing.arrays import Flags, Floats, Ints
 
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
-
 TABLE_RATIO = 8.0
 """Largest amplitude over the smallest one of a table, where nothing else is known of a decay."""
 _MOST_GROWTH = 2.0
 """Of the first amplitude; a swing that grows by more is no decay, and such a law is searched no further."""
-_NODES = 20
-"""Nodes of a quarter; the error is below 1e-12 of a half period for any exponent above zero."""
 
 
 class HalfSwings(NamedTuple):
@@ -82,31 +77,62 @@ class OneHalfSwing(NamedTuple):
 class SwingTable(NamedTuple):
     """Half-swings from amplitudes between `lowest` and the highest knot, of a law with k parameters.
 
-    `values` is a function of ln A with 2 + 2 k columns: next amplitude over A, duration (T0), then the
-    derivatives of each by the parameters at fixed A.
+    Between `knots`, which rise evenly in ln A, cubics (4, knots - 1, 2 + 2 k) of the distance from the lower
+    knot, the highest power first, give next amplitude over A, duration (T0), then the derivatives of each by
+    the parameters at fixed A.
     """
 
     lowest: float
-    values: "CubicSpline"
+    knots: Floats
+    cubics: Floats
 
     @classmethod
     def of(cls, log_a: Floats, rows: Floats, fewest: int, beyond: int) -> "SwingTable | None":
-        """The table of rows at evenly rising ln A; None unless the last `fewest` of them are finite.
+        """The table of rows (2 + 2 k, amplitudes) at evenly rising ln A; None unless the last `fewest`
+        amplitudes are finite.
 
-        Below the highest row that is not finite, the pendulum sticks. The lowest `beyond` are there for the
+        Below the highest that is not finite, the pendulum sticks. The lowest `beyond` are there for the
         interpolation.
         """
-        from scipy.interpolate import CubicSpline  # here, because it would slow down every command
-
-        usable = np.all(np.isfinite(rows), axis=1)
+        usable = np.all(np.isfinite(rows), axis=0)
         if not usable[-fewest:].all():
             return None
         first = 0 if usable.all() else len(usable) - int(np.argmin(usable[::-1]))
-        return cls(float(np.exp(log_a[first or beyond])), CubicSpline(log_a[first:], rows[first:]))
+        cubics = _cubics(rows[:, first:].T, float(log_a[1] - log_a[0]))
+        return cls(float(np.exp(log_a[first or beyond])), log_a[first:], cubics)
 
     def holds(self, amplitude: float) -> bool:
         """Whether the amplitude lies within the table."""
-        return self.lowest <= amplitude and log(amplitude) <= self.values.x[-1]
+        return self.lowest <= amplitude and log(amplitude) <= self.knots[-1]
+
+    def at(self, log_a: Floats) -> tuple[Floats, Floats]:
+        """Values (amplitudes, 2 + 2 k), and the derivatives of the first two by ln A."""
+        step = self.knots[1] - self.knots[0]
+        k = np.clip(((log_a - self.knots[0]) / step).astype(np.int64), 0, self.cubics.shape[1] - 1)
+        d = (log_a - self.knots[k])[:, None]
+        c3, c2, c1, c0 = self.cubics[:, k]
+        slope = (3 * c3[:, :2] * d + 2 * c2[:, :2]) * d + c1[:, :2]
+        return ((c3 * d + c2) * d + c1) * d + c0, slope
+
+
+def _cubics(rows: Floats, step: float) -> Floats:
+    """Cubics (4, n - 1, columns) through n rows whose places rise by `step`, smooth to the second derivative.
+
+    The first two and the last two are the same cubic.
+    """
+    slope = _slopes(len(rows)) @ rows / step
+    rise = np.diff(rows, axis=0) / step
+    low, high = slope[:-1], slope[1:]
+    return np.array([(low + high - 2 * rise) / step**2, (3 * rise - 2 * low - high) / step, low, rows[:-1]])
+
+
+@lru_cache(maxsize=32)
+def _slopes(count: int) -> Floats:
+    """Matrix of the slopes of a cubic spline through values one apart."""
+    from scipy.interpolate import CubicSpline  # here, because it would slow down every command
+
+    at: Floats = np.arange(count, dtype=np.float64)
+    return np.asarray(CubicSpline(at, np.eye(count))(at, 1))
 
 
 TableMaker = Callable[[Floats, float, float], SwingTable | None]
@@ -140,9 +166,8 @@ def walk(
             _append(table, amplitudes, count, most)
         if table is None or len(amplitudes) == begun + 1:
             break
-        log_a = np.log(amplitudes[begun:-1])
-        slope = table.values(log_a, 1)[:, :2]
-        rows.append(np.column_stack([slope, table.values(log_a)]))
+        values, slope = table.at(np.log(amplitudes[begun:-1]))
+        rows.append(np.column_stack([slope, values]))
     own = parameters - 1
     walked = np.concatenate(rows) if rows else np.empty((0, 2 * own + 4))
     a = np.array(amplitudes[: len(walked)])
@@ -166,53 +191,16 @@ def _filled(where: Flags, values: Floats) -> Floats:
 
 def _append(table: SwingTable, amplitudes: list[float], count: int, most: float) -> None:
     """Append amplitudes until the table or the wanted number ends, or one is larger than `most`."""
-    c3, c2, c1, c0 = (row.tolist() for row in table.values.c[:, :, 0])
-    knots = table.values.x.tolist()
-    origin, step = knots[0], knots[1] - knots[0]
-    here = amplitudes[-1]
-    while len(amplitudes) <= count and table.lowest <= here <= most:
-        log_a = log(here)
-        k = min(max(int((log_a - origin) / step), 0), len(c0) - 1)
-        d = log_a - knots[k]
-        here *= ((c3[k] * d + c2[k]) * d + c1[k]) * d + c0[k]
+    cubics = table.cubics[:, :, 0].T.tolist()
+    knots = table.knots.tolist()
+    step, here, k = knots[1] - knots[0], amplitudes[-1], 0
+    for _ in range(count + 1 - len(amplitudes)):
+        if not table.lowest <= here <= most:
+            break
+        d = log(here) - knots[k]
+        if not 0.0 <= d <= step:
+            k = min(max(int((d + knots[k] - knots[0]) / step), 0), len(cubics) - 1)
+            d = log(here) - knots[k]
+        c3, c2, c1, c0 = cubics[k]
+        here *= ((c3 * d + c2) * d + c1) * d + c0
         amplitudes.append(here)
-
-
-# The substitution ``phi = A cos(theta)`` removes the square-root singularity of the duration at the turning
-# point. Fractional powers of |phi| leave another one at the zero crossing, which ``pi/2 - theta =
-# (pi/2) v**3`` smooths. A Gauss-Legendre rule in v then converges quickly for every exponent.
-
-
-class QuarterNodes(NamedTuple):
-    """Nodes from the turning point (theta = 0) to the zero crossing (theta = pi/2).
-
-    `weight` are the weights for integration over theta. The square matrix `travelled` maps values f at the
-    nodes to ``integral_0^theta_k sin^2 f dtheta' / sin^2 theta_k``, the work of a moment proportional to the
-    speed; dividing by sin^2 avoids 0/0 at the turning point.
-    """
-
-    weight: Floats
-    cos: Floats
-    sin2: Floats
-    travelled: Floats
-
-
-@lru_cache(maxsize=1)
-def quarter_nodes() -> QuarterNodes:
-    """The nodes; computed once and cached."""
-    x, w = np.polynomial.legendre.leggauss(_NODES)
-    v = (x[::-1] + 1.0) / 2.0  # falling v: rising theta
-    w = w[::-1] / 2.0
-    past_zero = np.pi / 2 * v**3
-    weight = 1.5 * np.pi * v**2 * w
-    sin2 = np.cos(past_zero) ** 2
-    # The integral from v_k to 1 of a polynomial through the nodes, by its Legendre coefficients.
-    legendre = np.polynomial.legendre.legvander(2 * v - 1, _NODES)
-    to_coefficients = ((2 * np.arange(_NODES) + 1)[:, None] * legendre[:, :_NODES].T) * w
-    integral = np.empty((_NODES, _NODES))
-    integral[:, 0] = 1.0 - v
-    for k in range(1, _NODES):
-        # integral_x^1 P_k = (P_{k-1}(x) - P_{k+1}(x)) / (2 k + 1); half of it, for dv = dx/2
-        integral[:, k] = (legendre[:, k - 1] - legendre[:, k + 1]) / (2 * (2 * k + 1))
-    travelled = (integral @ to_coefficients) * (1.5 * np.pi * v**2 * sin2) / sin2[:, None]
-    return QuarterNodes(weight, np.sin(past_zero), sin2, travelled)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from math import hypot, isfinite
 from types import MappingProxyType
 
-from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, PendulumOnBall
+from processing.contact.law import STANDARD_GRAVITY_M_PER_S2, PendulumOnBall
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 

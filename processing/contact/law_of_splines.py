@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from processing.arrays import Floats
+from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import FREE_PERIOD, PERIOD, Law, Parameter
 from processing.contact.memoryless import Moment, Moments, memoryless_law
-from processing.contact.start_values import StartValues
 from processing.periods import reference_amplitude
 from processing.swing import TurningPoints
 
@@ -114,32 +114,44 @@ class MomentSplines:
         return CubicHermiteSpline(u, work, ends[:, None] * moment(ends))
 
 
-def _with_value(
-    columns: Callable[[Floats], Floats], coefficients: Floats, before: int, after: int
-) -> Callable[[Floats], Floats]:
-    """The moment or work of coefficients, with its derivatives by these and others before and after."""
+def _moment(
+    of_unit: Callable[[Floats], Floats],
+    works: Callable[[Floats], Floats],
+    coefficients: Floats,
+    first: int,
+    unit: float,
+) -> Moment:
+    """The moment of coefficients, the parameters from place `first` on, in other units than the splines."""
 
-    def found(x: Floats) -> Floats:
-        by = columns(x)
-        nothing = [np.zeros((*x.shape, count)) for count in (before, after)]
-        return np.concatenate([(by @ coefficients)[..., None], nothing[0], by, nothing[1]], axis=-1)
+    def work(x: Floats) -> Floats:
+        by = works(unit * x)
+        return np.concatenate([(by @ coefficients)[None], np.moveaxis(by, -1, 0)])
 
-    return found
+    return Moment(
+        tuple(range(first, first + len(coefficients))),
+        lambda x: np.asarray(of_unit(unit * x) @ coefficients),
+        work,
+    )
 
 
 def _moments_of(splines: MomentSplines, parameters: Floats, _: float, __: float) -> Moments:
     """The moments in units of the map's reference, which need not be the splines'."""
     count, more = splines.friction_count, splines.elastic_count
-    of_friction, of_elastic = parameters[:count], parameters[count : count + more]
     unit = float(parameters[-2]) / splines.unit_rad
     return Moments(
-        Moment(
-            _with_value(lambda x: splines.friction(unit * x), of_friction, 0, more + 1),
-            _with_value(lambda x: splines.friction_work(unit * x) / unit, of_friction, 0, more + 1),
+        _moment(
+            splines.friction,
+            lambda x: splines.friction_work(x) / unit,
+            parameters[:count],
+            0,
+            unit,
         ),
-        Moment(
-            _with_value(lambda x: splines.elastic(unit * x) / unit, of_elastic, count, 1),
-            _with_value(lambda x: splines.elastic_work(unit * x) / unit**2, of_elastic, count, 1),
+        _moment(
+            lambda x: splines.elastic(x) / unit,
+            lambda x: splines.elastic_work(x) / unit**2,
+            parameters[count : count + more],
+            count,
+            unit,
         ),
     )
 

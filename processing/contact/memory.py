@@ -27,11 +27,10 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
+from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Coordinates, Scaling, Straight
 from processing.contact.half_swing import SwingTable
-from processing.contact.law import DRAG, PERIOD, BranchMoments, Law, Parameter
-from processing.contact.parameters import PendulumOnBall, weight_moment
-from processing.contact.start_values import StartValues
+from processing.contact.law import DRAG, PERIOD, BranchMoments, Law, Parameter, PendulumOnBall, weight_moment
 
 Arrays = Mapping[str, Floats]
 
@@ -205,7 +204,7 @@ def _table(
             held = steady * (1 + _on_grid(log_a, np.log(following), more))
     ratio = following / amplitude
     by = [(one[1 : 1 + count] - one[1 + count :]) / (2 * change[:, None]) for one in (ratio, duration)]
-    return SwingTable.of(log_a, np.concatenate([ratio[:1], duration[:1], *by]).T, _FEWEST, _BEYOND)
+    return SwingTable.of(log_a, np.concatenate([ratio[:1], duration[:1], *by]), _FEWEST, _BEYOND)
 
 
 def _on_grid(log_a: Floats, at: Floats, values: Floats) -> Floats:

@@ -13,12 +13,12 @@ and either quarter lasts ``integral dtheta / (2 pi sqrt(G))`` in units of T0, wi
 (+ after the turning point, - before it). The drag takes ``drag A^2`` times the integral of ``sin^2 sqrt(G)``
 in each quarter, and changes G by twice that over ``sin^2 theta``, with the integral up to theta.
 
-A law states f, e, D and V together with their derivatives by its parameters; those of a half-swing follow.
+A law states f, e, D and V, and the derivatives of D and V by its parameters; those of a half-swing follow.
 Angles and the moments over m g R are in units of a reference.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from math import ceil, log
 from types import MappingProxyType
 from typing import NamedTuple
@@ -26,30 +26,44 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
+from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Coordinates, Scaling, Straight, scaled_values
-from processing.contact.half_swing import SwingTable, quarter_nodes
-from processing.contact.law import BranchMoments, Law, Parameter
-from processing.contact.parameters import PendulumOnBall, relative_curvature, weight_moment
-from processing.contact.start_values import StartValues
+from processing.contact.half_swing import SwingTable
+from processing.contact.law import (
+    BranchMoments,
+    Law,
+    Parameter,
+    PendulumOnBall,
+    relative_curvature,
+    weight_moment,
+)
 
 _PER_OCTAVE, _BEYOND, _FEWEST = 24, 2, 4
 """Amplitudes of a table in a factor of two, how many of them lie beyond either end, and the fewest."""
-_ROUNDS, _SETTLED = 60, 1e-15
-"""Most iterations, and the relative change at which they end."""
+_NODES = 20
+"""Nodes of a quarter; the error is below 1e-12 of a half period for any exponent above zero."""
+_ROUNDS, _SETTLED, _NEAR = 60, 1e-14, 1e-9
+"""Most iterations, and the relative change at which they end: of those by a drag, which gain its moment over
+the weight's each time, and of Newton's, which square it."""
 _OF_DRAG = 1e-11
 """Last change of derivatives through the speed at which a drag works, relative."""
-_TIGHT = 5
-"""Rounds of the next amplitude and the drag before it: each gains a hundredth of the drag's moment."""
+_TIGHT, _TIGHT_ENOUGH = 5, 1e-11
+"""Rounds of the next amplitude and the drag before it, and the change at which they end: each gains a
+hundredth of the drag's moment."""
 
 
 class Moment(NamedTuple):
     """A moment over m g R and its work from 0, as functions of angles x > 0 of any shape.
 
-    Both return a last axis of the value and its derivatives by the law's parameters, then R/a (`columns`).
+    `work` returns a first axis of the value and its derivatives by the parameters of the map at `places`.
     """
 
+    places: tuple[int, ...]
     moment: Callable[[Floats], Floats]
     work: Callable[[Floats], Floats]
+
+
+NO_MOMENT = Moment((), np.zeros_like, lambda x: np.zeros((1, *x.shape)))
 
 
 class Moments(NamedTuple):
@@ -64,86 +78,113 @@ MomentsOf = Callable[[Floats, float, float], Moments | None]
 needed between two angles; None where the parameters have none."""
 
 
-def columns(shape: tuple[int, ...], count: int, value: Floats, by: Mapping[int, Floats | float]) -> Floats:
-    """Value and derivatives by `count` parameters as a last axis, those not given by place being 0."""
-    out = np.zeros((*shape, 1 + count))
-    out[..., 0] = value
-    for place, derivative in by.items():
-        out[..., 1 + place] = derivative
-    return out
+# The substitution ``phi = A cos(theta)`` removes the square-root singularity of the duration at the turning
+# point. Fractional powers of |phi| leave another one at the zero crossing, which ``pi/2 - theta =
+# (pi/2) v**3`` smooths. A Gauss-Legendre rule in v then converges quickly for every exponent.
 
 
-def no_moment(count: int) -> Moment:
-    """None at all, of a law with so many parameters."""
+class _QuarterNodes(NamedTuple):
+    """Nodes from the turning point (theta = 0) to the zero crossing (theta = pi/2).
 
-    def nothing(x: Floats) -> Floats:
-        return columns(x.shape, count, np.zeros(x.shape), {})
+    `weight` are the weights for integration over theta, `turn_and_cos` is 1, then cos(theta). The square
+    matrix `travelled` maps values f at the nodes to ``integral_0^theta_k sin^2 f dtheta' / sin^2 theta_k``,
+    the work of a moment proportional to the speed; dividing by sin^2 avoids 0/0 at the turning point.
+    """
 
-    return Moment(nothing, nothing)
+    weight: Floats
+    turn_and_cos: Floats
+    sin2: Floats
+    travelled: Floats
+
+
+@lru_cache(maxsize=1)
+def _quarter_nodes() -> _QuarterNodes:
+    """The nodes; computed once and cached."""
+    x, w = np.polynomial.legendre.leggauss(_NODES)
+    v = (x[::-1] + 1.0) / 2.0  # falling v: rising theta
+    w = w[::-1] / 2.0
+    past_zero = np.pi / 2 * v**3
+    weight = 1.5 * np.pi * v**2 * w
+    sin2 = np.cos(past_zero) ** 2
+    # The integral from v_k to 1 of a polynomial through the nodes, by its Legendre coefficients.
+    legendre = np.polynomial.legendre.legvander(2 * v - 1, _NODES)
+    to_coefficients = ((2 * np.arange(_NODES) + 1)[:, None] * legendre[:, :_NODES].T) * w
+    integral = np.empty((_NODES, _NODES))
+    integral[:, 0] = 1.0 - v
+    for k in range(1, _NODES):
+        # integral_x^1 P_k = (P_{k-1}(x) - P_{k+1}(x)) / (2 k + 1); half of it, for dv = dx/2
+        integral[:, k] = (legendre[:, k - 1] - legendre[:, k + 1]) / (2 * (2 * k + 1))
+    travelled = (integral @ to_coefficients) * (1.5 * np.pi * v**2 * sin2) / sin2[:, None]
+    return _QuarterNodes(weight, np.append(1.0, np.sin(past_zero)), sin2, travelled)
 
 
 class _Quarter(NamedTuple):
     """Quarters from or to turning points: time in T0, work of the drag over ``drag A^2``, and derivatives by
-    the parameters, the drag and ln A.
+    the friction's parameters, the elastic moment's, the drag and ln A, first axis. `friction` and `elastic`
+    are the works at the turning points.
     """
 
     time: Floats
     by: Floats
     lost: Floats
     lost_by: Floats
+    friction: Floats
+    elastic: Floats
 
 
 def _quarter(moments: Moments, a: Floats, drag: float, sign: float, *, derived: bool = True) -> _Quarter:
     """After (sign 1) or before (-1) turning points at `a`."""
-    nodes = quarter_nodes()
-    x, size = a[:, None] * nodes.cos, 0.5 * a[:, None] ** 2 * nodes.sin2
-    works = [(one.work(a)[:, None] - one.work(x)) / size[..., None] for one in moments]
-    total = works[1] + sign * works[0]  # of elastic moment and friction
-    without = 1 - total[..., 0]
-    factor, travelled = without, np.zeros_like(without)
+    nodes = _quarter_nodes()
+    x = a[:, None] * nodes.turn_and_cos
+    per_size = 2 / (a[:, None] ** 2 * nodes.sin2)
+    friction, elastic = moments.friction.work(x), moments.elastic.work(x)
+    of_friction, of_elastic = ((one[..., :1] - one[..., 1:]) * per_size for one in (friction, elastic))
+    total = of_elastic[0] + sign * of_friction[0]
+    without = 1 - total
+    factor, travelled = without, without
     for _ in range(_ROUNDS if drag else 1):
-        root = np.sqrt(factor)
-        travelled = root @ nodes.travelled.T
+        travelled = np.sqrt(factor) @ nodes.travelled.T
         before, factor = factor, without - 2 * sign * drag * travelled
         if not np.any(np.abs(factor - before) > _SETTLED):
             break
-    root = 1 / np.sqrt(factor)
-    time = root @ nodes.weight / (2 * np.pi)
-    lost = (nodes.sin2 * np.sqrt(factor)) @ nodes.weight
+    speed = np.sqrt(factor)
+    root = 1 / speed
+    time, lost = root @ nodes.weight / (2 * np.pi), speed @ (nodes.weight * nodes.sin2)
+    at_turn = friction[..., 0], elastic[..., 0]
     if not derived:
-        return _Quarter(time, time[:, None], lost, lost[:, None])
-    there, along = (
-        moments.elastic.moment(at)[..., 0] + sign * moments.friction.moment(at)[..., 0] for at in (a, x)
-    )
-    by_log_a = 2 * total[..., 0] - (a[:, None] * there[:, None] - x * along) / size
+        return _Quarter(time, time[None], lost, lost[None], *at_turn)
+    along = x * (moments.elastic.moment(x) + sign * moments.friction.moment(x))
     explicit = np.concatenate(
-        [-total[..., 1:], -2 * sign * travelled[..., None], by_log_a[..., None]], axis=2
+        [
+            -sign * of_friction[1:],
+            -of_elastic[1:],
+            -2 * sign * travelled[None],
+            (2 * total - (along[:, :1] - along[:, 1:]) * per_size)[None],
+        ]
     )
     by = explicit
     if drag:
         # the drag works on a speed that all of them change
         for _ in range(_ROUNDS):
-            again = explicit - sign * drag * (nodes.travelled @ (by * root[..., None]))
+            again = explicit - sign * drag * ((by * root) @ nodes.travelled.T)
             settled = not np.any(np.abs(again - by) > _OF_DRAG * np.max(np.abs(by), initial=0.0))
             by = again
             if settled:
                 break
-    by_time = -0.5 / (2 * np.pi) * ((nodes.weight * root**3)[:, None, :] @ by)[:, 0]
-    lost_by = 0.5 * ((nodes.weight * nodes.sin2 * root)[:, None, :] @ by)[:, 0]
-    return _Quarter(time, by_time, lost, lost_by)
+    by_time = -0.25 / np.pi * np.einsum("kmn,mn->km", by, nodes.weight * root**3)
+    lost_by = 0.5 * np.einsum("kmn,mn->km", by, nodes.weight * nodes.sin2 * root)
+    return _Quarter(time, by_time, lost, lost_by, *at_turn)
 
 
 def _turning(moments: Moments, highest: Floats, energy: Floats, lost: Floats) -> Floats:
     """The amplitudes below `highest` at which A'^2/2 - V + D + lost A'^2 is an energy; NaN where none is."""
+    friction, elastic = moments.friction, moments.elastic
     x = highest
     for _ in range(_ROUNDS):
-        elastic, friction = (one.moment(x)[..., 0] for one in (moments.elastic, moments.friction))
-        above = (0.5 + lost) * x**2 - moments.elastic.work(x)[..., 0] + moments.friction.work(x)[..., 0]
-        following = x - (above - energy) / (x - elastic + friction + 2 * lost * x)
-        following = np.clip(following, 0.1 * x, 1.5 * x)
-        settled = not np.any(np.abs(following - x) > _SETTLED * highest)
-        x = following
-        if settled:
+        above = (0.5 + lost) * x**2 - elastic.work(x)[0] + friction.work(x)[0]
+        slope = (1 + 2 * lost) * x - elastic.moment(x) + friction.moment(x)
+        before, x = x, np.clip(x - (above - energy) / slope, 0.1 * x, 1.5 * x)
+        if not np.any(np.abs(x - before) > _NEAR * highest):
             break
     return np.where((energy > 0) & (x > 1e-6 * highest), x, np.nan)
 
@@ -161,47 +202,40 @@ def memoryless_table(
         moments = moments_of(parameters, float(a[0]), float(a[-1]))
         if moments is None:
             return None
-        rows = _rows(moments, a, float(parameters[-3]))
+        rows = _rows(moments, a, float(parameters[-3]), len(parameters))
     return SwingTable.of(log_a, rows, _FEWEST + _BEYOND, _BEYOND)
 
 
-def _rows(moments: Moments, a: Floats, drag: float) -> Floats:
+def _rows(moments: Moments, a: Floats, drag: float, count: int) -> Floats:
+    """Of a table (`SwingTable.of`)."""
     leaving = _quarter(moments, a, drag, 1.0)
-    friction, elastic = moments.friction.work(a), moments.elastic.work(a)
-    energy = 0.5 * a**2 - elastic[:, 0] - friction[:, 0] - drag * leaving.lost * a**2
+    energy = (0.5 - drag * leaving.lost) * a**2 - leaving.elastic[0] - leaving.friction[0]
     following = _turning(moments, a, energy, drag * leaving.lost)
     if drag:
         for _ in range(_TIGHT):
             lost = _quarter(moments, following, drag, -1.0, derived=False).lost
             before, following = following, _turning(moments, a, energy, drag * lost)
-            if not np.any(np.abs(following - before) > _SETTLED * a):
+            if not np.any(np.abs(following - before) > _TIGHT_ENOUGH * a):
                 break
     coming = _quarter(moments, following, drag, -1.0)
-    at_end = [one.moment(following)[:, 0] for one in (moments.elastic, moments.friction)]
-    slope = following - at_end[0] + at_end[1] + drag * following * (2 * coming.lost + coming.lost_by[:, -1])
-    by_works = (
-        moments.elastic.work(following)[:, 1:]
-        - moments.friction.work(following)[:, 1:]
-        - elastic[:, 1:]
-        - friction[:, 1:]
+    by = np.concatenate(
+        [
+            -leaving.friction[1:] - coming.friction[1:],
+            coming.elastic[1:] - leaving.elastic[1:],
+            -(leaving.lost * a**2 + coming.lost * following**2)[None],
+        ]
     )
-    of_drag = -(leaving.lost * a**2 + coming.lost * following**2)
-    by = np.column_stack([by_works, of_drag])
     if drag:
-        by -= drag * (
-            leaving.lost_by[:, :-1] * a[:, None] ** 2 + coming.lost_by[:, :-1] * following[:, None] ** 2
-        )
-    by /= slope[:, None]
-    by_time = leaving.by[:, :-1] + coming.by[:, :-1] + coming.by[:, -1:] / following[:, None] * by
-    nothing = np.zeros((len(a), 1))  # by the reference
-
-    def in_order(values: Floats) -> list[Floats]:
-        return [values[:, :-2], values[:, -1:], nothing, values[:, -2:-1]]
-
-    ratio = following / a
-    return np.column_stack(
-        [ratio, leaving.time + coming.time, *in_order(by / a[:, None]), *in_order(by_time)]
-    )
+        by -= drag * (leaving.lost_by[:-1] * a**2 + coming.lost_by[:-1] * following**2)
+    at_end = moments.friction.moment(following) - moments.elastic.moment(following)
+    by /= following + at_end + drag * following * (2 * coming.lost + coming.lost_by[-1])
+    by_time = leaving.by[:-1] + coming.by[:-1] + coming.by[-1] / following * by
+    places = np.array([*moments.friction.places, *moments.elastic.places, count - 3])
+    rows = np.zeros((2 + 2 * count, len(a)))
+    rows[0], rows[1] = following / a, leaving.time + coming.time
+    np.add.at(rows, 2 + places, by / a)
+    np.add.at(rows, 2 + count + places, by_time)
+    return rows
 
 
 def memoryless_law(
@@ -228,7 +262,7 @@ def memoryless_law(
             return BranchMoments(undefined, undefined)
         weight, size = weight_moment(pendulum), np.abs(phi_rad)
         with np.errstate(all="ignore"):  # ln 0 in derivatives
-            friction, elastic = (one.moment(size)[..., 0] for one in found)
+            friction, elastic = (one.moment(size) for one in found)
         return BranchMoments(-weight * np.sign(direction) * friction, weight * np.sign(phi_rad) * elastic)
 
     return Law(

@@ -14,12 +14,11 @@ from math import isfinite, log
 import numpy as np
 
 from processing.arrays import Floats
+from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Scaling, logarithms_of
-from processing.contact.law import DRAG, FREE_PERIOD, PERIOD, Law, Parameter
+from processing.contact.law import DRAG, FREE_PERIOD, PERIOD, Law, Parameter, PendulumOnBall, stiffness_ratio
 from processing.contact.laws import LAWS, PAPER, STIFFNESS, elastic_moment
 from processing.contact.memoryless import Moment, Moments, memoryless_law
-from processing.contact.parameters import PendulumOnBall, stiffness_ratio
-from processing.contact.start_values import StartValues
 from processing.errors import DataError
 from processing.periods import reference_amplitude
 from processing.swing import TurningPoints
@@ -92,14 +91,14 @@ def _by_quadrature(
         return np.asarray(np.broadcast_to(found, x.shape))
 
     def moment(x: Floats) -> Floats:
-        x = np.maximum(x, first)
-        out = np.zeros((*x.shape, len(names) + 2))
-        out[..., 0] = at(x, {})
+        return at(np.maximum(x, first), {})
+
+    def with_derivatives(x: Floats) -> Floats:
+        found = [at(x, {})]
         for name, value in values.items():
             high, low = value + steps[name], value - steps[name]
-            by = (at(x, {name: high}) - at(x, {name: low})) / (high - low)
-            out[..., 1 + names.index(name)] = by
-        return out
+            found.append((at(x, {name: high}) - at(x, {name: low})) / (high - low))
+        return np.stack(found, axis=-1)
 
     @cache
     def tabulated() -> Callable[[Floats], Floats]:
@@ -109,15 +108,15 @@ def _by_quadrature(
         nodes, weight = np.polynomial.legendre.leggauss(5)
         half = 0.5 * (u[1] - u[0])
         x, ends = np.exp(u[:-1, None] + half * (1 + nodes)), np.exp(u)
-        pieces = half * np.einsum("uk,ukj->uj", weight * x, moment(x))
-        at_ends = ends[:, None] * moment(ends)
+        pieces = half * np.einsum("uk,ukj->uj", weight * x, with_derivatives(x))
+        at_ends = ends[:, None] * with_derivatives(ends)
         return CubicHermiteSpline(u, np.cumsum(np.concatenate([at_ends[:1], pieces]), axis=0), at_ends)
 
     def work(x: Floats) -> Floats:
         share = np.minimum(x / first, 1.0)[..., None]
-        return np.asarray(share * tabulated()(np.log(np.maximum(x, first))))
+        return np.moveaxis(share * tabulated()(np.log(np.maximum(x, first))), -1, 0)
 
-    return Moment(moment, work)
+    return Moment(tuple(map(names.index, values)), moment, work)
 
 
 def _starts_of(moment: StatedMoment) -> dict[str, float]:
@@ -231,7 +230,7 @@ def _law(
 
         return Moments(
             stated_one(friction, own),
-            elastic_moment(known["n"], known["gamma_pa"], rho, len(names) + 1)
+            elastic_moment(known["n"], known["gamma_pa"], rho, (*map(names.index, _ELASTIC), len(names) + 2))
             if elastic is None
             else stated_one(elastic, rest),
         )

@@ -2,9 +2,9 @@
 
 from processing.derived import Derived
 from processing.fit.asymptotic import fit_asymptotic
-from processing.fit.changes import with_changes
+from processing.fit.changes import DRIFTS, drift_term, drifts_of, with_changes
+from processing.fit.checks import domain_warnings
 from processing.fit.determination import Determination, identifiability, strong_correlations
-from processing.fit.domain import domain_warnings
 from processing.fit.drag import (
     Drag,
     DragFinding,
@@ -12,11 +12,10 @@ from processing.fit.drag import (
     steeper_drag,
     with_steeper_drag,
 )
-from processing.fit.drifts import DRIFTS, drift_term, drifts_of
 from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, sine_covariance, waveform_of
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
-from processing.fit.known_drive import Signals
+from processing.fit.known_drive import LEAST_LEFT, Signals
 from processing.fit.law_comparison import (
     CONTRADICTED,
     LawComparison,
@@ -24,7 +23,8 @@ from processing.fit.law_comparison import (
     predicted_harmonics,
     waveform_chances,
 )
-from processing.fit.misfit import with_misfit
+from processing.fit.model_discrepancy import with_misfit
+from processing.fit.model_free import fit_without_law
 from processing.fit.planning import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.fit.remeasure import (
     FitOfSwings,
@@ -56,6 +56,9 @@ from processing.fit.result import (
     FitResult,
     Misfit,
 )
+from processing.fit.seismometer import Response, WitnessUse, fit_with_witness
+from processing.fit.seismometer_spectra import WitnessSpectra
+from processing.fit.seismometer_terms import Witness, plain_signals
 from processing.fit.sensor_errors import (
     PlaceErrors,
     alternation_of,
@@ -68,9 +71,4 @@ from processing.fit.sensor_errors import (
 from processing.fit.terms import Linearised, Term
 from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties
 from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes
-from processing.fit.without_law import fit_without_law
-from processing.fit.witness.fitting import Response, WitnessUse, fit_with_witness
-from processing.fit.witness.signals import Witness, plain_signals
-from processing.fit.witness.spectra import WitnessSpectra
-from processing.fit.witnessed_columns import LEAST_LEFT
 from processing.fit_method import FitMethod

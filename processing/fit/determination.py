@@ -18,7 +18,7 @@ from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED, Determinacy
-from processing.fit.domain import impossible
+from processing.fit.checks import impossible
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod

@@ -32,8 +32,6 @@ _STATED = 10.0
 """How many pieces the stated uncertainties of the samples count for in the covariance of the harmonics."""
 _KEPT = 32
 """Predictions that a waveform keeps: a fit, and whoever judges it, ask for those at the same values again."""
-_SINGULAR = 1e-9
-"""Part of the largest singular value below which a direction of the harmonics is rounding."""
 _GATE = 5.0
 """Standard deviations beyond which a harmonic is one of a disturbed piece."""
 
@@ -78,10 +76,7 @@ class Waveform:
         whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
         nodes, orders = self._hats.shape[1], self.sine_rad.shape[1]
         columns = np.einsum("ij,iab->iajb", self._hats, whitening).reshape(-1, nodes * orders)
-        norm = np.linalg.norm(columns, axis=0)
-        columns = columns[:, norm > 0] / norm[norm > 0]
-        directions, spread, _ = np.linalg.svd(columns, full_matrices=False)
-        kept = directions[:, spread > _SINGULAR * spread[0]].T.reshape(-1, len(whitening), orders)
+        kept = Factored(columns).directions.T.reshape(-1, len(whitening), orders)
         return np.asarray(np.einsum("kia,iab->kib", kept, whitening).reshape(len(kept), -1))
 
     @cached_property

@@ -14,11 +14,17 @@ from processing.contact import TABLE_RATIO, HalfSwings, OneHalfSwing, PendulumOn
 from processing.contact.laws import DEFAULT_LAW, Law
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
-from processing.fit.ground import AT_REST, Noise
-from processing.fit.ground_filter import GAINS, drive_filter
-from processing.fit.known_drive import KnownDrive
+from processing.fit.ground import (
+    AT_REST,
+    GAINS,
+    NOTHING_KNOWN,
+    Measured,
+    Noise,
+    Predictions,
+    drive_filter,
+)
+from processing.fit.known_drive import KnownDrive, WitnessedColumns
 from processing.fit.result import FitResult
-from processing.fit.witnessed_columns import NOT_WITNESSED, WitnessedColumns
 from processing.periods import mean_period
 from processing.swing import TurningPoints
 
@@ -232,20 +238,16 @@ class ExactModel:
         *,
         with_rho: bool = False,
         errors: Errors | None = None,
-        loss: Callable[[Floats], Floats] | None = None,
     ) -> Filtered:
         """The Kalman filter over the half-cycles; with `gains` of an earlier call it uses these.
 
         `with_rho` adds a column to the Jacobian, the derivatives by ln(R/a), and `errors` one for each
-        relative error, those of the losses first. `loss` adds the derivatives by the size of a further loss,
-        which is given in units of the reference for amplitudes in these units.
+        relative error, those of the losses first.
         """
         parameters, matrix = self.columns.map_parameters(columns)
         if with_rho:
             by_rho = np.concatenate([self.columns.map_by_log_rho, [0.0, 0.0]])
             matrix = np.column_stack([matrix, by_rho])
-        if loss is not None:
-            matrix = np.column_stack([matrix, np.zeros(len(matrix))])
         count, held = len(self._x), gains is not None
         gains = np.zeros((count, GAINS)) if gains is None else gains
         table = self._swings.through_the_decay(parameters)
@@ -255,8 +257,6 @@ class ExactModel:
         period0_s = parameters[-2]
         of_map = np.ascontiguousarray(matrix[:-2])
         loss_by = table.loss_gradient @ of_map
-        if loss is not None:
-            loss_by[:, -1] = loss(table.amplitude)
         duration_by = period0_s * (table.duration_gradient @ of_map) + table.duration[:, None] * matrix[-2]
         start_by = matrix[[-3, -1]]
         if errors is not None:
@@ -267,28 +267,23 @@ class ExactModel:
             loss_by = np.column_stack([loss_by, of_loss, np.zeros_like(of_duration)])
             duration_by = np.column_stack([duration_by, np.zeros_like(of_loss), of_duration])
             start_by = np.column_stack([start_by, np.zeros((2, loss_by.shape[1] - matrix.shape[1]))])
+        nodes = np.array(
+            [
+                table.amplitude, table.loss, table.loss_slope,
+                period0_s * table.duration, period0_s * table.duration_slope,
+            ]
+        )  # fmt: skip
+        known = self.witnessed.known(columns, loss_by.shape[1]) if self.witnessed else NOTHING_KNOWN
+        variance = self._variance * noise.scale**2
         innovations, jacobian, state, log_det = drive_filter(
-            np.array(
-                [
-                    table.amplitude, table.loss, table.loss_slope,
-                    period0_s * table.duration, period0_s * table.duration_slope,
-                ]
-            ),
-            loss_by,
-            duration_by,
-            parameters[[-3, -1]],
-            start_by,
-            self._index,
-            self._measured,
-            self._variance * noise.scale**2,
+            Predictions(nodes, loss_by, duration_by, parameters[[-3, -1]], start_by),
+            Measured(self._index, self._measured, variance, self._rate, noise.averaged),
             noise.step,
-            self._rate,
-            noise.averaged,
-            noise.limit,
+            known,
             gains,
             held,
-            *(NOT_WITNESSED if self.witnessed is None else self.witnessed.known(columns, loss_by.shape[1])),
-        )  # fmt: skip
+            noise.limit,
+        )
         return Filtered(innovations.ravel(), jacobian.reshape(2 * count, -1), state, log_det, gains)
 
     def losses(self, columns: Floats) -> tuple[Floats, Floats]:
@@ -303,10 +298,10 @@ class ExactModel:
         return table.amplitude, table.loss
 
     def filtered_here(
-        self, columns: Floats, *, with_rho: bool = False, loss: Callable[[Floats], Floats] | None = None
+        self, columns: Floats, *, with_rho: bool = False, errors: Errors | None = None
     ) -> Filtered:
         """The filter with the noise and the weights of this model, see `on_ground`."""
-        return self.filtered(columns, self._noise, self._gains, with_rho=with_rho, loss=loss)
+        return self.filtered(columns, self._noise, self._gains, with_rho=with_rho, errors=errors)
 
     def beside_here(self, columns: Floats) -> tuple[Floats, Floats]:
         """Residuals of the evidence as this model weighs them, and their derivatives by the columns."""

@@ -1,4 +1,5 @@
-"""What a known angular acceleration does to turning points, exactly, from samples of it.
+"""What a known angular acceleration does to turning points, exactly, from samples of it, and its gains as
+coordinates of a fit.
 
 Between two turning points an acceleration f(t) moves the pendulum by the response of an oscillator. To first
 order, with s the side of the later turning point k, w the frequency and theta = w (t - t_k):
@@ -27,11 +28,14 @@ quarters have frequencies of w (1 - e/2) and w (1 + e/2); w in s/w is then that 
 the product of the second's and the quarter's own. Without that a few thousandths of the drive would stay.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from processing.arrays import Flags, Floats
+from processing.contact import Columns, HeldColumn
+from processing.fit.ground import KnownSteps
 from processing.kernel import kernel
 from processing.swing import TurningPoints
 
@@ -248,3 +252,80 @@ def _remembered(rest: Floats) -> Floats:
 def _moments(signals: Signals, origin: Floats, rate: Floats, low: Floats, high: Floats) -> Floats:
     found = moments_of(signals.time_s, signals.value, origin, rate, low, high, signals.longest_step_s)
     return np.asarray(found)
+
+
+LEAST_LEFT = 0.022
+"""What any witness leaves of a drive, as a part of it: that of two seismometers of different make at one
+place, at 0.2 to 0.28 Hz. The measurement of the turning points hides so weak a drive, and yet it adds up."""
+
+
+class WitnessedColumns:
+    """A law's columns after those of the gains; see `Columns`.
+
+    The gains are no parameters of the law: `physical` has its values alone, and their covariance follows from
+    that of all columns. Gains are in `unit`, with which a drive moves an amplitude by the reference.
+    """
+
+    def __init__(self, law: Columns, drive: KnownDrive) -> None:
+        self._law, self._drive = law, drive
+        self.reference = law.reference
+        self.map_by_log_rho = law.map_by_log_rho
+        self.terms = drive.terms
+        self.valley = None if law.valley is None else law.valley + self.terms
+        open_end = np.full(self.terms, np.inf)
+        self.lower = np.concatenate([-open_end, law.lower])
+        self.upper = np.concatenate([open_end, law.upper])
+        # a gain of 1 then moves an amplitude by the reference
+        size = np.sqrt(np.mean(drive.steps[0] ** 2, axis=0))
+        self.unit = law.reference / np.where(size > 0.0, size, 1.0)
+
+    def witnessed_by(self, drive: KnownDrive) -> "WitnessedColumns":
+        """The same law beside another drive."""
+        return WitnessedColumns(self._law, drive)
+
+    def gains(self, columns: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+        """Gains (terms,) in rad/s^2 per unit of the signals, and their covariance."""
+        part = slice(self.terms)
+        return columns[part] * self.unit, covariance[part, part] * np.outer(self.unit, self.unit)
+
+    def known(self, columns: Floats, width: int) -> KnownSteps:
+        """What the filter is given of the drive, for a Jacobian of `width`."""
+        steps = self._drive.steps * (self.unit / self.reference)
+        gains = columns[: self.terms]
+        by = np.zeros((*steps.shape[:2], width))
+        by[:, :, : self.terms] = steps
+        unknown = self._drive.unknown_variance(gains * self.unit) / self.reference**2
+        return KnownSteps(np.ascontiguousarray(steps @ gains), by, unknown)
+
+    def least_left(self, columns: Floats) -> float:
+        """The least step of the drive that is left, in units of the reference."""
+        known = self.known(columns, self.terms).steps[0]
+        seen = known[~self._drive.missing]
+        return LEAST_LEFT * float(np.sqrt(np.mean(seen**2))) if len(seen) else 0.0
+
+    def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
+        values, matrix = self._law.map_parameters(columns[self.terms :])
+        return values, self._beside(matrix)
+
+    def physical(self, columns: Floats) -> tuple[Floats, Floats]:
+        values, matrix = self._law.physical(columns[self.terms :])
+        return values, self._beside(matrix)
+
+    def from_physical(self, values: Mapping[str, float]) -> Floats:
+        return self._with_gains(self._law.from_physical(values))
+
+    def starts(self, points: TurningPoints) -> Sequence[Sequence[Floats]]:
+        return [[self._with_gains(one) for one in group] for group in self._law.starts(points)]
+
+    def held(self, name: str) -> HeldColumn:
+        column, keeps_sign = self._law.held(name)
+        return HeldColumn(column + self.terms, keeps_sign)
+
+    def at_limit(self, columns: Floats) -> Sequence[str]:
+        return self._law.at_limit(columns[self.terms :])
+
+    def _beside(self, matrix: Floats) -> Floats:
+        return np.column_stack([np.zeros((len(matrix), self.terms)), matrix])
+
+    def _with_gains(self, columns: Floats) -> Floats:
+        return np.concatenate([self._drive.gains / self.unit, columns])

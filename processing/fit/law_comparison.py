@@ -25,7 +25,7 @@ from processing.contact.laws import Law
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE
 from processing.fit.exact import fit_exact
-from processing.fit.misfit import with_misfit
+from processing.fit.model_discrepancy import with_misfit
 from processing.fit.result import MISFIT, FitResult
 from processing.fit.terms import Linearised
 from processing.swing import ORDERS, HarmonicClass, TurningPoints

@@ -15,13 +15,13 @@ from processing.arrays import Floats
 from processing.contact import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, Law, PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import Estimate
+from processing.fit.changes import by_drifts
 from processing.fit.checks import FEWEST_HALF_CYCLES
-from processing.fit.drifts import by_drifts
 from processing.fit.evidence import Evidence, Waveform
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, step_of_density
+from processing.fit.known_drive import LEAST_LEFT
 from processing.fit.result import FitResult
-from processing.fit.witnessed_columns import LEAST_LEFT
 from processing.least_squares import covariance_of
 from processing.swing import HALVES, TurningPoints
 

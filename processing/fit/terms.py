@@ -129,16 +129,28 @@ class Restricted:
         columns = np.column_stack(groups) if len(groups) else np.zeros((len(residuals), 0))
         self._beside = self.law.left(columns)
         self._gram, self._score = self._beside.T @ self._beside, self._beside.T @ self.left
+        self._of_law = self.law.log_det + float(self.left @ self.left)
 
     def deviance(self, sizes: Floats) -> float:
         """-2 ln L with groups of these sizes, up to what depends on the weights of the rows alone."""
-        out = self.law.log_det + float(self.left @ self.left)
-        size = sizes[self.groups]
-        if np.any(size > 0):
-            root = np.linalg.cholesky(np.eye(len(size)) + self._gram * np.outer(size, size))
-            half = np.linalg.solve(root, self._score * size)
-            out += 2.0 * float(np.sum(np.log(np.diag(root)))) - float(half @ half)
-        return out
+        return float(self.deviances(sizes, 0, sizes[:1])[0]) if len(sizes) else self._of_law
+
+    def deviances(self, sizes: Floats, group: int, tried: Floats) -> Floats:
+        """The same for every size tried of one group, the others having theirs."""
+        own = self.groups == group
+        size = sizes[self.groups[~own]]
+        # the other groups are taken off, what remains of this one is diagonal in its own directions
+        inner = np.eye(len(size)) + self._gram[np.ix_(~own, ~own)] * np.outer(size, size)
+        root = np.linalg.cholesky(inner)
+        across = np.column_stack([self._gram[np.ix_(~own, own)], self._score[~own]]) * size[:, None]
+        half = np.linalg.solve(root, across)
+        by, of_others = half[:, :-1], half[:, -1]
+        power, directions = np.linalg.eigh(self._gram[np.ix_(own, own)] - by.T @ by)
+        score = directions.T @ (self._score[own] - by.T @ of_others)
+        told = 1.0 + np.outer(tried**2, np.maximum(power, 0.0))
+        others = 2.0 * float(np.sum(np.log(np.diag(root)))) - float(of_others @ of_others)
+        own_part = np.sum(np.log(told) - (tried[:, None] * score) ** 2 / told, axis=1)
+        return np.asarray(self._of_law + others + own_part)
 
     def unexplained(self, sizes: Floats) -> Floats:
         """Residuals that neither law nor groups of these sizes explain."""
@@ -268,11 +280,15 @@ class Linearised:
         return np.asarray(changes, dtype=np.float64).T
 
     def by_loss(self, loss: Callable[[Floats], Floats], waveform: dict[str, float]) -> Floats:
-        """Derivatives (rows,) of the residuals by the size of a further loss (see `ExactModel.filtered`).
+        """Derivatives (rows,) of the residuals by the size of a further loss, which is given in units of the
+        reference for amplitudes in these units.
 
         `waveform` is added to the law's own values for the waveform that belongs to a size of 1.
         """
-        of_points = self.model.filtered_here(self.coordinates, loss=loss).jacobian[:, -1] / self.scale
+        _, lost = self.model.losses(self.coordinates)
+        further = Errors(lambda a, _: (loss(a) / lost)[:, None], lambda a, _: np.zeros((len(a), 1)))
+        found = self.model.filtered_here(self.coordinates, errors=further)
+        of_points = found.jacobian[:, -2] / self.scale
         before = self.model.of_evidence(self.coordinates)
         return np.concatenate([of_points, self.model.of_evidence(self.coordinates, waveform) - before])
 

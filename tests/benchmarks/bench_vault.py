@@ -22,8 +22,8 @@ from processing.fit.evidence import Evidence
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
 from processing.fit.known_drive import KnownDrive
-from processing.fit.witness.fitting import WitnessUse, fit_with_witness
-from processing.fit.witness.signals import Witness
+from processing.fit.seismometer import WitnessUse, fit_with_witness
+from processing.fit.seismometer_terms import Witness
 from processing.swing import TurningPoints
 from tests.benchmarks.bound import bound, true_columns
 from tests.benchmarks.cases import chosen

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from processing.contact import PendulumOnBall
+from processing.contact.law import ContactParameters
 from processing.contact.moments import elastic_moment, friction_moment
-from processing.contact.parameters import ContactParameters
 from processing.errors import RigError
 from processing.fit import fit_without_law
-from processing.fit.without_law import FreeMoments
+from processing.fit.model_free import FreeMoments
 from tests.benchmarks.bench_ground import Case, basement, simulated_case
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair
 

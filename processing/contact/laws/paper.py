@@ -13,17 +13,19 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.asymptotic import cosine_moment
+from processing.contact.asymptotic import PeriodStart, StartValues, cosine_moment, from_straight, to_straight
 from processing.contact.coordinates import ComplexOrReal, Scaling, Straight
-from processing.contact.law import DRAG, PERIOD, HeldColumn, Parameter
-from processing.contact.memoryless import Moment, Moments, columns, memoryless_law
-from processing.contact.parameters import (
+from processing.contact.law import (
+    DRAG,
+    PERIOD,
     ContactParameters,
+    HeldColumn,
+    Parameter,
     PendulumOnBall,
     relative_curvature,
     stiffness_ratio,
 )
-from processing.contact.start_values import PeriodStart, StartValues, from_straight, to_straight
+from processing.contact.memoryless import Moment, Moments, memoryless_law
 from processing.errors import DataError
 
 STIFFNESS = Scaling(0.0, -1.0, "n", lambda pendulum: stiffness_ratio(1.0, pendulum), loses=False)
@@ -35,47 +37,40 @@ _STIFFEST = 20.0
 which parameters are tried."""
 
 
-def friction_moment(b: float, p: float, c: float, count: int = 6) -> Moment:
-    """Eq. 1; b, p and c are the first of the parameters."""
+def friction_moment(b: float, p: float, c: float, places: tuple[int, ...] = (0, 1, 2)) -> Moment:
+    """Eq. 1."""
 
     def moment(x: Floats) -> Floats:
-        power = x**p
-        return columns(x.shape, count, b * power + c, {0: power, 1: b * power * np.log(x), 2: 1.0})
+        return np.asarray(b * x**p + c)
 
     def work(x: Floats) -> Floats:
         power = x ** (p + 1) / (p + 1)
-        by_p = b * power * (np.log(x) - 1 / (p + 1))
-        return columns(x.shape, count, b * power + c * x, {0: power, 1: by_p, 2: x})
+        return np.array([b * power + c * x, power, b * power * (np.log(x) - 1 / (p + 1)), x])
 
-    return Moment(moment, work)
+    return Moment(places, moment, work)
 
 
-def elastic_moment(n: float, kappa: float, rho: float, count: int = 6) -> Moment:
-    """Eq. 3; n and kappa are the last two of the parameters before R/a."""
+def elastic_moment(n: float, kappa: float, rho: float, places: tuple[int, ...]) -> Moment:
+    """Eq. 3; its parameters are n, kappa and R/a."""
 
     def moment(x: Floats) -> Floats:
-        first, second = 0.5 * pi * x ** (n + 1), x ** (n + 2)
-        unit = first - rho * second
-        by = {count - 3: kappa * unit * np.log(x), count - 2: unit, count - 1: -kappa * second}
-        return columns(x.shape, count, kappa * unit, by)
+        return np.asarray(kappa * x ** (n + 1) * (0.5 * pi - rho * x))
 
     def work(x: Floats) -> Floats:
         log_x, power = np.log(x), x ** (n + 2)
-        first, second = 0.5 * pi * power / (n + 2), power * x / (n + 3)
+        first, second = 0.5 * pi / (n + 2) * power, power * x / (n + 3)
         unit = first - rho * second
-        by_n = kappa * (first * (log_x - 1 / (n + 2)) - rho * second * (log_x - 1 / (n + 3)))
-        return columns(
-            x.shape, count, kappa * unit, {count - 3: by_n, count - 2: unit, count - 1: -kappa * second}
-        )
+        by_n = first * (log_x - 1 / (n + 2)) - rho * second * (log_x - 1 / (n + 3))
+        return np.array([kappa * unit, kappa * by_n, unit, -kappa * second])
 
-    return Moment(moment, work)
+    return Moment(places, moment, work)
 
 
 def _moments(parameters: Floats, _: float, __: float) -> Moments | None:
     b, p, c, n, kappa, _drag, _reference, rho = parameters.tolist()
     if not (n > -1.5 and -0.6 < p < 6.0):
         return None
-    return Moments(friction_moment(b, p, c), elastic_moment(n, kappa, rho))
+    return Moments(friction_moment(b, p, c), elastic_moment(n, kappa, rho, (3, 4, 7)))
 
 
 def _straight(drag: bool) -> Straight:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from processing.contact.adhesion import adhesive_contacts, maugis_radius, tabor_parameter
-from processing.contact.moments import surface_energy
+from processing.contact.moments import adhesive_contacts, maugis_radius, surface_energy, tabor_parameter
 from processing.errors import DataError
 from processing.estimate import Estimate
 from tests.processing.fit.decays import PAIRS, paper_pair

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from processing.contact import Columns
+from processing.contact.law import PendulumOnBall
 from processing.contact.laws import PAPER
-from processing.contact.parameters import PendulumOnBall
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 

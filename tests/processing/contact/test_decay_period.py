@@ -11,7 +11,7 @@ from scipy.integrate import quad
 
 from processing.contact import turning_points_of
 from processing.contact.asymptotic import PRINTED_CURVATURE, cosine_moment, curvature, decay_path, period
-from processing.contact.parameters import ContactParameters
+from processing.contact.law import ContactParameters
 from processing.errors import DataError
 from tests.processing.contact.eq5_closed_form import decay_amplitude, decay_time
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
-from scipy.interpolate import CubicSpline
 
 from processing.contact import scaled_contact, turning_points_of
 from processing.contact.half_swing import SwingTable, walk
+from processing.contact.law import ContactParameters, PendulumOnBall
 from processing.contact.laws import PAPER
-from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.errors import DataError
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair
 
@@ -162,8 +161,8 @@ def test_gaps_are_run_over_exactly() -> None:
 
 def test_a_swing_that_a_law_makes_grow_ends_the_walk() -> None:
     log_a = np.log(np.geomspace(0.1, 1.0, 5))
-    rows = np.tile([1.5, 0.5, 0.0, 0.0], (5, 1))  # each half-swing is half as large again
-    table = SwingTable(0.1, CubicSpline(log_a, rows))
+    rows = np.tile([[1.5], [0.5], [0.0], [0.0]], 5)  # each half-swing is half as large again
+    table = SwingTable.of(log_a, rows, 1, 0)
     found = walk(lambda _: table, 2, 1.0, 1999).turning_points(1.0, np.arange(2000, dtype=np.int64))
     np.testing.assert_allclose(found.amplitude[:3], [1.0, 1.5, 2.25])
     assert np.isnan(found.amplitude[3:]).all()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from processing.contact.hertz import MATERIALS, Material, hertz_contact, material, pendulum_on_ball
+from processing.contact.law import STANDARD_GRAVITY_M_PER_S2
 from processing.contact.moments import surface_energy
-from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from tests.processing.fit.decays import PAIRS, paper_pair

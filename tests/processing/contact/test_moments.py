@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from processing.contact import turning_points_of, weight_moment
+from processing.contact.law import ContactParameters
 from processing.contact.moments import cycle_work, elastic_moment, measured_losses, model_losses, moment_loop
-from processing.contact.parameters import ContactParameters
 from processing.errors import DataError
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair, without
 

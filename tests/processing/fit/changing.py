@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.contact.law import ContactParameters, PendulumOnBall
 
 Floats = NDArray[np.float64]
 

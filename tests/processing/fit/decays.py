@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from processing.contact import turning_points_of
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
-from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.contact.law import ContactParameters, PendulumOnBall
 from processing.swing import TurningPoints
 
 ARCSEC = np.pi / 648000

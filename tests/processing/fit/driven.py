@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.contact.law import ContactParameters, PendulumOnBall
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, with_noise
 

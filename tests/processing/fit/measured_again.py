@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.contact.law import ContactParameters, PendulumOnBall
 from processing.deflections import Deflections, slow_deflections
 from processing.fit.exact import fit_exact
 from processing.fit.remeasure import known_motion, measured_again

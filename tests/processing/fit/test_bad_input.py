@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from processing.contact.parameters import PendulumOnBall
+from processing.contact.law import PendulumOnBall
 from processing.errors import DataError
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.exact import fit_exact

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from processing.contact.law import ContactParameters
 from processing.contact.laws import DRAG, PAPER
-from processing.contact.parameters import ContactParameters
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.exact import fit_exact
 from processing.swing import TurningPoints

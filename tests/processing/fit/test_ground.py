@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 from processing.contact import turning_points_of
+from processing.contact.law import ContactParameters, PendulumOnBall
 from processing.contact.laws import PAPER
-from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.evidence import Evidence
-from processing.fit.exact import fit_exact
+from processing.fit.exact import fit_exact, starts_of
 from processing.fit.exact_model import ExactModel
-from processing.fit.exact_starts import starts_of
 from processing.fit.ground import Noise
 from processing.fit.result import FitResult
 from processing.least_squares import Solution, solve

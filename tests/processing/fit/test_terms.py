@@ -49,6 +49,11 @@ def test_terms_are_those_of_generalised_least_squares(linear: tuple[Floats, Floa
     np.testing.assert_allclose(law / size, covariance / size, atol=1e-9)
     restricted = Restricted(residuals, jacobian, [columns[:, :1], columns[:, 1:2], columns[:, 2:]])
     assert restricted.deviance(PRIOR) == pytest.approx(float(deviance), rel=1e-9)
+    for group, size in enumerate(PRIOR):
+        tried = restricted.deviances(PRIOR, group, np.array([0.0, size]))
+        assert tried[1] == pytest.approx(float(deviance), rel=1e-9)
+        without = np.where(np.arange(3) == group, 0.0, PRIOR)
+        assert tried[0] == pytest.approx(restricted.deviance(without), rel=1e-9)
     np.testing.assert_allclose(restricted.unexplained(PRIOR), found.left, atol=1e-9)
 
 

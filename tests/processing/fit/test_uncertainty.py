@@ -200,7 +200,7 @@ def test_work_of_a_cycle_is_that_of_its_parameters(found: FittedContact) -> None
 
 
 def fit_parameters(found: FittedContact):
-    from processing.contact.parameters import ContactParameters
+    from processing.contact.law import ContactParameters
 
     return ContactParameters(**dict(zip(found.names, found.values.tolist(), strict=True)))
 

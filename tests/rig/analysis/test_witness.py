@@ -14,7 +14,7 @@ import rig
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Response, WitnessUse
-from processing.fit.witness.fitting import WitnessVerdict
+from processing.fit.seismometer import WitnessVerdict
 from rig.analysis import AnalysedTable, analyse_record, session_results
 from rig.analysis.results import RunResults, SessionResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results

@@ -8,25 +8,19 @@ Each half-swing takes 2 c from the amplitude and lasts T0/2, at every amplitude.
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import CONSTANT, FREE_PERIOD, PERIOD
-from processing.contact.memoryless import Moment, Moments, columns, memoryless_law, no_moment
-from processing.contact.start_values import StartValues
+from processing.contact.memoryless import NO_MOMENT, Moment, Moments, memoryless_law
 from processing.swing import TurningPoints
 
 Array = NDArray[np.float64]
 
 
 def _moments(parameters: Array, _: float, __: float) -> Moments:
-    c = parameters[0]
-
-    def constant(x: Array) -> Array:
-        return columns(x.shape, 2, np.full(x.shape, c), {0: 1.0})
-
-    def work(x: Array) -> Array:
-        return columns(x.shape, 2, c * x, {0: x})
-
-    return Moments(Moment(constant, work), no_moment(2))
+    c = float(parameters[0])
+    constant = Moment((0,), lambda x: np.full_like(x, c), lambda x: np.array([c * x, x]))
+    return Moments(constant, NO_MOMENT)
 
 
 def _likely(found: StartValues, _: float) -> list[dict[str, float]]:

@@ -8,8 +8,8 @@ import pytest
 
 from processing.contact import AMPLITUDE, LAWS, TIME, Law, laws, moment_loop, weight_moment
 from processing.fit import fit_exact, identifiability
+from processing.fit.exact import starts_of
 from processing.fit.exact_model import ExactModel
-from processing.fit.exact_starts import starts_of
 from tests.processing.contact.laws.constant_moment import CONSTANT_MOMENT, constant_moment_decay
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 

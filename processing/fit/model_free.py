@@ -9,9 +9,8 @@ from processing.arrays import Floats
 from processing.contact import DRAG, MomentSplines, PendulumOnBall, spline_law, weight_moment
 from processing.estimate import Estimate
 from processing.fit.evidence import NO_EVIDENCE, Evidence
-from processing.fit.exact import fit_exact
+from processing.fit.exact import fit_exact, start_near, starts_of
 from processing.fit.exact_model import ExactModel
-from processing.fit.exact_starts import start_near, starts_of
 from processing.fit.result import FitResult
 from processing.least_squares import solve
 from processing.swing import TurningPoints

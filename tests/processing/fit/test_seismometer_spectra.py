@@ -7,7 +7,7 @@ import pytest
 
 from processing.arrays import Floats
 from processing.fit import WitnessSpectra, fit_with_witness
-from tests.processing.fit.witness.test_witness import (
+from tests.processing.fit.test_seismometer import (
     CLOCK,
     PENDULUM,
     STEP_S,

@@ -178,14 +178,11 @@ def _sizes(here: Restricted) -> _Sizes:
     for _ in range(2):
         tried = []
         for kind, grid in enumerate(grids):
-            found = []
-            for size in [0.0, *grid.tolist()]:
-                sizes[kind] = size
-                found.append(here.deviance(sizes))
+            found = here.deviances(sizes, kind, np.append(0.0, grid))
             least = int(np.argmin(found))
             sizes[kind] = 0.0 if least == 0 else grid[least - 1]
-            deviance = found[least]
-            tried.append(np.array(found[1:]))
+            deviance = float(found[least])
+            tried.append(found[1:])
     # the mean square over what the data allow: of few nodes the likeliest size is often too small
     averaged = sizes.copy()
     for kind, grid in enumerate(grids):

@@ -17,17 +17,20 @@ from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.exact import fit_exact
 from processing.fit.result import FitResult
-from processing.fit.witness.drives import (
+from processing.fit.seismometer_spectra import WitnessSpectra, spectra_of
+from processing.fit.seismometer_terms import (
+    PAIR,
+    SLOPES,
     Clock,
     Drives,
+    Kind,
     Terms,
+    Witness,
     clock_of,
     found_offset,
     gain_of_prediction,
     started,
 )
-from processing.fit.witness.signals import PAIR, SLOPES, Kind, Witness
-from processing.fit.witness.spectra import WitnessSpectra, spectra_of
 from processing.quantity import Quantity
 from processing.swing import TurningPoints
 

@@ -16,7 +16,7 @@ from processing.arrays import Floats
 from processing.estimate import Estimate
 from processing.fit import FitResult, Witness, fit_exact, fit_with_witness
 from processing.fit.exact_model import Errors, ExactModel
-from processing.fit.witness.fitting import WitnessVerdict
+from processing.fit.seismometer import WitnessVerdict
 from processing.swing import TurningPoints, swings_of, turning_points
 from tests.processing.fit.decays import paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_path
