@@ -1,34 +1,20 @@
-"""The parts of a run, the interface of its watchers, and its outcome."""
+"""The parts of a run, and its outcome."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from acquisition.camera import Camera
 from acquisition.frame import Frame
-from acquisition.record.events import Event
 from rig.devices import Devices, FrameStream, TypedLeave
-from rig.instrument import Block, Optics, Snapshot
+from rig.instrument import Block, Optics, RunNow
 from rig.measure.end_of_run import EndLimits
 from rig.measure.notes import Notes
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.record_file import RecordFile
+from rig.measure.run_status import Watcher
 from rig.measure.start_judge import StartLimits
 from rig.posterior import LivePosterior
-
-
-class Watcher(Protocol):
-    """Receives the progress of a run, for example the display or the viewer.
-
-    Its methods are called in the processing thread, must return immediately and must not raise.
-    """
-
-    def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
-        """Some frames were processed."""
-
-    def event(self, start_ns: int, event: Event) -> None:
-        """Something happened."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +37,8 @@ class RunParts:
         Limits for accepting a start; None: any start is accepted.
     start_rejected
         Called with the new path of the record of a rejected start, and the reason.
+    look
+        Shown each block of frames, for pictures.
     devices
         Controller, laser and environment sensor, whose events and readings are recorded.
     camera
@@ -80,6 +68,7 @@ class RunParts:
     start: StartLimits | None = None
     start_rejected: Callable[[Path, str], None] = lambda _record, _reason: None
     watchers: Sequence[Watcher] = ()
+    look: Callable[[Sequence[Frame], Block], None] = lambda _frames, _block: None
     devices: Devices | None = None
     camera: Camera | None = None
     posterior: LivePosterior | None = None
@@ -97,13 +86,13 @@ class RunParts:
 class RunOutcome:
     """How a run ended.
 
-    `failure` is the error that ended it, None for a regular end. `interrupt` is the exception raised in
-    the main thread by Ctrl-C or a signal, `stopped` whether the run ended because of it. The record is
-    closed, unless `hangs` says what hung while the run was ended: the record then stays as it is, cut short.
+    `last` is its state at the end, `failure` the error that ended it, None for a regular end. `interrupt` is
+    the exception raised in the main thread by Ctrl-C or a signal, `stopped` whether the run ended because of
+    it. The record is closed, unless `hangs` says what hung while the run was ended: the record then stays as
+    it is, cut short.
     """
 
-    snapshot: Snapshot
-    swings: int
+    last: RunNow
     failure: Exception | None
     interrupt: KeyboardInterrupt | None
     stopped: bool

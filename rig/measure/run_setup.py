@@ -10,14 +10,15 @@ from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from rig.devices import Devices, OpenCamera, TypedLeave
-from rig.instrument import Snapshot, optics_of, prepare_kernels
+from rig.instrument import RunNow, optics_of, prepare_kernels
 from rig.measure.end_of_run import EndLimits
 from rig.measure.live_fit import live_posterior
 from rig.measure.notes import Notes
-from rig.measure.phases import PhasesBeforeRecord, free_bytes, preflight_wanted
+from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
 from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
-from rig.measure.run_parts import RunOutcome, RunParts, Watcher
+from rig.measure.run_parts import RunOutcome, RunParts
+from rig.measure.run_status import Watcher
 from rig.measure.screen import RunDisplay
 from rig.measure.start_judge import start_limits
 from rig.orders import SessionNews
@@ -77,12 +78,12 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
         rrd = record.with_suffix(".rrd") if settings.file else None
         view = RunningView(record, settings.mode, rrd, settings.layout)
         try:
-            outcome = _execute(plan, devices, camera, [], posterior)
+            outcome = _execute(plan, devices, camera, posterior)
             ends = plan.is_last or outcome.failure is not None or outcome.stopped
             # what hangs is not asked for frames once more
             devices.lights_again = not ends
             if ends and not outcome.hangs:
-                devices.darken(outcome.snapshot.reason or "the run has ended")
+                devices.darken(outcome.last.reason or "the run has ended")
             return outcome
         finally:
             if posterior is not None:
@@ -95,7 +96,6 @@ def _execute(
     plan: RunPlan,
     devices: Devices,
     camera: OpenCamera,
-    watchers: list[Watcher],
     posterior: LivePosterior | None,
 ) -> RunOutcome:
     config, record = plan.config, plan.record
@@ -109,11 +109,11 @@ def _execute(
         stop_when=config.stop_conditions if posterior is not None else (),
         json_lines=plan.json_lines,
         simulated=config.simulated,
+        phases=phases_wanted(config),
     )
     session_news = plan.session_news
     if session_news is not None:
         session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied, record)
-        watchers = [*watchers, session_news]
 
     def show_table(verdicts: Sequence[Verdict]) -> None:
         display.show_preflight(verdicts)
@@ -124,17 +124,17 @@ def _execute(
         plan.start_rejected(aside, reason)
         display.tell(f"{plan.title}: start not accepted: {reason}")
 
-    def show(snapshot: Snapshot) -> None:
+    def show(now: RunNow) -> None:
         try:
-            display.show(snapshot)
+            display.show(now)
         finally:
             # also without a terminal
             if session_news is not None:
-                session_news.state(display.values(snapshot), display.facts(snapshot))
+                session_news.state(display.values(now), display.facts(now))
 
     with_start = config.start.way != "at once"
     phases: PhasesBeforeRecord | None = None
-    if with_start or preflight_wanted(config):
+    if phases_wanted(config):
         phases = PhasesBeforeRecord(
             config,
             devices,
@@ -159,7 +159,8 @@ def _execute(
         phases=phases,
         start=start_limits(config, optics) if with_start else None,
         start_rejected=start_rejected,
-        watchers=(display, *plan.watchers, *watchers),
+        watchers=(display, *plan.watchers),
+        **({} if session_news is None else {"look": session_news.look}),
         devices=devices,
         camera=camera.camera,
         posterior=posterior,

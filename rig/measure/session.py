@@ -187,7 +187,7 @@ def _make_runs(
             if options.patience(outcome.failure.against):
                 continue
             devices.lights_again = False
-        reason = outcome.snapshot.reason
+        reason = outcome.last.reason
         interrupt = outcome.interrupt
         stopped = outcome.stopped
         state = RunState.FAILED if outcome.failure is not None else RunState.COMPLETE

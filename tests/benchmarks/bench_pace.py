@@ -21,19 +21,21 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from acquisition.camera import CameraSettings
+from acquisition.frame import Frame
 from calibration.axes import Axes
 from calibration.light_lever import Lever
 from processing.spot import SensorModel
 from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
 from rig.instrument.kernels import prepare_kernels
-from rig.instrument.pipeline import Optics
-from rig.instrument.snapshot import Snapshot
+from rig.instrument.pipeline import Block, Optics
+from rig.instrument.run_now import RunNow
 from rig.measure.end_of_run import EndLimits
 from rig.measure.record_file import RecordFile
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run import Run, ready_for_frames
-from rig.measure.run_parts import RunParts, Watcher
+from rig.measure.run_parts import RunParts
+from rig.measure.run_status import Watcher
 from rig.measure.screen import RunDisplay
 from rig.orders import OrderSocket, SessionNews
 from rig.settings import load_configuration, validate_configuration
@@ -69,7 +71,8 @@ class Company(NamedTuple):
     """What watches the run."""
 
     watchers: Sequence[Watcher]
-    show: Callable[[Snapshot], None]
+    look: Callable[[Sequence[Frame], Block], None]
+    show: Callable[[RunNow], None]
 
 
 class Desk:
@@ -117,7 +120,8 @@ def real_time(
     duration_s: float,
     *,
     watchers: Sequence[Watcher] = (),
-    show: Callable[[Snapshot], None] = lambda _: None,
+    look: Callable[[Sequence[Frame], Block], None] = lambda _frames, _block: None,
+    show: Callable[[RunNow], None] = lambda _: None,
     viewed: bool = False,
 ) -> dict[str, Any]:
     """One run in real time: frames lost, latency from frame to record, share of one core.
@@ -167,6 +171,7 @@ def real_time(
                 record=file,
                 end=EndLimits(0.0, 1e9),
                 watchers=watchers,
+                look=look,
             )
         )
         Recorder._write = timed  # type: ignore[method-assign]
@@ -186,8 +191,8 @@ def real_time(
     busy_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     taken_ms = np.array(camera.late_ns) * 1e-6
     return {
-        "frames": outcome.snapshot.frames,
-        "dropped": outcome.snapshot.dropped_frames,
+        "frames": outcome.last.frames,
+        "dropped": outcome.last.dropped_frames,
         "taken_p99_ms": float(np.percentile(taken_ms, 99)),
         "taken_max_ms": float(np.max(taken_ms)),
         "latency_p50_ms": float(np.percentile(latencies_ms, 50)),
@@ -214,21 +219,21 @@ def desk_and_viewer() -> Iterator[Company]:
         news.begin_run("benchmark", 255, None)
         display = RunDisplay("benchmark", 2.0, config.deflection_unit)
 
-        def show(snapshot: Snapshot) -> None:
-            news.state(display.values(snapshot), display.facts(snapshot))
+        def show(now: RunNow) -> None:
+            news.state(display.values(now), display.facts(now))
 
         stack.enter_context(OrderSocket(folder, news, {}))
         stack.enter_context(Desk(source))
-        yield Company([display, news], show)
+        yield Company([display], news.look, show)
 
 
 def measured(case: Case, seconds: float, way: str) -> dict[str, Any]:
     """One run, with the load of the machine beside it."""
     with ExitStack() as stack:
-        company = Company((), lambda _: None)
+        company = Company((), lambda _frames, _block: None, lambda _: None)
         if way == "with desk and viewer":
             company = stack.enter_context(desk_and_viewer())
-        watchers, show = company
+        watchers, look, show = company
         found = real_time(
             case.width,
             case.height,
@@ -236,6 +241,7 @@ def measured(case: Case, seconds: float, way: str) -> dict[str, Any]:
             case.rate_hz,
             seconds,
             watchers=watchers,
+            look=look,
             show=show,
             viewed=way == "with desk and viewer",
         )

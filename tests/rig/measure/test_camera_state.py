@@ -43,7 +43,7 @@ def test_a_camera_that_cannot_stop_is_an_event_of_a_regular_run(tmp_path: Path) 
     stream = FrameStream(camera, asked)
     outcome = Run(RunParts(stream=stream, optics=optics, record=record, end=EndLimits(0.0, 1.0))).execute()
     assert outcome.failure is None
-    assert outcome.snapshot.reason == "time limit of 1 s reached"
+    assert outcome.last.reason == "time limit of 1 s reached"
     with RecordReader(path) as reader:
         said = [(event.kind, event.text) for event in reader.events()]
     assert said[-2] == ("camera stop", "camera: stop() failed: OSError: it does not answer")
