@@ -22,6 +22,11 @@ _MOST_LEFT_OUT = 0.2
 """Of the half-cycles, which the ground moved too much to be fitted."""
 _STEPS = {
     EventKind.LASER_DARK: ("light", "the laser went dark", "see the events; interlock, controller, cable"),
+    EventKind.LASER_UNKNOWN: (
+        "light",
+        "nothing confirmed the laser's light",
+        "see the events; controller, cable",
+    ),
     EventKind.REST_STEP: ("rest position", "it stepped", "find what touched the rig; measure again"),
     EventKind.PUSH: ("draught", "the swing was pushed", "shield the rig from air; keep away from it"),
     EventKind.LIGHT_STEP: ("ambient light", "it stepped", "keep the room dark; shield the sensor"),

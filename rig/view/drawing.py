@@ -56,6 +56,7 @@ _CHANGES: Final[dict[str, dict[str, str]]] = {
     EventKind.CAMERA_BACK: {"frames": "arriving"},
     EventKind.TRIP: {"laser": "dark"},
     EventKind.LASER_DARK: {"laser": "dark"},
+    EventKind.LASER_UNKNOWN: {"laser": "unknown"},
     EventKind.LASER_LIT: {"laser": "lit"},
 }
 
