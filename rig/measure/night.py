@@ -15,7 +15,6 @@ from processing.errors import ConfigurationError, RecordError
 from rig.analysis import SessionResults, read_results, results_path
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
-from rig.measure.live_fit import check_stop_when
 from rig.measure.notices import announced
 from rig.measure.run import ready_for_frames
 from rig.measure.session import (
@@ -28,6 +27,7 @@ from rig.measure.session import (
     session_folder,
 )
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile, end_noted, read_session
+from rig.posterior import check_stop_when
 from rig.presentation import failures, say
 from rig.settings import (
     Configuration,

@@ -104,9 +104,8 @@ class Recording:
         self._first = self._last = first
         # frames made on demand wait for what is done beside them: a run of the simulated rig repeats exactly
         self._on_demand = parts.stream.policy == "wait"
-        self._counts = FrameCounts(
-            first, nanoseconds(parts.full_frame_interval_s), keep_windows=parts.keep_windows
-        )
+        kept = parts.record.config.record
+        self._counts = FrameCounts(first, nanoseconds(kept.full_frame_interval_s), keep_windows=kept.windows)
         shape, gain = (first.image.shape[0], first.image.shape[1]), parts.optics.reference_gain
         self._pipeline = parts.optics.pipeline(shape, beside=not self._on_demand, wall=wall)
         self._less = (

@@ -12,17 +12,15 @@ from processing.errors import ConfigurationError, RecordError
 from rig.devices import Devices, OpenCamera, TypedLeave
 from rig.instrument import RunNow, optics_of, prepare_kernels
 from rig.measure.end_of_run import EndLimits
-from rig.measure.live_fit import live_posterior
 from rig.measure.notes import Notes
 from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
-from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
-from rig.measure.run_parts import RunOutcome, RunParts
+from rig.measure.run_parts import RecordFile, RunOutcome, RunParts
 from rig.measure.run_status import Watcher
 from rig.measure.screen import RunDisplay
 from rig.measure.start_judge import start_limits
 from rig.orders import SessionNews
-from rig.posterior import LivePosterior
+from rig.posterior import LivePosterior, live_posterior
 from rig.presentation import Verdict, say
 from rig.settings import Configuration
 from rig.view import RunningView
@@ -162,12 +160,7 @@ def _execute(
         watchers=(display, *plan.watchers),
         **({} if session_news is None else {"look": session_news.look}),
         devices=devices,
-        camera=camera.camera,
         posterior=posterior,
-        environment_period_s=config.environment_sensor.period_s,
-        full_frame_interval_s=config.record.full_frame_interval_s,
-        keep_windows=config.record.windows,
-        waits_in_darkness=config.laser.when_dark == "wait",
         somebody_watches=lambda: typed_leave.there or (session_news is not None and session_news.watched),
         typed_leave=typed_leave,
         notes=plan.notes,

@@ -19,7 +19,6 @@ from rig.analysis import (
 )
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
-from rig.measure.live_fit import check_stop_when
 from rig.measure.notes import Notes
 from rig.measure.notices import Notices, announced
 from rig.measure.phases import NoGo
@@ -28,6 +27,7 @@ from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import RunState, SessionFile, end_noted, withdraw_unrecorded
 from rig.measure.session_orders import await_leave, orders
 from rig.orders import OrderSocket, SessionNews, devices_now
+from rig.posterior import check_stop_when
 from rig.presentation import answer, failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
 from rig.terminal import Terminated, reason_of

@@ -31,10 +31,9 @@ from rig.instrument.kernels import prepare_kernels
 from rig.instrument.pipeline import Block, Optics
 from rig.instrument.run_now import RunNow
 from rig.measure.end_of_run import EndLimits
-from rig.measure.record_file import RecordFile
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run import Run, ready_for_frames
-from rig.measure.run_parts import RunParts
+from rig.measure.run_parts import RecordFile, RunParts
 from rig.measure.run_status import Watcher
 from rig.measure.screen import RunDisplay
 from rig.orders import OrderSocket, SessionNews

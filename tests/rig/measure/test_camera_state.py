@@ -14,9 +14,8 @@ from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
 from rig.instrument import optics_of
 from rig.measure.end_of_run import EndLimits
-from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
-from rig.measure.run_parts import RunParts
+from rig.measure.run_parts import RecordFile, RunParts
 from rig.settings import Configuration
 from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
@@ -69,7 +68,6 @@ def test_features_and_temperature_are_in_the_record(tmp_path: Path) -> None:
             optics=optics,
             record=RecordFile(record, config, Path(), opened, optics),
             end=EndLimits(0.0, 1.0),
-            camera=camera,
         )
     )
     outcome = run.execute()

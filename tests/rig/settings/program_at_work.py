@@ -38,9 +38,8 @@ from rig.instrument import camera_settings, complete, make_camera, optics_of
 from rig.instrument.configured_camera import shift_to_light_ns
 from rig.measure.end_of_run import EndLimits
 from rig.measure.phases import PhasesBeforeRecord
-from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
-from rig.measure.run_parts import RunParts
+from rig.measure.run_parts import RecordFile, RunParts
 from rig.measure.session import measure_session, session_folder
 from rig.measure.start_judge import start_limits
 from rig.settings import Configuration, load_configuration
