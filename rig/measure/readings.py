@@ -119,7 +119,7 @@ class SideReadings:
         on_demand = parts.stream.policy == "wait"
         self._anchors = None if on_demand else ClockAnchors()
         self._rate = None if on_demand else ClockRate()
-        self._temperature = TemperatureWatch(parts.record.camera.camera)
+        self._temperature = TemperatureWatch(parts.camera.camera)
         self._environment_due_ns = 0
         self._has_air = False
         self.clock = CameraClock()
@@ -154,7 +154,7 @@ class SideReadings:
 
     def close(self) -> dict[str, bytes]:
         """Read no more; returns what is attached at the end."""
-        camera = self._parts.record.camera.camera
+        camera = self._parts.camera.camera
         self._wall.past(_TEMPERATURE, None, self._temperature.close)
         features = self._wall.past("the reading of the camera's features", b"", features_json, camera)
         return {"camera-features-end.json": features} if features else {}
@@ -167,9 +167,7 @@ class SideReadings:
         devices = self._parts.devices
         if devices is None or time_ns < self._environment_due_ns:
             return None
-        self._environment_due_ns = time_ns + nanoseconds(
-            self._parts.record.config.environment_sensor.period_s
-        )
+        self._environment_due_ns = time_ns + nanoseconds(self._parts.plan.config.environment_sensor.period_s)
         reading = devices.environment()
         before, self._has_air = self._has_air, not all(map(math.isnan, reading))
         return Environment(time_ns, *reading) if before or self._has_air else None

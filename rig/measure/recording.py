@@ -104,7 +104,7 @@ class Recording:
         self._first = self._last = first
         # frames made on demand wait for what is done beside them: a run of the simulated rig repeats exactly
         self._on_demand = parts.stream.policy == "wait"
-        kept = parts.record.config.record
+        kept = parts.plan.config.record
         self._counts = FrameCounts(first, nanoseconds(kept.full_frame_interval_s), keep_windows=kept.windows)
         shape, gain = (first.image.shape[0], first.image.shape[1]), parts.optics.reference_gain
         self._pipeline = parts.optics.pipeline(shape, beside=not self._on_demand, wall=wall)
@@ -113,7 +113,7 @@ class Recording:
             if gain is None
             else LessBeam(parts.optics.deflector(shape), gain, beside=not self._on_demand)
         )
-        self._end = EndOfRun(parts.end)
+        self._end = EndOfRun(parts.end_limits)
         self._steps = StepEvents(parts.optics.unit)
         self._readings = SideReadings(parts, losses, wall, first.time_ns)
         self._published_ns = self._half_cycles = 0
@@ -145,7 +145,7 @@ class Recording:
             self._wall.past(_LIVE_FIT, None, parts.posterior.begin)
         events = [
             *before,
-            *(Event(first_ns, EventKind.PLAN, text) for text in parts.planned),
+            *(Event(first_ns, EventKind.PLAN, text) for text in parts.plan.planned),
             Event(first_ns, EventKind.START, "first frame"),
         ]
         self._recorder.put(Entry(events=events))
@@ -217,7 +217,8 @@ class Recording:
             age_s = math.nan if self._on_demand else seconds(taken_ns - taken[0].host_time_ns)
             messages += self._state(Phase.MEASURING, age_s)
         self._recorder.put(replace(entry, events=new, messages=messages, notes=notes))
-        self._wall.past(_LOOKING, None, parts.look, taken, shown)
+        if (news := parts.plan.session_news) is not None:
+            self._wall.past(_LOOKING, None, news.look, taken, shown)
         if due or new or messages or notes or shown.balances:
             self._tell([*new, *(note.event for note in notes)], messages, shown)
         return shown
@@ -265,11 +266,11 @@ class Recording:
 
     def _notes(self) -> list[RecordedNote]:
         """What operators have noted since the last call, on the frames' clock."""
-        if self._parts.notes is None:
+        if self._parts.plan.notes is None:
             return []
         counts, last = self._counts, self._last
         found = []
-        for host_time_ns, author, text in self._parts.notes.take():
+        for host_time_ns, author, text in self._parts.plan.notes.take():
             at_ns = last.time_ns + host_time_ns - last.host_time_ns
             # what was typed before the record begins is in it, too, and frames on demand have another clock
             at_ns = min(max(at_ns, counts.start_ns), counts.last_ns)
@@ -282,7 +283,7 @@ class Recording:
         if not alarm or devices is None or self._stop:
             return
         parts = self._parts
-        if parts.waits_in_darkness and parts.somebody_watches():
+        if parts.waits_in_darkness and parts.somebody_watches:
             return
         self._stop.failed(DeviceError(f"{alarm}; the run ends; with laser.when_dark = 'wait' it would wait"))
 
@@ -314,7 +315,7 @@ class Recording:
         )
         lost = counts.lost_text if phase is Phase.MEASURING else ""
         if lost:
-            lost += f" rig camera align {self._parts.record.config.named}"
+            lost += f" rig camera align {self._parts.plan.config.named}"
         health = RecordedHealth(
             now_ns,
             counts.frames,

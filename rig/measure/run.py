@@ -18,7 +18,7 @@ from rig.measure.end_of_run import StopRequest
 from rig.measure.readings import LossLog
 from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
-from rig.measure.run_parts import RunOutcome, RunParts
+from rig.measure.run_parts import RunOutcome, RunParts, set_aside
 from rig.measure.run_status import RunStatus
 from rig.measure.start_judge import StartJudge
 from rig.terminal import reason_of
@@ -188,7 +188,7 @@ class Run:
 
     def _attempt(self, number: int, at_first_ns: int) -> bool:
         """Make one attempt at a start and record it; False if it was rejected and is to be repeated."""
-        parts = self._parts
+        parts, limits = self._parts, self._parts.start_limits
         frames, events = self._first_frames()
         # rest and warm-up may take an hour, in which the clock of the day is set; frames made on demand are
         # timed by their first one
@@ -196,14 +196,14 @@ class Run:
         self._losses = LossLog(self._stream, from_start=parts.phases is None)
         preflight = () if parts.phases is None else parts.phases.verdicts
         recorder = Recorder(
-            parts.record.open(epoch_offset_ns, frames[0], preflight),
+            parts.open_record(epoch_offset_ns, frames[0], preflight),
             # frames made on demand wait for the disk, and no memory has to hold them
             MOST_WAITING_BYTES // 16 if self._stream.policy == "wait" else MOST_WAITING_BYTES,
             permit=self._stream.permit,
         )
         rejected = ""
         try:
-            judge = None if parts.start is None else StartJudge(parts.start)
+            judge = None if limits is None else StartJudge(limits)
             recording = Recording(
                 parts, self._stop, self._status, self._losses, recorder, judge, self._wall, frames[0]
             )
@@ -212,13 +212,13 @@ class Run:
             recorder.close()
             if recorder.error is not None:
                 self._stop.failed(recorder.error)
-        if not rejected or parts.start is None or judge is None or recorder.error is not None:
+        if not rejected or limits is None or judge is None or recorder.error is not None:
             return True
-        aside = parts.record.set_aside(number)
+        aside = set_aside(parts.plan.record, number)
         if parts.phases is not None:
             parts.phases.correct_starter(judge.first_amplitude)
-        parts.start_rejected(aside, rejected)
-        if number >= parts.start.attempts:
+        parts.plan.start_rejected(aside, rejected)
+        if number >= limits.attempts:
             raise DataError(f"no start of {number} was accepted; the last: {rejected}")
         return False
 

@@ -1,58 +1,22 @@
 """Sets up camera, phases, record, view and display for one run of a session, and executes it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
 
 from processing import decay_forecast
-from processing.angle import ARCSEC_RAD
-from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from rig.devices import Devices, OpenCamera, TypedLeave
 from rig.instrument import RunNow, optics_of, prepare_kernels
-from rig.measure.end_of_run import EndLimits
-from rig.measure.notes import Notes
 from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
 from rig.measure.run import Run
-from rig.measure.run_parts import RecordFile, RunOutcome, RunParts
-from rig.measure.run_status import Watcher
+from rig.measure.run_parts import RunOutcome, RunParts, RunPlan
 from rig.measure.screen import RunDisplay
-from rig.measure.start_judge import start_limits
-from rig.orders import SessionNews
 from rig.posterior import LivePosterior, live_posterior
 from rig.presentation import Verdict, say
-from rig.settings import Configuration
 from rig.view import RunningView
 
 LEAST_FREE_BYTES = 50 * 1024 * 1024
 """Of disk; with less no run begins."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunPlan:
-    """A run to be made.
-
-    `start_rejected` is called with the new path of the record of each rejected start, and the reason;
-    `watchers` see the run beside its display and view, `session_news` tells those
-    who watch from outside, `notes` are what operators note meanwhile, `planned` what a plan says of the run.
-    `fitted`: parameters are fitted while
-    it is measured. `is_last`: no other run follows, for which the laser would stay lit.
-    """
-
-    config: Configuration
-    source: Path
-    record: Path
-    title: str
-    force: bool = False
-    json_lines: bool = False
-    fitted: bool = True
-    is_last: bool = True
-    start_rejected: Callable[[Path, str], None] = lambda _path, _reason: None
-    watchers: Sequence[Watcher] = ()
-    session_news: SessionNews | None = None
-    notes: Notes | None = None
-    planned: Sequence[str] = ()
 
 
 def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
@@ -98,10 +62,9 @@ def _execute(
 ) -> RunOutcome:
     config, record = plan.config, plan.record
     optics = optics_of(config, camera.info.full_scale_dn)
-    final_amplitude = config.session.final_amplitude_arcsec
     display = RunDisplay(
         plan.title,
-        final_amplitude,
+        config.session.final_amplitude_arcsec,
         optics.unit,
         longest_s=config.session.max_duration_s,
         stop_when=config.stop_conditions if posterior is not None else (),
@@ -118,10 +81,6 @@ def _execute(
         if session_news is not None:
             session_news.preflight(verdicts)
 
-    def start_rejected(aside: Path, reason: str) -> None:
-        plan.start_rejected(aside, reason)
-        display.tell(f"{plan.title}: start not accepted: {reason}")
-
     def show(now: RunNow) -> None:
         try:
             display.show(now)
@@ -130,7 +89,6 @@ def _execute(
             if session_news is not None:
                 session_news.state(display.values(now), display.facts(now))
 
-    with_start = config.start.way != "at once"
     phases: PhasesBeforeRecord | None = None
     if phases_wanted(config):
         phases = PhasesBeforeRecord(
@@ -143,28 +101,16 @@ def _execute(
             show_table=show_table,
             watch=None if session_news is None else session_news.before_record,
         )
-    typed_leave = TypedLeave(devices)
     parts = RunParts(
-        stream=devices.stream(config, camera),
+        plan=plan,
+        camera=camera,
         optics=optics,
-        record=RecordFile(record, config, plan.source, camera, optics),
-        # without a lever the amplitude in arcsec is unknown, and only the time limit applies
-        end=EndLimits(
-            final_amplitude * ARCSEC_RAD if optics.unit is DeflectionUnit.RAD else 0.0,
-            config.session.max_duration_s,
-            config.stop_conditions if posterior is not None else (),
-        ),
-        phases=phases,
-        start=start_limits(config, optics) if with_start else None,
-        start_rejected=start_rejected,
-        watchers=(display, *plan.watchers),
-        **({} if session_news is None else {"look": session_news.look}),
+        stream=devices.stream(config, camera),
         devices=devices,
+        phases=phases,
+        watchers=(display, *plan.watchers),
         posterior=posterior,
-        somebody_watches=lambda: typed_leave.there or (session_news is not None and session_news.watched),
-        typed_leave=typed_leave,
-        notes=plan.notes,
-        planned=plan.planned,
+        typed_leave=TypedLeave(devices),
     )
     prepare_kernels(optics.sensor, say)
     decay_forecast.prepare()

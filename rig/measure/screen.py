@@ -14,6 +14,7 @@ import numpy as np
 from rich.console import Console, RenderableType
 from rich.live import Live
 
+from acquisition.record.events import EventKind
 from processing.balance import Balance
 from processing.decay_forecast import Forecast, forecast
 from processing.deflections import DeflectionUnit
@@ -94,6 +95,8 @@ class RunDisplay:
             if self._json:
                 said = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
                 self._to_print.append(partial(self.line, "event", said))
+            if event.kind == EventKind.REJECTED:
+                self._to_print.append(partial(say, f"{self._title}: {event.text}"))
 
     def show_preflight(self, verdicts: Sequence[Verdict]) -> None:
         """Have the preflight table printed above the live screen."""
@@ -102,10 +105,6 @@ class RunDisplay:
             self._to_print.append(lambda: self.line("preflight", {"table": table_tree(shown)}))
         else:
             self._to_print.append(lambda: print_verdicts(self._console, shown))
-
-    def tell(self, text: str) -> None:
-        """Have a line printed for the user."""
-        self._to_print.append(lambda: say(text))
 
     # -- in the main thread --------------------------------------------------
 

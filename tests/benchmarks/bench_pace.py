@@ -21,19 +21,17 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from acquisition.camera import CameraSettings
-from acquisition.frame import Frame
 from calibration.axes import Axes
 from calibration.light_lever import Lever
 from processing.spot import SensorModel
 from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
 from rig.instrument.kernels import prepare_kernels
-from rig.instrument.pipeline import Block, Optics
+from rig.instrument.pipeline import Optics
 from rig.instrument.run_now import RunNow
-from rig.measure.end_of_run import EndLimits
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run import Run, ready_for_frames
-from rig.measure.run_parts import RecordFile, RunParts
+from rig.measure.run_parts import RunParts, RunPlan
 from rig.measure.run_status import Watcher
 from rig.measure.screen import RunDisplay
 from rig.orders import OrderSocket, SessionNews
@@ -70,7 +68,7 @@ class Company(NamedTuple):
     """What watches the run."""
 
     watchers: Sequence[Watcher]
-    look: Callable[[Sequence[Frame], Block], None]
+    news: SessionNews | None
     show: Callable[[RunNow], None]
 
 
@@ -119,7 +117,7 @@ def real_time(
     duration_s: float,
     *,
     watchers: Sequence[Watcher] = (),
-    look: Callable[[Sequence[Frame], Block], None] = lambda _frames, _block: None,
+    news: SessionNews | None = None,
     show: Callable[[RunNow], None] = lambda _: None,
     viewed: bool = False,
 ) -> dict[str, Any]:
@@ -154,23 +152,17 @@ def real_time(
         prepare_kernels(sensor, print)
         lever = Lever(arm_m=1.0, pixel_pitch_m=4.8e-6)
         optics = Optics(sensor, lever, Axes())
-        file = RecordFile(
-            Path(folder) / "run.mcap",
-            validate_configuration({"camera": {"driver": "simulated"}}, "").model_copy(
-                update={"lever": lever}
-            ),
-            Path(),
-            opened,
-            optics,
+        config = validate_configuration(
+            {"camera": {"driver": "simulated"}, "session": {"max_duration_s": 1e9}}, ""
         )
+        config = config.model_copy(update={"lever": lever})
         run = Run(
             RunParts(
-                stream=FrameStream(camera, CameraSettings()),
+                plan=RunPlan(config, Path(), Path(folder) / "run.mcap", "run 1", session_news=news),
+                camera=opened,
                 optics=optics,
-                record=file,
-                end=EndLimits(0.0, 1e9),
+                stream=FrameStream(camera, CameraSettings()),
                 watchers=watchers,
-                look=look,
             )
         )
         Recorder._write = timed  # type: ignore[method-assign]
@@ -223,16 +215,16 @@ def desk_and_viewer() -> Iterator[Company]:
 
         stack.enter_context(OrderSocket(folder, news, {}))
         stack.enter_context(Desk(source))
-        yield Company([display], news.look, show)
+        yield Company([display], news, show)
 
 
 def measured(case: Case, seconds: float, way: str) -> dict[str, Any]:
     """One run, with the load of the machine beside it."""
     with ExitStack() as stack:
-        company = Company((), lambda _frames, _block: None, lambda _: None)
+        company = Company((), None, lambda _: None)
         if way == "with desk and viewer":
             company = stack.enter_context(desk_and_viewer())
-        watchers, look, show = company
+        watchers, news, show = company
         found = real_time(
             case.width,
             case.height,
@@ -240,7 +232,7 @@ def measured(case: Case, seconds: float, way: str) -> dict[str, Any]:
             case.rate_hz,
             seconds,
             watchers=watchers,
-            look=look,
+            news=news,
             show=show,
             viewed=way == "with desk and viewer",
         )

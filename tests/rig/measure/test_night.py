@@ -22,8 +22,7 @@ from rig.measure import measure_session, resume_session
 from rig.measure import night as night_module
 from rig.measure import session as session_module
 from rig.measure.night import measure_plan
-from rig.measure.run_parts import RunOutcome
-from rig.measure.run_setup import RunPlan
+from rig.measure.run_parts import RunOutcome, RunPlan
 from rig.settings import load_configuration, load_plan
 from rig.terminal import Terminated
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, figures_are_not_drawn, rig
