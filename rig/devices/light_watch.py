@@ -1,6 +1,7 @@
 """Notices that the light of a laser which a run needs is gone, or is confirmed by nothing any more."""
 
 import time
+from datetime import datetime, timedelta
 
 from acquisition.record.events import EventKind
 from rig.control import Light
@@ -22,7 +23,7 @@ class LightWatch:
     def __init__(self, devices: Devices | None) -> None:
         self._devices = devices
         self._dark_since_s: float | None = None
-        self._last_said = ""
+        self._said: tuple[Light, float] | None = None
         self._confirmed = False
         self._told = 0
         self.alarm = ""
@@ -40,8 +41,7 @@ class LightWatch:
         devices.compare()
         why, laser = devices.darkness(), devices.laser_now()
         if laser is not None and laser.light in _SAID:
-            said_at = time.strftime("%H:%M:%S", time.localtime(time.time() - laser.age_s))
-            self._last_said = f"it was last confirmed {laser.light} at {said_at}"
+            self._said = laser.light, time.monotonic() - laser.age_s
         now_s, since_s = time.monotonic(), self._dark_since_s
         if not why:
             self._dark_since_s = None
@@ -58,7 +58,7 @@ class LightWatch:
         kind, claim = EventKind.LASER_DARK, "the laser is dark"
         if not confirmed:
             kind, claim = EventKind.LASER_UNKNOWN, "it is not known whether the laser is lit"
-            why = "; ".join(filter(None, (why, self._last_said, devices.without_word)))
+            why = "; ".join(filter(None, (why, self._last_said(now_s), devices.without_word)))
         if self.alarm:
             # who was silent speaks again
             devices.audit(Audited.DARK, why)
@@ -66,3 +66,11 @@ class LightWatch:
             devices.fell_dark(why)
         self.alarm, self._confirmed = f"{claim}: {why}", confirmed
         return [(kind, why)]
+
+    def _last_said(self, now_s: float) -> str:
+        if self._said is None:
+            return ""
+        light, said_s = self._said
+        return (
+            f"it was last confirmed {light} at {datetime.now() - timedelta(seconds=now_s - said_s):%H:%M:%S}"
+        )
