@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -73,6 +74,18 @@ def test_a_line_is_printed_when_the_phase_changes_and_not_for_its_progress() -> 
         ("release", ""),
     ]
     assert "rest: spread 3.00" in screen(RunNow(Phase.REST, "spread 3.00 arcsec of 1"))
+
+
+def test_the_screen_has_the_phases_of_a_run_in_their_order_and_marks_the_present_one() -> None:
+    output = io.StringIO()
+    console = Console(file=output, width=118, height=40, force_terminal=True, color_system="standard")
+    phases = (Phase.REST, Phase.WARM_UP, Phase.RELEASE)
+    shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, phases=phases, console=console)
+    console.print(shown.screen(RunNow(Phase.WARM_UP, "drift 0.30 arcsec/min (limit 0.1)")))
+    line = next(one for one in output.getvalue().splitlines() if "recording" in one)
+    assert "rest > warm-up > release > recording" in re.sub(r"\x1b\[[0-9;]*m", "", line)
+    assert re.search(r"\x1b\[1;36mwarm-up", line)
+    assert "warm-up: drift 0.30 arcsec/min (limit 0.1)" in re.sub(r"\x1b\[[0-9;]*m", "", output.getvalue())
 
 
 def decaying(output: io.StringIO, longest_s: float) -> RunDisplay:
