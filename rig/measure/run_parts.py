@@ -33,10 +33,10 @@ class RunPlan:
     """A run to be made.
 
     `start_rejected` is called with the new path of the record of each rejected start, and the reason;
-    `watchers` see the run beside its display and view, `session_news` tells those
-    who watch from outside, `notes` are what operators note meanwhile, `planned` what a plan says of the run.
-    `fitted`: parameters are fitted while
-    it is measured. `is_last`: no other run follows, for which the laser would stay lit.
+    `watchers` are told what the record is told, beside its display, `session_news` tells those who watch from
+    outside, `notes` are what operators note meanwhile, `planned` what a plan says of the run. `fitted`:
+    parameters are fitted while it is measured. `is_last`: no other run follows, for which the laser would
+    stay lit.
     """
 
     config: Configuration
