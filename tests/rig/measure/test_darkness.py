@@ -112,7 +112,8 @@ def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
     assert "it is not known whether the laser is lit: the controller is lost" in entry["reason"]
     (said,) = [text for kind, text in events_of(tmp_path / "out") if kind == "laser unknown"]
     assert re.search(r"it was last confirmed on at \d\d:\d\d:\d\d; ", said)
-    assert (tmp_path / "out" / "results.json").exists()
+    (run,) = json.loads((tmp_path / "out" / "results.json").read_text())["runs"]
+    assert [one["ok"] for one in run["conditions"] if one["name"] == "light"] == [False]
     assert check_log(tmp_path / "out", SafetyState()) == []
     lit, dark = map(json.loads, (tmp_path / "out" / "audit.jsonl").read_text().splitlines())
     assert (lit["what"], lit["laser"], lit["user"]) == ("lit", "controller", getpass.getuser())
