@@ -33,7 +33,7 @@ ALLOWED = {
     "rig/control/presses.py": "the time of a file alone, where a full disk takes no content",
     "rig/desk/kept.py": "a lock",
     "rig/measure/session_file.py": "a lock",
-    "rig/measure/record_file.py": "a record set aside under another name",
+    "rig/measure/run_parts.py": "a record set aside under another name",
     "rig/terminal/interruption.py": "the null device",
     "rig/measure/screen.py": "the null device",
     # devices
