@@ -67,8 +67,10 @@ class EventKind(StrEnum):
     """The light was switched off by a trip, which stays until a person acknowledges it."""
     LASER_DARK = "laser dark"
     """It went dark during the run, with the reason."""
+    LASER_UNKNOWN = "laser unknown"
+    """Nothing confirms any more during the run that it is lit, nor that it is dark; with what is known."""
     LASER_LIT = "laser lit"
-    """It is lit again after `LASER_DARK`."""
+    """It is lit after `LASER_DARK` or `LASER_UNKNOWN`."""
     BEAM = "beam"
     """The model of the beam was chosen, or is chosen again."""
     REST_STEP = "rest step"
@@ -117,6 +119,7 @@ WARNING_KINDS: Final = frozenset(
 _LEVELS: Final[Mapping[str, Level]] = {
     EventKind.TRIP: Level.TRIP,
     EventKind.LASER_DARK: Level.ALARM,
+    EventKind.LASER_UNKNOWN: Level.ALARM,
     **dict.fromkeys(WARNING_KINDS, Level.WARNING),
 }
 

@@ -17,6 +17,7 @@ _SPOT_S = 0.5
 _FRAMES_S = 1.5
 _NEWS_S = 10.0
 """A busy machine makes the news of a sound session late by seconds, never by so much."""
+_SILENT: Final = (Light.SILENT, Light.CONTROLLER_SILENT)
 _WITH_FRAMES: Final = frozenset({Phase.REST, Phase.WARM_UP, Phase.RELEASE, Phase.MEASURING})
 _CAMERA_GONE: Final = frozenset({EventKind.CAMERA_LOST, EventKind.CAMERA_SILENT})
 OF_CAMERA: Final = _CAMERA_GONE | {EventKind.CAMERA_SPEAKS, EventKind.CAMERA_BACK}
@@ -107,7 +108,7 @@ def _of_light(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
         yield AlarmKey.LIGHT_DISAGREES, ""
     if safety.interlock is Loop.OPEN and safety.interlock_age_s <= STALE_S:
         yield AlarmKey.INTERLOCK, ""
-    silent = safety.light in (Light.SILENT, Light.CONTROLLER_SILENT, Light.UNKNOWN)
+    silent = safety.light in (*_SILENT, Light.UNKNOWN)
     if seen.lit_by and (silent or safety.light_age_s > STALE_S) and not math.isinf(safety.light_age_s):
         yield AlarmKey.LASER_UNKNOWN, f"{seen.lit_by} has the laser, which {_silence(safety)}"
     if seen.devices.controller not in (None, ControlState.OPEN):
@@ -115,7 +116,7 @@ def _of_light(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
 
 
 def _silence(safety: SafetyNow) -> str:
-    if safety.light in (Light.SILENT, Light.CONTROLLER_SILENT):
+    if safety.light in _SILENT:
         return str(safety.light)
     return "nothing was heard of for more than 2 s"
 
@@ -136,8 +137,8 @@ def _of_session(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
     if disk_silent_s:
         yield AlarmKey.DISK_HANGS, "a write to the record takes more than 2 s"
     if crying and not disk_silent_s:
-        dark = bool(news.get("darkness"))
-        yield (AlarmKey.LASER_DARK if dark else AlarmKey.STALLED), crying
+        dark = AlarmKey.LASER_UNKNOWN if seen.safety.light in _SILENT else AlarmKey.LASER_DARK
+        yield (dark if news.get("darkness") else AlarmKey.STALLED), crying
     if state.get("phase") in _WITH_FRAMES:
         yield from _of_frames(seen)
     if seen.sensor_wanted and state.get("phase") == Phase.MEASURING and state.get("temperature_c") is None:

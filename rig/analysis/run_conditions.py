@@ -230,7 +230,11 @@ _MOST_KELVIN = 1.0
 _MOST_LEFT_OUT = 0.2
 """Of the half-cycles, which the ground moved too much to be fitted."""
 _STEPS = {
-    EventKind.LASER_DARK: ("light", "the laser went dark", "see the events; interlock, controller, cable"),
+    EventKind.LASER_DARK: (
+        "light",
+        "nothing confirmed that the laser was lit",
+        "see the events; interlock, controller, cable",
+    ),
     EventKind.REST_STEP: ("rest position", "it stepped", "find what touched the rig; measure again"),
     EventKind.PUSH: ("draught", "the swing was pushed", "shield the rig from air; keep away from it"),
     EventKind.LIGHT_STEP: ("ambient light", "it stepped", "keep the room dark; shield the sensor"),
@@ -311,6 +315,8 @@ def _saturation(beam: Beam, frames: int, most: float) -> Verdict:
 
 
 def _steps(events: Sequence[Event]) -> list[Verdict]:
+    unlit = EventKind.LASER_DARK
+    events = [one._replace(kind=unlit) if one.kind == EventKind.LASER_UNKNOWN else one for one in events]
     happened = Counter(event.kind for event in events)
     texts = {event.kind: event.text for event in reversed(events)}
     return [

@@ -37,6 +37,8 @@ class Audited(StrEnum):
 
     LIT = "lit"
     DARK = "dark"
+    UNKNOWN = "unknown"
+    """Nothing confirms the light any more, nor that it went."""
     TRIP = "trip"
     """It has happened now; a latch without it was found when the devices were opened."""
     LATCH = "latch"

@@ -33,6 +33,7 @@ from rig.control import (
 from rig.devices.audit import Audited, AuditLog
 from rig.devices.confirmed_dark import confirmed_dark
 from rig.devices.laser import (
+    STAYS_LIT,
     age_s,
     check_wiring,
     laser_now,
@@ -279,11 +280,30 @@ class LitDevices:
         does not answer nobody knows: it may still be lit, as it should. What a trip has darkened,
         acknowledged or not, did not go dark by itself.
         """
-        laser = self.laser_now()
-        known = laser is not None and laser.light in (Light.OFF, Light.INTERLOCK_OPEN)
-        if known and self.permit.begun and not self.waits_for_asking:
+        if not self.confirmed_dark:
+            if self._is_lit:
+                self._is_lit = False
+                self.audit(Audited.UNKNOWN, why)
+            return
+        if self.permit.begun and not self.waits_for_asking:
             self.permit.trip(TripCause.WATCHDOG, f"the laser went dark: {why}")
         self.went_dark(why)
+
+    @property
+    def confirmed_dark(self) -> bool:
+        """Whether the device that switches the laser has said lately that it is off. Never blocks."""
+        laser = self.laser_now()
+        return laser is not None and laser.light in (Light.OFF, Light.INTERLOCK_OPEN)
+
+    @property
+    def without_word(self) -> str:
+        """What a laser does of which nothing is heard."""
+        if not through_controller(self._config.laser):
+            return STAYS_LIT
+        return (
+            "the controller's own watchdog turns it off "
+            f"{self._config.controller.watchdog_s:g} s after the last heartbeat"
+        )
 
     def _open_interlock(self) -> Interlock | None:
         """The interlock that is open now. Never blocks."""

@@ -1,10 +1,12 @@
 """Opens the devices of a session in a safe order, and closes them in reverse order."""
 
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from types import TracebackType
 from typing import NamedTuple, Self
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings
@@ -27,7 +29,6 @@ from rig.devices.frame_stream import FrameStream
 from rig.devices.ground_witness import GroundWitness, ground_witness
 from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.lit_devices import LitDevices
-from rig.devices.press_watch import PressWatch
 from rig.instrument import (
     camera_settings,
     check_full_scale,
@@ -39,6 +40,8 @@ from rig.instrument import (
 )
 from rig.presentation import say
 from rig.settings import Configuration
+
+_PRESSES_EACH_S, _WATCH_ENDS_S = 0.1, 1.0
 
 
 class OpenCamera(NamedTuple):
@@ -53,6 +56,34 @@ class OpenCamera(NamedTuple):
     notes: tuple[str, ...]
     applied: CameraSettings = CameraSettings()
     time_shift_ns: int = 0
+
+
+class PressWatch:
+    """Looks whether LIGHT OFF was pressed where no order reaches the program that has the rig.
+
+    A context manager; in a thread of its own: a disk that hangs may delay no command to a device.
+    """
+
+    def __init__(self, devices: LitDevices) -> None:
+        self._devices = devices
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._look, name="presses", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over.set()
+        # what it writes may not come after the next program has the state; a disk that hangs holds nothing up
+        self._thread.join(_WATCH_ENDS_S)
+        self._devices.permit.stop_looking()
+
+    def _look(self) -> None:
+        while not self._over.wait(_PRESSES_EACH_S):
+            self._devices.hear_presses()
 
 
 class Devices(LitDevices):

@@ -38,6 +38,6 @@ from rig.instrument.provenance import (
     session_metadata,
     versions,
 )
+from rig.instrument.run_now import Phase, RunNow, Told, told_in
 from rig.instrument.simulated_rig import complete
-from rig.instrument.snapshot import Phase, Snapshot
 from rig.instrument.wall import Wall

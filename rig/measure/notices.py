@@ -3,16 +3,15 @@
 import subprocess
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from acquisition.frame import Frame
-from acquisition.record.events import Event, Level
+from acquisition.record.events import Level
 from processing.errors import RigError
-from rig.instrument import Block
+from rig.instrument import Told
 from rig.measure.session_file import SessionFile, read_session
 from rig.presentation import say
 from rig.settings import SessionSettings
@@ -66,14 +65,12 @@ class Notices:
                 error=True,
             )
 
-    def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
-        """Frames are not reported."""
-
-    def event(self, start_ns: int, event: Event) -> None:
-        """An error during a run is an alarm."""
-        if event.level in (Level.TRIP, Level.ALARM) and self._alarms < _MOST_ALARMS:
-            self._alarms += 1
-            self.tell("alarm", f"{event.kind}: {event.text}")
+    def take(self, told: Told) -> None:
+        """Events of a run whose level is an alarm's."""
+        for event in told.events:
+            if event.level in (Level.TRIP, Level.ALARM) and self._alarms < _MOST_ALARMS:
+                self._alarms += 1
+                self.tell("alarm", event.line)
 
     def _run(self, words: tuple[str, ...], heard: threading.Event) -> None:
         try:

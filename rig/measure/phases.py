@@ -10,13 +10,14 @@ import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
+from acquisition.record.topics import RecordedPhase
 from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, DeviceError, RecordError
 from processing.robust import robust_scatter
 from processing.ticks import NS_PER_S, nanoseconds
 from rig.devices import Audited, Devices, FrameStream, OpenCamera, through_controller, wait_for_command
-from rig.instrument import Optics, Phase, Snapshot
+from rig.instrument import Optics, Phase
 from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import TrialFrames, device_checks, frame_checks, rest_checks, vault_checks
 from rig.measure.recent_frames import PhaseWait, RecentFrames, Stopped, Watch
@@ -77,7 +78,7 @@ class PhasesBeforeRecord:
             devices.required_control(f"start.way = {config.start.way!r}")
 
     def run(
-        self, stream: FrameStream, report: Callable[[Snapshot], None], stop: StopRequest
+        self, stream: FrameStream, report: Callable[[RecordedPhase], None], stop: StopRequest
     ) -> tuple[list[Frame], list[Event]]:
         """Go through the phases; returns the frames with which the record begins, and the events so far.
 
@@ -109,7 +110,7 @@ class PhasesBeforeRecord:
         return [frame for frame in frames.frames if frame.time_ns >= kept_from_ns], self._wait.events
 
     def check_alone(
-        self, stream: FrameStream, report: Callable[[Snapshot], None], stop: StopRequest
+        self, stream: FrameStream, report: Callable[[RecordedPhase], None], stop: StopRequest
     ) -> list[Verdict]:
         """The preflight table of a pendulum as it is, without a run; empty if it was stopped."""
         seconds = _preflight_s(self._config)
@@ -183,13 +184,13 @@ class PhasesBeforeRecord:
             drift = max(
                 _drift_per_min(recent.times_s, recent.shown_x), _drift_per_min(recent.times_s, recent.shown_y)
             )
-            self._wait.progress = (
-                f"drift {drift:.2f} {self._unit.shown}/min" if math.isfinite(drift) else "no spot is seen"
-            )
+            limit = phases.warm_up_drift_arcsec_per_min
+            seen = f"drift {drift:.2f} {self._unit.shown}/min" if math.isfinite(drift) else "no spot is seen"
             if self._unit is DeflectionUnit.PX:
-                self._wait.progress += f", not checked: {rest_checks.NO_LEVER}"
+                self._wait.progress = f"{seen}, not checked: {rest_checks.NO_LEVER}"
                 return True
-            return drift <= phases.warm_up_drift_arcsec_per_min
+            self._wait.progress = f"{seen} (limit {limit:.3g})"
+            return drift <= limit
 
         self._wait.until_reached(Phase.WARM_UP, laser.warm_up_max_s, warm, every_s=0.5)
         self._warm = True
@@ -326,6 +327,15 @@ class PhasesBeforeRecord:
             wait_for_command(control.brake(on))
         except DeviceError as error:
             self._wait.note(EventKind.BRAKE, str(error))
+
+
+def phases_wanted(config: Configuration) -> tuple[Phase, ...]:
+    """The phases before the record of a run."""
+    look = (Phase.PREFLIGHT,) if preflight_wanted(config) else ()
+    if config.start.way == "at once":
+        return look
+    warm_up = () if config.laser.kind == "none" else (Phase.WARM_UP,)
+    return Phase.REST, *warm_up, *look, Phase.RELEASE
 
 
 def preflight_wanted(config: Configuration) -> bool:

@@ -8,7 +8,8 @@ from acquisition import atomic_write
 from processing.errors import ConfigurationError, DataError, RecordError
 from rig.devices import Devices, ask_leave
 from rig.instrument import complete
-from rig.measure.run_setup import RunPlan, measure_run
+from rig.measure.run_parts import RunPlan
+from rig.measure.run_setup import measure_run
 from rig.orders import SessionNews, light_told
 from rig.settings import Configuration
 

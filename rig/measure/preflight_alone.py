@@ -6,10 +6,10 @@ from pathlib import Path
 
 from rich.console import Console
 
+from acquisition.record.topics import RecordedPhase
 from processing.errors import DataError, DeviceError
 from rig.devices import Devices, LightWatch, ask_leave
 from rig.instrument import (
-    Snapshot,
     check_materials,
     complete,
     optics_of,
@@ -45,17 +45,18 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
         if lit := devices.light():
             say(lit)
         light = LightWatch(devices)
-        before = ""
-        states: queue.SimpleQueue[Snapshot | None] = queue.SimpleQueue()
+        before = ("", "")
+        states: queue.SimpleQueue[RecordedPhase | None] = queue.SimpleQueue()
 
-        def report(snapshot: Snapshot) -> None:
+        def report(phase: RecordedPhase) -> None:
             nonlocal before
             light.look()
             if light.alarm:
                 raise DeviceError(light.alarm)
-            if snapshot.doing != before:
-                states.put(snapshot)
-            before = snapshot.doing
+            doing = phase.phase, phase.progress
+            if doing != before:
+                states.put(phase)
+            before = doing
 
         def look(stop: StopRequest) -> list[Verdict]:
             try:

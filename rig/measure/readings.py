@@ -28,8 +28,7 @@ from processing.errors import DeviceError
 from processing.ticks import nanoseconds
 from rig.devices import ClockAnchors, ClockRate, FrameStream
 from rig.instrument import CameraClock, Wall
-from rig.measure.record_file import features_json
-from rig.measure.run_parts import RunParts
+from rig.measure.run_parts import RunParts, features_json
 
 _LOSSES_NS = 1_000_000_000
 _TEMPERATURE = "the camera's temperature"
@@ -120,8 +119,9 @@ class SideReadings:
         on_demand = parts.stream.policy == "wait"
         self._anchors = None if on_demand else ClockAnchors()
         self._rate = None if on_demand else ClockRate()
-        self._temperature = None if parts.camera is None else TemperatureWatch(parts.camera)
+        self._temperature = TemperatureWatch(parts.camera.camera)
         self._environment_due_ns = 0
+        self._has_air = False
         self.clock = CameraClock()
 
     def take(self, frames: Sequence[Frame]) -> tuple[list[Recorded], list[Event]]:
@@ -138,9 +138,7 @@ class SideReadings:
             self.clock = wall.past(
                 "the reading of the camera's clock", self.clock, self._rate.take, frames, steps
             )
-        warmth = None
-        if self._temperature is not None:
-            warmth = wall.past(_TEMPERATURE, None, self._temperature.take, last.time_ns)
+        warmth = wall.past(_TEMPERATURE, None, self._temperature.take, last.time_ns)
         once = (
             (ENVIRONMENT, self._environment(last.time_ns)),
             (LOSSES, self._losses.due(last.time_ns)),
@@ -156,21 +154,23 @@ class SideReadings:
 
     def close(self) -> dict[str, bytes]:
         """Read no more; returns what is attached at the end."""
-        camera = self._parts.camera
-        if camera is None or self._temperature is None:
-            return {}
+        camera = self._parts.camera.camera
         self._wall.past(_TEMPERATURE, None, self._temperature.close)
         features = self._wall.past("the reading of the camera's features", b"", features_json, camera)
         return {"camera-features-end.json": features} if features else {}
 
     def _environment(self, time_ns: int) -> Environment | None:
-        """A reading of the environment, once per period; None in between and without a sensor."""
+        """A reading of the environment, once per period; None in between and without a sensor.
+
+        That a sensor says nothing any more is recorded once, as a reading of nothing.
+        """
         devices = self._parts.devices
         if devices is None or time_ns < self._environment_due_ns:
             return None
-        self._environment_due_ns = time_ns + nanoseconds(self._parts.environment_period_s)
+        self._environment_due_ns = time_ns + nanoseconds(self._parts.plan.config.environment_sensor.period_s)
         reading = devices.environment()
-        return None if all(map(math.isnan, reading)) else Environment(time_ns, *reading)
+        before, self._has_air = self._has_air, not all(map(math.isnan, reading))
+        return Environment(time_ns, *reading) if before or self._has_air else None
 
     def _witness(self, frame: Frame) -> list[RecordedWitness]:
         """Samples of the witness of the ground since the last call, up to a frame; none without one."""

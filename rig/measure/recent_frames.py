@@ -8,12 +8,13 @@ import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
+from acquisition.record.topics import RecordedPhase
 from processing.deflections import Deflections, joined
 from processing.errors import DataError
 from processing.spot import Spot
 from processing.ticks import NS_PER_S, nanoseconds, seconds
 from rig.devices import FrameStream
-from rig.instrument import Deflector, Optics, Phase, Snapshot
+from rig.instrument import Deflector, Optics, Phase
 from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import TrialFrames
 
@@ -154,7 +155,7 @@ class PhaseWait:
     def __init__(
         self,
         frames: RecentFrames,
-        report: Callable[[Snapshot], None],
+        report: Callable[[RecordedPhase], None],
         stop: StopRequest,
     ) -> None:
         self.frames = frames
@@ -192,7 +193,7 @@ class PhaseWait:
             if frames.spotless_s > _SPOTLESS_S:
                 self.progress = f"no spot is seen for {frames.spotless_s:.0f} s"
             shout = NO_SPOT if frames.spotless_s > _SPOTLESS_S else instruction
-            self._report(Snapshot(phase, self.progress, elapsed_s, instruction=shout))
+            self._report(RecordedPhase(frames.now_ns, elapsed_s, phase.value, self.progress, shout))
             due = frames.now_ns - asked_ns >= every_s * NS_PER_S
             asked_ns = frames.now_ns if due else asked_ns
             if due and frames.now_ns and reached():

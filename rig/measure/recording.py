@@ -2,23 +2,20 @@
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import (
-    LOSSES,
-    RecordedNote,
-)
+from acquisition.record.topics import LOSSES, Recorded, RecordedHealth, RecordedNote, RecordedPhase
 from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError, in_one_line
 from processing.spot import SpotFlag
 from processing.step_watch import KickWatch, StepWatch
-from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
-from rig.instrument import Block, LessBeam, Phase, Snapshot, Wall
+from rig.instrument import Block, LessBeam, Phase, Told, Wall
 from rig.measure.end_of_run import EndOfRun, StopRequest
 from rig.measure.frame_counts import FrameCounts
 from rig.measure.readings import LossLog, SideReadings
@@ -30,6 +27,7 @@ from rig.posterior import Posterior
 
 _LIVE_FIT = "the live fit"
 _LESS_BEAM = "the live subtraction of the reference spot"
+_LOOKING = "the picture for who watches"
 
 _BLOCK_FRAMES = 64
 _BLOCK_NS = 2_000_000_000
@@ -106,9 +104,8 @@ class Recording:
         self._first = self._last = first
         # frames made on demand wait for what is done beside them: a run of the simulated rig repeats exactly
         self._on_demand = parts.stream.policy == "wait"
-        self._counts = FrameCounts(
-            first, nanoseconds(parts.full_frame_interval_s), keep_windows=parts.keep_windows
-        )
+        kept = parts.plan.config.record
+        self._counts = FrameCounts(first, nanoseconds(kept.full_frame_interval_s), keep_windows=kept.windows)
         shape, gain = (first.image.shape[0], first.image.shape[1]), parts.optics.reference_gain
         self._pipeline = parts.optics.pipeline(shape, beside=not self._on_demand, wall=wall)
         self._less = (
@@ -116,10 +113,10 @@ class Recording:
             if gain is None
             else LessBeam(parts.optics.deflector(shape), gain, beside=not self._on_demand)
         )
-        self._end = EndOfRun(parts.end)
+        self._end = EndOfRun(parts.end_limits)
         self._steps = StepEvents(parts.optics.unit)
         self._readings = SideReadings(parts, losses, wall, first.time_ns)
-        self._published_ns = 0
+        self._published_ns = self._half_cycles = 0
 
     def make(self, begun: list[Frame], events: list[Event]) -> str:
         """Record until the run ends; returns why the start was rejected, else an empty text.
@@ -137,9 +134,7 @@ class Recording:
             kinds = (EventKind.FAILED, EventKind.STOP)
             self._recorder.put(Entry(events=[Event(last_ns, kind, text) for kind in kinds]))
             # before devices are closed, which may take seconds
-            self._status.tell_events(
-                self._first.time_ns, [Event(last_ns, EventKind.FAILED, in_one_line(error))]
-            )
+            self._tell([Event(last_ns, EventKind.FAILED, in_one_line(error))])
             raise
         return rejected
 
@@ -150,11 +145,11 @@ class Recording:
             self._wall.past(_LIVE_FIT, None, parts.posterior.begin)
         events = [
             *before,
-            *(Event(first_ns, EventKind.PLAN, text) for text in parts.planned),
+            *(Event(first_ns, EventKind.PLAN, text) for text in parts.plan.planned),
             Event(first_ns, EventKind.START, "first frame"),
         ]
         self._recorder.put(Entry(events=events))
-        self._status.tell_events(first_ns, events)
+        self._tell(events)
 
     def _take_all(self, begun: list[Frame]) -> str:
         """Take frames until the run ends; returns why the start was rejected, else an empty text."""
@@ -191,10 +186,10 @@ class Recording:
     def _take_nothing(self) -> None:
         """Record events without waiting for frames, so that a silent camera is noted immediately."""
         new, notes = self._device_events(), self._notes()
-        if new or notes:
-            self._recorder.put(Entry(events=new, notes=notes))
-            self._status.tell_events(self._first.time_ns, [*new, *(note.event for note in notes)])
-        self._publish(Phase.MEASURING, [], math.nan)
+        messages = self._state(Phase.MEASURING, math.nan)
+        if new or notes or messages:
+            self._recorder.put(Entry(events=new, notes=notes, messages=messages))
+            self._tell([*new, *(note.event for note in notes)], messages)
 
     def _take(self, taken: list[Frame], taken_ns: int) -> Block:
         """Process frames that were taken at `taken_ns` and record them; returns the block as it is shown."""
@@ -208,19 +203,24 @@ class Recording:
             said = [Event(times_ns[-1], EventKind.BEAM, text) for text in self._less.take_news()]
         if parts.posterior is not None:
             self._wall.past(_LIVE_FIT, None, parts.posterior.take, shown.swings, shown.deflections)
+        self._half_cycles += len(shown.swings)
         entry = counts.entry(taken, block, self._pipeline)
         self._last = taken[-1]
         notes = self._notes()
         messages, of_clocks = self._readings.take(taken)
         stepped: list[Event] = self._wall.past("the watch for steps", [], self._steps.take, block)
         new = [*entry.events, *said, *stepped, *of_clocks, *self._device_events()]
-        self._recorder.put(replace(entry, events=new, messages=messages, notes=notes))
-        if shown.swings or self._on_demand or taken_ns - self._published_ns > _PUBLISHED_NS:
+        due = bool(shown.swings) or self._on_demand or taken_ns - self._published_ns > _PUBLISHED_NS
+        if due:
             self._published_ns = taken_ns
             # frames made on demand have no age
             age_s = math.nan if self._on_demand else seconds(taken_ns - taken[0].host_time_ns)
-            self._publish(Phase.MEASURING, shown.swings, age_s)
-        self._status.tell(counts.start_ns, taken, shown, [*new, *(note.event for note in notes)])
+            messages += self._state(Phase.MEASURING, age_s)
+        self._recorder.put(replace(entry, events=new, messages=messages, notes=notes))
+        if (news := parts.plan.session_news) is not None:
+            self._wall.past(_LOOKING, None, news.look, taken, shown)
+        if due or new or messages or notes or shown.balances:
+            self._tell([*new, *(note.event for note in notes)], messages, shown)
         return shown
 
     def _close(self, rejected: str) -> None:
@@ -240,28 +240,37 @@ class Recording:
             text = f"in all: {self._wall.text}"
             self._recorder.put(Entry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
         early = [] if rejected or self._stop.early is None else [end._replace(kind=self._stop.early)]
+        if self._less is not None:
+            swings = self._wall.past(_LESS_BEAM, swings, self._less.finish)
+        self._half_cycles += len(swings)
         last = [*self._device_events(), *early, end]
+        messages = [(LOSSES, self._losses.last(counts.last_ns)), *self._state(Phase.CLOSING, math.nan)]
         self._recorder.put(
             Entry(
                 block=empty,
                 events=last,
-                messages=[(LOSSES, self._losses.last(counts.last_ns))],
+                messages=messages,
                 attachments=attachments,
                 notes=self._notes(),
             )
         )
-        if self._less is not None:
-            swings = self._wall.past(_LESS_BEAM, swings, self._less.finish)
-        self._publish(Phase.CLOSING, swings, math.nan)
-        self._status.tell(counts.start_ns, [], empty._replace(swings=swings), last)
+        self._tell(last, messages, empty._replace(swings=swings))
+
+    def _tell(
+        self, events: Sequence[Event], messages: Sequence[Recorded] = (), block: Block | None = None
+    ) -> None:
+        """Tell those who watch what the record was told."""
+        values, counts = [value for _, value in messages], self._counts
+        swings, balances = ([], []) if block is None else (block.swings, block.balances)
+        self._status.tell(Told(counts.start_ns, counts.last_ns, swings, balances, events, values))
 
     def _notes(self) -> list[RecordedNote]:
         """What operators have noted since the last call, on the frames' clock."""
-        if self._parts.notes is None:
+        if self._parts.plan.notes is None:
             return []
         counts, last = self._counts, self._last
         found = []
-        for host_time_ns, author, text in self._parts.notes.take():
+        for host_time_ns, author, text in self._parts.plan.notes.take():
             at_ns = last.time_ns + host_time_ns - last.host_time_ns
             # what was typed before the record begins is in it, too, and frames on demand have another clock
             at_ns = min(max(at_ns, counts.start_ns), counts.last_ns)
@@ -274,7 +283,7 @@ class Recording:
         if not alarm or devices is None or self._stop:
             return
         parts = self._parts
-        if parts.waits_in_darkness and parts.somebody_watches():
+        if parts.waits_in_darkness and parts.somebody_watches:
             return
         self._stop.failed(DeviceError(f"{alarm}; the run ends; with laser.when_dark = 'wait' it would wait"))
 
@@ -296,37 +305,35 @@ class Recording:
             happened.append((EventKind.POSTERIOR, remark))
         return [Event(self._counts.last_ns, kind, text) for kind, text in happened]
 
-    def _publish(self, phase: Phase, swings: list[Swing], age_s: float) -> None:
-        counts, known = self._counts, self._known
-        lost = counts.lost_text
-        if lost:
-            lost += f" rig camera align {self._parts.record.config.named}"
-        self._status.publish(
-            Snapshot(
-                phase=phase,
-                elapsed_s=counts.elapsed_s,
-                frames=counts.frames,
-                dropped_frames=counts.missing,
-                lost_spots=counts.lost_spots,
-                beam=counts.beam_text,
-                clock=self._readings.clock,
-                queue_frames=len(self._stream),
-                frame_age_s=age_s,
-                losses=self._losses.now,
-                record_bytes=self._recorder.bytes_written,
-                disk_free_bytes=self._recorder.disk_free_bytes,
-                alarm=self._recorder.alarm,
-                instruction=lost if phase is Phase.MEASURING else "",
-                disk_silent_s=self._recorder.disk_silent_s,
-                reason=self._stop.reason,
-                estimates=known.estimates,
-                estimated_from=known.half_cycles,
-                fitted=known.points,
-            ),
-            swings,
+    def _state(self, phase: Phase, age_s: float) -> list[Recorded]:
+        """What the record is told of the session now, as far as it has changed."""
+        counts, recorder, clock, now_ns = (
+            self._counts,
+            self._recorder,
+            self._readings.clock,
+            self._counts.last_ns,
         )
-        if said := self._status.messages(counts.last_ns, on_demand=self._on_demand):
-            self._recorder.put(Entry(messages=said))
+        lost = counts.lost_text if phase is Phase.MEASURING else ""
+        if lost:
+            lost += f" rig camera align {self._parts.plan.config.named}"
+        health = RecordedHealth(
+            now_ns,
+            counts.frames,
+            counts.missing,
+            counts.lost_spots,
+            self._half_cycles,
+            len(self._stream),
+            recorder.bytes_written,
+            age_s,
+            recorder.disk_free_bytes,
+            recorder.disk_silent_s,
+            clock.drift_ppm,
+            clock.u_drift_ppm,
+            self._status.light.alarm or recorder.alarm,
+            counts.beam_text,
+        )
+        said = RecordedPhase(now_ns, counts.elapsed_s, phase.value, "", lost, self._stop.reason)
+        return self._status.messages(said, health, self._known, on_demand=self._on_demand)
 
 
 def _block_and_rest(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:

@@ -13,7 +13,6 @@ from processing.errors import ConfigurationError, RecordError
 from rig.analysis import SessionResults, read_results, results_path
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
-from rig.measure.live_fit import check_stop_when
 from rig.measure.notices import announced
 from rig.measure.run import ready_for_frames
 from rig.measure.session import (
@@ -26,6 +25,7 @@ from rig.measure.session import (
 )
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile, end_noted, read_session
 from rig.measure.waiting import Sleep, Waiting, check_waiting
+from rig.posterior import check_stop_when
 from rig.presentation import say
 from rig.settings import (
     Configuration,

@@ -11,13 +11,14 @@ from dataclasses import replace
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
+from acquisition.record.topics import RecordedPhase
 from processing.errors import DataError, DeviceError
-from rig.instrument import Phase, Snapshot, Wall
+from rig.instrument import Phase, RunNow, Told, Wall
 from rig.measure.end_of_run import StopRequest
 from rig.measure.readings import LossLog
 from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
-from rig.measure.run_parts import RunOutcome, RunParts
+from rig.measure.run_parts import RunOutcome, RunParts, set_aside
 from rig.measure.run_status import RunStatus
 from rig.measure.start_judge import StartJudge
 from rig.terminal import reason_of
@@ -72,17 +73,15 @@ class Run:
         self._losses = LossLog(parts.stream, from_start=True)
 
     @property
-    def snapshot(self) -> Snapshot:
+    def now(self) -> RunNow:
         """State of the run; may be read from any thread."""
-        return self._status.snapshot
+        return self._status.now
 
     def request_stop(self, reason: str, how: EventKind = EventKind.STOPPED) -> bool:
         """End the run before its end; the first reason given is recorded. Returns whether this is it."""
         return self._stop.because(reason, how)
 
-    def execute(
-        self, show: Callable[[Snapshot], None] = lambda _: None, interval_s: float = 0.1
-    ) -> RunOutcome:
+    def execute(self, show: Callable[[RunNow], None] = lambda _: None, interval_s: float = 0.1) -> RunOutcome:
         """Measure until the run ends; returns with the record closed.
 
         Ctrl-C and `Terminated` switch the laser off and end the run like `request_stop`, immediately if
@@ -107,9 +106,7 @@ class Run:
             # also after an interrupt or an error in the loop, so that the record is complete
             self.request_stop("the program has failed", EventKind.FAILED)
             hangs = self._end(show)
-        return RunOutcome(
-            self.snapshot, self.snapshot.half_cycles, self._stop.failure, interrupt, stopped, hangs
-        )
+        return RunOutcome(self.now, self._stop.failure, interrupt, stopped, hangs)
 
     def _darken(self, why: str) -> None:
         """Refuse the light from now on, and ask for darkness; nothing here can be blocked."""
@@ -120,7 +117,7 @@ class Run:
     def _stands_still(self) -> bool:
         return self._stream.permit.paused_s > _PATIENCE_S
 
-    def _end(self, show: Callable[[Snapshot], None]) -> str:
+    def _end(self, show: Callable[[RunNow], None]) -> str:
         """Wait for the end of the processing thread; returns what hung, if it had to be abandoned."""
         patience_s = _PATIENCE_S
         # not by joining the thread: an interrupted join takes a living thread for one that has ended
@@ -132,12 +129,12 @@ class Run:
                     return f"nothing was processed or recorded for {paused_s:.0f} s"
                 done = self._done.wait(0.1)
                 with suppress(OSError):
-                    show(self._snapshot_with_stall())
+                    show(self._now_with_stall())
             except KeyboardInterrupt:
                 patience_s = _LITTLE_PATIENCE_S
         return ""
 
-    def _watch(self, show: Callable[[Snapshot], None], interval_s: float) -> Callable[[Snapshot], None]:
+    def _watch(self, show: Callable[[RunNow], None], interval_s: float) -> Callable[[RunNow], None]:
         """Show the run until it ends; returns the function to be used for further output."""
         done = False
         while not done:
@@ -145,7 +142,7 @@ class Run:
             try:
                 for instructing in self._status.take_instructions():
                     show(instructing)
-                show(self._snapshot_with_stall())
+                show(self._now_with_stall())
                 if self._parts.waits_in_darkness and self._parts.typed_leave is not None:
                     self._parts.typed_leave.look(self._status.light.alarm)
             except OSError as error:
@@ -153,20 +150,20 @@ class Run:
                 return _show_nothing
         return show
 
-    def _showing(self, show: Callable[[Snapshot], None]) -> Callable[[Snapshot], None]:
+    def _showing(self, show: Callable[[RunNow], None]) -> Callable[[RunNow], None]:
         """The same behind the wall; only a terminal that was closed is told of by OSError."""
 
-        def past(snapshot: Snapshot) -> None:
-            closed = self._wall.past("the display", None, _told_of_os_error, show, snapshot)
+        def past(now: RunNow) -> None:
+            closed = self._wall.past("the display", None, _told_of_os_error, show, now)
             if closed is not None:
                 raise closed
 
         return past
 
-    def _snapshot_with_stall(self) -> Snapshot:
+    def _now_with_stall(self) -> RunNow:
         """The state of the run; a stalled thread cannot say by itself that it has stalled."""
         stalled = self._stream.permit.stalled
-        return replace(self.snapshot, alarm=stalled) if stalled else self.snapshot
+        return replace(self.now, alarm=stalled) if stalled else self.now
 
     def _process(self) -> None:
         """The processing thread, from the first frame to the closed record."""
@@ -191,7 +188,7 @@ class Run:
 
     def _attempt(self, number: int, at_first_ns: int) -> bool:
         """Make one attempt at a start and record it; False if it was rejected and is to be repeated."""
-        parts = self._parts
+        parts, limits = self._parts, self._parts.start_limits
         frames, events = self._first_frames()
         # rest and warm-up may take an hour, in which the clock of the day is set; frames made on demand are
         # timed by their first one
@@ -199,14 +196,14 @@ class Run:
         self._losses = LossLog(self._stream, from_start=parts.phases is None)
         preflight = () if parts.phases is None else parts.phases.verdicts
         recorder = Recorder(
-            parts.record.open(epoch_offset_ns, frames[0], preflight),
+            parts.open_record(epoch_offset_ns, frames[0], preflight),
             # frames made on demand wait for the disk, and no memory has to hold them
             MOST_WAITING_BYTES // 16 if self._stream.policy == "wait" else MOST_WAITING_BYTES,
             permit=self._stream.permit,
         )
         rejected = ""
         try:
-            judge = None if parts.start is None else StartJudge(parts.start)
+            judge = None if limits is None else StartJudge(limits)
             recording = Recording(
                 parts, self._stop, self._status, self._losses, recorder, judge, self._wall, frames[0]
             )
@@ -215,13 +212,13 @@ class Run:
             recorder.close()
             if recorder.error is not None:
                 self._stop.failed(recorder.error)
-        if not rejected or parts.start is None or judge is None or recorder.error is not None:
+        if not rejected or limits is None or judge is None or recorder.error is not None:
             return True
-        aside = parts.record.set_aside(number)
+        aside = set_aside(parts.plan.record, number)
         if parts.phases is not None:
             parts.phases.correct_starter(judge.first_amplitude)
-        parts.start_rejected(aside, rejected)
-        if number >= parts.start.attempts:
+        parts.plan.start_rejected(aside, rejected)
+        if number >= limits.attempts:
             raise DataError(f"no start of {number} was accepted; the last: {rejected}")
         return False
 
@@ -240,25 +237,16 @@ class Run:
                 return frames, []
         raise stream.failure or DataError("stopped before the run began; nothing was recorded")
 
-    def _prepare(self, snapshot: Snapshot) -> None:
-        """Publish a state before the record; raises DeviceError if the laser is dark."""
-        self._status.prepare(snapshot)
+    def _prepare(self, phase: RecordedPhase) -> None:
+        """Tell a state before the record; raises DeviceError if the laser is dark."""
+        self._status.prepare(phase)
         if self._status.light.alarm:
             raise DeviceError(f"{self._status.light.alarm}; nothing was recorded")
 
     def _shut_down(self) -> None:
         self._stop.close_stream()
-        losses = self._losses.now
-        self._status.end(
-            replace(
-                self.snapshot,
-                phase=Phase.DONE,
-                reason=self._stop.reason,
-                dropped_frames=max(self.snapshot.dropped_frames, losses.total),
-                losses=losses,
-                instruction="",
-            )
-        )
+        done = RecordedPhase(0, self.now.elapsed_s, Phase.DONE.value, reason=self._stop.reason)
+        self._status.tell(Told(messages=[self._losses.last(0), done]))
 
 
 def utc_offset_ns(frame: Frame) -> int:
@@ -272,13 +260,13 @@ def utc_offset_ns(frame: Frame) -> int:
     return now_ns - frame.time_ns - (time.monotonic_ns() - frame.host_time_ns)
 
 
-def _told_of_os_error(show: Callable[[Snapshot], None], snapshot: Snapshot) -> OSError | None:
+def _told_of_os_error(show: Callable[[RunNow], None], now: RunNow) -> OSError | None:
     try:
-        show(snapshot)
+        show(now)
     except OSError as error:
         return error
     return None
 
 
-def _show_nothing(_: Snapshot) -> None:
+def _show_nothing(_: RunNow) -> None:
     """Used in place of a terminal that was closed."""

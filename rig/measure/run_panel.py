@@ -10,25 +10,28 @@ from rich.table import Table
 from rich.text import Text
 
 from processing.estimate import Estimate
-from rig.instrument import Snapshot
+from rig.instrument import Phase, RunNow
 from rig.presentation import loud, percent, quantity
 from rig.settings import StopCondition
 
 _TWO_COLUMNS_FROM = 120
 _MOST_NOTES = 10
+_RATES_S = 5.0
 
 
 def run_panel(
     title: str,
-    snapshot: Snapshot,
+    now: RunNow,
     done: float,
     rows: Sequence[tuple[str, str]],
     notes: Sequence[str],
     size: ConsoleDimensions,
+    phases: Sequence[Phase] = (),
 ) -> Panel:
     """A panel no wider and no higher than the terminal's `size`.
 
-    `done` is the part of the run that is over, for the bar. Of `notes` as many of the last are shown as fit.
+    `done` is the part of the run that is over, for the bar, `phases` are those before the record. Of `notes`
+    as many of the last are shown as fit.
     """
     width, height = size
     table = Table.grid(padding=(0, 1))
@@ -45,18 +48,30 @@ def run_panel(
         for row in rows:
             table.add_row(*row)
     parts: list[RenderableType] = [
-        Text.assemble((f"{title}  ", "bold"), (snapshot.doing, "bold cyan"), no_wrap=True),
+        Text.assemble((f"{title}  ", "bold"), (now.doing, "bold cyan"), no_wrap=True),
+        *([_strip(phases, now.phase)] if phases else []),
         _bar(done, width - 4),
         table,
     ]
-    if snapshot.alarm:
-        parts.insert(0, Text(f"!!! {snapshot.alarm.upper()} !!!", style="bold white on red"))
-    if snapshot.instruction:
-        parts.append(Text(f">>> {loud(snapshot.instruction)} <<<", style="bold reverse"))
+    if now.alarm:
+        parts.insert(0, Text(f"!!! {now.alarm.upper()} !!!", style="bold white on red"))
+    if now.instruction:
+        parts.append(Text(f">>> {loud(now.instruction)} <<<", style="bold reverse"))
     used = 4 + (len(rows) + 1) // 2 if wide else 4 + len(rows)
-    room = max(1, min(_MOST_NOTES, height - used - 3 - bool(snapshot.instruction) - bool(snapshot.alarm)))
+    used += bool(phases) + bool(now.instruction) + bool(now.alarm)
+    room = max(1, min(_MOST_NOTES, height - used - 3))
     parts += [Text(note, style="dim", no_wrap=True, overflow="ellipsis") for note in notes[-room:]]
     return Panel(Group(*parts), width=width - 1, padding=(0, 1))
+
+
+def _strip(phases: Sequence[Phase], now: Phase) -> Text:
+    """All phases in their order, the present one marked."""
+    shown = Text(no_wrap=True, overflow="ellipsis")
+    for place, phase in enumerate((*phases, Phase.MEASURING)):
+        shown.append(" > " if place else "", "dim")
+        name = "recording" if phase is Phase.MEASURING else phase.value
+        shown.append(name, "bold cyan" if phase is now else "dim")
+    return shown
 
 
 def _bar(part: float, width: int) -> Text:
@@ -70,13 +85,17 @@ class Rates:
     """Frames and bytes per second over the last few seconds of the host's time."""
 
     def __init__(self) -> None:
-        self._points: deque[tuple[float, int, int]] = deque(maxlen=50)
+        self._points: deque[tuple[float, int, int]] = deque()
 
-    def take(self, snapshot: Snapshot) -> None:
-        """Note the counts; fewer frames than before are those of another phase, which starts again."""
-        if self._points and snapshot.frames < self._points[-1][1]:
-            self._points.clear()
-        self._points.append((time.monotonic(), snapshot.frames, snapshot.record_bytes))
+    def take(self, now: RunNow) -> None:
+        """Note counts that have changed; fewer frames than before are those of a record that begins again."""
+        points, now_s = self._points, time.monotonic()
+        if points and now.frames < points[-1][1]:
+            points.clear()
+        if not points or now.frames != points[-1][1]:
+            points.append((now_s, now.frames, now.record_bytes))
+        while len(points) > 2 and now_s - points[0][0] > _RATES_S:
+            points.popleft()
 
     @property
     def frames_hz(self) -> float:
@@ -87,7 +106,7 @@ class Rates:
         return self._rate(2)
 
     def _rate(self, column: int) -> float:
-        if len(self._points) < 2:
+        if len(self._points) < 2 or time.monotonic() - self._points[-1][0] > _RATES_S:
             return 0.0
         first, last = self._points[0], self._points[-1]
         return float(last[column] - first[column]) / max(last[0] - first[0], 1e-9)
@@ -97,9 +116,9 @@ _SHOWN_FROM = 1.0
 """Relative uncertainty below which a value means something."""
 
 
-def estimate_rows(snapshot: Snapshot, stop_when: Sequence[StopCondition]) -> list[tuple[str, str]]:
+def estimate_rows(now: RunNow, stop_when: Sequence[StopCondition]) -> list[tuple[str, str]]:
     """Two parameters a row, and what the end of the run waits for; no row before the first fit."""
-    found, keys = snapshot.estimates, list(snapshot.estimates)
+    found, keys = now.estimates, list(now.estimates)
     rows = [
         (
             ", ".join(quantity(key).symbol for key in pair),

@@ -1,59 +1,22 @@
 """Sets up camera, phases, record, view and display for one run of a session, and executes it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
 
 from processing import decay_forecast
-from processing.angle import ARCSEC_RAD
-from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from rig.devices import Devices, OpenCamera, TypedLeave
-from rig.instrument import Snapshot, optics_of, prepare_kernels
-from rig.measure.end_of_run import EndLimits
-from rig.measure.live_fit import live_posterior
-from rig.measure.notes import Notes
-from rig.measure.phases import PhasesBeforeRecord, free_bytes, preflight_wanted
-from rig.measure.record_file import RecordFile
+from rig.instrument import RunNow, optics_of, prepare_kernels
+from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
 from rig.measure.run import Run
-from rig.measure.run_parts import RunOutcome, RunParts, Watcher
+from rig.measure.run_parts import RunOutcome, RunParts, RunPlan
 from rig.measure.screen import RunDisplay
-from rig.measure.start_judge import start_limits
-from rig.orders import SessionNews
-from rig.posterior import LivePosterior
+from rig.posterior import LivePosterior, live_posterior
 from rig.presentation import Verdict, say
-from rig.settings import Configuration
 from rig.view import RunningView
 
 LEAST_FREE_BYTES = 50 * 1024 * 1024
 """Of disk; with less no run begins."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunPlan:
-    """A run to be made.
-
-    `start_rejected` is called with the new path of the record of each rejected start, and the reason;
-    `watchers` see the run beside its display and view, `session_news` tells those
-    who watch from outside, `notes` are what operators note meanwhile, `planned` what a plan says of the run.
-    `fitted`: parameters are fitted while
-    it is measured. `is_last`: no other run follows, for which the laser would stay lit.
-    """
-
-    config: Configuration
-    source: Path
-    record: Path
-    title: str
-    force: bool = False
-    json_lines: bool = False
-    fitted: bool = True
-    is_last: bool = True
-    start_rejected: Callable[[Path, str], None] = lambda _path, _reason: None
-    watchers: Sequence[Watcher] = ()
-    session_news: SessionNews | None = None
-    notes: Notes | None = None
-    planned: Sequence[str] = ()
 
 
 def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
@@ -77,12 +40,12 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
         rrd = record.with_suffix(".rrd") if settings.file else None
         view = RunningView(record, settings.mode, rrd, settings.layout)
         try:
-            outcome = _execute(plan, devices, camera, [], posterior)
+            outcome = _execute(plan, devices, camera, posterior)
             ends = plan.is_last or outcome.failure is not None or outcome.stopped
             # what hangs is not asked for frames once more
             devices.lights_again = not ends
             if ends and not outcome.hangs:
-                devices.darken(outcome.snapshot.reason or "the run has ended")
+                devices.darken(outcome.last.reason or "the run has ended")
             return outcome
         finally:
             if posterior is not None:
@@ -95,46 +58,39 @@ def _execute(
     plan: RunPlan,
     devices: Devices,
     camera: OpenCamera,
-    watchers: list[Watcher],
     posterior: LivePosterior | None,
 ) -> RunOutcome:
     config, record = plan.config, plan.record
     optics = optics_of(config, camera.info.full_scale_dn)
-    final_amplitude = config.session.final_amplitude_arcsec
     display = RunDisplay(
         plan.title,
-        final_amplitude,
+        config.session.final_amplitude_arcsec,
         optics.unit,
         longest_s=config.session.max_duration_s,
         stop_when=config.stop_conditions if posterior is not None else (),
         json_lines=plan.json_lines,
         simulated=config.simulated,
+        phases=phases_wanted(config),
     )
     session_news = plan.session_news
     if session_news is not None:
         session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied, record)
-        watchers = [*watchers, session_news]
 
     def show_table(verdicts: Sequence[Verdict]) -> None:
         display.show_preflight(verdicts)
         if session_news is not None:
             session_news.preflight(verdicts)
 
-    def start_rejected(aside: Path, reason: str) -> None:
-        plan.start_rejected(aside, reason)
-        display.tell(f"{plan.title}: start not accepted: {reason}")
-
-    def show(snapshot: Snapshot) -> None:
+    def show(now: RunNow) -> None:
         try:
-            display.show(snapshot)
+            display.show(now)
         finally:
             # also without a terminal
             if session_news is not None:
-                session_news.state(display.values(snapshot), display.facts(snapshot))
+                session_news.state(display.values(now), display.facts(now))
 
-    with_start = config.start.way != "at once"
     phases: PhasesBeforeRecord | None = None
-    if with_start or preflight_wanted(config):
+    if phases_wanted(config):
         phases = PhasesBeforeRecord(
             config,
             devices,
@@ -145,32 +101,16 @@ def _execute(
             show_table=show_table,
             watch=None if session_news is None else session_news.before_record,
         )
-    typed_leave = TypedLeave(devices)
     parts = RunParts(
-        stream=devices.stream(config, camera),
+        plan=plan,
+        camera=camera,
         optics=optics,
-        record=RecordFile(record, config, plan.source, camera, optics),
-        # without a lever the amplitude in arcsec is unknown, and only the time limit applies
-        end=EndLimits(
-            final_amplitude * ARCSEC_RAD if optics.unit is DeflectionUnit.RAD else 0.0,
-            config.session.max_duration_s,
-            config.stop_conditions if posterior is not None else (),
-        ),
-        phases=phases,
-        start=start_limits(config, optics) if with_start else None,
-        start_rejected=start_rejected,
-        watchers=(display, *plan.watchers, *watchers),
+        stream=devices.stream(config, camera),
         devices=devices,
-        camera=camera.camera,
+        phases=phases,
+        watchers=(display, *plan.watchers),
         posterior=posterior,
-        environment_period_s=config.environment_sensor.period_s,
-        full_frame_interval_s=config.record.full_frame_interval_s,
-        keep_windows=config.record.windows,
-        waits_in_darkness=config.laser.when_dark == "wait",
-        somebody_watches=lambda: typed_leave.there or (session_news is not None and session_news.watched),
-        typed_leave=typed_leave,
-        notes=plan.notes,
-        planned=plan.planned,
+        typed_leave=TypedLeave(devices),
     )
     prepare_kernels(optics.sensor, say)
     decay_forecast.prepare()

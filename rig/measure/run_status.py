@@ -1,125 +1,106 @@
-"""The status of a run for the display and watchers: snapshot, events, environment, losses."""
+"""What a run says of itself: to its record, to those who watch it, and as the state that this adds up to."""
 
-import math
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Protocol
 
-from acquisition.frame import Frame
-from acquisition.record.events import Event, EventKind
+from acquisition.record.events import EventKind
 from acquisition.record.topics import (
     ESTIMATE,
     FITTED,
     HEALTH,
     LIGHT,
     PHASE,
+    Environment,
     Recorded,
     RecordedEstimate,
     RecordedHealth,
     RecordedLight,
     RecordedPhase,
+    Timed,
 )
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
-from processing.swing import Swing
 from rig.devices import Devices, LightWatch
-from rig.instrument import Block, Snapshot, Wall
-from rig.measure.run_parts import Watcher
+from rig.instrument import RunNow, Told, Wall
+from rig.posterior import Posterior
 
 _HEALTH_NS = 1_000_000_000
 
 
+class Watcher(Protocol):
+    """Receives what the record of a run is told, for example the display.
+
+    It is called in the processing thread, must return immediately and must not raise.
+    """
+
+    def take(self, told: Told) -> None:
+        """What the record has just been told."""
+
+
 class RunStatus:
-    """Written by the processing thread; `snapshot` and `take_instructions` may be read from any other.
+    """Written by the processing thread; `now` and `take_instructions` may be read from any other.
 
     Parameters
     ----------
     watchers
-        Receive every block and event, in the processing thread.
+        Receive all that is told, in the processing thread.
     devices
         Controller, laser and environment sensor; None without devices.
     unit
-        Unit of the swings' amplitudes; snapshots contain them in arcsec or px.
+        Unit of the swings' amplitudes.
     wall
         Behind which the watchers stand.
     """
 
     def __init__(
-        self,
-        watchers: Iterable[Watcher],
-        devices: Devices | None,
-        unit: DeflectionUnit,
-        wall: Wall,
+        self, watchers: Iterable[Watcher], devices: Devices | None, unit: DeflectionUnit, wall: Wall
     ) -> None:
         self._watchers = tuple(watchers)
         self._wall = wall
         self._devices = devices
+        self._unit = unit
         self.light = LightWatch(devices)
         self._noticed: list[tuple[EventKind, str]] = []
-        self._unit = unit
-        self._instructions: deque[Snapshot] = deque()
-        self.snapshot = Snapshot()
-        self._begin()
+        self._instructions: deque[RunNow] = deque()
+        self.now = RunNow()
+        self.begin_record()
 
-    def _begin(self) -> None:
+    def begin_record(self) -> None:
+        """Discard what belongs to the record of a rejected start."""
         self._phase: RecordedPhase | None = None
         self._light: RecordedLight | None = None
         self._estimates: Mapping[str, Estimate] = {}
         self._health_due_ns = 0
+        self._alarm = ""
+        self.now = self.now.begun_again()
 
-    def take_instructions(self) -> Iterable[Snapshot]:
-        """Snapshots with an instruction to the operator since the last call, oldest first.
+    def take_instructions(self) -> Iterable[RunNow]:
+        """States with an instruction to the operator since the last call, oldest first.
 
-        They include short-lived instructions that a caller who only reads `snapshot` could miss.
+        They include short-lived instructions that a caller who only reads `now` could miss.
         """
         while self._instructions:
             yield self._instructions.popleft()
 
-    def begin_record(self) -> None:
-        """Discard what belongs to the record of a rejected start."""
-        self._begin()
-        self.snapshot = replace(self.snapshot, half_cycles=0, amplitude=math.nan, period_s=math.nan)
-
-    def prepare(self, snapshot: Snapshot) -> None:
-        """Publish the state before the record, as reported by the phases; looks at the laser."""
+    def prepare(self, phase: RecordedPhase) -> None:
+        """Tell a state before the record, which nothing records; looks at the laser."""
         self._noticed += self.light.look()
-        instruction_before = self.snapshot.instruction
-        self.snapshot = self._with_devices(snapshot)
-        if snapshot.instruction and snapshot.instruction != instruction_before:
-            self._instructions.append(self.snapshot)
+        instruction_before = self.now.instruction
+        messages: list[Timed] = [phase]
+        if self._devices is not None:
+            messages += [_light(self._devices), Environment(phase.time_ns, *self._devices.environment())]
+        self.now = replace(self.now.after(Told(messages=messages), self._unit), alarm=self.light.alarm)
+        if phase.instruction and phase.instruction != instruction_before:
+            self._instructions.append(self.now)
 
-    def publish(self, snapshot: Snapshot, swings: Sequence[Swing]) -> None:
-        """Publish the state during the record, with amplitude and period of the last swing."""
-        before, last = self.snapshot, swings[-1] if swings else None
-        amplitude, period_s = before.amplitude, before.period_s
-        if last is not None:
-            amplitude = last.amplitude / self._unit.shown_size
-            period_s = before.period_s if math.isnan(last.half_period_s) else 2.0 * last.half_period_s
-        self.snapshot = self._with_devices(
-            replace(
-                snapshot,
-                half_cycles=before.half_cycles + len(swings),
-                amplitude=amplitude,
-                period_s=period_s,
-            )
-        )
-
-    def tell(self, start_ns: int, frames: Sequence[Frame], block: Block, events: Iterable[Event]) -> None:
-        """Pass a block and its events to the watchers."""
+    def tell(self, told: Told) -> None:
+        """Add what the record was told to the state, and pass it to the watchers."""
+        self.now = self._wall.past("the state of the run", self.now, self.now.after, told, self._unit)
         for watcher in self._watchers:
-            self._wall.past(_name(watcher), None, watcher.block, start_ns, frames, block)
-        self.tell_events(start_ns, events)
-
-    def tell_events(self, start_ns: int, events: Iterable[Event]) -> None:
-        """Pass events to the watchers."""
-        for event in events:
-            for watcher in self._watchers:
-                self._wall.past(_name(watcher), None, watcher.event, start_ns, event)
-
-    def end(self, snapshot: Snapshot) -> None:
-        """Publish the state after the record, the last one."""
-        self.snapshot = snapshot
+            self._wall.past(f"watcher {type(watcher).__name__}", None, watcher.take, told)
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of controller, laser and sensors since the last call, as (kind, text)."""
@@ -128,43 +109,32 @@ class RunStatus:
         noticed, self._noticed = self._noticed, []
         return happened + noticed + self.light.look()
 
-    def messages(self, time_ns: int, *, on_demand: bool = False) -> list[Recorded]:
-        """What the record is to say of the session now: phase and light where they have changed, each new
-        fit, and once a second how the session keeps up.
+    def messages(
+        self, phase: RecordedPhase, health: RecordedHealth, known: Posterior, *, on_demand: bool
+    ) -> list[Recorded]:
+        """What the record is to be told of the session now: phase and light where they have changed, each
+        new fit, and how the session keeps up once a second and where phase or alarm have changed.
         """
-        state, found = self.snapshot, list[Recorded]()
-        phase = RecordedPhase(0, 0.0, state.phase.value, state.progress, state.instruction, state.reason)
-        if phase != self._phase:
-            self._phase = phase
-            found.append((PHASE, phase._replace(time_ns=time_ns, elapsed_s=state.elapsed_s)))
+        time_ns, found = phase.time_ns, list[Recorded]()
+        changed = self._phase is None or phase[2:] != self._phase[2:] or health.alarm != self._alarm
+        if self._phase is None or phase[2:] != self._phase[2:]:
+            found.append((PHASE, phase))
+        self._phase, self._alarm = phase, health.alarm
         if self._devices is not None and (light := _light(self._devices)) != self._light:
             self._light = light
             found.append((LIGHT, light._replace(time_ns=time_ns)))
-        if state.estimated_from and state.estimates is not self._estimates:
-            self._estimates = state.estimates
+        if known.half_cycles and known.estimates is not self._estimates:
+            self._estimates = known.estimates
             found += [
-                (ESTIMATE, RecordedEstimate(time_ns, state.estimated_from, value, u, name))
-                for name, (value, u) in state.estimates.items()
+                (ESTIMATE, RecordedEstimate(time_ns, known.half_cycles, value, u, name))
+                for name, (value, u) in known.estimates.items()
             ]
-            found += [(FITTED, point._replace(time_ns=time_ns)) for point in state.fitted]
+            found += [(FITTED, point._replace(time_ns=time_ns)) for point in known.points]
         now_ns = time_ns if on_demand else time.monotonic_ns()
-        if now_ns >= self._health_due_ns:
+        if changed or now_ns >= self._health_due_ns:
             self._health_due_ns = now_ns + _HEALTH_NS
-            found.append((HEALTH, _health(time_ns, state)))
+            found.append((HEALTH, health))
         return found
-
-    def _with_devices(self, snapshot: Snapshot) -> Snapshot:
-        if self._devices is None:
-            return snapshot
-        temperature_c, humidity_percent, pressure_pa = self._devices.environment()
-        return replace(
-            snapshot,
-            temperature_c=temperature_c,
-            humidity_percent=humidity_percent,
-            pressure_pa=pressure_pa,
-            devices=self._devices.now(),
-            alarm=self.light.alarm or snapshot.alarm,
-        )
 
 
 def _light(devices: Devices) -> RecordedLight:
@@ -181,26 +151,3 @@ def _light(devices: Devices) -> RecordedLight:
         "" if safety.trip is None else safety.trip.text,
         devices.now().text,
     )
-
-
-def _health(time_ns: int, state: Snapshot) -> RecordedHealth:
-    return RecordedHealth(
-        time_ns,
-        state.frames,
-        state.dropped_frames,
-        state.lost_spots,
-        state.half_cycles,
-        state.queue_frames,
-        state.record_bytes,
-        state.frame_age_s,
-        state.disk_free_bytes,
-        state.disk_silent_s,
-        state.clock.drift_ppm,
-        state.clock.u_drift_ppm,
-        state.alarm,
-        state.beam,
-    )
-
-
-def _name(watcher: Watcher) -> str:
-    return f"watcher {type(watcher).__name__}"

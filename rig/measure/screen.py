@@ -7,19 +7,19 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
 from rich.console import Console, RenderableType
 from rich.live import Live
 
-from acquisition.frame import Frame
-from acquisition.record.events import Event
+from acquisition.record.events import EventKind
 from processing.balance import Balance
 from processing.decay_forecast import Forecast, forecast
 from processing.deflections import DeflectionUnit
 from processing.ticks import seconds
-from rig.instrument import Block, Phase, Snapshot
+from rig.instrument import Phase, RunNow, Told
 from rig.measure.end_of_run import BELOW_IN_A_ROW
 from rig.measure.run_panel import Rates, estimate_rows, run_panel
 from rig.presentation import Verdict, loud, print_json_line, print_verdicts, say, table_tree
@@ -29,7 +29,6 @@ _PLAIN_INTERVAL_S = 5.0
 _JSON_INTERVAL_S = 1.0
 _FORECAST_INTERVAL_S = 2.0
 _SWINGS_KEPT = 20_000
-_BEFORE_THE_RECORD = (Phase.REST, Phase.WARM_UP, Phase.PREFLIGHT, Phase.RELEASE)
 _NO_FORECAST = Forecast(math.nan, math.nan)
 
 
@@ -50,10 +49,11 @@ class RunDisplay:
         stop_when: Sequence[StopCondition] = (),
         json_lines: bool = False,
         simulated: bool = False,
+        phases: Sequence[Phase] = (),
         console: Console | None = None,
     ) -> None:
         self._title = title
-        self._simulated = simulated
+        self._simulated, self._phases = simulated, tuple(phases)
         # the final amplitude is configured in arcsec, hence unknown for a run in px
         self._final = final_amplitude_arcsec if unit is DeflectionUnit.RAD else math.nan
         self._unit, self._longest_s = unit, longest_s
@@ -66,7 +66,6 @@ class RunDisplay:
         self._phase: Phase | None = None
         self._asked = ("", "")
         self._swings: deque[tuple[float, float, float]] = deque(maxlen=_SWINGS_KEPT)
-        self._balance: Balance | None = None
         self._notes: deque[str] = deque(maxlen=12)
         self._to_print: deque[Callable[[], None]] = deque()
         self._rates = Rates()
@@ -85,21 +84,19 @@ class RunDisplay:
 
     # -- as a watcher, in the run's thread -----------------------------------
 
-    def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
-        """Keep half-cycles and balance."""
-        for swing in block.swings:
+    def take(self, told: Told) -> None:
+        """Keep half-cycles for the forecast, and lines of the log."""
+        for swing in told.swings:
             if not swing.flags:
                 self._swings.append((seconds(swing.turn_time_ns), swing.amplitude, swing.u_amplitude))
-        if block.balances:
-            self._balance = block.balances[-1]
-
-    def event(self, start_ns: int, event: Event) -> None:
-        """Keep a line of the log."""
-        self._notes.append(f"{seconds(event.time_ns - start_ns):8.1f} s  {event.line}")
-        if self._json:
-            elapsed_s = seconds(event.time_ns - start_ns)
-            said = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
-            self._to_print.append(lambda: self.line("event", said))
+        for event in told.events:
+            elapsed_s = seconds(event.time_ns - told.start_ns)
+            self._notes.append(f"{elapsed_s:8.1f} s  {event.line}")
+            if self._json:
+                said = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
+                self._to_print.append(partial(self.line, "event", said))
+            if event.kind == EventKind.REJECTED:
+                self._to_print.append(partial(say, f"{self._title}: {event.text}"))
 
     def show_preflight(self, verdicts: Sequence[Verdict]) -> None:
         """Have the preflight table printed above the live screen."""
@@ -108,10 +105,6 @@ class RunDisplay:
             self._to_print.append(lambda: self.line("preflight", {"table": table_tree(shown)}))
         else:
             self._to_print.append(lambda: print_verdicts(self._console, shown))
-
-    def tell(self, text: str) -> None:
-        """Have a line printed for the user."""
-        self._to_print.append(lambda: say(text))
 
     # -- in the main thread --------------------------------------------------
 
@@ -124,16 +117,16 @@ class RunDisplay:
             os.dup2(nowhere, sys.stdout.fileno())
             os.close(nowhere)
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, now: RunNow) -> None:
         """Update the display; fast enough to be called ten times a second.
 
         What the run's thread has to print is printed here: a terminal that nobody reads holds no frame up.
         """
         while self._to_print:
             self._to_print.popleft()()
-        if math.isnan(self._initial) and not math.isnan(snapshot.amplitude):
-            self._initial = snapshot.amplitude
-        self._rates.take(snapshot)
+        if math.isnan(self._initial) and not math.isnan(now.amplitude):
+            self._initial = now.amplitude
+        self._rates.take(now)
         now_s = time.monotonic()
         if (
             now_s - self._forecast_s >= _FORECAST_INTERVAL_S
@@ -142,80 +135,79 @@ class RunDisplay:
         ):
             self._forecast_s = now_s
             self._forecast = self._predicted()
-        asked = snapshot.alarm, snapshot.instruction
-        changed = snapshot.phase is not self._phase or asked != self._asked
+        asked = now.alarm, now.instruction
+        changed = now.phase is not self._phase or asked != self._asked
         if self._live is not None:
-            self._live.update(self.screen(snapshot), refresh=True)
+            self._live.update(self.screen(now), refresh=True)
         elif changed or now_s - self._printed_s >= (_JSON_INTERVAL_S if self._json else _PLAIN_INTERVAL_S):
             self._printed_s = now_s
             if self._json:
-                self.line("state", self.values(snapshot))
+                self.line("state", self.values(now))
             else:
-                say(f"{self._title}: {100 * self._fraction(snapshot):.0f} %  {self._plain(snapshot)}")
-            for shout in (snapshot.alarm.upper(), loud(snapshot.instruction)):
+                say(f"{self._title}: {100 * self._fraction(now):.0f} %  {self._plain(now)}")
+            for shout in (now.alarm.upper(), loud(now.instruction)):
                 if changed and shout and not self._json:
                     say(f"{self._title}: {shout}")
-        self._phase, self._asked = snapshot.phase, asked
+        self._phase, self._asked = now.phase, asked
 
-    def screen(self, snapshot: Snapshot) -> RenderableType:
+    def screen(self, now: RunNow) -> RenderableType:
         """The whole screen, cut to the size of the terminal."""
         return run_panel(
             f"SIMULATED {self._title}" if self._simulated else self._title,
-            snapshot,
-            self._fraction(snapshot),
-            self.rows(snapshot),
+            now,
+            self._fraction(now),
+            self.rows(now),
             list(self._notes),
             self._console.size,
+            self._phases,
         )
 
-    def values(self, snapshot: Snapshot) -> dict[str, Any]:
+    def values(self, now: RunNow) -> dict[str, Any]:
         """The state of the run for programs; the amplitude is in `amplitude_unit`."""
-        left_s, u_s = self._left(snapshot)
+        left_s, u_s = self._left(now)
         own = {
-            "controller": snapshot.devices.text,
-            "done": self._fraction(snapshot),
+            "done": self._fraction(now),
             "remaining_s": left_s,
             "u_remaining_s": u_s,
-            "at_most_s": self._at_most_s(snapshot),
-            **self._numbers(),
+            "at_most_s": self._at_most_s(now),
+            **self._numbers(now.balance),
         }
-        # half-cycles beside their fit are for charts
-        told = asdict(replace(snapshot, fitted=()))
-        del told["fitted"]
+        told = asdict(replace(now, balance=None))
+        del told["balance"]
         return {**told, **own}
 
-    def rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:
+    def rows(self, now: RunNow) -> list[tuple[str, str]]:
         """Names and texts of the state, for people."""
-        unit, balance = self._unit.shown, self._balance
-        who = f" ({snapshot.losses})" if snapshot.losses.total else ""
-        losses = f"{snapshot.dropped_frames} frames dropped{who}, {snapshot.lost_spots} spots lost"
-        if snapshot.phase in _BEFORE_THE_RECORD:
+        unit, balance = self._unit.shown, now.balance
+        who = f" ({now.losses})" if now.losses.total else ""
+        losses = f"{now.dropped_frames} frames dropped{who}, {now.lost_spots} spots lost"
+        if now.before_record:
             losses = "counted from the record on"
         rows = [
-            ("elapsed", f"{_clock(snapshot.elapsed_s)}, {snapshot.half_cycles} half-cycles"),
-            self._prediction(snapshot),
-            ("amplitude", _number(snapshot.amplitude, ".3f", unit)),
-            ("period", _number(snapshot.period_s, ".5f", "s")),
-            *estimate_rows(snapshot, self._stop_when),
+            ("elapsed", f"{_clock(now.elapsed_s)}, {now.half_cycles} half-cycles"),
+            self._prediction(now),
+            ("amplitude", _number(now.amplitude, ".3f", unit)),
+            ("period", _number(now.period_s, ".5f", "s")),
+            *estimate_rows(now, self._stop_when),
             ("transverse", self._transverse(balance)),
             ("rest position", self._rest(balance)),
-            ("camera", f"{self._rates.frames_hz:.1f} frames/s, {snapshot.frames} in all, {_age(snapshot)}"),
-            ("clock", snapshot.clock.text or "-"),
-            ("beam", snapshot.beam or "-"),
-            ("losses", f"{losses}, {snapshot.queue_frames} waiting"),
-            ("record", f"{self._rates.bytes_per_s / 1e6:.2f} MB/s, {snapshot.record_bytes / 1e6:.1f} MB"),
-            ("disk", _number(snapshot.disk_free_bytes / 1e9, ".1f", "GB free")),
-            ("environment", _air(snapshot)),
+            ("camera", f"{self._rates.frames_hz:.1f} frames/s, {now.frames} in all, {_age(now)}"),
+            ("clock", now.clock.text or "-"),
+            ("beam", now.beam or "-"),
+            ("losses", f"{losses}, {now.queue_frames} waiting"),
+            ("record", f"{self._rates.bytes_per_s / 1e6:.2f} MB/s, {now.record_bytes / 1e6:.1f} MB"),
+            ("disk", _number(now.disk_free_bytes / 1e9, ".1f", "GB free")),
+            ("environment", _air(now)),
         ]
-        if devices := snapshot.devices.text:
-            rows.append(("controller", devices))
+        if now.controller:
+            rows.append(("controller", now.controller))
         return rows
 
-    def facts(self, snapshot: Snapshot) -> list[tuple[str, str]]:
+    def facts(self, now: RunNow) -> list[tuple[str, str]]:
         """The rows without what a page shows in places of their own: amplitude, end, parameters."""
-        elsewhere = {"amplitude", "controller", self._prediction(snapshot)[0]}
-        elsewhere |= {name for name, _ in estimate_rows(snapshot, ())}
-        return [row for row in self.rows(snapshot) if row[0] not in elsewhere]
+        elsewhere = {"amplitude", "controller", self._prediction(now)[0]}
+        elsewhere |= {name for name, _ in estimate_rows(now, ())}
+        return [row for row in self.rows(now) if row[0] not in elsewhere]
 
     def _transverse(self, balance: Balance | None) -> str:
         if balance is None:
@@ -231,28 +223,28 @@ class RunDisplay:
         x, y = balance.rest_x / balance.unit.shown_size, balance.rest_y / balance.unit.shown_size
         return f"X {x:+.3f}, Y {y:+.3f} {balance.unit.shown}"
 
-    def _at_most_s(self, snapshot: Snapshot) -> float:
+    def _at_most_s(self, now: RunNow) -> float:
         """Time to the limit of the run's duration, which begins with the record."""
-        if snapshot.phase in _BEFORE_THE_RECORD:
+        if now.before_record:
             return self._longest_s
-        return max(self._longest_s - snapshot.elapsed_s, 0.0)
+        return max(self._longest_s - now.elapsed_s, 0.0)
 
-    def _left(self, snapshot: Snapshot) -> Forecast:
+    def _left(self, now: RunNow) -> Forecast:
         """Time to the end that comes first, of the amplitude or the time; NaN if it is too early to say."""
-        if snapshot.phase in _BEFORE_THE_RECORD:
+        if now.before_record:
             return _NO_FORECAST
-        limit_s = self._at_most_s(snapshot)
+        limit_s = self._at_most_s(now)
         # without a lever no amplitude ends the run
         is_limit = math.isnan(self._final) or self._forecast.remaining_s > limit_s
         return Forecast(limit_s, 0.0) if is_limit and math.isfinite(limit_s) else self._forecast
 
-    def _prediction(self, snapshot: Snapshot) -> tuple[str, str]:
+    def _prediction(self, now: RunNow) -> tuple[str, str]:
         """The row of the end: to which one, and how long it takes."""
-        left_s, u_s = self._left(snapshot)
+        left_s, u_s = self._left(now)
         unit = self._unit.shown
         aim = "to the end" if math.isnan(self._final) else f"to {self._final:g} {unit}"
         if math.isnan(left_s):
-            limit_s = self._at_most_s(snapshot)
+            limit_s = self._at_most_s(now)
             most = f", at most {_clock(limit_s)}" if math.isfinite(limit_s) else ""
             return aim, f"{'unknown: no lever' if math.isnan(self._final) else 'too early to say'}{most}"
         end = time.strftime("%H:%M", time.localtime(time.time() + left_s))
@@ -272,8 +264,7 @@ class RunDisplay:
             math.hypot(crossing.u_remaining_s, half_period_s / math.sqrt(12.0)),
         )
 
-    def _numbers(self) -> dict[str, Any]:
-        balance = self._balance
+    def _numbers(self, balance: Balance | None) -> dict[str, Any]:
         found: dict[str, Any] = {
             "amplitude_unit": self._unit.shown,
             "frames_hz": self._rates.frames_hz,
@@ -286,23 +277,21 @@ class RunDisplay:
             found["rest_y"] = balance.rest_y / balance.unit.shown_size
         return found
 
-    def _fraction(self, snapshot: Snapshot) -> float:
-        if snapshot.phase in _BEFORE_THE_RECORD:
+    def _fraction(self, now: RunNow) -> float:
+        if now.before_record:
             return 0.0
-        of_time = min(snapshot.elapsed_s / self._longest_s, 1.0)
-        if not self._initial > self._final or math.isnan(snapshot.amplitude):
+        of_time = min(now.elapsed_s / self._longest_s, 1.0)
+        if not self._initial > self._final or math.isnan(now.amplitude):
             return of_time
-        done = math.log(self._initial / max(snapshot.amplitude, self._final))
+        done = math.log(self._initial / max(now.amplitude, self._final))
         return max(of_time, min(1.0, done / math.log(self._initial / self._final)))
 
-    def _plain(self, snapshot: Snapshot) -> str:
-        amplitude = (
-            "" if math.isnan(snapshot.amplitude) else f"{snapshot.amplitude:7.2f} {self._unit.shown}  "
-        )
-        losses = f"{snapshot.dropped_frames} dropped, {snapshot.lost_spots} lost"
-        tail = f"  {snapshot.reason}" if snapshot.reason else ""
-        phase = "" if snapshot.phase is Phase.MEASURING else f"{snapshot.doing}  "
-        return f"{phase}t {snapshot.elapsed_s:7.1f} s  {amplitude}{snapshot.frames} frames ({losses}){tail}"
+    def _plain(self, now: RunNow) -> str:
+        amplitude = "" if math.isnan(now.amplitude) else f"{now.amplitude:7.2f} {self._unit.shown}  "
+        losses = f"{now.dropped_frames} dropped, {now.lost_spots} lost"
+        tail = f"  {now.reason}" if now.reason else ""
+        phase = "" if now.phase is Phase.MEASURING else f"{now.doing}  "
+        return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{now.frames} frames ({losses}){tail}"
 
 
 def _clock(seconds: float) -> str:
@@ -317,14 +306,11 @@ def _number(value: float, shape: str, unit: str) -> str:
     return "-" if math.isnan(value) else f"{value:{shape}} {unit}"
 
 
-def _age(snapshot: Snapshot) -> str:
-    return "age -" if math.isnan(snapshot.frame_age_s) else f"age {snapshot.frame_age_s * 1e3:.0f} ms"
+def _age(now: RunNow) -> str:
+    return "age -" if math.isnan(now.frame_age_s) else f"age {now.frame_age_s * 1e3:.0f} ms"
 
 
-def _air(snapshot: Snapshot) -> str:
-    if math.isnan(snapshot.temperature_c):
+def _air(now: RunNow) -> str:
+    if math.isnan(now.temperature_c):
         return "not measured"
-    return (
-        f"{snapshot.temperature_c:.2f} °C, {snapshot.humidity_percent:.1f} %, "
-        f"{snapshot.pressure_pa / 100:.1f} hPa"
-    )
+    return f"{now.temperature_c:.2f} °C, {now.humidity_percent:.1f} %, {now.pressure_pa / 100:.1f} hPa"

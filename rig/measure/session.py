@@ -18,16 +18,17 @@ from rig.analysis import (
 )
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
-from rig.measure.live_fit import check_stop_when
 from rig.measure.notes import Notes
 from rig.measure.notices import Notices, announced
 from rig.measure.phases import NoGo
 from rig.measure.run import ready_for_frames
-from rig.measure.run_setup import RunPlan, measure_run
+from rig.measure.run_parts import RunPlan
+from rig.measure.run_setup import measure_run
 from rig.measure.session_file import RunState, SessionFile, end_noted, withdraw_unrecorded
 from rig.measure.session_orders import await_leave, orders
 from rig.measure.waiting import Waiting, check_waiting
 from rig.orders import OrderSocket, SessionNews, devices_now
+from rig.posterior import check_stop_when
 from rig.presentation import answer, failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
 from rig.terminal import Terminated, reason_of
@@ -189,7 +190,7 @@ def _make_runs(
             if options.waiting(outcome.failure.against):
                 continue
             devices.lights_again = False
-        reason = outcome.snapshot.reason
+        reason = outcome.last.reason
         interrupt = outcome.interrupt
         stopped = outcome.stopped
         state = RunState.FAILED if outcome.failure is not None else RunState.COMPLETE

@@ -1,4 +1,4 @@
-"""What a session knows of itself at this moment, kept for whoever asks; a watcher of its runs."""
+"""What a session knows of itself at this moment, kept for whoever asks."""
 
 import math
 import threading
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import CameraSettings
 from acquisition.frame import Frame, Image
-from acquisition.record.events import Event, Level
+from acquisition.record.events import Level
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.ticks import NS_PER_S
@@ -41,7 +41,7 @@ class SessionPicture(NamedTuple):
 class SessionNews:
     """The state of a session; written by its threads, read by those that answer.
 
-    As a watcher of a run it only keeps references, in the processing thread. A frame is kept when somebody
+    Of frames it only keeps references, in the processing thread. A frame is kept when somebody
     has asked for one, at most ten times a second.
     """
 
@@ -96,12 +96,12 @@ class SessionNews:
         """The preflight table."""
         self._preflight = table_tree(verdicts)
 
-    # -- as a watcher, in the run's thread -----------------------------------
+    # -- in the run's thread --------------------------------------------------
 
-    def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
+    def look(self, frames: Sequence[Frame], block: Block) -> None:
         """Keep the newest frame if it is wanted; the record has the rest."""
         self._path.clear()
-        self._look(frames, block.spots, block.references)
+        self._keep_picture(frames, block.spots, block.references)
 
     def before_record(
         self,
@@ -117,9 +117,11 @@ class SessionNews:
                 path.append(deflections)
                 while newest_ns - path[0].times_ns[-1] > _PATH_S * NS_PER_S:
                     path.popleft()
-        self._look(frames, spots, references)
+        self._keep_picture(frames, spots, references)
 
-    def _look(self, frames: Sequence[Frame], spots: Sequence[Spot], references: Sequence[Spot]) -> None:
+    def _keep_picture(
+        self, frames: Sequence[Frame], spots: Sequence[Spot], references: Sequence[Spot]
+    ) -> None:
         now_s = time.monotonic()
         if spots:
             self._frames_s = now_s
@@ -134,9 +136,6 @@ class SessionNews:
             held = image.copy() if image.flags.writeable else image
             reference = references[-1] if references else None
             self._frame = SessionPicture(held, spots[-1], self._picture_number, reference)
-
-    def event(self, start_ns: int, event: Event) -> None:
-        """The record has it."""
 
     # -- for those that answer -----------------------------------------------
 

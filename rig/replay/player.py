@@ -3,12 +3,13 @@
 import math
 import time
 from collections.abc import Callable
-from typing import Final, NamedTuple, Protocol
+from dataclasses import replace
+from typing import Final, Protocol
 
 from acquisition.record.events import Event
 from processing.spot import SpotFlag
 from processing.ticks import nanoseconds
-from rig.instrument import CameraClock
+from rig.instrument import RunNow, Told
 from rig.presentation import Keys
 from rig.replay.replay import Replay, Replayed, ReplayStep
 from rig.view import ScratchView
@@ -23,27 +24,15 @@ MOST_FRAMES = {False: 10_000, True: 64}
 """Frames processed between two checks of the keys: with recorded spots, and tracked again or shown."""
 
 
-class ReplayState(NamedTuple):
-    """A replay at one moment: time from the record's first frame, and what was found since it was begun.
-
-    `amplitude` is that of the last good half-cycle, in arcsec (px without a lever).
-    """
-
-    elapsed_s: float
-    paused: bool = False
-    frames: int = 0
-    dropped_frames: int = 0
-    lost_spots: int = 0
-    half_cycles: int = 0
-    amplitude: float = math.nan
-    clock: CameraClock = CameraClock()
-
-
 class Display(Protocol):
     """Shows the progress of a replay."""
 
-    def show(self, state: ReplayState, length_s: float, remaining_s: float, prompt: str | None) -> None:
-        """Show state, length of the record, remaining time (NaN: unknown) and the text being typed."""
+    def show(
+        self, now: RunNow, length_s: float, remaining_s: float, prompt: str | None, *, paused: bool
+    ) -> None:
+        """Show the state since the replay was begun, length of the record, remaining time (NaN: unknown) and
+        the text being typed.
+        """
 
 
 class Player:
@@ -88,6 +77,7 @@ class Player:
         self.paused = False
         self.ended_by_user = False
         self._begun = False
+        self._now = RunNow()
         self._forget()
 
     def play(self) -> None:
@@ -106,7 +96,7 @@ class Player:
         """Complete the last half-cycles, which are shown too."""
         result = self._replay.finish()
         if self._view is not None:
-            self._view.half_cycles(result.swings[self._half_cycles :])
+            self._view.half_cycles(result.swings[self._now.half_cycles :])
             self._view.flush()
         return result
 
@@ -143,15 +133,15 @@ class Player:
         step = self._replay.advance(until_s, most)
         if step is None:
             return None
-        block = step.block
-        self._frames += len(step.sequences)
-        self._missing += int(step.sequences[-1]) - self._last_sequence - len(step.sequences)
+        block, now = step.block, self._now.after(Told(swings=step.block.swings), step.block.deflections.unit)
+        missing = int(step.sequences[-1]) - self._last_sequence - len(step.sequences)
         self._last_sequence = int(step.sequences[-1])
-        self._lost += sum(bool(spot.flags & SpotFlag.LOST) for spot in block.spots)
-        for swing in block.swings:
-            self._half_cycles += 1
-            if not swing.flags:
-                self._amplitude = swing.amplitude / block.deflections.unit.shown_size
+        self._now = replace(
+            now,
+            frames=now.frames + len(step.sequences),
+            dropped_frames=now.dropped_frames + missing,
+            lost_spots=now.lost_spots + sum(bool(spot.flags & SpotFlag.LOST) for spot in block.spots),
+        )
         self._draw(step)
         if not self._begun:
             # the first frames wait for what is loaded and compiled, and say nothing of the others
@@ -218,8 +208,7 @@ class Player:
         """Reset the counts when the pipeline is restarted."""
         start_ns, begun_s = self._replay.start_ns, self._replay.begun_s
         begun_ns = start_ns + nanoseconds(begun_s)
-        self._frames = self._missing = self._lost = self._half_cycles = 0
-        self._amplitude = math.nan
+        self._now = RunNow()
         self._last_sequence = self._replay.next_sequence - 1
         self._next_event = sum(event.time_ns < begun_ns for event in self._events) if begun_s > 0 else 0
         self._resume()
@@ -234,6 +223,5 @@ class Player:
         gone_s, host_s = position_s - self._base_s, self._clock() - self._base_clock_s
         known = gone_s > 0 and host_s > _SEEN_S and not self.paused
         remaining_s = (replay.length_s - position_s) * host_s / gone_s if known else math.nan
-        counts = (self._frames, self._missing, self._lost, self._half_cycles)
-        state = ReplayState(position_s, self.paused, *counts, self._amplitude, replay.clock)
-        self._display.show(state, replay.length_s, remaining_s, self._typed)
+        now = replace(self._now, elapsed_s=position_s, clock=replay.clock)
+        self._display.show(now, replay.length_s, remaining_s, self._typed, paused=self.paused)

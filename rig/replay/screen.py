@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import IO, Self
 
+from rig.instrument import RunNow
 from rig.presentation import (
     Shown,
     Table,
@@ -18,7 +19,6 @@ from rig.presentation import (
     signed,
 )
 from rig.replay.comparison import Change, ReplayDifferences
-from rig.replay.player import ReplayState
 
 _PLAIN_INTERVAL_S = 5.0
 _LINE_INTERVAL_S = 0.1
@@ -61,15 +61,19 @@ class ReplayLine:
             self._stream.write("\n")
             self._stream.flush()
 
-    def show(self, state: ReplayState, length_s: float, remaining_s: float, prompt: str | None) -> None:
+    def show(
+        self, now: RunNow, length_s: float, remaining_s: float, prompt: str | None, *, paused: bool
+    ) -> None:
         """Update the line."""
         now_s = self._clock()
         interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
         # the effect of a key is shown immediately
-        moving = not state.paused and prompt is None and state.elapsed_s < length_s
+        moving = not paused and prompt is None and now.elapsed_s < length_s
         if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
             return
-        text = self._text(state, length_s, remaining_s, prompt, columns_of(self._stream))
+        doing = "paused" if paused else "replaying"
+        text = prompt if prompt is None else f"go to (seconds from the start, Enter): {prompt}"
+        text = text or self._text(now, doing, length_s, remaining_s)
         if not self._terminal:
             self._shown_s = now_s
             self._stream.write(f"{text}\n")
@@ -79,16 +83,12 @@ class ReplayLine:
             self._stream.write(_ERASE + text)
             self._stream.flush()
 
-    def _text(
-        self, state: ReplayState, length_s: float, remaining_s: float, prompt: str | None, columns: int
-    ) -> str:
-        if prompt is not None:
-            return f"go to (seconds from the start, Enter): {prompt}"
+    def _text(self, state: RunNow, doing: str, length_s: float, remaining_s: float) -> str:
+        columns = columns_of(self._stream)
         part = 100 * state.elapsed_s / length_s if length_s > 0 else 100.0
         amplitude = "" if math.isnan(state.amplitude) else f"  {state.amplitude:.2f} {self._unit}"
         clock = f"  clock {state.clock.text}" if state.clock.text else ""
         left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
-        doing = "paused" if state.paused else "replaying"
         begin = f"{doing}  {state.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
         half_cycles = f"  {state.half_cycles} half-cycles"
         texts = [f"  {state.frames} frames", clock, half_cycles, amplitude, left]

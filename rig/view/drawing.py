@@ -16,8 +16,8 @@ from rig.presentation import Shown, balance_drawn, balance_table, palette, quant
 from rig.view import layout
 from rig.view.across import AcrossTheSwing
 from rig.view.gathering import Breaks, Decimator, Gathering
+from rig.view.graticule import spot_cross
 from rig.view.lissajous import Lissajous
-from rig.view.marks import spot_cross
 from rig.view.values import Floats, Setup, is_drawn
 
 DRAWN_RATE_HZ, REFERENCE_RATE_HZ = 100.0, 10.0
@@ -56,6 +56,7 @@ _CHANGES: Final[dict[str, dict[str, str]]] = {
     EventKind.CAMERA_BACK: {"frames": "arriving"},
     EventKind.TRIP: {"laser": "dark"},
     EventKind.LASER_DARK: {"laser": "dark"},
+    EventKind.LASER_UNKNOWN: {"laser": "unknown"},
     EventKind.LASER_LIT: {"laser": "lit"},
 }
 

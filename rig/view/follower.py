@@ -7,33 +7,20 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import EventKind
 from acquisition.record.reader import Piece, RecordReader
 from acquisition.record.topics import (
-    BALANCE,
-    CAMERA_STEP,
-    ESTIMATE,
     EVENT,
-    HEALTH,
-    LOSSES,
-    NOTE,
-    PHASE,
     REFERENCE,
     SPOT,
-    SWING,
-    RecordedClockStep,
     RecordedEstimate,
     RecordedHealth,
-    RecordedLosses,
-    RecordedNote,
     RecordedPhase,
 )
 from processing.balance import Balance
@@ -43,7 +30,7 @@ from processing.estimate import Estimate
 from processing.spot import SpotFlag
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
-from rig.instrument import CameraClock, advice_for, recorded_configuration
+from rig.instrument import Phase, RunNow, Told, advice_for, recorded_configuration, told_in
 from rig.presentation import balance_numbers
 from rig.settings import Configuration
 from rig.view import layout
@@ -77,14 +64,9 @@ class Follower:
         self._pictures: deque[tuple[int, int, bytes]] = deque()
         self._state_due_ns = self._losses_due_ns = 0
         self._shown_losses = (-1, -1)
-        self._phase: RecordedPhase | None = None
-        self._health: RecordedHealth | None = None
-        self._clock = CameraClock()
-        self._losses = FrameLosses()
-        self._estimates: dict[str, Estimate] = {}
-        self._swing: Swing | None = None
-        self._advised = self._balanced = self._ended = False
-        self.frames = self.missing = self.lost = self.half_cycles = 0
+        self._now = RunNow()
+        self._advised = self._told_of_session = self._ended = False
+        self.frames = self.missing = self.lost = 0
 
     def take(self) -> None:
         """Draw what has come since the last call."""
@@ -117,7 +99,7 @@ class Follower:
         start = datetime.fromtimestamp(seconds((self._start_ns or 0) + reader.epoch_offset_ns), UTC)
         return (
             f"**{reader.path.stem}**: {end}\n\n- start {start:%Y-%m-%d %H:%M:%S} UTC\n- {self.frames} spots\n"
-            f"- {self.half_cycles} half-cycles\n"
+            f"- {self._now.half_cycles} half-cycles\n"
         )
 
     def _first_ns(self, piece: Piece) -> int | None:
@@ -132,21 +114,21 @@ class Follower:
 
     def _draw(self, piece: Piece) -> None:
         reader, drawing, run = self._reader, self._drawing, self._run
+        told = told_in(reader, piece, self._start_ns or 0, self._last_ns)
+        before, self._now = self._now, self._now.after(told, reader.deflection_unit)
         # the line of a balance separates the samples beside it
-        self._draw_balances(reader.balances(piece.get(BALANCE.topic, ())))
+        self._draw_balances(told.balances)
         for topic, draw in ((SPOT.topic, self._draw_spots), (REFERENCE.topic, self._draw_references)):
             if topic in piece:
                 draw(reader.rows(topic, piece[topic]))
-        self._draw_half_cycles(reader.swings(piece.get(SWING.topic, ())))
-        for event in reader.events(piece.get(EVENT.topic, ())):
+        self._draw_half_cycles(told.swings)
+        for event in told.events:
             if event.kind == EventKind.ADVICE:
                 self._advised = True
                 drawing.text(run, layout.ADVICE, self._at(event.time_ns), event.text)
             else:
                 drawing.event(run, self._at(event.time_ns), event)
-        for note in reader.values(NOTE.topic, RecordedNote, piece.get(NOTE.topic, ())):
-            drawing.event(run, self._at(note.time_ns), note.event)
-        self._draw_session(piece)
+        self._draw_session(told, before)
 
     def _draw_spots(self, rows: NDArray[Any]) -> None:
         deflections = self._reader.deflections(rows)
@@ -184,41 +166,28 @@ class Follower:
         amplitude, u_amplitude, period_s, u_period_s = (np.array(column) for column in columns)
         time_s = self._times_s(np.array([swing.turn_time_ns for swing in swings], dtype=np.int64))
         self._drawing.half_cycles(self._run, time_s, (amplitude, u_amplitude), (period_s, u_period_s))
-        self.half_cycles += len(swings)
-        self._swing = next((swing for swing in reversed(swings) if not swing.flags), self._swing)
 
     def _draw_balances(self, balances: Sequence[Balance]) -> None:
         for balance in balances:
-            self._balanced = True
             at_s = self._at(balance.time_ns)
             self._drawing.balance(self._run, at_s, balance_numbers(balance))
             if not self._advised and (advice := self._advise(balance)):
                 self._drawing.text(self._run, layout.ADVICE, at_s, advice)
 
-    def _draw_session(self, piece: Piece) -> None:
-        """What the session says of itself: phase, health, estimates."""
-        reader, drawing, run = self._reader, self._drawing, self._run
-        for step in reader.values(CAMERA_STEP.topic, RecordedClockStep, piece.get(CAMERA_STEP.topic, ())):
-            clock, largest_s = self._clock, max(self._clock.largest_step_s, seconds(step.step_ns), key=abs)
-            self._clock = replace(clock, steps=clock.steps + 1, largest_step_s=largest_s)
-        for losses in reader.values(LOSSES.topic, RecordedLosses, piece.get(LOSSES.topic, ())):
-            self._losses = FrameLosses(*losses[1:])
-        for health in reader.values(HEALTH.topic, RecordedHealth, piece.get(HEALTH.topic, ())):
-            self._health, before = health, self._clock
-            drift_ppm, u_ppm = health.clock_drift_ppm, health.u_clock_drift_ppm
-            self._clock = clock = replace(before, drift_ppm=drift_ppm, u_drift_ppm=u_ppm)
-            if clock.known and clock != before:
-                drawing.clock(run, self._at(health.time_ns), drift_ppm, u_ppm)
-        rows = reader.values(ESTIMATE.topic, RecordedEstimate, piece.get(ESTIMATE.topic, ()))
+    def _draw_session(self, told: Told, before: RunNow) -> None:
+        """What the session says of itself: phase, clock, estimates."""
+        clock, drawing, run = self._now.clock, self._drawing, self._run
+        for health in told.of(RecordedHealth):
+            self._told_of_session = True
+            if clock.known and clock != before.clock:
+                drawing.clock(run, self._at(health.time_ns), clock.drift_ppm, clock.u_drift_ppm)
+        rows = told.of(RecordedEstimate)
         for time_ns in dict.fromkeys(row.time_ns for row in rows):
             of_one = {
                 row.quantity: Estimate(row.value, row.u_value) for row in rows if row.time_ns == time_ns
             }
-            self._estimates |= of_one
             drawing.estimates(run, self._at(time_ns), of_one)
-        phases = reader.values(PHASE.topic, RecordedPhase, piece.get(PHASE.topic, ()))
-        if phases:
-            self._phase = phases[-1]
+        if told.of(RecordedPhase):
             self._draw_state()
 
     def _draw_pictures(self, *, at_end: bool = False) -> None:
@@ -258,53 +227,50 @@ class Follower:
 
         It begins with the time of the day, by which a page shows how far it is behind.
         """
-        phase, health, swing, unit = self._phase, self._health, self._swing, self._reader.deflection_unit
+        state, unit = self._now, self._reader.deflection_unit
         now = time.localtime(seconds(self._last_ns + self._reader.epoch_offset_ns))
         lines = [f"state of {time.strftime('%H:%M:%S', now)}", f"time {self._at(self._last_ns):.1f} s"]
-        if swing is not None:
-            lines.append(f"amplitude {swing.amplitude / unit.shown_size:.2f} {unit.shown}")
-            if math.isfinite(swing.half_period_s):
-                lines.append(f"period {2.0 * swing.half_period_s:.4f} s")
+        if math.isfinite(state.amplitude):
+            lines.append(f"amplitude {state.amplitude:.2f} {unit.shown}")
+        if math.isfinite(state.period_s):
+            lines.append(f"period {state.period_s:.4f} s")
         lines.append(f"{self.frames} frames, {self.missing} dropped, {self.lost} spots lost")
-        if health is not None:
-            lines += [f"camera's clock {self._clock.text}"] if self._clock.text else []
-            lines += [f"beam: {health.beam}"] if health.beam else []
-            if not math.isnan(health.frame_age_s):
-                lines.append(f"frames were {health.frame_age_s * 1e3:.0f} ms old when they were processed")
-        if self._losses.total:
-            lines.append(f"lost: {self._losses}")
-        lines.append(f"{self.half_cycles} half-cycles")
+        lines += [f"camera's clock {state.clock.text}"] if state.clock.text else []
+        lines += [f"beam: {state.beam}"] if state.beam else []
+        if not math.isnan(state.frame_age_s):
+            lines.append(f"frames were {state.frame_age_s * 1e3:.0f} ms old when they were processed")
+        if state.losses.total:
+            lines.append(f"lost: {state.losses}")
+        lines.append(f"{state.half_cycles} half-cycles")
         lines += self._empty_panels()
-        alarm = f"# {health.alarm.upper()}\n\n" if health is not None and health.alarm else ""
+        alarm = f"# {state.alarm.upper()}\n\n" if state.alarm else ""
         doing = "recorded"
         if self._ended:
             doing = "cut short" if self._reader.truncated else "done"
-        elif phase is not None:
-            doing = " ".join(filter(None, (phase.phase, phase.progress)))
-        reason = f": {phase.reason}" if phase is not None and phase.reason else ""
-        asked = ""
-        if phase is not None and phase.instruction and not self._ended:
-            asked = f"{phase.instruction}\n\n"
+        elif state.phase is not Phase.WAITING:
+            doing = " ".join(filter(None, (state.phase, state.progress)))
+        reason = f": {state.reason}" if state.reason else ""
+        asked = f"{state.instruction}\n\n" if state.instruction and not self._ended else ""
         return f"{alarm}**{doing}**{reason}\n\n{asked}" + "\n".join(f"- {line}" for line in lines) + "\n"
 
     def _empty_panels(self) -> list[str]:
         """Why there is nothing in panels of the measuring layout, a line for each kind of them."""
         found = []
         parameters = self._drawing.setup.parameters
-        if not self.half_cycles:
+        if not self._now.half_cycles:
             found.append("amplitude and period are empty until a half-cycle has been measured")
-        if self._health is not None and not self._clock.known:
+        if self._told_of_session and not self._now.clock.known:
             found.append(
                 "the clock is empty until the rate of the camera's is known; frames on demand have none"
             )
-        if not self._balanced:
+        if self._now.balance is None:
             found.append("the balance is empty until some periods of swing have been seen")
-        if parameters and not self._estimates:
+        if parameters and not self._now.estimates:
             found.append("the parameters are empty until there are enough half-cycles for a first fit")
         elif vague := [
             label.split(" /")[0]
             for key, label in parameters.items()
-            if not is_drawn(*self._estimates.get(key, Estimate(math.nan, math.nan)))
+            if not is_drawn(*self._now.estimates.get(key, Estimate(math.nan, math.nan)))
         ]:
             found.append(f"not known to a half of their values yet, hence not drawn: {', '.join(vague)}")
         if self._reader.deflection_unit is DeflectionUnit.PX:

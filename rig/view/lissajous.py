@@ -7,8 +7,7 @@ import rerun as rr
 
 from rig.view import layout
 from rig.view.gathering import Gathering
-from rig.view.graticule import PLANE_REACH, reach_beyond, trajectory_graticule
-from rig.view.marks import faded, graticule_marks
+from rig.view.graticule import PLANE_REACH, faded, graticule_marks, reach_beyond, trajectory_graticule
 from rig.view.values import Floats
 
 PIECE_POINTS = 25

@@ -2,25 +2,29 @@
 
 The executable inside the package is started directly: the `rerun` command is a Python wrapper, and the viewer
 would continue to run after the wrapper is ended. By default the viewer listens on all interfaces and sends
-usage data; both are switched off here. The page, which has settings of its own in the browser, sends them.
+usage data; both are switched off here. Its page, which has settings of its own in the browser, is passed on
+with a policy by which the browser asks this machine only.
 """
 
+import http.client
 import os
 import socket
 import stat
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Self
 
 import rerun_cli
 
 from processing.errors import ConfigurationError
-from rig.terminal import LOOPBACK, own_group
+from rig.terminal import LOOPBACK, free_port, own_group
 from rig.view.launch import no_window, page_address, ports_of_view
 from rig.view.values import ShowMode
 
@@ -73,6 +77,51 @@ def start_program(
     )
 
 
+class GuardedPage(ThreadingHTTPServer):
+    """The page of the viewer's server at `inner_port`, with a policy: a browser asks nobody else.
+
+    `stream_port` is that of the stream, which the page may read.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, port: int, inner_port: int, stream_port: int) -> None:
+        super().__init__((LOOPBACK, port), _PageRequest)
+        self.inner_port = inner_port
+        own = "'self' data: blob:"
+        self.policy = (
+            f"default-src {own} 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval'; "
+            f"connect-src {own} http://{LOOPBACK}:{stream_port}"
+        )
+        threading.Thread(target=self.serve_forever, name="page", daemon=True).start()
+
+
+class _PageRequest(BaseHTTPRequestHandler):
+    """A file of the page, from the viewer's server."""
+
+    server: GuardedPage
+
+    def do_GET(self) -> None:
+        inner = http.client.HTTPConnection(LOOPBACK, self.server.inner_port, timeout=_START_LIMIT_S)
+        # who has closed the page, or the viewer, is no event
+        with suppress(OSError, http.client.HTTPException):
+            inner.request("GET", self.path)
+            answer = inner.getresponse()
+            body = answer.read()
+            self.send_response(answer.status)
+            for name in ("Content-Type", "Content-Encoding"):
+                if value := answer.getheader(name):
+                    self.send_header(name, value)
+            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Content-Security-Policy", self.server.policy)
+            self.end_headers()
+            self.wfile.write(body)
+        inner.close()
+
+    def log_message(self, *_: object) -> None:
+        """Nobody reads it."""
+
+
 class ViewerProgram:
     """The viewer's program, with files or as the server of a stream: a window, or a page on the loopback."""
 
@@ -84,11 +133,13 @@ class ViewerProgram:
         self.url = f"rerun+http://{LOOPBACK}:{port}/proxy"
         words = ["--port", str(port), "--hide-welcome-screen", *files]
         if self._is_page:
-            words += ["--serve-web", "--web-viewer-port", str(web_port)]
+            inner_port = free_port(web_port + 1)
+            words += ["--serve-web", "--web-viewer-port", str(inner_port)]
             words += ["--server-memory-limit", _SERVER_MEMORY]
         self._process = start_program(*words, alone=not self._is_page)
         if self._is_page:
-            self._await_page(web_port)
+            self._await_page(inner_port)
+            GuardedPage(web_port, inner_port, port)
             print(f"the view is at {page_address(port, web_port)} (Ctrl-C ends it)", flush=True)
 
     def __enter__(self) -> Self:

@@ -203,8 +203,7 @@ class _Records:
     def _draw_ends(self, followers: Sequence["Follower"], drawing: "Drawing") -> None:
         """What can be said of whole records: what is in them, and their fits."""
         from rig.view import layout
-        from rig.view.analysis_curves import analysis_curves, report_text, run_analysis
-        from rig.view.analysis_panels import draw_fits
+        from rig.view.analysis import analysis_curves, draw_fits, report_text, run_analysis
 
         if len(followers) > 1:
             text = "\n".join(follower.summary for follower in followers)

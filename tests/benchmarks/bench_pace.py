@@ -28,12 +28,11 @@ from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
 from rig.instrument.kernels import prepare_kernels
 from rig.instrument.pipeline import Optics
-from rig.instrument.snapshot import Snapshot
-from rig.measure.end_of_run import EndLimits
-from rig.measure.record_file import RecordFile
+from rig.instrument.run_now import RunNow
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run import Run, ready_for_frames
-from rig.measure.run_parts import RunParts, Watcher
+from rig.measure.run_parts import RunParts, RunPlan
+from rig.measure.run_status import Watcher
 from rig.measure.screen import RunDisplay
 from rig.orders import OrderSocket, SessionNews
 from rig.settings import load_configuration, validate_configuration
@@ -69,7 +68,8 @@ class Company(NamedTuple):
     """What watches the run."""
 
     watchers: Sequence[Watcher]
-    show: Callable[[Snapshot], None]
+    news: SessionNews | None
+    show: Callable[[RunNow], None]
 
 
 class Desk:
@@ -117,7 +117,8 @@ def real_time(
     duration_s: float,
     *,
     watchers: Sequence[Watcher] = (),
-    show: Callable[[Snapshot], None] = lambda _: None,
+    news: SessionNews | None = None,
+    show: Callable[[RunNow], None] = lambda _: None,
     viewed: bool = False,
 ) -> dict[str, Any]:
     """One run in real time: frames lost, latency from frame to record, share of one core.
@@ -151,21 +152,16 @@ def real_time(
         prepare_kernels(sensor, print)
         lever = Lever(arm_m=1.0, pixel_pitch_m=4.8e-6)
         optics = Optics(sensor, lever, Axes())
-        file = RecordFile(
-            Path(folder) / "run.mcap",
-            validate_configuration({"camera": {"driver": "simulated"}}, "").model_copy(
-                update={"lever": lever}
-            ),
-            Path(),
-            opened,
-            optics,
+        config = validate_configuration(
+            {"camera": {"driver": "simulated"}, "session": {"max_duration_s": 1e9}}, ""
         )
+        config = config.model_copy(update={"lever": lever})
         run = Run(
             RunParts(
-                stream=FrameStream(camera, CameraSettings()),
+                plan=RunPlan(config, Path(), Path(folder) / "run.mcap", "run 1", session_news=news),
+                camera=opened,
                 optics=optics,
-                record=file,
-                end=EndLimits(0.0, 1e9),
+                stream=FrameStream(camera, CameraSettings()),
                 watchers=watchers,
             )
         )
@@ -186,8 +182,8 @@ def real_time(
     busy_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     taken_ms = np.array(camera.late_ns) * 1e-6
     return {
-        "frames": outcome.snapshot.frames,
-        "dropped": outcome.snapshot.dropped_frames,
+        "frames": outcome.last.frames,
+        "dropped": outcome.last.dropped_frames,
         "taken_p99_ms": float(np.percentile(taken_ms, 99)),
         "taken_max_ms": float(np.max(taken_ms)),
         "latency_p50_ms": float(np.percentile(latencies_ms, 50)),
@@ -214,21 +210,21 @@ def desk_and_viewer() -> Iterator[Company]:
         news.begin_run("benchmark", 255, None)
         display = RunDisplay("benchmark", 2.0, config.deflection_unit)
 
-        def show(snapshot: Snapshot) -> None:
-            news.state(display.values(snapshot), display.facts(snapshot))
+        def show(now: RunNow) -> None:
+            news.state(display.values(now), display.facts(now))
 
         stack.enter_context(OrderSocket(folder, news, {}))
         stack.enter_context(Desk(source))
-        yield Company([display, news], show)
+        yield Company([display], news, show)
 
 
 def measured(case: Case, seconds: float, way: str) -> dict[str, Any]:
     """One run, with the load of the machine beside it."""
     with ExitStack() as stack:
-        company = Company((), lambda _: None)
+        company = Company((), None, lambda _: None)
         if way == "with desk and viewer":
             company = stack.enter_context(desk_and_viewer())
-        watchers, show = company
+        watchers, news, show = company
         found = real_time(
             case.width,
             case.height,
@@ -236,6 +232,7 @@ def measured(case: Case, seconds: float, way: str) -> dict[str, Any]:
             case.rate_hz,
             seconds,
             watchers=watchers,
+            news=news,
             show=show,
             viewed=way == "with desk and viewer",
         )

@@ -15,8 +15,7 @@ from processing.spot import FixedLight, Spot, SpotFlag, fixed_light
 from processing.ticks import seconds
 from rig.devices import wrong_rate
 from rig.instrument import beam_quality
-from rig.measure.preflight.rest_checks import ground, plane_of_swing, rest_position, stillness
-from rig.measure.preflight.trial_frames import TrialFrames
+from rig.measure.preflight.rest_checks import TrialFrames, ground, plane_of_swing, rest_position, stillness
 from rig.presentation import Verdict
 from rig.settings import Configuration, PreflightSettings
 

@@ -1,24 +1,42 @@
 """What some seconds of a pendulum at rest say before a run: noise, vibration, ground, rest position."""
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from acquisition.frame import Frame
 from calibration import Stability, stability
 from processing.arrays import Floats
 from processing.balance import BalanceEstimator, BalanceLimits
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.ground_at_rest import ground_at_rest
+from processing.spot import Spot, SpotModel
 from rig.analysis import base_motion, drive_text
 from rig.instrument import PLANE_OF_SWING, balance_verdicts
-from rig.measure.preflight.trial_frames import TrialFrames
 from rig.presentation import Verdict, decimals
 from rig.settings import PendulumSettings, PreflightSettings
 
 _SHORT_S = 50.0
 NO_LEVER = "no lever: values in px have no limit in arcsec"
+
+
+@dataclass(frozen=True, slots=True)
+class TrialFrames:
+    """Some seconds of frames, with the spots and deflections measured in them.
+
+    `resting` is False if the pendulum may be swinging. `model` is what the tracker has chosen for the beam;
+    None while it has not. `references` are the reference's spots, where the frames have one.
+    """
+
+    frames: Sequence[Frame]
+    spots: Sequence[Spot]
+    deflections: Deflections
+    resting: bool
+    model: SpotModel | None = None
+    references: Sequence[Spot] = ()
 
 
 def noise_and_vibration(

@@ -23,8 +23,7 @@ from processing.ticks import seconds
 from processing.witness_at_rest import WitnessAtRest, witness_at_rest
 from rig.analysis import taken
 from rig.control import WitnessSettings
-from rig.measure.preflight.rest_checks import longer, not_at_rest
-from rig.measure.preflight.trial_frames import TrialFrames
+from rig.measure.preflight.rest_checks import TrialFrames, longer, not_at_rest
 from rig.presentation import Verdict, percent, plain, with_uncertainty
 from rig.settings import PreflightSettings, ReferenceSettings
 

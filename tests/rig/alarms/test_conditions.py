@@ -46,6 +46,13 @@ TRIP = LatchedTrip(5, TripCause.INTERLOCK, "the interlock opened", True)
         (told(spot_lost_s=0.4), set()),
         (told(spot_lost_s=0.6), {AlarmKey.SPOT}),
         (told({"alarm": "the laser is dark"}, darkness="LIGHT OFF"), {AlarmKey.LASER_DARK}),
+        (
+            replace(
+                told({"alarm": "the controller is lost"}, darkness="the controller is lost"),
+                safety=replace(LIT, light=Light.CONTROLLER_SILENT),
+            ),
+            {AlarmKey.LASER_UNKNOWN},
+        ),
         (told({"alarm": "the recorder has stalled"}), {AlarmKey.STALLED}),
         (told({"alarm": "the disk has not answered", "disk_silent_s": 3.0}), {AlarmKey.DISK_HANGS}),
         (replace(told({"temperature_c": None}), sensor_wanted=True), {AlarmKey.ENVIRONMENT}),

@@ -13,14 +13,16 @@ from acquisition.record.topics import CAMERA_TEMPERATURE
 from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
 from rig.instrument import optics_of
-from rig.measure.end_of_run import EndLimits
-from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
-from rig.measure.run_parts import RunParts
+from rig.measure.run_parts import RunParts, RunPlan
 from rig.settings import Configuration
 from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
+
+ONE_SECOND = Configuration(
+    camera={"driver": "simulated"}, session={"max_duration_s": 1.0, "final_amplitude_arcsec": 1e-9}
+)
 
 
 class CannotStop(Usb3VisionCamera):
@@ -36,14 +38,16 @@ def test_a_camera_that_cannot_stop_is_an_event_of_a_regular_run(tmp_path: Path) 
     info = camera.open()
     asked = CameraSettings(exposure_us=200.0, width_px=64, height_px=64, frame_rate_hz=100.0)
     opened = OpenCamera(camera, info, (), camera.configure(asked), 0)
-    config = Configuration(camera={"driver": "simulated"})
-    optics = optics_of(config, 255)
     path = tmp_path / "run.mcap"
-    record = RecordFile(path, config, Path(), opened, optics)
-    stream = FrameStream(camera, asked)
-    outcome = Run(RunParts(stream=stream, optics=optics, record=record, end=EndLimits(0.0, 1.0))).execute()
+    parts = RunParts(
+        plan=RunPlan(ONE_SECOND, Path(), path, "run 1"),
+        camera=opened,
+        optics=optics_of(ONE_SECOND, 255),
+        stream=FrameStream(camera, asked),
+    )
+    outcome = Run(parts).execute()
     assert outcome.failure is None
-    assert outcome.snapshot.reason == "time limit of 1 s reached"
+    assert outcome.last.reason == "time limit of 1 s reached"
     with RecordReader(path) as reader:
         said = [(event.kind, event.text) for event in reader.events()]
     assert said[-2] == ("camera stop", "camera: stop() failed: OSError: it does not answer")
@@ -58,18 +62,13 @@ def test_features_and_temperature_are_in_the_record(tmp_path: Path) -> None:
     info = camera.open()
     asked = CameraSettings(exposure_us=200.0, width_px=64, height_px=64, frame_rate_hz=100.0, gain_db=-6.0)
     opened = OpenCamera(camera, info, (), camera.configure(asked), 100_000)
-    config, optics = (
-        Configuration(camera={"driver": "simulated"}),
-        optics_of(Configuration(camera={"driver": "simulated"}), 255),
-    )
     record = tmp_path / "run.mcap"
     run = Run(
         RunParts(
+            plan=RunPlan(ONE_SECOND, Path(), record, "run 1"),
+            camera=opened,
+            optics=optics_of(ONE_SECOND, 255),
             stream=FrameStream(camera, asked, time_shift_ns=opened.time_shift_ns),
-            optics=optics,
-            record=RecordFile(record, config, Path(), opened, optics),
-            end=EndLimits(0.0, 1.0),
-            camera=camera,
         )
     )
     outcome = run.execute()

@@ -3,6 +3,7 @@
 import _thread
 import getpass
 import json
+import re
 import sys
 import threading
 import time
@@ -102,18 +103,22 @@ def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
     done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words({**LIVE, **told}))
     assert done.returncode == 1
     assert (tmp_path / "told").read_text().split() == ["alarm", "failure"]
-    assert "THE LASER IS DARK: THE CONTROLLER IS LOST" in done.stderr
+    assert "IT IS NOT KNOWN WHETHER THE LASER IS LIT: THE CONTROLLER IS LOST" in done.stderr
+    assert "WATCHDOG TURNS IT OFF 5 S AFTER THE LAST HEARTBEAT" in done.stderr
+    assert "THE LASER IS DARK" not in done.stderr
     assert "THE LASER MAY BE LIT: the controller does not confirm that it is off" in done.stderr
     entry = entry_of(tmp_path / "out")
     assert entry["state"] == "failed"
-    assert "the laser is dark: the controller is lost" in entry["reason"]
-    assert [text for kind, text in events_of(tmp_path / "out") if kind == "laser dark"]
-    assert (tmp_path / "out" / "results.json").exists()
+    assert "it is not known whether the laser is lit: the controller is lost" in entry["reason"]
+    (said,) = [text for kind, text in events_of(tmp_path / "out") if kind == "laser unknown"]
+    assert re.search(r"it was last confirmed on at \d\d:\d\d:\d\d; ", said)
+    (run,) = json.loads((tmp_path / "out" / "results.json").read_text())["runs"]
+    assert [one["ok"] for one in run["conditions"] if one["name"] == "light"] == [False]
     assert check_log(tmp_path / "out", SafetyState()) == []
     lit, dark = map(json.loads, (tmp_path / "out" / "audit.jsonl").read_text().splitlines())
     assert (lit["what"], lit["laser"], lit["user"]) == ("lit", "controller", getpass.getuser())
     assert (lit["task"], lit["why"]) == ("rig run", "asked for by rig run")
-    assert dark["what"] == "dark"
+    assert dark["what"] == "unknown"
     assert "the controller is lost" in dark["why"]
 
 
@@ -134,7 +139,10 @@ def test_a_run_that_waits_in_the_dark_is_lit_by_who_asks_and_by_nothing_else(
         done = rig("run", CONFIGS / "live.toml", "-o", out, *set_words(waiting))
     assert "laser off, confirmed by the controller" in done.stderr
     kinds = [kind for kind, _ in events_of(out)]
-    assert "laser dark" in kinds
+    assert [kind for kind in kinds if kind in ("laser unknown", "laser dark")] == [
+        "laser unknown",
+        "laser dark",
+    ]
     assert ("laser lit" in kinds) == asked
     said = [json.loads(line)["what"] for line in (out / "audit.jsonl").read_text().splitlines()]
     assert said.count("lit") == 1 + asked

@@ -116,7 +116,7 @@ def test_a_stump_is_complete_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     def failing(run: Run, *words: object) -> object:
         monkeypatch.setattr(Run, "_watch", usual)
-        while run.snapshot.frames < 1000:
+        while run.now.frames < 1000:
             time.sleep(0.001)
         raise RuntimeError("a defect of the program")
 

@@ -8,7 +8,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
-from rig.instrument import Snapshot
+from rig.instrument import RunNow
 from rig.measure.end_of_run import HELD_FITS, EndLimits, EndOfRun
 from rig.measure.run_panel import estimate_rows
 from rig.measure.session import measure_session
@@ -45,12 +45,12 @@ def test_a_lucky_dip_does_not_end_a_run() -> None:
 
 
 def test_the_screen_says_what_is_known_and_what_the_end_waits_for() -> None:
-    rows = dict(estimate_rows(Snapshot(estimates=KNOWN, estimated_from=200), WHEN))
+    rows = dict(estimate_rows(RunNow(estimates=KNOWN, estimated_from=200), WHEN))
     assert rows["c, b"] == "(1.000 ± 0.025) × 10⁻⁸ (2.5 %),  (3.700 ± 0.020) × 10⁻³ rad⁻ᵖ (0.54 %)"
     assert rows["ends when"] == "u(c)/c = 0.025 < 0.03, u(b)/b = 0.00541 < 0.01"
-    unseen = dict(estimate_rows(Snapshot(estimates={"c": Estimate(1e-8, 2e-8)}), ()))
+    unseen = dict(estimate_rows(RunNow(estimates={"c": Estimate(1e-8, 2e-8)}), ()))
     assert unseen == {"c": "not yet seen"}
-    assert estimate_rows(Snapshot(), ()) == []
+    assert estimate_rows(RunNow(), ()) == []
 
 
 @pytest.mark.slow

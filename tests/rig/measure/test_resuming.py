@@ -21,8 +21,7 @@ from rig.devices import Devices
 from rig.measure import measure_session, measure_sessions, resume_session
 from rig.measure import resuming as resuming_module
 from rig.measure import session as session_module
-from rig.measure.run_parts import RunOutcome
-from rig.measure.run_setup import RunPlan
+from rig.measure.run_parts import RunOutcome, RunPlan
 from rig.settings import load_configuration
 from rig.terminal import Terminated
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, figures_are_not_drawn, rig

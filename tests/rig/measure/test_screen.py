@@ -3,6 +3,8 @@
 import io
 import json
 import math
+import re
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -11,16 +13,15 @@ from rich.console import Console
 from acquisition.frames.losses import FrameLosses
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
-from processing.deflections import DeflectionUnit, no_deflections
+from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from processing.swing import Swing
 from rig.instrument.camera_clock import CameraClock
-from rig.instrument.pipeline import Block
-from rig.instrument.snapshot import Phase, Snapshot
+from rig.instrument.run_now import Phase, RunNow, Told
 from rig.measure.run_panel import estimate_rows, estimate_texts
 from rig.measure.screen import RunDisplay
 
-SEEN = Snapshot(
+SEEN = RunNow(
     phase=Phase.MEASURING,
     frames=1000,
     dropped_frames=4,
@@ -41,15 +42,15 @@ def display(
     return RunDisplay("run 1", 2.0, unit, json_lines=json_lines, console=console)
 
 
-def screen(snapshot: Snapshot, unit: DeflectionUnit = DeflectionUnit.RAD) -> str:
+def screen(now: RunNow, unit: DeflectionUnit = DeflectionUnit.RAD) -> str:
     output = io.StringIO()
-    Console(file=output, width=118, height=40).print(display(output, unit=unit).screen(snapshot))
+    Console(file=output, width=118, height=40).print(display(output, unit=unit).screen(now))
     return output.getvalue()
 
 
 def test_without_a_lever_the_screen_says_px_and_knows_no_end() -> None:
     """The final amplitude is configured in arcsec: amplitudes in px never reach it."""
-    measuring = Snapshot(phase=Phase.MEASURING, amplitude=124.0)
+    measuring = RunNow(phase=Phase.MEASURING, amplitude=124.0)
     calibrated = screen(measuring)
     assert "124.000 arcsec" in calibrated
     assert "to 2 arcsec" in calibrated
@@ -66,13 +67,25 @@ def test_a_line_is_printed_when_the_phase_changes_and_not_for_its_progress() -> 
     lines: list[dict[str, Any]] = []
     shown.line = lambda _, values: lines.append(values)  # type: ignore[method-assign]
     for progress in ("spread 3.00 arcsec of 1", "spread: 2.00 arcsec of 1", ""):
-        shown.show(Snapshot(Phase.REST, progress))
-    shown.show(Snapshot(Phase.RELEASE))
+        shown.show(RunNow(Phase.REST, progress))
+    shown.show(RunNow(Phase.RELEASE))
     assert [(line["phase"], line["progress"]) for line in lines] == [
         ("rest", "spread 3.00 arcsec of 1"),
         ("release", ""),
     ]
-    assert "rest: spread 3.00" in screen(Snapshot(Phase.REST, "spread 3.00 arcsec of 1"))
+    assert "rest: spread 3.00" in screen(RunNow(Phase.REST, "spread 3.00 arcsec of 1"))
+
+
+def test_the_screen_has_the_phases_of_a_run_in_their_order_and_marks_the_present_one() -> None:
+    output = io.StringIO()
+    console = Console(file=output, width=118, height=40, force_terminal=True, color_system="standard")
+    phases = (Phase.REST, Phase.WARM_UP, Phase.RELEASE)
+    shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, phases=phases, console=console)
+    console.print(shown.screen(RunNow(Phase.WARM_UP, "drift 0.30 arcsec/min (limit 0.1)")))
+    line = next(one for one in output.getvalue().splitlines() if "recording" in one)
+    assert "rest > warm-up > release > recording" in re.sub(r"\x1b\[[0-9;]*m", "", line)
+    assert re.search(r"\x1b\[1;36mwarm-up", line)
+    assert "warm-up: drift 0.30 arcsec/min (limit 0.1)" in re.sub(r"\x1b\[[0-9;]*m", "", output.getvalue())
 
 
 def decaying(output: io.StringIO, longest_s: float) -> RunDisplay:
@@ -83,7 +96,7 @@ def decaying(output: io.StringIO, longest_s: float) -> RunDisplay:
         Swing(n, n * 2_000_000_000, 1e-6, 124 * 0.99**n * ARCSEC_RAD, 1e-9, 2.0, 1e-6, 0.0, 1, 0)
         for n in range(30)
     ]
-    shown.block(0, [], Block([], no_deflections(DeflectionUnit.RAD), swings, []))
+    shown.take(Told(swings=swings))
     return shown
 
 
@@ -91,7 +104,7 @@ def decaying(output: io.StringIO, longest_s: float) -> RunDisplay:
 def test_the_time_left_is_to_the_end_that_comes_first(longest_s: float, is_limit: bool) -> None:
     output = io.StringIO()
     shown = decaying(output, longest_s)
-    seen = Snapshot(phase=Phase.MEASURING, elapsed_s=60.0, amplitude=92.6)
+    seen = RunNow(phase=Phase.MEASURING, elapsed_s=60.0, amplitude=92.6)
     shown.show(seen)
     values = shown.values(seen)
     assert values["at_most_s"] == longest_s - 60.0
@@ -108,7 +121,7 @@ def test_the_time_left_is_to_the_end_that_comes_first(longest_s: float, is_limit
 def test_before_the_amplitude_tells_the_end_the_limit_is_said() -> None:
     output = io.StringIO()
     shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, longest_s=300.0, console=Console(file=output))
-    Console(file=output, width=118).print(shown.screen(Snapshot(phase=Phase.MEASURING, elapsed_s=60.0)))
+    Console(file=output, width=118).print(shown.screen(RunNow(phase=Phase.MEASURING, elapsed_s=60.0)))
     assert "too early to say, at most 4:00" in output.getvalue()
 
 
@@ -119,8 +132,7 @@ def test_the_screen_shows_the_balance_in_its_own_unit() -> None:
         balance = Balance(**{**fields, **places, "time_ns": 0, "unit": unit})
         output = io.StringIO()
         shown = display(output, unit=unit)
-        shown.block(0, [], Block([], no_deflections(unit), [], [balance]))
-        Console(file=output, width=118, height=40).print(shown.screen(SEEN))
+        Console(file=output, width=118, height=40).print(shown.screen(replace(SEEN, balance=balance)))
         assert f"2.500 {unit.shown} (0.10 %)" in output.getvalue()
         assert f"X +0.500, Y -1.500 {unit.shown}" in output.getvalue()
 
@@ -133,13 +145,13 @@ def test_the_screen_shows_the_age_of_frames_and_the_losses() -> None:
 
 
 def test_frames_without_an_age_and_a_run_without_losses_say_so_in_few_words() -> None:
-    shown = screen(Snapshot(phase=Phase.MEASURING))
+    shown = screen(RunNow(phase=Phase.MEASURING))
     assert "age -" in shown
     assert "none" not in shown
 
 
 def test_before_the_record_no_loss_is_counted_and_none_is_denied() -> None:
-    shown = screen(Snapshot(phase=Phase.REST, frames=10))
+    shown = screen(RunNow(phase=Phase.REST, frames=10))
     assert "counted from the record on" in shown
     assert "0 frames dropped" not in shown
 
@@ -179,7 +191,7 @@ def test_a_value_that_its_uncertainty_hides_is_not_shown() -> None:
 
 def test_the_page_is_told_what_it_has_no_place_for() -> None:
     found = display(io.StringIO())
-    seen = Snapshot(phase=Phase.MEASURING, amplitude=124.0, estimates={"c": Estimate(1e-8, 1e-10)})
+    seen = RunNow(phase=Phase.MEASURING, amplitude=124.0, estimates={"c": Estimate(1e-8, 1e-10)})
     names, facts = ([name for name, _ in rows] for rows in (found.rows(seen), found.facts(seen)))
     assert "amplitude" in names
     assert set(names) - set(facts) >= {"amplitude", *(name for name, _ in estimate_rows(seen, ()))}

@@ -1,6 +1,8 @@
 """A record says how its session stood: phase, light, how it kept up, the live fit, the level of events."""
 
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,20 +23,47 @@ from acquisition.record.topics import (
     RecordedPhase,
 )
 from rig.control import Light
-from rig.instrument import Phase
+from rig.instrument import Phase, RunNow, told_in
 from rig.measure import measure_session
+from rig.measure.run import Run
+from rig.measure.run_parts import RunOutcome
+from rig.presentation import plain_values
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, SMALL, figures_are_not_drawn
 
 
+def read_again(record: Path) -> RunNow:
+    """The state of a run as a reader of its whole record adds it up."""
+    now = RunNow()
+    with RecordReader(record) as reader:
+        times_ns = reader.spots()["time_ns"]
+        for piece in reader.unread():
+            now = now.after(
+                told_in(reader, piece, int(times_ns[0]), int(times_ns[-1])), reader.deflection_unit
+            )
+    return now
+
+
 @pytest.mark.slow
-def test_a_record_says_how_its_session_stood(tmp_path: Path) -> None:
+def test_a_record_says_how_its_session_stood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usual, outcomes = Run.execute, []
+
+    def kept(run: Run, *words: Any) -> RunOutcome:
+        outcomes.append(usual(run, *words))
+        return outcomes[-1]
+
+    monkeypatch.setattr(Run, "execute", kept)
     # without a limit that holds the fits are made all the same, and waited for: the run repeats exactly
     stated = {**SMALL, "session.max_duration_s": "88", "session.stop_when": '["u(b)/b < 1e-9"]'}
     config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in stated.items()])
     with figures_are_not_drawn():
         measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
-    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+    record = tmp_path / "out" / "run-1.mcap"
+    # who reads the record sees what the screen has shown; that it is closed it cannot say
+    last = replace(outcomes[0].last, phase=Phase.CLOSING)
+    shown, read = (plain_values(asdict(one)) for one in (last, read_again(record)))
+    assert shown == read
+    with RecordReader(record) as reader:
         phases = reader.values(PHASE.topic, RecordedPhase)
         lights = reader.values(LIGHT.topic, RecordedLight)
         healths = reader.values(HEALTH.topic, RecordedHealth)

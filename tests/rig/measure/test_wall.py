@@ -18,7 +18,7 @@ from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, SMALL
 
 WATCHERS = {
-    "watcher RunDisplay": (RunDisplay, "block"),
+    "watcher RunDisplay": (RunDisplay, "take"),
     "the display": (RunDisplay, "show"),
     "the live fit": (LivePosterior, "take"),
     "the estimate of the balance": (BalanceEstimator, "update"),

@@ -80,11 +80,11 @@ def test_news_are_plain_values_and_events_come_once(told: SessionNews, line: Lin
 
 
 def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionNews, line: Line) -> None:
-    told.block(0, *block(1))
+    told.look(*block(1))
     assert told.pictures == 0
     assert line.picture() is None
-    told.block(0, *block(2))
-    told.block(0, *block(3))
+    told.look(*block(2))
+    told.look(*block(3))
     picture = line.picture()
     assert picture is not None
     assert told.pictures == 1
@@ -98,7 +98,7 @@ def test_a_frame_is_told_with_the_spot_of_its_reference(told: SessionNews, line:
     line.picture()
     frames, found = block(1)
     below = SPOT._replace(y_px=5.0, x_px=float("nan"))
-    told.block(0, frames, found._replace(references=[SPOT, below]))
+    told.look(frames, found._replace(references=[SPOT, below]))
     picture = line.picture()
     assert picture is not None
     assert picture.reference is not None
@@ -114,14 +114,14 @@ def test_what_is_seen_before_the_record_is_told_until_the_record_tells_it(
     told.before_record(frames, found.spots, found.deflections)
     assert line.picture() is not None
     assert line.news()["path"]["y"] == [1.0] * 16
-    told.block(0, frames, found)
+    told.look(frames, found)
     assert line.news()["path"]["y"] == []
 
 
 def test_a_frame_that_can_be_written_to_is_copied(told: SessionNews, line: Line) -> None:
     line.picture()
     frames, found = block(2)
-    told.block(0, frames, found)
+    told.look(frames, found)
     frames[-1].image[:] = 99
     picture = line.picture()
     assert picture is not None

@@ -17,9 +17,10 @@ from processing.spot import SpotFlag
 from rig.analysis import Fit, InstrumentResults, RunResults, analyse_record
 from rig.analysis.instrument_results import FrictionLawResults
 from rig.instrument.provenance import recorded_configuration
+from rig.instrument.run_now import RunNow
 from rig.presentation.keys import KeyParser, Keys
 from rig.replay.comparison import parameter_changes
-from rig.replay.player import Player, ReplayState
+from rig.replay.player import Player
 from rig.replay.record_replay import replay_record, speed_of
 from rig.replay.replay import Replay
 from rig.replay.screen import ReplayLine
@@ -49,7 +50,8 @@ class Script:
     def __init__(self, presses: dict[float, str]) -> None:
         self.now_s = 0.0
         self._presses = sorted(presses.items())
-        self.shown: list[tuple[float, ReplayState, str | None]] = []
+        self.shown: list[tuple[float, RunNow, str | None]] = []
+        self.paused: list[bool] = []
 
     def pressed(self, wait_s: float) -> list[str]:
         self.now_s += wait_s
@@ -58,10 +60,13 @@ class Script:
             keys += self._presses.pop(0)[1].split()
         return keys
 
-    def show(self, state: ReplayState, length_s: float, remaining_s: float, prompt: str | None) -> None:
+    def show(
+        self, state: RunNow, length_s: float, remaining_s: float, prompt: str | None, *, paused: bool
+    ) -> None:
         self.shown.append((self.now_s, state, prompt))
+        self.paused.append(paused)
 
-    def at(self, time_s: float) -> ReplayState:
+    def at(self, time_s: float) -> RunNow:
         """What was on the screen at a time."""
         return [state for now_s, state, _ in self.shown if now_s <= time_s][-1]
 
@@ -147,8 +152,8 @@ def test_the_line_says_how_long_it_will_take() -> None:
     with ReplayLine("arcsec", "keys", stream=written, clock=lambda: now_s) as line:
         for step in range(1, 14):
             now_s = float(step)
-            shown = ReplayState(elapsed_s=10.0 * step, frames=step, amplitude=80.0)
-            line.show(shown, 200.0, 20.0 - now_s, None)
+            shown = RunNow(elapsed_s=10.0 * step, frames=step, amplitude=80.0)
+            line.show(shown, 200.0, 20.0 - now_s, None, paused=False)
     # no terminal: a line every five seconds and no help for keys
     lines = written.getvalue().splitlines()
     assert len(lines) == 2
@@ -161,7 +166,7 @@ def test_keys_pause_step_and_go_on(record: Path) -> None:
     with replay_of(record) as replay:
         player, script = played(replay, 1.0, presses)
     paused = script.at(2.9)
-    assert paused.paused
+    assert script.paused[[state is paused for _, state, _ in script.shown].index(True)]
     assert paused.elapsed_s == pytest.approx(1.0, abs=0.1)
     assert script.at(3.9).frames == paused.frames + 1
     assert script.at(4.9).frames == paused.frames + 2

@@ -35,13 +35,10 @@ from rig.devices import Devices, FrameStream, OpenCamera
 from rig.devices.ground_witness import ground_witness
 from rig.instrument import camera_settings, complete, make_camera, optics_of
 from rig.instrument.configured_camera import shift_to_light_ns
-from rig.measure.end_of_run import EndLimits
 from rig.measure.phases import PhasesBeforeRecord
-from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
-from rig.measure.run_parts import RunParts
+from rig.measure.run_parts import RunParts, RunPlan
 from rig.measure.session import measure_session, session_folder
-from rig.measure.start_judge import start_limits
 from rig.settings import Configuration, load_configuration
 from rig.view.show import write_rrd
 from tests.rig.command_line import CONFIGS, SMALL
@@ -126,6 +123,7 @@ def go_through_the_phases(folder: Path) -> None:
             phases__warm_up_drift_arcsec_per_min=1e3,
             laser__kind='"controller"',
             start__pretrigger_s=0.1,
+            session__max_duration_s=0.5,
         )
     )
     camera = make_camera(config)
@@ -137,12 +135,11 @@ def go_through_the_phases(folder: Path) -> None:
     phases = PhasesBeforeRecord(config, devices, opened, optics, folder, force=True)
     outcome = Run(
         RunParts(
+            plan=RunPlan(config, DEMO, folder / "phases.mcap", "run 1"),
+            camera=opened,
             stream=FrameStream(camera, asked, policy="wait"),
             optics=optics,
-            record=RecordFile(folder / "phases.mcap", config, DEMO, opened, optics),
-            end=EndLimits(0.0, 0.5),
             phases=phases,
-            start=start_limits(config, optics),
             devices=devices,
         )
     ).execute()

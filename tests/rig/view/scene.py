@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from acquisition.record.events import Event, EventKind
 from processing.angle import ARCSEC_RAD
 from rig.view import layout
-from rig.view.analysis_panels import draw_fits
+from rig.view.analysis import draw_fits
 from rig.view.drawing import Drawing
 from rig.view.values import Curve, Setup
 

@@ -14,7 +14,7 @@ from processing.deflections import DeflectionUnit
 from rig.instrument import advice_for, complete
 from rig.replay import replay_record
 from rig.settings import load_configuration
-from rig.view.analysis_curves import analysis_curves, report_text, run_analysis
+from rig.view.analysis import analysis_curves, report_text, run_analysis
 from rig.view.show import write_rrd
 from tests.rig.replay.replay_record import CONFIG, make_record
 from tests.rig.view.rrd_contents import column, entities, measured, scalars, static_values

@@ -94,12 +94,13 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
 
 def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path) -> None:
     path, rrd = tmp_path / "run.mcap", tmp_path / "shown.rrd"
+    lost_light = ("laser dark", "laser unknown")
     with RecordWriter(path, EPOCH_NS) as writer:
         spot = Spot(*[math.nan] * 10, SpotFlag.LOST)
         nowhere = np.full(1, math.nan)
         at = Deflections(np.zeros(1, np.int64), nowhere, nowhere, nowhere, nowhere, DeflectionUnit.RAD)
         writer.write_spots([0], [0], [0], [spot], at)
-        for kind in ("start", "trip", "laser dark", *WARNING_KINDS):
+        for kind in ("start", "trip", *lost_light, *WARNING_KINDS):
             writer.write_event(0, kind, "happened")
     write_rrd([path], rrd)
     texts = [text for (text,) in column(rrd, "/events", "TextLog:text")[1]]
@@ -107,7 +108,8 @@ def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path)
     found = dict(zip(texts, levels, strict=True))
     assert found.pop("start: happened") == "INFO"
     warned = {f"{kind}: happened": "WARN" for kind in WARNING_KINDS}
-    assert found == warned | {"trip: happened": "CRITICAL", "laser dark: happened": "ERROR"}
+    alarms = {f"{kind}: happened": "ERROR" for kind in lost_light}
+    assert found == warned | {"trip: happened": "CRITICAL", **alarms}
 
 
 def test_a_lost_spot_breaks_the_trajectory(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import urllib.parse
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -44,6 +45,8 @@ def test_a_page_shows_records_and_rerun_files(browser: HeadlessBrowser, tmp_path
             picture = wait_for_picture(browser, drawn, 120.0, tmp_path / "page.png")
             for colour in WANTED:
                 assert pixels_of(picture, colour) > 60, f"nothing drawn in {colour}"
+            asked = {urllib.parse.urlsplit(address).hostname for address in browser.requested}
+            assert asked <= {"127.0.0.1", None}, asked
         finally:
             view.send_signal(signal.SIGINT)
             view.wait(60.0)

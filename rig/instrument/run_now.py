@@ -1,0 +1,225 @@
+"""The state of a run at one moment: what the messages of its record add up to, growing or whole."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, Final, NamedTuple, TypeVar
+
+from acquisition.frames.losses import FrameLosses
+from acquisition.record.events import Event
+from acquisition.record.reader import Piece, RecordReader
+from acquisition.record.topics import (
+    BALANCE,
+    CAMERA_STEP,
+    ENVIRONMENT,
+    ESTIMATE,
+    EVENT,
+    HEALTH,
+    LIGHT,
+    LOSSES,
+    NOTE,
+    PHASE,
+    SWING,
+    Environment,
+    RecordedClockStep,
+    RecordedEstimate,
+    RecordedHealth,
+    RecordedLight,
+    RecordedLosses,
+    RecordedNote,
+    RecordedPhase,
+    Timed,
+)
+from processing.balance import Balance
+from processing.deflections import DeflectionUnit
+from processing.estimate import Estimate
+from processing.swing import Swing
+from processing.ticks import seconds
+from rig.instrument.camera_clock import CameraClock
+
+_Value = TypeVar("_Value")
+_STATES: Final[dict[str, type[Timed]]] = {
+    PHASE.topic: RecordedPhase,
+    LIGHT.topic: RecordedLight,
+    CAMERA_STEP.topic: RecordedClockStep,
+    LOSSES.topic: RecordedLosses,
+    ENVIRONMENT.topic: Environment,
+    HEALTH.topic: RecordedHealth,
+    ESTIMATE.topic: RecordedEstimate,
+}
+"""Topics that change the state of a run, with the values of their messages."""
+
+
+class Phase(StrEnum):
+    """What a run is doing."""
+
+    WAITING = "waiting for the first frame"
+    REST = "rest"
+    WARM_UP = "warm-up"
+    PREFLIGHT = "preflight"
+    RELEASE = "release"
+    MEASURING = "measuring"
+    CLOSING = "closing the record"
+    DONE = "done"
+
+
+_PHASES: Final = {phase.value: phase for phase in Phase}
+
+
+class Told(NamedTuple):
+    """What a record was told of its run in one piece: half-cycles, balances, events, the session's messages.
+
+    `start_ns` is the time of the record's first frame, `last_ns` that of the last one so far; both are 0
+    before the record.
+    """
+
+    start_ns: int = 0
+    last_ns: int = 0
+    swings: Sequence[Swing] = ()
+    balances: Sequence[Balance] = ()
+    events: Sequence[Event] = ()
+    messages: Sequence[Timed] = ()
+
+    def of(self, kind: type[_Value]) -> list[_Value]:
+        """The messages of one kind."""
+        return [one for one in self.messages if isinstance(one, kind)]
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time from the first frame to the last one."""
+        return seconds(self.last_ns - self.start_ns)
+
+
+def told_in(reader: RecordReader, piece: Piece, start_ns: int, last_ns: int) -> Told:
+    """What a piece of a record tells; notes are among the events."""
+    notes = reader.values(NOTE.topic, RecordedNote, piece.get(NOTE.topic, ()))
+    return Told(
+        start_ns,
+        last_ns,
+        reader.swings(piece.get(SWING.topic, ())),
+        reader.balances(piece.get(BALANCE.topic, ())),
+        [*reader.events(piece.get(EVENT.topic, ())), *(note.event for note in notes)],
+        [
+            value
+            for topic, value_class in _STATES.items()
+            if topic in piece
+            for value in reader.values(topic, value_class, piece[topic])
+        ],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RunNow:
+    """State of a run at one moment. The amplitude is in arcsec, or in px without a lever calibration.
+
+    `progress` says how far the phase is. `frame_age_s` is the time between the arrival of the oldest frame of
+    the last block and the start of its processing; it grows if processing is too slow. `losses` are the
+    dropped frames by cause, as counted by the camera. `instruction` is a request to the operator, `light`
+    and `interlock` what is known of them, `trip` the trip that waits for an acknowledgement, `controller` the
+    state of laser and controller in words, `beam` what is fitted to the spot, `clock` the camera's against
+    the computer's, `alarm` what is wrong with light or disk, empty if nothing is, `disk_silent_s` how long a
+    write has hung that takes longer than usual. Amplitude and period are those of the last half-cycle without
+    a flag. `estimates` are the contact's parameters by key, from the first `estimated_from` half-cycles;
+    empty before there are enough.
+    """
+
+    phase: Phase = Phase.WAITING
+    progress: str = ""
+    elapsed_s: float = 0.0
+    frames: int = 0
+    dropped_frames: int = 0
+    lost_spots: int = 0
+    half_cycles: int = 0
+    amplitude: float = math.nan
+    period_s: float = math.nan
+    queue_frames: int = 0
+    frame_age_s: float = math.nan
+    losses: FrameLosses = field(default_factory=FrameLosses)
+    record_bytes: int = 0
+    disk_free_bytes: float = math.nan
+    reason: str = ""
+    temperature_c: float = math.nan
+    humidity_percent: float = math.nan
+    pressure_pa: float = math.nan
+    light: str = ""
+    interlock: str = ""
+    trip: str = ""
+    darkness: str = ""
+    controller: str = ""
+    instruction: str = ""
+    alarm: str = ""
+    disk_silent_s: float = 0.0
+    beam: str = ""
+    clock: CameraClock = field(default_factory=CameraClock)
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    estimated_from: int = 0
+    balance: Balance | None = None
+
+    @property
+    def doing(self) -> str:
+        """Phase and progress in words."""
+        return f"{self.phase}: {self.progress}" if self.progress else self.phase.value
+
+    @property
+    def before_record(self) -> bool:
+        """Whether nothing is recorded yet."""
+        return self.phase in (Phase.REST, Phase.WARM_UP, Phase.PREFLIGHT, Phase.RELEASE)
+
+    def begun_again(self) -> "RunNow":
+        """The state when a record begins: without what belongs to that of a rejected start."""
+        of_rig = ("phase", "temperature_c", "humidity_percent", "pressure_pa")
+        of_light = ("light", "interlock", "trip", "darkness", "controller", "alarm")
+        return RunNow(**{name: getattr(self, name) for name in (*of_rig, *of_light)})
+
+    def after(self, told: Told, unit: DeflectionUnit) -> "RunNow":
+        """The state after what was told; amplitudes are in `unit`."""
+        changes: dict[str, Any] = {}
+        for message in told.messages:
+            changes |= self._changed_by(message, changes)
+        if told.last_ns:
+            changes["elapsed_s"] = told.elapsed_s
+        if told.swings:
+            changes["half_cycles"] = self.half_cycles + len(told.swings)
+        if good := [swing for swing in told.swings if not swing.flags]:
+            changes["amplitude"] = good[-1].amplitude / unit.shown_size
+        if periods_s := [2.0 * one.half_period_s for one in good if math.isfinite(one.half_period_s)]:
+            changes["period_s"] = periods_s[-1]
+        if told.balances:
+            changes["balance"] = told.balances[-1]
+        return replace(self, **changes) if changes else self
+
+    def _changed_by(self, message: Timed, before: Mapping[str, Any]) -> dict[str, Any]:
+        """What a message of the session changes, after the changes `before` it."""
+        clock: CameraClock = before.get("clock", self.clock)
+        match message:
+            case RecordedPhase():
+                changed = {name: getattr(message, name) for name in message._fields[3:]}
+                phase = _PHASES.get(message.phase, Phase.WAITING)
+                return {**changed, "phase": phase, "elapsed_s": message.elapsed_s}
+            case RecordedLight():
+                names = ("light", "interlock", "darkness")
+                changed = {name: getattr(message, name) for name in names}
+                return {**changed, "trip": message.trip_text, "controller": message.devices}
+            case RecordedHealth():
+                changed = message._asdict()
+                del changed["time_ns"], changed["half_cycles"]
+                drift_ppm, u_ppm = changed.pop("clock_drift_ppm"), changed.pop("u_clock_drift_ppm")
+                changed["clock"] = replace(clock, drift_ppm=drift_ppm, u_drift_ppm=u_ppm)
+                changed["queue_frames"] = changed.pop("waiting_frames")
+                return changed
+            case RecordedLosses():
+                losses = FrameLosses(*message[1:])
+                # those after the last frame have no gap in its numbers
+                dropped = max(before.get("dropped_frames", self.dropped_frames), losses.total)
+                return {"losses": losses, "dropped_frames": dropped}
+            case Environment():
+                return dict(zip(message._fields[1:], message[1:], strict=True))
+            case RecordedClockStep():
+                largest_s = max(clock.largest_step_s, seconds(message.step_ns), key=abs)
+                return {"clock": replace(clock, steps=clock.steps + 1, largest_step_s=largest_s)}
+            case RecordedEstimate():
+                known = {**before.get("estimates", self.estimates)}
+                known[message.quantity] = Estimate(message.value, message.u_value)
+                return {"estimates": known, "estimated_from": message.half_cycles}
+        return {}
