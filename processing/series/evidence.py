@@ -10,7 +10,6 @@ from processing.arrays import Floats
 from processing.errors import DataError
 from processing.series.density import likeliest
 from processing.series.model import SeriesModel, design_of
-from processing.series.posterior import SeriesPosterior
 from processing.series.runs import ORDER, CompressedRun, Effect, Form
 
 SEEN = 0.05
@@ -74,10 +73,3 @@ def find_change(runs: Sequence[CompressedRun], model: SeriesModel, parameter: st
         parameter=parameter, probability=1 - nothing, first_run=places[int(np.argmax(share))],
         at_least=places[int(first)], at_most=places[min(int(last), len(places) - 1)],
     )  # fmt: skip
-
-
-def chance(found: SeriesPosterior, draws: Floats) -> float:
-    """Two-sided chance of an effect or a difference as large where there is none; at least that of one
-    draw."""
-    positive = 1 - found.below(draws, 0.0)
-    return float(max(2 * min(positive, 1 - positive), 1 / found.effective))

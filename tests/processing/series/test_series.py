@@ -17,7 +17,6 @@ from processing.series import (
     Level,
     SeriesModel,
     Side,
-    chance,
     compare_forms,
     find_change,
     fit_series,
@@ -78,7 +77,7 @@ def test_a_slope_is_found_and_none_is_invented() -> None:
     (level,) = (level for level in found.levels if level.kind == "effect")
     value, u = found.estimate(level)
     assert abs(value - slope) < 3 * u < 0.012
-    assert chance(found, found.draws(level)) * 3 < 0.05
+    assert found.chance(found.draws(level)) * 3 < 0.05
     dry = made(world(), 20, np.random.default_rng(3)).runs
     tried = [HUMIDITY, replace(HUMIDITY, covariate=ORDER)]
     _, share, nothing = compare_forms(dry, SeriesModel(names=NAMES), tried)
