@@ -7,7 +7,6 @@ from typing import Literal
 import numpy as np
 
 from calibration.ladder import (
-    Floats,
     LadderSolution,
     LadderSteps,
     both_ways,
@@ -18,6 +17,7 @@ from calibration.ladder import (
 )
 from calibration.ladder_evidence import STEEPEST, Along, notes_of, scale_evidence
 from calibration.light_lever import Lever
+from processing.arrays import Floats
 from processing.errors import DataError
 
 _IMPROBABLE = 0.01

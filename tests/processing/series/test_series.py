@@ -111,9 +111,12 @@ def test_a_bound_pulls_as_far_as_it_reaches() -> None:
         bounds={"c": Bound(-18.4, Side.UPPER, 0.05)},
     )  # fmt: skip
     model = SeriesModel(names=("c",), scatter=())
-    free, bounded = fit_series(runs, model).estimate(C), fit_series([*runs, bound], model).estimate(C)
+    found = fit_series([*runs, bound], model)
+    free, bounded = fit_series(runs, model).estimate(C), found.estimate(C)
     assert free.value == pytest.approx(-18.0, abs=0.02)
     assert bounded.value < -18.3
+    # of the run that only bounds nothing scatters
+    assert 0.0 < found.predictive_check() <= 1.0
     far = replace(bound, bounds={"c": Bound(-15.0, Side.UPPER, 0.05)})
     assert fit_series([*runs, far], model).estimate(C).value == pytest.approx(free.value, abs=0.02)
 
