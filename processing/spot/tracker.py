@@ -121,6 +121,7 @@ class SpotTracker:
     def __init__(self, sensor: SensorModel) -> None:
         self._pixel_noise = sensor.pixel_noise
         self._noise = np.array(self._pixel_noise, dtype=np.float64)
+        self._full_scale_dn = float(sensor.full_scale_dn)  # of one type, for which the search is compiled
         self._memory = empty_memory()
         self._work = np.zeros(WORKSPACE_SHAPE)
         self._tables = np.zeros((TABLE_ROWS, LARGEST_TABLE), dtype=np.float32)
@@ -308,7 +309,7 @@ class SpotTracker:
         memory[TILT_HINTS] = 0.0
         for method in _METHODS if row_step > 1 else _METHODS[1:]:
             if not find_start(
-                image, method, row_step, self._pixel_noise.full_scale_dn, self._work[0], self._seen,
+                image, method, row_step, self._full_scale_dn, self._work[0], self._seen,
                 arrays.bands, self._sample, arrays.mask, arrays.stack,
             ):  # fmt: skip
                 continue
