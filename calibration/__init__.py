@@ -6,9 +6,15 @@ scipy.stats would slow down the start of every command.
 
 from calibration.axes import Axes, deflections, displacements
 from calibration.axes_fit import Sign, fit_axes
-from calibration.known_angle import check_scale, moved_between
 from calibration.ladder import LadderSteps
-from calibration.lever_fit import LadderFit, fit_ladder, lever_from_shifts, lever_from_tilts
+from calibration.lever_fit import (
+    LadderFit,
+    check_scale,
+    fit_ladder,
+    lever_from_shifts,
+    lever_from_tilts,
+    moved_between,
+)
 from calibration.lever_geometry import LeverGeometry, lever_from_geometry
 from calibration.light_lever import Lever, deflection_unit
 from calibration.oscillation import require_rest

@@ -3,10 +3,11 @@
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, Field
 
 from calibration.light_lever import Lever
+from processing.arrays import Floats
 
 
 class Axes(BaseModel, frozen=True, extra="forbid"):
@@ -25,7 +26,7 @@ class Axes(BaseModel, frozen=True, extra="forbid"):
     u_non_orthogonality_rad: float = Field(default=0.0, ge=0)
     mirrored: bool = False
 
-    def directions(self) -> NDArray[np.float64]:
+    def directions(self) -> Floats:
         """Matrix (2, 2) whose columns are the unit vectors (x, y) of the fast and the slow mode on the
         sensor.
         """
@@ -44,7 +45,7 @@ def displacements(
     u_x_px: ArrayLike,
     u_y_px: ArrayLike,
     reference_px: tuple[float, float],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Displacements of the spot along the fast and the slow mode in px, with their standard uncertainties.
 
     Parameters are those of `deflections`, for which this needs no lever.
@@ -68,7 +69,7 @@ def deflections(
     u_x_px: ArrayLike,
     u_y_px: ArrayLike,
     reference_px: tuple[float, float],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Tilts of the pendulum along its own axes, from positions of the spot.
 
     Parameters

@@ -6,15 +6,14 @@ from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.axes import Axes
 from calibration.axes_window import WindowDirections, window_directions
 from calibration.birge import birge_ratio
 from calibration.oscillation import strongest_oscillation
+from processing.arrays import Floats
 from processing.errors import DataError
 
-Floats = NDArray[np.float64]
 Sign = Literal["+", "-"]
 """Side on which a mode's swing begins: the positive or the negative direction of its axis."""
 _WINDOW_PERIODS = 6.0

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from processing.arrays import Floats
+
 _ENVELOPE = 3
 """Number of polynomial terms in time (a parabola) of each mode's cosine and sine amplitude."""
 

@@ -13,11 +13,9 @@ import math
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.birge import birge_ratio
-
-Floats = NDArray[np.float64]
+from processing.arrays import Floats
 
 STEEPEST = 0.3
 """Standard deviation of the skew before the ladder is measured: a sensor tilted by 17 degrees."""

@@ -9,10 +9,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from calibration.light_lever import Lever
+from processing.arrays import Floats
 from processing.errors import DataError
 
 _RANGE_RAD = 7e-4
@@ -141,7 +141,7 @@ def _effective(geometry: LeverGeometry) -> tuple[float, float, float]:
     return arm, skew, (across_up - across_down) / (up - down)
 
 
-def _hit(geometry: LeverGeometry, tilt_rad: float) -> NDArray[np.float64]:
+def _hit(geometry: LeverGeometry, tilt_rad: float) -> Floats:
     """Intersection (across, along) of the reflected beam with the sensor, in m from the sensor's centre.
 
     At rest the reflected beam runs along +z; the slow mode moves it along y, which points up. A tilt rotates
@@ -177,9 +177,9 @@ def _hit(geometry: LeverGeometry, tilt_rad: float) -> NDArray[np.float64]:
     return np.array([landed @ right, landed @ up])
 
 
-def _turned(vector: NDArray[np.float64], axis: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
+def _turned(vector: Floats, axis: Floats, angle: float) -> Floats:
     """The vector rotated about a unit `axis` (Rodrigues' formula), angle in rad."""
-    turned: NDArray[np.float64] = (
+    turned: Floats = (
         vector * math.cos(angle)
         + np.cross(axis, vector) * math.sin(angle)
         + axis * (axis @ vector) * (1.0 - math.cos(angle))

@@ -7,9 +7,10 @@ import math
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, Field
 
+from processing.arrays import Floats
 from processing.deflections import DeflectionUnit
 
 
@@ -65,18 +66,18 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
             }
         )
 
-    def tilt_rad(self, displacement_px: ArrayLike) -> NDArray[np.float64]:
+    def tilt_rad(self, displacement_px: ArrayLike) -> Floats:
         """Tilt for a displacement of the spot from the reference, exact (arc tangent), of any shape; NaN
         stays NaN.
         """
         return 0.5 * np.arctan(self._tangent(displacement_px)[0])
 
-    def displacement_px(self, tilt_rad: ArrayLike) -> NDArray[np.float64]:
+    def displacement_px(self, tilt_rad: ArrayLike) -> Floats:
         """Displacement of the spot from the reference for a tilt, of any shape: the inverse of `tilt_rad`."""
         tangent = np.tan(2.0 * np.asarray(tilt_rad, dtype=float))
         return tangent * (1.0 + self.skew * tangent) * (self.arm_m / self.pixel_pitch_m)
 
-    def rad_per_px(self, displacement_px: ArrayLike = 0.0) -> NDArray[np.float64]:
+    def rad_per_px(self, displacement_px: ArrayLike = 0.0) -> Floats:
         """Derivative of the tilt with respect to the displacement, at displacements of any shape."""
         tangent, root = self._tangent(displacement_px)
         return 0.5 * (self.pixel_pitch_m / self.arm_m) / root / (1.0 + tangent**2)
@@ -85,7 +86,7 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
         """The same lever without skew, for the fast axis, which is across the tilt of the sensor."""
         return self.model_copy(update={"skew": 0.0}) if self.skew else self
 
-    def _tangent(self, displacement_px: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _tangent(self, displacement_px: ArrayLike) -> tuple[Floats, Floats]:
         """t = tan(2 phi), and the derivative of the displacement by t divided by that at the reference."""
         part = np.asarray(displacement_px, dtype=float) * (self.pixel_pitch_m / self.arm_m)
         root = np.sqrt(1.0 + 4.0 * self.skew * part)

@@ -4,11 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.errors import DataError
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +74,7 @@ _TIMES_NOISE = 3.0
 """Smallest amplitude relative to the standard deviation of the residuals."""
 
 
-def require_rest(
-    times_s: NDArray[np.float64], x_px: NDArray[np.float64], y_px: NDArray[np.float64], what: str
-) -> None:
+def require_rest(times_s: Floats, x_px: Floats, y_px: Floats, what: str) -> None:
     """Check that the pendulum does not swing in a record.
 
     It swings if, after subtraction of a straight line, a sinusoid with a period above 0.2 s explains more

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from processing.errors import DataError
 from processing.wandering import part_means, u_of_wandering
 
@@ -21,9 +21,9 @@ class AllanCurve:
     degrees of freedom for white noise.
     """
 
-    tau_s: NDArray[np.float64]
-    deviation: NDArray[np.float64]
-    u_deviation: NDArray[np.float64]
+    tau_s: Floats
+    deviation: Floats
+    u_deviation: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +58,11 @@ class Stability:
     claimed_ratio: float
     allan: AllanCurve
     lines: tuple[SpectralLine, ...]
-    frequency_hz: NDArray[np.float64]
-    density: NDArray[np.float64]
+    frequency_hz: Floats
+    density: Floats
 
 
-def allan_deviation(values: NDArray[np.float64], interval_s: float) -> AllanCurve:
+def allan_deviation(values: Floats, interval_s: float) -> AllanCurve:
     """Overlapping Allan deviation (IEEE 1139) of evenly spaced `values` (n,), no NaN.
 
     The averaging time is doubled from `interval_s` to a quarter of the record. The degrees of freedom are
@@ -85,9 +85,7 @@ def allan_deviation(values: NDArray[np.float64], interval_s: float) -> AllanCurv
     return AllanCurve(np.array(taus), np.array(deviations), np.array(u))
 
 
-def stability(
-    times_s: NDArray[np.float64], values: NDArray[np.float64], u_values: NDArray[np.float64]
-) -> Stability:
+def stability(times_s: Floats, values: Floats, u_values: Floats) -> Stability:
     """Noise, drift, spectrum and pointing stability of one coordinate of a record at rest.
 
     Parameters
@@ -127,7 +125,7 @@ def stability(
     )
 
 
-def _drift(times_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[float, float]:
+def _drift(times_s: Floats, values: Floats) -> tuple[float, float]:
     """Slope of a straight line through the means of equal parts, and its standard uncertainty."""
     since_s = times_s - times_s.mean()
     design = part_means(np.column_stack([since_s, np.ones(len(since_s))]))
@@ -136,9 +134,7 @@ def _drift(times_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[f
     return float(solution[0]), u_of_wandering(design, means - design @ solution)
 
 
-def _spectrum(
-    flat: NDArray[np.float64], interval_s: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _spectrum(flat: Floats, interval_s: float) -> tuple[Floats, Floats]:
     """Frequencies and one-sided power spectral density, with a Hann window, without the zero frequency."""
     window = np.hanning(len(flat))
     power = np.abs(np.fft.rfft(flat * window)) ** 2
@@ -146,7 +142,7 @@ def _spectrum(
     return np.fft.rfftfreq(len(flat), interval_s)[1:].astype(np.float64), density[1:].astype(np.float64)
 
 
-def _lines(frequency: NDArray[np.float64], density: NDArray[np.float64]) -> tuple[SpectralLine, ...]:
+def _lines(frequency: Floats, density: Floats) -> tuple[SpectralLine, ...]:
     """Peaks well above the noise, which is the running median of the spectrum; the strongest first."""
     width = max(15, len(density) // 50) | 1
     padded = np.pad(density, width // 2, mode="reflect")

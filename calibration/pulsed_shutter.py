@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.shutter import Floats, path_across_rows_px
+from calibration.shutter import path_across_rows_px
+from processing.arrays import Floats
 from processing.errors import DataError
 
 _U_RESPONSE = 0.01

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.birge import birge_ratio
+from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.robust import robust_scatter
 
@@ -64,7 +65,7 @@ class SensorCalibration:
     u_prnu: float
     chi2_per_dof: float
     points: tuple[TransferPoint, ...]
-    hot_pixels: NDArray[np.int64]
+    hot_pixels: Ints
     rejected: tuple[str, ...]
 
 
@@ -191,7 +192,7 @@ def photon_transfer(
     )
 
 
-def _hot_pixels(dark_map: NDArray[np.float64]) -> NDArray[np.int64]:
+def _hot_pixels(dark_map: Floats) -> Ints:
     """Flat indices of pixels more than 8 robust standard deviations above the median."""
     flat = dark_map.reshape(-1)
     middle = float(np.median(flat))
@@ -199,7 +200,7 @@ def _hot_pixels(dark_map: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.nonzero(flat > middle + 8.0 * sigma)[0]
 
 
-def _unrounded_mean(values: NDArray[np.float64]) -> float:
+def _unrounded_mean(values: Floats) -> float:
     """Mean of normally distributed values of which only the nearest integers are known, none below 0.
 
     The integers' own mean is off by up to 0.1 DN for a noise of 0.24 DN and by 0.05 DN for 0.3 DN. Mean and
@@ -211,7 +212,7 @@ def _unrounded_mean(values: NDArray[np.float64]) -> float:
     codes, counts = np.unique(values, return_counts=True)
     below = np.where(codes > 0, codes - 0.5, -np.inf)
 
-    def misfit(p: NDArray[np.float64]) -> float:
+    def misfit(p: Floats) -> float:
         sigma = np.exp(p[1])
         part = ndtr((codes + 0.5 - p[0]) / sigma) - ndtr((below - p[0]) / sigma)
         return -float(counts @ np.log(np.maximum(part, 1e-300))) / values.size
@@ -220,7 +221,7 @@ def _unrounded_mean(values: NDArray[np.float64]) -> float:
     return float(minimize(misfit, start, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-12}).x[0])
 
 
-def _temporal_variance(stack: NDArray[np.float64]) -> tuple[float, float]:
+def _temporal_variance(stack: Floats) -> tuple[float, float]:
     """Temporal variance and its standard uncertainty; offsets common to all pixels of a frame are removed."""
     frames, pixels = stack.shape
     residual = stack - stack.mean(axis=1, keepdims=True)
@@ -311,7 +312,7 @@ def _line(
 def _prnu(
     flats: Sequence[tuple[Image, Image]],
     points: Sequence[TransferPoint],
-    dark_map: NDArray[np.float64],
+    dark_map: Floats,
     cold: NDArray[np.bool_],
     u2_dark_map: float,
 ) -> tuple[float, float]:

@@ -9,12 +9,10 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.ticks import NS_PER_S
-
-Floats = NDArray[np.float64]
 
 _PERIODS = 3.0
 """Length of a stretch that is fitted on its own, in periods: friction changes the amplitude little in it."""
@@ -40,7 +38,7 @@ class Shutter:
     u_row_time_s: float = field(default=0.0, metadata={"ge": 0})
     first_row: Literal["top", "bottom"] = "top"
 
-    def times_ns(self, frame_times_ns: NDArray[np.int64], y_px: Floats, rows: int) -> NDArray[np.int64]:
+    def times_ns(self, frame_times_ns: Ints, y_px: Floats, rows: int) -> Ints:
         """Times (n,) of spots at `y_px` in frames of `rows` rows with these times.
 
         A frame without a spot (NaN) gets the time of its middle row. Times keep their order as long as the

@@ -8,8 +8,8 @@ analysis of swings requires a jitter of the frame times below about 15 us.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.robust import robust_scatter
 from processing.ticks import S_PER_NS, nanoseconds, seconds
@@ -70,13 +70,13 @@ class ClockRelation:
         """Standard uncertainty of `drift_ppm`."""
         return self.u_rate * 1e6
 
-    def host_ns(self, device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    def host_ns(self, device_ns: Ints) -> Ints:
         """Host times of camera times, (n,) integer ns."""
         since = device_ns - self.device_reference_ns
         return self.host_reference_ns + since + np.round(since * (self.rate - 1.0)).astype(np.int64)
 
 
-def unwrap_counter(ticks: NDArray[np.int64], bits: int) -> NDArray[np.int64]:
+def unwrap_counter(ticks: Ints, bits: int) -> Ints:
     """Readings (n,) of a `bits` wide counter without its overflows: each one adds 2**bits.
 
     Successive readings must be less than half the counter's range apart. Raises DataError if the counter
@@ -97,9 +97,7 @@ def unwrap_counter(ticks: NDArray[np.int64], bits: int) -> NDArray[np.int64]:
     return np.concatenate([ticks[:1].astype(np.int64), ticks[0] + np.cumsum(steps.astype(np.int64))])
 
 
-def relate_clocks(
-    device_ns: NDArray[np.int64], host_ns: NDArray[np.int64], sequence: NDArray[np.int64]
-) -> ClockRelation:
+def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelation:
     """Fit a robust straight line through pairs of timestamps.
 
     Parameters
@@ -161,7 +159,7 @@ def relate_clocks(
     )
 
 
-def _jumps(since_s: NDArray[np.float64], ahead_s: NDArray[np.float64]) -> list[int]:
+def _jumps(since_s: Floats, ahead_s: Floats) -> list[int]:
     """Indices of frames at which host minus camera time steps permanently.
 
     Medians over windows before and after are compared, so that a single late frame is not taken for a step.
@@ -187,9 +185,7 @@ def _jumps(since_s: NDArray[np.float64], ahead_s: NDArray[np.float64]) -> list[i
     return sorted(found)
 
 
-def _huber(
-    design: NDArray[np.float64], values: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _huber(design: Floats, values: Floats) -> tuple[Floats, Floats, float]:
     """Solution, covariance and robust standard deviation of the residuals, by reweighted least squares."""
     solution = np.linalg.lstsq(design, values, rcond=None)[0]
     sigma = robust_scatter(values - design @ solution)
@@ -218,7 +214,7 @@ def _huber(
     return solution.astype(np.float64), covariance.astype(np.float64), sigma
 
 
-def _frame_period(since_s: NDArray[np.float64], sequence: NDArray[np.int64]) -> tuple[float, float]:
+def _frame_period(since_s: Floats, sequence: Ints) -> tuple[float, float]:
     """Mean interval of frames and the jitter about it, in s."""
     design = np.column_stack([sequence - sequence[0], np.ones(len(sequence))]).astype(float)
     values, _, sigma = _huber(design, since_s)

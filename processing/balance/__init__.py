@@ -4,7 +4,6 @@ from processing.balance.advice import WeightResponses
 from processing.balance.balance import Balance, names_with_units
 from processing.balance.estimate import BalanceEstimator
 from processing.balance.faults import BalanceLimits, Fault, find_faults, implausible, mass_centre_height_m
-from processing.balance.plane import PlaneOfSwing, plane_of_swing, square, turned
+from processing.balance.plane import PlaneOfSwing, balance_of_run, plane_of_swing, square, turned
 from processing.balance.room import Room
-from processing.balance.run_balance import balance_of_run
 from processing.balance.turn import Doubt, Turn, Unreachable

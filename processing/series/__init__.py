@@ -10,7 +10,7 @@ from processing.series.combined import (
     combine_runs,
     compare_series,
 )
-from processing.series.evidence import ALIKE, SEEN, ChangePoint, chance, compare_forms, find_change
+from processing.series.density import ALIKE, SEEN, ChangePoint, compare_forms, find_change
 from processing.series.model import GROWTH, Level, SeriesModel
 from processing.series.posterior import Sampled, SeriesPosterior, fit_series, sample_series
 from processing.series.runs import (

@@ -1,17 +1,20 @@
-"""The posterior density of a series, for many draws at once, and where it is largest.
+"""The posterior density of a series for many draws at once, where it is largest, and the evidence of forms.
 
 Latent numbers are linear: given the scatters and which runs are bad, all is normal and analytic. Logarithms
 of scatters are `h` (M, H), latent numbers `w` (M, P).
 """
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from processing.arrays import Floats
+from processing.arrays import Floats, Ints
 from processing.errors import DataError
-from processing.series.model import Design
+from processing.series.model import Design, SeriesModel, design_of
+from processing.series.runs import ORDER, CompressedRun, Effect, Form
 
 _LOG_2PI = float(np.log(2 * np.pi))
 _STEPS = 60
@@ -28,26 +31,31 @@ _LARGEST_U = 1.5
 
 
 class Spread(NamedTuple):
-    """Inverse (M, R, S, k, k) and log determinant (M, R, S) of what a run's values scatter by, and the
-    variance (M, k) between runs that is in it."""
+    """Inverse (M, R, S, k, k) and log determinant (M, R, S) of what a run's values scatter by."""
 
     inverse: Floats
     log_det: Floats
-    between: Floats
+
+
+def between_runs(design: Design, h: Floats) -> Floats:
+    """Variances (M, k) between runs."""
+    return np.where(design.scatter >= 0, np.exp(2 * _at(h, design.scatter)), 0.0)
+
+
+def _at(h: Floats, places: Ints) -> Floats:
+    """Logarithms of scatters at places, of which -1 is none: 0 there."""
+    return np.asarray(np.pad(h, ((0, 0), (0, 1)))[:, places])
 
 
 def spread(design: Design, h: Floats, w: Floats | None = None) -> Spread:
     """Of the runs' own covariances, the scatter between runs, and what uncertain covariates leave."""
-    variance = np.zeros((len(h), design.has.shape[1]))
-    inside = design.scatter >= 0
-    variance[:, inside] = np.exp(2 * h[:, design.scatter[inside]])
-    diagonal = variance[:, None, :] * design.has
+    diagonal = between_runs(design, h)[:, None, :] * design.has
     whole = design.covariance + diagonal[:, :, None, :, None] * np.eye(design.has.shape[1])
     if w is not None and len(design.blurred_by):
         blur = design.blurred * w[:, design.blurred_by, None, None]
         whole = whole + np.einsum("merk,merl->mrkl", blur, blur)[:, :, None]
     # Cholesky's factor also tells a covariance that is none
-    return Spread(np.asarray(np.linalg.inv(whole), dtype=np.float64), log_determinant(whole), variance)
+    return Spread(np.asarray(np.linalg.inv(whole), dtype=np.float64), log_determinant(whole))
 
 
 def log_determinant(matrices: Floats) -> Floats:
@@ -58,10 +66,7 @@ def log_determinant(matrices: Floats) -> Floats:
 
 def _prior_precision(design: Design, h: Floats) -> Floats:
     """Of the latent numbers (M, P)."""
-    u = np.tile(design.prior_u, (len(h), 1))
-    varies = design.varies >= 0
-    u[:, varies] = np.exp(h[:, design.varies[varies]])
-    return u**-2
+    return np.where(design.varies >= 0, np.exp(_at(h, design.varies)), design.prior_u) ** -2
 
 
 def _log_prior(design: Design, h: Floats, w: Floats) -> Floats:
@@ -91,9 +96,7 @@ def chances(kinds: Floats) -> Floats:
 def _log_of_bounds(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
     """Log likelihood of the censored values (M, B), and its first two derivatives by what is censored."""
     bounds = design.bounds
-    width2 = np.tile(bounds.softness**2, (len(h), 1))
-    place = design.scatter[bounds.coordinate]
-    width2[:, place >= 0] += np.exp(2 * h[:, place[place >= 0]])
+    width2 = bounds.softness**2 + between_runs(design, h)[:, bounds.coordinate]
     width = np.sqrt(width2)
     z = bounds.sign * (bounds.limit - w @ bounds.x.T) / width
     value = log_ndtr(z)
@@ -141,23 +144,27 @@ def conditional(design: Design, h: Floats, start: Floats) -> tuple[Floats, Float
 
 def log_marginal(design: Design, h: Floats, start: Floats) -> tuple[Floats, Floats]:
     """Log density of the scatters with the latent numbers integrated, by Laplace's method (M,), and the
-    likeliest latent numbers of the first."""
-    values: list[Floats] = []
-    first = start
-    for part in in_parts(design, len(h)):
-        w, curvature, found = conditional(design, h[part], start)
-        first = w[0] if not values else first
-        value = log_density(design, h[part], w, found)
-        values.append(value + 0.5 * w.shape[1] * _LOG_2PI - 0.5 * log_determinant(curvature))
-    return np.concatenate(values), first
+    likeliest latent numbers (M, P)."""
+
+    def integrated(h: Floats) -> tuple[Floats, Floats]:
+        w, curvature, found = conditional(design, h, start)
+        value = log_density(design, h, w, found)
+        return value + 0.5 * w.shape[1] * _LOG_2PI - 0.5 * log_determinant(curvature), w
+
+    value, w = in_parts(design, integrated, h)
+    return value, w
 
 
-def in_parts(design: Design, draws: int) -> list[slice]:
-    """Draws in parts whose largest arrays are of a bearable size."""
+def in_parts(
+    design: Design, function: Callable[..., tuple[Floats, ...]], *draws: Floats
+) -> tuple[Floats, ...]:
+    """What a function has for draws, made in parts whose largest arrays are of a bearable size."""
     runs, subs, size = design.y.shape
     each = runs * size * max(subs * size * (1 + len(design.blurred_by)), design.x.shape[2])
     width = max(1, _TOGETHER // max(each, 1))
-    return [slice(begin, begin + width) for begin in range(0, draws, width)]
+    parts = range(0, len(draws[0]), width)
+    found = [function(*(one[begin : begin + width] for one in draws)) for begin in parts]
+    return tuple(np.concatenate(one) for one in zip(*found, strict=True))
 
 
 class Laplace(NamedTuple):
@@ -177,12 +184,13 @@ def likeliest(design: Design, start: Floats | None = None) -> Laplace:
     begin = np.log(0.2 * design.scales) if start is None else start
     size, w = len(begin), design.prior_mean
     if not size:
-        value, w = log_marginal(design, np.zeros((1, 0)), w)
-        return Laplace(np.zeros(0), np.zeros((0, 0)), w, float(value[0]))
+        value, likeliest_w = log_marginal(design, np.zeros((1, 0)), w)
+        return Laplace(np.zeros(0), np.zeros((0, 0)), likeliest_w[0], float(value[0]))
 
     def fall(h: Floats) -> tuple[float, Floats]:
         nonlocal w
-        value, w = log_marginal(design, np.concatenate([h[None], *_around(h, _STEP)]), w)
+        value, found = log_marginal(design, np.concatenate([h[None], *_around(h, _STEP)]), w)
+        w = found[0]
         ahead, behind = np.split(value[1:], 2)
         return -float(value[0]), -(ahead - behind) / (2 * _STEP)
 
@@ -207,3 +215,66 @@ def likeliest(design: Design, start: Floats | None = None) -> Laplace:
 def _around(h: Floats, step: float) -> tuple[Floats, Floats]:
     steps = step * np.eye(len(h))
     return h + steps, h - steps
+
+
+SEEN = 0.05
+"""Chance, shared between all effects that were tried, below which one is said to be seen."""
+ALIKE = 0.95
+"""Probability of an effect to be smaller than what matters, from which on there is said to be none."""
+_FEWEST = 2
+"""Runs on either side of a change."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChangePoint:
+    """A change at one place of the series.
+
+    `probability` is that of a change at any place against none, both as probable beforehand: the choice of
+    the place is charged. `first_run` is the likeliest place, from 0, of the run from which on there was
+    another value, which lies between `at_least` and `at_most` with 95 %.
+    """
+
+    parameter: str
+    probability: float
+    first_run: int
+    at_least: int
+    at_most: int
+
+
+def compare_forms(
+    runs: Sequence[CompressedRun], model: SeriesModel, candidates: Sequence[Effect]
+) -> tuple[Floats, Floats, float]:
+    """Each candidate beside the model's effects against the model without it: logarithms of the ratios of
+    evidences by Laplace's method, the candidates' probabilities, and that of none.
+
+    Half of the probability beforehand is that of nothing, the candidates share the other half: among many a
+    chance resemblance is charged for.
+    """
+    base = likeliest(design_of(runs, model))
+    gains = np.array(
+        [
+            likeliest(design_of(runs, model.with_effects(one)), base.h).log_evidence - base.log_evidence
+            for one in candidates
+        ]
+    )
+    log_share = np.concatenate([[0.0], gains - np.log(max(len(gains), 1))])
+    probability = np.exp(log_share - logsumexp(log_share))
+    return gains, probability[1:], float(probability[0])
+
+
+def find_change(runs: Sequence[CompressedRun], model: SeriesModel, parameter: str) -> ChangePoint:
+    """Where, if anywhere, a parameter became another one; runs are in their order. Raises DataError for fewer
+    than four runs."""
+    if len(runs) < 2 * _FEWEST:
+        raise DataError(f"{len(runs)} runs: a change needs {_FEWEST} on either side")
+    places = range(_FEWEST, len(runs) - _FEWEST + 1)
+    steps = [
+        Effect(parameter=parameter, covariate=ORDER, form=Form.STEP, reference=place) for place in places
+    ]
+    gains, _, nothing = compare_forms(runs, model, steps)
+    share = np.exp(gains - logsumexp(gains))
+    first, last = np.searchsorted(np.cumsum(share), (0.025, 0.975))
+    return ChangePoint(
+        parameter=parameter, probability=1 - nothing, first_run=places[int(np.argmax(share))],
+        at_least=places[int(first)], at_most=places[min(int(last), len(places) - 1)],
+    )  # fmt: skip

@@ -8,7 +8,7 @@ quarter too small, with R-hat 1.01).
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.special import gammaln, logsumexp
@@ -17,6 +17,7 @@ from processing.arrays import Floats
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from processing.series.density import (
+    between_runs,
     chances,
     conditional,
     in_parts,
@@ -104,15 +105,16 @@ class SeriesPosterior:
         """Probability that a quantity lies below a value."""
         return float(np.sum(self.weight[found < value]))
 
+    def chance(self, found: Floats) -> float:
+        """Two-sided chance of an effect or a difference as large where there is none; at least that of one
+        draw."""
+        positive = 1 - self.below(found, 0.0)
+        return float(max(2 * min(positive, 1 - positive), 1 / self.effective))
+
     @cached_property
     def bad(self) -> Floats:
         """Probability of every run (R,) to be a bad one."""
-        chance = np.zeros(len(self.runs))
-        for part in in_parts(self.design, len(self.h)):
-            h, w = self.h[part], self.w[part]
-            kinds = chances(log_kinds(self.design, w, spread(self.design, h, w)))
-            chance += self.weight[part] @ (1 - kinds[..., 0].sum(axis=2))
-        return chance
+        return np.asarray(self.weight @ self._by_run[0])
 
     @cached_property
     def of_runs(self) -> tuple[Floats, Floats]:
@@ -120,12 +122,13 @@ class SeriesPosterior:
 
         The run's own scatter is in them; NaN where nothing is known of a coordinate.
         """
-        mean, second = np.zeros((2, *self.design.has.shape))
-        for part in in_parts(self.design, len(self.h)):
-            of, u2 = _of_runs(self.design, self.h[part], self.w[part])
-            mean += np.einsum("m,mrk->rk", self.weight[part], of)
-            second += np.einsum("m,mrk->rk", self.weight[part], of**2 + u2)
+        _, of, u2 = self._by_run
+        mean, second = (np.einsum("m,mrk->rk", self.weight, one) for one in (of, of**2 + u2))
         return mean, np.sqrt(np.clip(second - mean**2, 0.0, None))
+
+    @cached_property
+    def _by_run(self) -> tuple[Floats, ...]:
+        return in_parts(self.design, partial(_of_runs, self.design), self.h, self.w)
 
     @cached_property
     def residuals(self) -> Floats:
@@ -151,16 +154,17 @@ class SeriesPosterior:
             inverse = spread(design, self.h[[place]]).inverse[0, :, 0]
             real = np.einsum("rk,rkl,rl->r", off, inverse, off)
             worse = rng.choice(design.worse, size=len(real), p=kinds / kinds.sum())
-            copies = worse**2 * rng.chisquare(design.has.sum(axis=1))
+            # of a run that only bounds there is nothing that scatters
+            copies = worse**2 * 2 * rng.standard_gamma(0.5 * design.has.sum(axis=1))
             # of each run at most so much: a bad one is named elsewhere
             more += bool(np.minimum(copies, 30.0).sum() >= np.minimum(real, 30.0).sum())
         return more / len(which)
 
 
-def _of_runs(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats]:
-    """Means and variances (M, R, k) of the runs' own values for given draws."""
-    found = spread(design, h, w)
-    variance = found.between[:, None]
+def _of_runs(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
+    """For given draws the chances (M, R) of the runs to be bad, means and variances (M, R, k) of their own
+    values."""
+    found, variance = spread(design, h, w), between_runs(design, h)[:, None]
     chance = chances(log_kinds(design, w, found))
     centre = np.tensordot(w, design.x, (1, 2))
     off = design.y - centre[:, :, None]
@@ -171,7 +175,8 @@ def _of_runs(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats]:
     second = np.einsum("mrs,mrsk->mrk", parts, moved**2)
     inner = np.diagonal(found.inverse, axis1=-2, axis2=-1)
     left = variance - variance**2 * np.einsum("mrs,mrsk->mrk", parts, inner)
-    return centre + mean, np.maximum(widths * left + second - mean**2, 0.0)
+    bad = 1 - chance[..., 0].sum(axis=2)
+    return bad, centre + mean, np.maximum(widths * left + second - mean**2, 0.0)
 
 
 def fit_series(
@@ -189,11 +194,10 @@ def fit_series(
     centre, covariance = found.h, found.covariance
     best: SeriesPosterior | None = None
     for _ in range(_ROUNDS):
-        h, log_h = _draw_t(rng, centre, covariance, draws)
-        w, log_w = _draw_levels(rng, design, h, found.w)
-        log_ratio = _density_of(design, h, w) - log_h - log_w
-        log_ratio = np.where(np.isfinite(log_ratio), log_ratio, -np.inf)
-        one = SeriesPosterior(tuple(runs), model, design, h, w, _weights(log_ratio))
+        z, log_z = _students(rng, (draws, len(centre)), _TAILS)
+        h = centre + z @ np.linalg.cholesky(covariance).T
+        log_h = log_z - 0.5 * log_determinant(covariance)
+        one, log_ratio = _weighted(rng, runs, model, design, found.w, h, log_h)
         best = one if best is None or one.effective > best.effective else best
         if one.effective > _ENOUGH * draws or not len(centre):
             break
@@ -210,40 +214,41 @@ def _weights(log_ratio: Floats) -> Floats:
     return np.asarray(np.exp(log_ratio - logsumexp(log_ratio)))
 
 
-def _density_of(design: Design, h: Floats, w: Floats) -> Floats:
-    return np.concatenate([log_density(design, h[part], w[part]) for part in in_parts(design, len(h))])
+def _weighted(
+    rng: np.random.Generator,
+    runs: Sequence[CompressedRun],
+    model: SeriesModel,
+    design: Design,
+    start: Floats,
+    h: Floats,
+    log_h: Floats,
+) -> tuple[SeriesPosterior, Floats]:
+    """The posterior by draws of the scatters and their log density, and the logarithms of its weights.
 
+    Latent numbers are drawn about the likeliest ones for each draw of the scatters.
+    """
 
-def _draw_t(
-    rng: np.random.Generator, centre: Floats, covariance: Floats, draws: int
-) -> tuple[Floats, Floats]:
-    """Student's t in several dimensions: draws and log density."""
-    if not len(centre):
-        return np.zeros((draws, 0)), np.zeros(draws)
-    stretch = np.sqrt(_TAILS / rng.chisquare(_TAILS, draws))
-    z = rng.standard_normal((draws, len(centre))) * stretch[:, None]
-    log_t = _log_t(z, _TAILS) - 0.5 * float(log_determinant(covariance))
-    return centre + z @ np.linalg.cholesky(covariance).T, log_t
-
-
-def _log_t(z: Floats, tails: float) -> Floats:
-    size = z.shape[1]
-    constant = gammaln(0.5 * (tails + size)) - gammaln(0.5 * tails) - 0.5 * size * np.log(tails * np.pi)
-    return np.asarray(constant - 0.5 * (tails + size) * np.log1p(np.sum(z**2, axis=1) / tails))
-
-
-def _draw_levels(rng: np.random.Generator, design: Design, h: Floats, start: Floats) -> tuple[Floats, Floats]:
-    """Latent numbers about the likeliest ones for each draw of the scatters, and their log density."""
-    drawn, log_drawn = [], []
-    for part in in_parts(design, len(h)):
-        count = len(h[part])
-        stretch = np.sqrt(_TAILS_OF_LEVELS / rng.chisquare(_TAILS_OF_LEVELS, count))
-        z = rng.standard_normal((count, design.x.shape[2])) * stretch[:, None]
-        w, curvature, _ = conditional(design, h[part], start)
+    def drawn(h: Floats) -> tuple[Floats, Floats]:
+        z, log_z = _students(rng, (len(h), len(start)), _TAILS_OF_LEVELS)
+        w, curvature, _ = conditional(design, h, start)
         factor = np.swapaxes(np.linalg.cholesky(curvature), 1, 2)
-        drawn.append(w + np.linalg.solve(factor, z[..., None])[..., 0])
-        log_drawn.append(_log_t(z, _TAILS_OF_LEVELS) + 0.5 * log_determinant(curvature))
-    return np.concatenate(drawn), np.concatenate(log_drawn)
+        w = w + np.linalg.solve(factor, z[..., None])[..., 0]
+        return w, log_density(design, h, w) - log_z - 0.5 * log_determinant(curvature)
+
+    w, log_ratio = in_parts(design, drawn, h)
+    log_ratio = np.where(np.isfinite(log_ratio - log_h), log_ratio - log_h, -np.inf)
+    return SeriesPosterior(tuple(runs), model, design, h, w, _weights(log_ratio)), log_ratio
+
+
+def _students(rng: np.random.Generator, shape: tuple[int, int], tails: float) -> tuple[Floats, Floats]:
+    """Draws of Student's t in several dimensions, and their log density."""
+    draws, size = shape
+    if not size:
+        return np.zeros(shape), np.zeros(draws)
+    stretch = np.sqrt(tails / rng.chisquare(tails, draws))
+    z = rng.standard_normal(shape) * stretch[:, None]
+    constant = gammaln(0.5 * (tails + size)) - gammaln(0.5 * tails) - 0.5 * size * np.log(tails * np.pi)
+    return z, np.asarray(constant - 0.5 * (tails + size) * np.log1p(np.sum(z**2, axis=1) / tails))
 
 
 @dataclass(frozen=True)
@@ -303,11 +308,10 @@ def sample_series(
     there = np.array(chains)
     flat = there.reshape(-1, size)
     h = flat[:: max(1, len(flat) // _KEPT)]
-    w, log_w = _draw_levels(rng, design, h, found.w)
-    weight = _weights(_density_of(design, h, w) - log_marginal(design, h, found.w)[0] - log_w)
+    posterior, _ = _weighted(rng, runs, model, design, found.w, h, log_marginal(design, h, found.w)[0])
     each = len(flat) / np.maximum(np.mean(times, axis=0).ravel(), 1.0)
     return Sampled(
-        SeriesPosterior(tuple(runs), model, design, h, w, weight),
+        posterior,
         {level: split_r_hat(there[..., place]) for place, level in enumerate(design.hyper)},
         dict(zip(design.hyper, each.tolist(), strict=True)),
     )

@@ -1,31 +1,42 @@
-"""Fit of the spot in a frame, started from the position expected from the previous frames.
+"""Fit of the spot in a frame, started from the position expected from the previous frames, or from a search.
 
 The fit of a clean spot is tried first because it is the fastest; the general fit (second spot, saturation) is
-used where the spot needs it.
+used where the spot needs it. One kernel has both, so that they are compiled once for each type of pixel.
 """
+
+import math
 
 from processing.arrays import Floats, Singles
 from processing.kernel import kernel
 from processing.spot.clean_fit import TILT_EVIDENCE, fit_clean, moved
 from processing.spot.fit_values import (
     AMPLITUDE,
+    COVARIANCE,
     REACH,
     SIGMA_X,
     SIGMA_Y,
     Fitted,
     Place,
+    Workspace,
     as_kind,
     nothing_hidden,
     workspace_of,
 )
+from processing.spot.fit_values import TILTED as TILTED_PARAMETERS
 from processing.spot.general_fit import fit_general
+from processing.spot.linear_algebra import cholesky, inverse_diagonal
 from processing.spot.memory import LAST, TILT_HINTS, TILTED, TWO, expect
 from processing.spot.outcome import Result, finish, significant, without_spot
 from processing.spot.sensor_model import PixelNoise, pixel_noise_of
 from processing.spot.spot import Image
 
 SEARCH = -1
-"""Returned in place of the flags if the spot was not found at the expected position."""
+"""Returned in place of the flags if the spot was not found where the fit began."""
+EXPECTED, NEAR, ROUGH = range(3)
+"""Where a fit begins: at the spot expected from the previous frames, or at start values of a search, good
+enough for the fit of a clean spot or not."""
+_SMALLEST_SPOT_PX = 0.7
+"""A smaller fitted sigma means a cluster of hot pixels and not a spot."""
 
 
 @kernel
@@ -39,8 +50,9 @@ def follow(
     work_array: Floats,
     tables: Singles,
     noise_values: Floats,
+    start: int,
 ) -> Result:
-    """Fit the spot of one frame, starting from the spot of the previous frame.
+    """Fit the spot of one frame.
 
     Parameters
     ----------
@@ -51,27 +63,42 @@ def follow(
     memory
         The tracker's state (see `memory`); updated.
     work_array
-        Working memory of shape WORKSPACE_SHAPE.
+        Working memory of shape WORKSPACE_SHAPE, which holds the start values of a search.
     tables : (TABLE_ROWS, LARGEST_TABLE)
         Working memory of the upright fit.
     noise_values
         Fields of `PixelNoise`.
+    start
+        EXPECTED, NEAR or ROUGH. Only a fit that begins at ROUGH values takes any spot: tilted, saturated,
+        irregular.
 
     Returns
     -------
     Result
-        Fields of a `Spot`. If the spot is not at the expected position, the flags are `SEARCH`, every other
-        field is NaN and it has to be searched for.
+        Fields of a `Spot`. If the spot is not there, the flags are `SEARCH`, every other field is NaN and it
+        has to be searched for elsewhere.
     """
     place = Place(origin_x, origin_y, sensor_nx, sensor_ny)
     work = workspace_of(work_array)
     noise = pixel_noise_of(noise_values)
-    expect(memory, place, work.parameters)
-    tilted = memory[TILTED] > 0.0
-    two = memory[TWO] > 0.0
+    if start == ROUGH:
+        found = _fit_any(image, work, noise)
+        if found.done:
+            return finish(image, place, memory, work, noise, found, followed=False)
+        return without_spot(SEARCH)
+    tilted = two = False
+    if start == EXPECTED:
+        expect(memory, place, work.parameters)
+        tilted = memory[TILTED] > 0.0
+        two = memory[TWO] > 0.0
     if not two:
-        clean = fit_clean(image, work, False, tilted, noise, tables)
+        clean = fit_clean(image, work, start == NEAR, tilted, noise, tables)
         one = clean.fitted
+        if start == NEAR:
+            upright = one.done and abs(clean.tilt) < TILT_EVIDENCE
+            if upright and significant(work.parameters, noise, one):
+                return finish(image, place, memory, work, noise, one, followed=False)
+            return without_spot(SEARCH)
         if one.done:
             # A tilt must be significant in three frames in a row before the spot is treated as tilted: the
             # fit with one parameter more takes longer.
@@ -106,4 +133,27 @@ def _plausible(p: Floats, memory: Floats, noise: PixelNoise, fitted: Fitted) -> 
         and 0.5 < ratio_x < 2.0
         and 0.5 < ratio_y < 2.0
         and p[AMPLITUDE] > 0.05 * memory[LAST + AMPLITUDE]
+    )
+
+
+@kernel
+def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> Fitted:
+    """General fit of a single spot; as upright unless its tilt is significant (five standard deviations).
+
+    The result has ``done = False`` also for a spot that is too small or not significant.
+    """
+    p = work.parameters
+    fitted = fit_general(image, work, True, False, noise, REACH, nothing_hidden())
+    tilted = False
+    if fitted.done and cholesky(work.information, TILTED_PARAMETERS, work.factor):
+        u_c = math.sqrt(inverse_diagonal(work.factor, TILTED_PARAMETERS, COVARIANCE))
+        u_c *= math.sqrt(max(1.0, fitted.chi2 / max(fitted.pixels - TILTED_PARAMETERS, 1)))
+        tilted = abs(p[COVARIANCE]) > 5.0 * u_c
+    if fitted.done and not tilted:
+        p[COVARIANCE] = 0.0
+        fitted = fit_general(image, work, False, False, noise, REACH, nothing_hidden())
+    if fitted.done and min(p[SIGMA_X], p[SIGMA_Y]) > _SMALLEST_SPOT_PX and significant(p, noise, fitted):
+        return as_kind(fitted, fitted.size, tilted, False)
+    return Fitted(
+        False, fitted.chi2, fitted.pixels, fitted.saturated, fitted.outliers, fitted.size, tilted, False
     )

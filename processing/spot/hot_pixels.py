@@ -24,7 +24,7 @@ from processing.spot.fit_values import (
 )
 from processing.spot.following import SEARCH
 from processing.spot.memory import LAST, STEP_X, STEP_Y, TWO
-from processing.spot.outcome import Result
+from processing.spot.outcome import FLAGS, Result
 from processing.spot.spot import Image
 
 _MARGIN_PX = 2
@@ -97,7 +97,7 @@ class HotPixels:
             cut[hot] = np.clip(expected, 0, np.iinfo(cut.dtype).max)
             result = follow(cut, place._replace(origin_x=x0, origin_y=y0))
             spot = memory[LAST : LAST + PARAMETERS].copy()
-            if result[10] == SEARCH or np.array_equal(expected, np.rint(light(spot))):
+            if result[FLAGS] == SEARCH or np.array_equal(expected, np.rint(light(spot))):
                 break
         return result
 

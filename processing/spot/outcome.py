@@ -1,6 +1,7 @@
 """From a converged fit to the reported spot: test for a second spot, flags, standard uncertainties."""
 
 import math
+from typing import Final
 
 import numpy as np
 
@@ -38,6 +39,8 @@ from processing.spot.spot import Image, SpotFlag
 
 Result = tuple[float, float, float, float, float, float, float, float, float, float, int]
 """Fields of a `Spot` in order. It is a plain tuple because numba returns that faster than a NamedTuple."""
+FLAGS: Final = -1
+"""The last of them."""
 
 # numba does not support IntFlag
 _SATURATED = SpotFlag.SATURATED.value
@@ -113,7 +116,7 @@ def finish(
         fitted = as_kind(fitted, fitted.size, fitted.tilted, False)
     remember(memory, place, p, fitted, followed)
     result = _report(image, place, work, noise, fitted, 0)
-    memory[POOR_FRAMES] = memory[POOR_FRAMES] + 1.0 if result[10] & _POOR_FIT else 0.0
+    memory[POOR_FRAMES] = memory[POOR_FRAMES] + 1.0 if result[FLAGS] & _POOR_FIT else 0.0
     return result
 
 

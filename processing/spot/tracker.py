@@ -21,16 +21,25 @@ from processing.spot.fit_values import (
     X,
     Y,
 )
-from processing.spot.following import SEARCH, follow
+from processing.spot.following import EXPECTED, NEAR, ROUGH, SEARCH, follow
 from processing.spot.hot_pixels import HotPixels
-from processing.spot.known_width import KnownWidth
-from processing.spot.memory import ALONE, FOLLOWS, LAST, POOR_FRAMES, STEP_X, STEP_Y, TWO, empty_memory
-from processing.spot.model_choice import ModelChoice, SpotModel
-from processing.spot.outcome import Result
+from processing.spot.memory import (
+    ALONE,
+    FOLLOWS,
+    LAST,
+    POOR_FRAMES,
+    STEP_X,
+    STEP_Y,
+    TILT_HINTS,
+    TWO,
+    empty_memory,
+)
+from processing.spot.model_choice import KnownWidth, ModelChoice, SpotModel
+from processing.spot.outcome import FLAGS, Result
 from processing.spot.profile import Shape
 from processing.spot.profile_follower import ProfileFollower
 from processing.spot.scan import BAND_ROWS, BAND_STEP, SAMPLES
-from processing.spot.searching import search
+from processing.spot.searching import AREAS, BLOCK, EVERY_ROW, SEEN, SOME_ROWS, find_start
 from processing.spot.sensor_model import SensorModel
 from processing.spot.spot import Image, Spot, SpotFlag
 from processing.spot.upright_score import TABLE_ROWS
@@ -92,6 +101,8 @@ _ALIKE = (AMPLITUDE, SIGMA_X, SIGMA_Y)
 _TYPES = (np.dtype(np.uint8), np.dtype(np.uint16))
 _SPOT = tuple.__new__
 _NOT_HERE: Result = (*(math.nan,) * 10, SEARCH)
+_LOST: Result = (*(math.nan,) * 10, SpotFlag.LOST.value)
+_METHODS = SOME_ROWS, EVERY_ROW, AREAS, BLOCK
 
 
 class SpotTracker:
@@ -110,10 +121,12 @@ class SpotTracker:
     def __init__(self, sensor: SensorModel) -> None:
         self._pixel_noise = sensor.pixel_noise
         self._noise = np.array(self._pixel_noise, dtype=np.float64)
+        self._full_scale_dn = float(sensor.full_scale_dn)  # of one type, for which the search is compiled
         self._memory = empty_memory()
         self._work = np.zeros(WORKSPACE_SHAPE)
         self._tables = np.zeros((TABLE_ROWS, LARGEST_TABLE), dtype=np.float32)
         self._sample = np.zeros(SAMPLES, dtype=np.int64)
+        self._seen = np.zeros(SEEN)
         self._frame = self._near = SearchMemory(np.zeros((5, 5), dtype=np.uint8))
         self._hot = HotPixels(sensor.hot_pixels_xy) if sensor.hot_pixels_xy else None
         self._choice = ModelChoice(self._pixel_noise, self._one_gaussian)
@@ -163,12 +176,14 @@ class SpotTracker:
             return self._with_profile(self._follower, image, Place(x0, y0, nx, ny))
         if self._memory[FOLLOWS]:
             if self._hot is None:
-                found = follow(image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise)
+                found = follow(
+                    image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise, EXPECTED
+                )
             else:
                 found = self._hot.follow(image, Place(x0, y0, nx, ny), self._memory, self._follow)
-            if not found[10] and self._settled:
+            if not found[FLAGS] and self._settled:
                 return _SPOT(Spot, found)
-            if found[10] != SEARCH:
+            if found[FLAGS] != SEARCH:
                 spot = _SPOT(Spot, found)
                 self._judge(spot, image, Place(x0, y0, nx, ny))
                 return self._width.widened(spot)
@@ -177,7 +192,7 @@ class SpotTracker:
         return self._width.widened(_SPOT(Spot, self._find(image, Place(x0, y0, nx, ny))))
 
     def _follow(self, image: Image, place: Place) -> Result:
-        return follow(image, *place, self._memory, self._work, self._tables, self._noise)
+        return follow(image, *place, self._memory, self._work, self._tables, self._noise, EXPECTED)
 
     def _find(self, image: Image, place: Place) -> Result:
         """Spot of a frame in which it is not at the expected place."""
@@ -189,7 +204,7 @@ class SpotTracker:
             return found
         before = memory.copy()
         result = self._hot.follow(image, place, memory, self._follow)
-        if result[10] == SEARCH:
+        if result[FLAGS] == SEARCH:
             memory[:] = before
             return found
         memory[[STEP_X, STEP_Y]] = before[[STEP_X, STEP_Y]]
@@ -199,7 +214,7 @@ class SpotTracker:
         """The same in an image all of whose pixels are taken."""
         if self._memory[FOLLOWS]:
             found = self._follow_jump(image, place)
-            if found[10] != SEARCH:
+            if found[FLAGS] != SEARCH:
                 return found
         if not self._frame.fits(image):
             self._frame = SearchMemory(image)
@@ -252,7 +267,7 @@ class SpotTracker:
         memory[ALONE] = 1.0
         place = Place(*origin_px, 2**30, 2**30)
         found = self._search(image, place, memory, SearchMemory(image), 1, False)
-        if found[10] & SpotFlag.LOST:
+        if found[FLAGS] & SpotFlag.LOST:
             return None
         last = memory[LAST : LAST + PARAMETERS]
         shape = Shape(last[SIGMA_X] ** 2, last[SIGMA_Y] ** 2, last[COVARIANCE])
@@ -286,10 +301,26 @@ class SpotTracker:
     def _search(
         self, image: Image, place: Place, memory: Floats, arrays: SearchMemory, row_step: int, cut_out: bool
     ) -> Result:
-        return search(
-            image, *place, memory, self._work, self._tables, self._noise, row_step,
-            arrays.bands, self._sample, arrays.mask, arrays.stack, cut_out,
-        )  # fmt: skip
+        """Spot of an image without knowledge of earlier ones; LOST if there is none.
+
+        An image that is `cut_out` of a frame may hold the flank of a spot outside: the last two methods,
+        which take long, are left out for a place near its edge.
+        """
+        memory[TILT_HINTS] = 0.0
+        for method in _METHODS if row_step > 1 else _METHODS[1:]:
+            if not find_start(
+                image, method, row_step, self._full_scale_dn, self._work[0], self._seen,
+                arrays.bands, self._sample, arrays.mask, arrays.stack,
+            ):  # fmt: skip
+                continue
+            start = NEAR if method < AREAS else ROUGH
+            if cut_out and start == ROUGH and _near_edge(image.shape, self._work[0]):
+                break
+            found = follow(image, *place, memory, self._work, self._tables, self._noise, start)
+            if found[FLAGS] != SEARCH:
+                return found
+        memory[[FOLLOWS, STEP_X, STEP_Y]] = 0.0
+        return _LOST
 
     def record_window(self, spot: Spot, shape: tuple[int, int]) -> tuple[int, int, int, int]:
         """Window x0 <= x < x1, y0 <= y < y1 of a frame that has to be recorded to fit this spot again later.
@@ -307,3 +338,9 @@ class SpotTracker:
         reach_y = math.ceil(_RECORD_REACH * half_y) + _RECORD_MARGIN_PX
         x, y = round(spot.x_px), round(spot.y_px)
         return max(0, x - reach_x), max(0, y - reach_y), min(nx, x + reach_x + 1), min(ny, y + reach_y + 1)
+
+
+def _near_edge(shape: tuple[int, ...], p: Floats) -> bool:
+    """Whether the image's edge is nearer to the spot than two standard deviations."""
+    edge_x, edge_y = min(p[X], shape[1] - 1 - p[X]), min(p[Y], shape[0] - 1 - p[Y])
+    return bool(edge_x < 2.0 * p[SIGMA_X] or edge_y < 2.0 * p[SIGMA_Y])

@@ -28,6 +28,7 @@ from processing.swing.half_cycle import (
     normal_equations,
     propagate,
     tabulate_state,
+    tabulated,
 )
 from processing.swing.small_matrices import copy, times_matrix
 from processing.swing.waveform import NODES, SHAPES, zero_phases
@@ -293,8 +294,7 @@ def state_before(arc: Arc, first_ns: int) -> tuple[Vector, Matrix, int]:
     half-cycle may hold the release or a kick. `first_ns` is the reference time of the arc's first half-cycle.
     """
     x, covariance = state_on_arc(arc, 0)
-    table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
-    tabulate_state(x, x, arc.reference, arc.active, table, turn)
+    _, turn = tabulated(x, x, arc.reference, arc.active)
     half_period = float(turn[0, 0] / x[RATE])
     step_ns = nanoseconds(half_period)
     before, transition = propagate(x, turn, seconds(-step_ns))

@@ -25,11 +25,11 @@ from processing.swing.half_cycle import (
     TIME,
     linearise,
     propagate,
-    tabulate_state,
+    tabulated,
 )
 from processing.swing.known_motion import KnownMotion
 from processing.swing.swing import Swing
-from processing.swing.waveform import NODES, SHAPES, zero_phases
+from processing.swing.waveform import SHAPES, zero_phases
 from processing.ticks import NS_PER_S, seconds
 
 _ACTIVE = np.array([AMPLITUDE, TIME, RATE, *range(SHAPE, SHAPE + SHAPES), CENTRE, DRIFT])
@@ -134,8 +134,7 @@ def _residuals(samples: Deflections, first: Swing, motion: KnownMotion) -> Cycle
     parts: list[tuple[NDArray[np.intp], Floats, Floats]] = []
     side = float(first.side)
     for _ in range(2):
-        table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
-        tabulate_state(state, anchor, motion.reference, _ACTIVE, table, turn)
+        table, turn = tabulated(state, anchor, motion.reference, _ACTIVE)
         begin_s, end_s = np.array(zero_phases(table)) / state[RATE] + state[TIME]
         rows = np.flatnonzero(usable & (tau_s >= begin_s) & (tau_s < end_s))
         if len(rows) < _FEWEST:

@@ -14,7 +14,17 @@ import numpy as np
 from processing.arrays import Matrix
 from processing.swing.arc import Arc, HalfCycleSamples, state_on_arc
 from processing.swing.driven_walk import DrivenWalk
-from processing.swing.half_cycle import AMPLITUDE, CENTRE, DRIFT, FAST_RATE, RATE, SHAPE, STATES, TIME
+from processing.swing.half_cycle import (
+    AMPLITUDE,
+    CENTRE,
+    DRIFT,
+    FAST_RATE,
+    RATE,
+    SHAPE,
+    STATES,
+    TIME,
+    tabulated,
+)
 from processing.swing.half_cycle_fit import HalfCycleFit, excess, fit_half_cycle
 from processing.swing.judgement import judge
 from processing.swing.noise import SampleNoise
@@ -349,17 +359,11 @@ class Follower:
     def _advance(self) -> None:
         # no sample may be used twice: the next window starts where this one ended
         end_s = self._end_s
+        waveform = tabulated(self._x, self._anchor, self._reference, self._active)
         step_ns, self._x, self._covariance, self._end_s = predict(
-            self._x,
-            self._covariance,
-            self._anchor,
-            self._reference,
-            self._active,
-            self._resolution,
-            self._process_noise,
-            self._drift_noise,
-            self.walk.variance,
-        )
+            self._x, self._covariance, *waveform, self._reference, self._active, self._resolution,
+            self._process_noise, self._drift_noise, self.walk.variance,
+        )  # fmt: skip
         self._start_s = end_s - seconds(step_ns)
         self.reference_ns += step_ns
         self.side = -self.side

@@ -125,6 +125,16 @@ def tabulate_state(
             turn[1, 0] += away * turn[1, 1 + k]
 
 
+def tabulated(x: Vector, anchor: Vector, reference: float, active: Ints) -> tuple[Table, Matrix]:
+    """Table and turn of `tabulate_state`, new ones.
+
+    It is called from Python, so that what uses them has no copy of the waveform's machine code.
+    """
+    table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
+    tabulate_state(x, anchor, reference, active, table, turn)
+    return table, turn
+
+
 @kernel
 def linearise(
     x: Vector,

@@ -9,6 +9,8 @@ told from the motion. It is taken to rise like 1/f from there.
 
 import math
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +20,7 @@ from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.robust import robust_scatter
 from processing.swing.half_cycle_fit import HalfCycleFit
+from processing.swing.swing import Swing
 from processing.ticks import seconds
 
 _MEMORY = 15
@@ -201,3 +204,44 @@ def _differences(times: Ints, values: Floats) -> tuple[Floats, Floats]:
     left = (weights * y).sum(axis=1) / np.sqrt((weights**2).sum(axis=1))
     middle = t - t.mean(axis=1, keepdims=True)
     return left, np.abs((middle * y).sum(axis=1) / (middle**2).sum(axis=1))
+
+
+_LEARNED = 63
+"""Half-cycles without a flag after which the noise counts as learned: so many it is learned from."""
+_KNOWING = 15
+"""Number of half-cycles whose median says what was learned; the last ones, where there are no later."""
+
+
+def with_learned_weights(swings: Sequence[Swing]) -> list[Swing]:
+    """The half-cycles, with uncertainties of the first ones that are no smaller than those learned from them.
+
+    Slow noise, of air or a pointing that walks, and what a drive does within a half-cycle (`driven_walk`) are
+    seen only after some half-cycles. Until then turning points stand with what white noise of the samples
+    leaves them, a tenth of what is true in a basement, and a fit would hang on the first ones. What a
+    half-cycle says is known live stays; a fit, which comes later, knows better.
+
+    Amplitude and time count apart. The time's uncertainty is compared as that of the arc, amplitude times
+    time, which the same noise leaves at every amplitude. Noise that is smaller in the beginning, or learned
+    at once, changes nothing.
+    """
+    good = [number for number, swing in enumerate(swings) if not swing.flags]
+    first = max(0, min(_LEARNED, len(good) - _KNOWING))
+    knowing = [swings[number] for number in good[first : first + _KNOWING]]
+    if not first:
+        return list(swings)
+    least = float(np.median([swing.u_amplitude for swing in knowing]))
+    least_arc = float(np.median([swing.u_turn_time_s * swing.amplitude for swing in knowing]))
+    out: list[Swing] = []
+    early = set(good[:first])
+    for number, swing in enumerate(swings):
+        if number in early:
+            swing = replace(
+                swing,
+                u_amplitude=max(swing.u_amplitude, least),
+                u_turn_time_s=max(swing.u_turn_time_s, least_arc / swing.amplitude),
+            )
+        follows = number in early or (number - 1 in early and not swing.flags)
+        if out and follows and math.isfinite(swing.u_half_period_s):
+            swing = replace(swing, u_half_period_s=math.hypot(swing.u_turn_time_s, out[-1].u_turn_time_s))
+        out.append(swing)
+    return out

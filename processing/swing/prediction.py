@@ -29,9 +29,9 @@ from processing.swing.half_cycle import (
     STATES,
     TIME,
     propagate,
-    tabulate_state,
+    tabulated,
 )
-from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P, zero_phases
+from processing.swing.waveform import BEND, DAMPING, DRY, RISE, STIFF, N, P, Table, zero_phases
 from processing.ticks import NS_PER_S, S_PER_NS
 
 SLOPE_WANDER = 1e-3
@@ -42,7 +42,8 @@ SLOPE_WANDER = 1e-3
 def predict(
     x: Vector,
     covariance: Matrix,
-    anchor: Vector,
+    table: Table,
+    turn: Matrix,
     reference: float,
     active: Ints,
     resolution: float,
@@ -56,8 +57,8 @@ def predict(
     ----------
     x, covariance
         State at the present turning point and its covariance (see `half_cycle`).
-    anchor
-        State about whose shape terms the waveform is expanded.
+    table, turn
+        The waveform of that state (see `tabulate_state`).
     reference
         Amplitude to which the shape terms refer.
     active
@@ -79,8 +80,6 @@ def predict(
         Difference of the reference times (a whole number of ns), predicted state and covariance, and the end
         of the half-cycle's window in s after its reference time.
     """
-    table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
-    tabulate_state(x, anchor, reference, active, table, turn)
     rate = x[RATE]
     step_ns = round((x[TIME] + turn[0, 0] / rate) * NS_PER_S)
     elapsed = step_ns * S_PER_NS
@@ -138,9 +137,7 @@ def predict(
 
 def window(x: Vector, reference: float) -> tuple[float, float, float]:
     """Zero crossings before and after the turning point and the next turning point, s from the reference."""
-    # not a kernel, since once in a record pays no second copy of the waveform's machine code
-    table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
-    tabulate_state(x, x, reference, np.empty(0, dtype=np.int64), table, turn)
+    table, turn = tabulated(x, x, reference, np.empty(0, dtype=np.int64))
     before, after = zero_phases(table)
     start, rate = float(x[TIME]), float(x[RATE])
     return start + before / rate, start + after / rate, start + float(turn[0, 0]) / rate

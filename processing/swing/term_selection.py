@@ -21,12 +21,12 @@ from processing.swing.half_cycle import (
     STATES,
     TIME,
     linearise,
-    tabulate_state,
+    tabulated,
 )
 from processing.swing.known_motion import KnownMotion
+from processing.swing.mode_fit import line
 from processing.swing.pivots import Pivot
-from processing.swing.spectral_line import line
-from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P
+from processing.swing.waveform import BEND, DAMPING, DRY, RISE, SHAPES, STIFF, N, P
 from processing.ticks import seconds
 
 PLACE: tuple[int, ...] = (AMPLITUDE, TIME, CENTRE, DRIFT)
@@ -107,8 +107,7 @@ def bent(linear: Vector) -> Vector:
 
 def relative_loss(x: Vector) -> float:
     """Relative loss of amplitude in one half-swing at the amplitude of `x`."""
-    table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
-    tabulate_state(x, x, float(x[AMPLITUDE]), np.empty(0, dtype=np.int64), table, turn)
+    _, turn = tabulated(x, x, float(x[AMPLITUDE]), np.empty(0, dtype=np.int64))
     return abs(1.0 - float(turn[1, 0]))
 
 
@@ -230,8 +229,7 @@ def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float
     times, residuals, weights = [], [], []
     k = len(arc.active)
     for x, half in zip(arc.states, halves, strict=True):
-        table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
-        tabulate_state(x, x, arc.reference, arc.active, table, turn)
+        table, _ = tabulated(x, x, arc.reference, arc.active)
         residual, jacobian = np.empty(len(half.tau_s)), np.empty((len(half.tau_s), k))
         side = float(half.side)
         linearise(x, side, arc.active, table, half.tau_s, half.deflection, residual, jacobian)

@@ -21,7 +21,6 @@ from processing.series import (
     Level,
     SeriesModel,
     SeriesPosterior,
-    chance,
     compare_forms,
     find_change,
     fit_series,
@@ -159,7 +158,7 @@ def _effect(
     draws, span = found.draws(level), effect.span(found.runs)
     low, high = found.quantiles(draws, (0.025, 0.975))
     value, u = found.moments(draws)
-    by_chance, tried = chance(found, draws), len(stated.effect) + len(stated.candidate)
+    by_chance, tried = found.chance(draws), len(stated.effect) + len(stated.candidate)
     return CampaignEffect(
         label=effect.label,
         parameter=effect.parameter,
@@ -188,7 +187,7 @@ def _differences(found: SeriesPosterior, contacts: Sequence[str]) -> tuple[Campa
     for first, second in pairs:
         for name, draws in zip(names, (levels[first] - levels[second]).T, strict=True):
             low, high = found.quantiles(draws, (0.025, 0.975))
-            by_chance = chance(found, draws)
+            by_chance = found.chance(draws)
             out.append(
                 CampaignDifference(
                     first=first, second=second, parameter=name, difference=found.moments(draws),

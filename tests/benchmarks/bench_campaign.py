@@ -19,7 +19,6 @@ from processing.series import (
     Level,
     SeriesModel,
     SeriesPosterior,
-    chance,
     find_change,
     fit_series,
 )
@@ -151,7 +150,7 @@ def false_slopes(count: int) -> dict[str, float]:
         found = fit_series(made(world, RUNS, rng).runs, model, seed=seed)
         seen.append(
             any(
-                chance(found, found.draws(level)) * 3 < SEEN
+                found.chance(found.draws(level)) * 3 < SEEN
                 for level in found.levels
                 if level.kind == "effect"
             )

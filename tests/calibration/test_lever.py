@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.known_angle import check_scale, moved_between
 from calibration.ladder import LadderSteps
-from calibration.lever_fit import fit_ladder, lever_from_shifts, lever_from_tilts
+from calibration.lever_fit import check_scale, fit_ladder, lever_from_shifts, lever_from_tilts, moved_between
 from calibration.lever_geometry import LeverGeometry, lever_from_geometry, trace_m
 from calibration.light_lever import Lever
 from processing.angle import ARCSEC_RAD

@@ -17,7 +17,6 @@ from processing.series import (
     Level,
     SeriesModel,
     Side,
-    chance,
     compare_forms,
     find_change,
     fit_series,
@@ -78,7 +77,7 @@ def test_a_slope_is_found_and_none_is_invented() -> None:
     (level,) = (level for level in found.levels if level.kind == "effect")
     value, u = found.estimate(level)
     assert abs(value - slope) < 3 * u < 0.012
-    assert chance(found, found.draws(level)) * 3 < 0.05
+    assert found.chance(found.draws(level)) * 3 < 0.05
     dry = made(world(), 20, np.random.default_rng(3)).runs
     tried = [HUMIDITY, replace(HUMIDITY, covariate=ORDER)]
     _, share, nothing = compare_forms(dry, SeriesModel(names=NAMES), tried)
@@ -112,9 +111,12 @@ def test_a_bound_pulls_as_far_as_it_reaches() -> None:
         bounds={"c": Bound(-18.4, Side.UPPER, 0.05)},
     )  # fmt: skip
     model = SeriesModel(names=("c",), scatter=())
-    free, bounded = fit_series(runs, model).estimate(C), fit_series([*runs, bound], model).estimate(C)
+    found = fit_series([*runs, bound], model)
+    free, bounded = fit_series(runs, model).estimate(C), found.estimate(C)
     assert free.value == pytest.approx(-18.0, abs=0.02)
     assert bounded.value < -18.3
+    # of the run that only bounds nothing scatters
+    assert 0.0 < found.predictive_check() <= 1.0
     far = replace(bound, bounds={"c": Bound(-15.0, Side.UPPER, 0.05)})
     assert fit_series([*runs, far], model).estimate(C).value == pytest.approx(free.value, abs=0.02)
 
