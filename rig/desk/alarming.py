@@ -75,6 +75,7 @@ class Alarming:
         self._ended = threading.Event()
         self._listed = b""
         self._heard: tuple[object, int] = (None, 0)
+        self._followed: Path | None = None
         self._told: deque[object] = deque(maxlen=_TOLD_KEPT)
         self._begun: object = None
         self._picture = (0, 0, 0.0)
@@ -113,10 +114,14 @@ class Alarming:
 
     def _look(self) -> None:
         following = self._desk.following
+        before, self._followed = self._followed, following.folder
+        if before is None and self._followed is not None:
+            self.alarms.session_begins()
         events = self._new_events()
-        found = happened(events, None)
+        trip = self._desk.safety.trip
+        found = happened(events, None, trip)
         while following.ended:
-            found += happened([], following.ended.popleft())
+            found += happened([], following.ended.popleft(), trip)
         found += [*self._of_commands(), *self._of_started_session(), *self._of_clock()]
         self.alarms.see(conditions(self._seen()), found)
 

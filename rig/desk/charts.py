@@ -11,7 +11,6 @@ from contextlib import nullcontext
 from nicegui import ui
 
 from rig.desk.chart_options import Curve, End, Ends, Mark, Points, chart_options, in_last_row
-from rig.desk.chart_script import chart_buttons
 from rig.presentation import quantity
 
 
@@ -92,26 +91,38 @@ class Chart:
         self.element.update()
 
 
-def trajectory(
-    chart: Chart, x: Sequence[float | None], y: Sequence[float | None], unit: str, *, stretched: bool
-) -> None:
-    """Show the way of the spot in a square chart. Gaps stay open.
+class Trajectory:
+    """The way of the spot in a square chart, to scale about zero or stretched."""
 
-    To scale it is seen about zero; stretched, each axis has what there is along it.
-    """
-    way = [(a, b) if a is not None and b is not None else (None, None) for a, b in zip(x, y, strict=True)]
-    known = [(a, b) for a, b in way if a is not None and b is not None]
-    ends = None
-    if not known:
-        way = []
-    else:
-        if stretched:
-            ends = _span([a for a, _ in known]), _span([b for _, b in known])
-        else:
-            largest = _STEPS * _step(1.02 / _STEPS * max(max(abs(a), abs(b)) for a, b in known))
-            end = -largest, largest, largest / _STEPS
-            ends = end, end
-    chart.show([way, known[-1:]], unit, ends=ends, empty="no trajectory")
+    def __init__(self) -> None:
+        self.chart = Chart("trajectory", "deflection_x", WAY, square=True)
+        self._stretched = False
+        self._last: tuple[Sequence[float | None], Sequence[float | None], str] = [], [], "arcsec"
+        with self.chart.beside:
+            self._button = ui.button("stretch X", on_click=self._stretch).props("dense outline no-caps")
+
+    def show(self, x: Sequence[float | None], y: Sequence[float | None], unit: str) -> None:
+        """Show it; gaps stay open."""
+        self._last = x, y, unit
+        way = [(a, b) if a is not None and b is not None else (None, None) for a, b in zip(x, y, strict=True)]
+        known = [(a, b) for a, b in way if a is not None and b is not None]
+        ends = trajectory_ends(known, stretched=self._stretched) if known else None
+        way = way if known else []
+        self.chart.show([way, known[-1:]], unit, ends=ends, empty="no trajectory")
+
+    def _stretch(self) -> None:
+        self._stretched = not self._stretched
+        self._button.set_text("to scale" if self._stretched else "stretch X")
+        self.show(*self._last)
+
+
+def trajectory_ends(known: Sequence[tuple[float, float]], *, stretched: bool) -> Ends:
+    """Ends of both axes: to scale about zero, or, stretched, each with what there is along it."""
+    if stretched:
+        return _span([a for a, _ in known]), _span([b for _, b in known])
+    largest = _STEPS * _step(1.02 / _STEPS * max(max(abs(a), abs(b)) for a, b in known))
+    end = -largest, largest, largest / _STEPS
+    return end, end
 
 
 WAY = (
@@ -136,3 +147,18 @@ def _step(least: float) -> float:
     """The least round step that is not smaller: it does not change with every sample."""
     tens = 10.0 ** math.floor(math.log10(least or 1.0))
     return tens * next(one for one in (1, 2, 3, 4, 5, 6, 8, 10) if one * tens >= least * (1 - 1e-9))
+
+
+def chart_buttons(number: int, title: str) -> str:
+    """The buttons of the chart with this number of its element."""
+    said = (
+        ("in", "+", f"zoom into {title}"),
+        ("out", "−", f"zoom out of {title}"),
+        ("all", "All", f"All of {title}"),
+        ("png", "PNG", f"PNG of {title}"),
+        ("csv", "CSV", f"CSV of {title}"),
+    )
+    return " ".join(
+        f'<button type="button" data-chart="{number}" data-do="{do}" aria-label="{words}">{sign}</button>'
+        for do, sign, words in said
+    )

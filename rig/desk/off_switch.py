@@ -10,7 +10,7 @@ import urllib.parse
 from collections.abc import Callable
 from typing import Any
 
-from rig.desk.safety_bar import DARK
+from rig.desk.head import DARK
 from rig.orders import LOOPBACK
 
 

@@ -10,16 +10,15 @@ from nicegui.events import KeyEventArguments
 
 from rig.alarms import AlarmRow
 from rig.control import LatchedTrip
-from rig.desk import alarm_bar, chart_script, safety_bar, watchdog
-from rig.desk.alarm_bar import AlarmBar
+from rig.desk.alarm_bar import AlarmBar, sentence
 from rig.desk.at_once import at_once
 from rig.desk.desk import Desk, Started
 from rig.desk.following import doing
+from rig.desk.head import build_head
 from rig.desk.panels import PANELS
 from rig.desk.resuming import resume_dialog
 from rig.desk.safety import lamps, refusal
 from rig.desk.sessions import last_state
-from rig.desk.style import STYLE
 from rig.desk.tab import DELIBERATE, Tab
 from rig.instrument import Phase
 from rig.presentation import loud
@@ -30,10 +29,7 @@ _LOOK_S = 0.25
 def build_page(desk: Desk, off_port: int) -> None:
     """Build the page for one tab of a browser; `off_port` is where LIGHT OFF is heard beside this server."""
     tab = Tab()
-    ui.add_css(STYLE + safety_bar.STYLE + alarm_bar.STYLE + watchdog.STYLE)
-    script = f"{SCRIPT}{chart_script.SCRIPT}{safety_bar.script(off_port)}{watchdog.script()}"
-    ui.add_head_html(f"<script>{script}</script>")
-    ui.add_body_html(watchdog.BAR + safety_bar.BAR)
+    build_head(off_port)
     with ui.header().classes("items-center no-wrap"):
         ui.html("rig desk", tag="h1", sanitize=False).classes("text-weight-bold")
         simulated = ui.label("SIMULATED").classes("no")
@@ -72,12 +68,10 @@ def build_page(desk: Desk, off_port: int) -> None:
     resume = resume_dialog(desk, tab)
     with ui.element("div").classes("cries"):
         alarms = AlarmBar(desk.alarming.alarms, tab, ask_leave, desk.resumable, resume)
-        acknowledge = tab.button("Acknowledge …", ask_leave)
-        acknowledge.props('color="negative" size="lg"').classes("full-width")
-        waits = ui.label("The laser is dark and waits for a person. Check that nobody is in the beam path.")
-        waits.classes("alarm-remedy")
-        again = tab.button("Light again", light).props(f'size="lg" {DELIBERATE}')
-        again.classes("full-width")
+        with ui.element("div").classes("waits") as waits:
+            why_dark = ui.label()
+            acknowledge = tab.button("Acknowledge …", ask_leave).props('color="negative"')
+            again = tab.button("Light again", light).props(f'color="positive" {DELIBERATE}')
         instruction = ui.label().classes("instruction").props('role="alert"')
         tab.errors = ui.element("div").classes("errors full-width")
     with at_once(ui.tabs()).props("dense align=left").classes("full-width") as tabs:
@@ -125,7 +119,11 @@ def build_page(desk: Desk, off_port: int) -> None:
             acknowledge.set_text(f"Acknowledge trip {number}{f': {refused}' if refused else ' …'}")
         acknowledge.set_visibility(safety.trip is not None)
         acknowledge.set_enabled(not refused)
-        waits.set_visibility(waiting)
+        cause = (
+            "The laser is dark, and waits for a person" if safety.trip is None else sentence(safety.trip.text)
+        )
+        why_dark.set_text(f"{cause}. Check that nobody is in the beam path.")
+        waits.set_visibility(waiting or safety.trip is not None)
         # it stands where the remedy names it, also before it may be pressed
         again.set_visibility(waiting or (safety.trip is not None and desk.lighting.may_follow))
         again.set_enabled(waiting)
@@ -133,7 +131,7 @@ def build_page(desk: Desk, off_port: int) -> None:
         asked_for = str(run_state.get("instruction") or "")
         instruction.set_text(loud(asked_for))
         instruction.set_visibility(bool(asked_for))
-        shown = json.dumps(lamps(safety, _recording(desk)))
+        shown = json.dumps(lamps(desk.safety, _recording(desk)))
         cry = json.dumps(" ".join(_name(row) for row in crying))
         told = json.dumps([_told(row) for row in crying])
         of_session = json.dumps(_session_age(desk))
@@ -207,15 +205,3 @@ def _keys() -> ui.dialog:
         ui.label("Keys").classes("middle")
         ui.html(f"<table class='rows'>{''.join(panels + lines)}</table>", sanitize=False)
     return dialog
-
-
-SCRIPT = """
-window.rigShow = name => document.querySelector(`[data-panel="${name}"]:not(.q-tab--active)`)?.click();
-// the frame of a picture has its name; the picture in it has none of its own
-new MutationObserver(() => {
-  document.querySelectorAll('.picture img:not([alt])').forEach(one => { one.alt = ''; });
-  // a wide table scrolls, with the keys, too
-  document.querySelectorAll('.q-table__middle:not([tabindex])').forEach(one => { one.tabIndex = 0; });
-})
-  .observe(document.documentElement, {childList: true, subtree: true});
-"""

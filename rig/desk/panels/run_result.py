@@ -51,6 +51,7 @@ class RunResult:
                 self._next = ui.html(sanitize=False).classes("full-width")
                 with ui.row():
                     self._report = ui.button("Report", on_click=self._open).props('outline size="lg"')
+                    self._fits = tab.button("Fit", self._fit).props('outline size="lg"')
                     ui.button("Next run", on_click=_to_next).props('outline size="lg"')
                 self._others = ui.html(sanitize=False).classes("full-width")
                 with at_once(ui.expansion("its last words")).classes("full-width"):
@@ -87,6 +88,8 @@ class RunResult:
         ]
         self._limits.set_content(tables.bars(bars, "sources of the uncertainty, by their share"))
         self._report.set_visibility(over.report is not None)
+        # a run that has failed has a record, too
+        self._fits.set_visibility(not over.headline)
         self._show_decay(over)
 
     def _show_decay(self, over: HandOver) -> None:
@@ -108,6 +111,11 @@ class RunResult:
                 [(t, 1e3 * (a - b)) for (t, a), (_, b) in zip(periods, fitted_periods, strict=True)],
             ]
         )
+
+    def _fit(self) -> None:
+        if self._drawn is not None:
+            self._desk.looking_again.fit(self._drawn.folder)
+            ui.notify(f"rig fit {self._drawn.folder.name} runs; what it says is below the list of sessions")
 
     def _open(self) -> None:
         over = self._drawn

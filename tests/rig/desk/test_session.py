@@ -38,7 +38,7 @@ def test_an_interlock_that_opens_under_the_live_picture_cries_until_it_is_acknow
     config = desk_configuration(INTERLOCK + OPENS.format(4.0))
     with desk_page(browser, config) as (_, page):
         page.click("Live picture")
-        page.wait_text("THE INTERLOCK OF THE CONTROLLER OPENED")
+        page.wait_text("the interlock of the controller opened")
         page.wait_text("none found")
         # refused while the interlock is open
         page.acknowledge()
@@ -76,14 +76,14 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
         page.wait("parseFloat(document.getElementById('amplitude').innerText) > 50")
         folder = next((config.parent / "runs").glob("*/session.json")).parent
         # the interlock opens: an alarm that stays until it is acknowledged
-        page.wait_text("THE INTERLOCK OF THE CONTROLLER OPENED")
+        page.wait_text("the interlock of the controller opened")
         page.wait_text("Acknowledge trip".upper())
         desk.kill()
         # the session goes on without the desk, and another one finds it
         again = DeskProcess(config)
         try:
             page.open(again.address)
-            page.wait_text("THE INTERLOCK OF THE CONTROLLER OPENED")
+            page.wait_text("the interlock of the controller opened")
             page.acknowledge()
             page.click("Light again")
             page.wait_text("laser lit: again")
@@ -169,7 +169,7 @@ def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm
         (channel,) = (config.parent / "runs").glob("*/.orders.json")
         folder = channel.parent
         os.kill(process_of(folder), signal.SIGSTOP)
-        page.wait_text("SESSION DOES NOT ANSWER")
+        page.wait_text("Session does not answer")
         tab_to(page, "Stop the session")
         page.type("\r")
         page.wait_text("End its process?")
@@ -186,7 +186,7 @@ def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm
         (channel,) = (config.parent / "runs").glob("*/.orders.json")
         folder = channel.parent
         os.kill(process_of(folder), signal.SIGKILL)
-        page.wait_text("SESSION DIED")
+        page.wait_text("Session died")
         page.wait(f"{resume}.offsetParent !== null")
         page.ask(f"{resume}.click()")
         page.wait_text(f"Make the missing runs of {folder}?")
