@@ -119,7 +119,8 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     AlarmKey.CAMERA: Alarm(
         "no frames from the camera",
         "unplugged, without power, or without its trigger",
-        "check cable, power and trigger; for a minute it is reopened automatically, and the run continues",
+        "check cable, power and trigger at once: it is reopened automatically, but the laser goes dark after "
+        "some seconds without frames, and that may end the run",
         _URGENT,
     ),
     AlarmKey.SPOT: Alarm(

@@ -14,7 +14,6 @@ from rig.desk.at_once import at_once
 from rig.desk.desk import Desk
 from rig.desk.tab import DELIBERATE, Tab
 from rig.instrument import WEIGHTS
-from rig.presentation import with_uncertainty
 
 _STATE = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}
 
@@ -180,5 +179,5 @@ def _bars(faults: Sequence[Mapping[str, Any]], before: Sequence[Mapping[str, Any
 def _number(fault: Mapping[str, Any]) -> str:
     if fault["value"] is None or fault["u_value"] is None:
         return "not known"
-    shown = with_uncertainty(fault["value"], fault["u_value"], signed=True)
+    shown = tables.judged_number(fault["value"], fault["u_value"], fault["limit"])
     return f"{shown} {fault['unit']}".rstrip()

@@ -10,7 +10,6 @@ from processing.errors import RigError
 from rig.control import STALE_S
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
-from rig.desk.following import doing
 from rig.desk.panels import run_words as words
 from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.panels.run_charts import RunCharts
@@ -110,7 +109,7 @@ class RunNumbers:
             f"it is dark{from_before}" if is_dark
             else f"no frame for {no_frame_s:.0f} s{from_before}" if is_blind
             else "" if state.get("phase") == Phase.MEASURING
-            else f"nothing recorded yet: {doing(state) or 'preparing'}"
+            else "nothing recorded yet"
         )  # fmt: skip
         self._amplitude.set_text("–" if value is None else f"{float(value):.2f}")
         self._amplitude.classes(remove="dim", add="dim" if value is None else "")

@@ -11,11 +11,15 @@ from rig.desk.at_once import at_once
 from rig.desk.desk import Desk
 from rig.desk.panels.archived_runs import ArchivedRuns
 from rig.desk.resuming import resume_dialog
-from rig.desk.sessions import SERVED, SessionRow, sparkline
+from rig.desk.sessions import NUMBERS, SERVED, LastRun, SessionRow, last_run
 from rig.desk.tab import Tab
+from rig.presentation import quantity
 
 KEYS = (("o", "sessions: open the report"), ("v", "sessions: show in Rerun"))
-_COLUMNS = ("begun", "folder", "sample", "operator", "conditions", "runs", "state", "decay")
+_COLUMNS = ("begun", "name", "sample", "runs", "state", *LastRun._fields, "conditions", "operator")
+_STATED = ("begun", "sample", "runs", "state", "conditions", "operator")
+_LAMP = """<q-td :props="props"><span v-if="props.value" :class="props.value">
+  <span class="light" style="background: currentcolor"></span>{{ props.value }}</span></q-td>"""
 _ON_A_PAGE = 15
 _MARKED = {"Rerun": (1, 20), "Compare": (2, 20)}
 """How many are marked, at least and at most, for what takes more than one."""
@@ -29,7 +33,7 @@ def build(desk: Desk, tab: Tab) -> None:
     index.start()
     rows: dict[str, SessionRow] = {}
     marked: dict[str, SessionRow] = {}
-    sparks: dict[SessionRow, str] = {}
+    last_runs: dict[SessionRow, LastRun] = {}
     first = 0
 
     def chosen(least: int = 1, most: int = 1) -> list[Path]:
@@ -104,7 +108,9 @@ def build(desk: Desk, tab: Tab) -> None:
     archived = ArchivedRuns(desk, tab, lambda: str(find.value or ""), lambda: which.value == "archive")
     with ui.column().classes("full-width box") as listed_here:
         table = ui.table(
-            columns=[{"name": name, "label": name, "field": name, "align": "left"} for name in _COLUMNS],
+            columns=[
+                {"name": name, "label": _head(name), "field": name, "align": "left"} for name in _COLUMNS
+            ],
             rows=[],
             row_key="folder",
             selection="multiple",
@@ -114,6 +120,7 @@ def build(desk: Desk, tab: Tab) -> None:
         table.add_slot(
             "header-selection", f"<span class='unseen'>marked</span>{_MARK}".replace("NAME", "'all'")
         )
+        table.add_slot("body-cell-balance", _LAMP)
         table.add_slot("body-selection", _MARK.replace("NAME", "props.row.folder"))
         with ui.row().classes("items-center"):
             earlier = ui.button("Newer", on_click=lambda: turn(-1)).props("outline dense")
@@ -177,11 +184,16 @@ def build(desk: Desk, tab: Tab) -> None:
         rows.update({str(row.folder): row for row in page.rows})
         for name in marked.keys() & rows.keys():
             marked[name] = rows[name]
-        if new := [row for row in page.rows if row not in sparks and row.state != "running"]:
-            drawn = await run.io_bound(lambda: [sparkline(row.folder) for row in new])
-            sparks.update(zip(new, drawn or [], strict=False))
+        if new := [row for row in page.rows if row not in last_runs and row.state != "running"]:
+            found = await run.io_bound(lambda: [last_run(row.folder) for row in new])
+            last_runs.update(zip(new, found or [], strict=False))
         listed = [
-            {**{name: str(getattr(row, name)) for name in _COLUMNS[:-1]}, "decay": sparks.get(row, "")}
+            {
+                "folder": str(row.folder),
+                "name": row.folder.name,
+                **{name: str(getattr(row, name)) for name in _STATED},
+                **last_runs.get(row, LastRun())._asdict(),
+            }
             for row in page.rows
         ]
         if listed != table.rows:
@@ -212,3 +224,12 @@ def build(desk: Desk, tab: Tab) -> None:
         return f"{SERVED}/{quote(page.relative_to(output).as_posix())}"
 
     tab.every(1.0, refresh)
+
+
+def _head(column: str) -> str:
+    """Name of a column, with the unit of a number."""
+    if column not in NUMBERS:
+        return column
+    shown = quantity(NUMBERS[column])
+    symbol = {"sigma": "σ"}.get(column, column)
+    return f"{symbol} / ({shown.unit})" if shown.unit else symbol

@@ -171,7 +171,8 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
 
     with OrderSocket(folder, session_news, {"brake": brake, "note": note}, lambda: now):
         session_news.state({"phase": "rest", "progress": "spread 3 px"}, [])
-        page.wait_text("nothing recorded yet: rest: spread 3 px")
+        page.wait_text("nothing recorded yet")
+        page.wait("document.querySelector('.steps [aria-current]').innerText === 'rest: spread 3 px'")
         page.wait_text("no frame yet: rest: spread 3 px")
         page.wait_while(
             "!document.body.innerText.includes('no frame yet')",
