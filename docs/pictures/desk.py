@@ -80,7 +80,7 @@ def photograph_alarm(page: Page) -> None:
 
 def measure(page: Page) -> None:
     """Until a run has been measured for a minute and a half."""
-    page.key("4")
+    page.key("3")
     page.wait_text("rig desk")
     page.click("Start …")
     page.in_dialog()
@@ -97,7 +97,7 @@ def photograph(page: Page) -> None:
     time.sleep(SHARPNESS_S)
     save(page, "align")
     page.click("Stop")
-    page.key("3")
+    page.key("1")
     page.click("Run preflight")
     page.click("Plan")
     page.wait("document.querySelectorAll('.against span').length > 8", 120.0)
@@ -113,14 +113,14 @@ def photograph(page: Page) -> None:
     page.click("Stop")
     page.click("Stop it")
     page.wait(HANDED_OVER, 200.0)
-    page.key("6")
+    page.key("5")
     page.wait("document.querySelector('.q-table tbody .q-checkbox') !== null")
     page.ask("document.querySelector('.q-table tbody .q-checkbox').click()")
     page.wait_text("1 marked")
     page.click("Fit again")
     page.wait_text("rig fit: done", 200.0)
     save(page, "sessions")
-    page.key("5")
+    page.key("4")
     for count, answer in enumerate(("tilt", "arcsec", "4.8 um", "0.05", "1e-3", *ladder(), "", "1"), 1):
         if count > 2:
             page.fill("answer", answer)

@@ -184,7 +184,7 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     AlarmKey.PREFLIGHT: Alarm(
         "preflight says no-go",
         "a check before the run has failed",
-        "see its remedy under Preflight; then start again, or overrule it for this session",
+        "see its remedy under Rig; then start again, or overrule it for this session",
         _URGENT,
     ),
     AlarmKey.PICTURE: Alarm(

@@ -8,8 +8,7 @@ from pathlib import Path
 from nicegui import ui
 
 from rig.alarms import AlarmKey, AlarmList, AlarmRow, AlarmState, Grade
-from rig.desk.at_once import at_once
-from rig.desk.tab import DELIBERATE, Tab
+from rig.desk.tab import DELIBERATE, Tab, at_once
 
 _PAST_SHOWN = 8
 _COUNTED = (AlarmState.ACTIVE, AlarmState.CLEARED, AlarmState.ACKNOWLEDGED, AlarmState.SHELVED)

@@ -10,9 +10,8 @@ from nicegui import run, ui
 from processing.errors import RigError
 from rig.balance import HEAD, BalanceStage
 from rig.desk import charts, tables
-from rig.desk.at_once import at_once
 from rig.desk.desk import Desk
-from rig.desk.tab import DELIBERATE, Tab
+from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.instrument import WEIGHTS
 
 _STATE = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}

@@ -5,12 +5,10 @@ from typing import Any
 
 from nicegui import run, ui
 
-from rig.desk.at_once import at_once
-from rig.desk.chart_options import Curve, Mark, Points
-from rig.desk.charts import Chart
+from rig.desk.charts import Chart, Curve, Mark, Points
 from rig.desk.desk import Desk
 from rig.desk.panels.run_words import first_fit
-from rig.desk.tab import Tab
+from rig.desk.tab import Tab, at_once
 from rig.presentation import quantity
 
 _EVERY_S = 1.0

@@ -30,7 +30,8 @@ def strip(run_state: Mapping[str, Any], start_way: str) -> str:
     """The steps from the start to the record, the present one with its value against its limit."""
     now = run_state.get("phase") or Phase.WAITING
     progress = str(run_state.get("progress") or "")
-    steps = _AT_ONCE if start_way == "at once" else tuple(_STEPS)
+    # what a run does counts, whatever its configuration says
+    steps = _AT_ONCE if start_way == "at once" and now in _AT_ONCE else tuple(_STEPS)
     lines = []
     for step in steps:
         current = step == now

@@ -14,7 +14,8 @@
       const lamp = told[name], old = !lamp || lamp.age_s === null ? Infinity : lamp.age_s + since;
       const known = old <= rigDesk.staleS && lamp.kind !== 'unknown', shown = at('lamp-' + name);
       // what is too old is no state: what was confirmed last is a fact, with its age
-      const last = lamp && lamp.last ? lamp.last + ', ' + ago(lamp.last_age_s + since) : 'unknown';
+      const age = lamp && lamp.last_age_s != null ? ', ' + ago(lamp.last_age_s + since) : '';
+      const last = lamp && lamp.last ? lamp.last + age : 'unknown';
       const text = name + ' ' + (known ? lamp.text : last) + (lamp && lamp.more ? '; ' + lamp.more : '');
       if (shown.textContent !== text) shown.textContent = text;
       shown.className = 'lamp ' + (known ? lamp.kind : 'unknown');

@@ -13,8 +13,7 @@ from nicegui.page import page
 from acquisition.frame import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
-from rig.desk.chart_options import Curve, chart_options
-from rig.desk.charts import Chart, trajectory_ends
+from rig.desk.charts import Chart, Curve, chart_options, trajectory_ends
 from rig.orders import OrderSocket, SessionNews
 from rig.presentation import quantity
 from rig.settings import Configuration
@@ -80,7 +79,7 @@ def test_a_trajectory_is_drawn_zoomed_and_exported(
     way = Deflections(np.arange(100) * 10**7, y, y, none, none, DeflectionUnit.PX)
     folder = desk_output / "of-charts"
     folder.mkdir(parents=True)
-    page.key("4")
+    page.key("3")
     with OrderSocket(folder, session_news, {}):
         session_news.before_record([frame], [SPOT], way)
         page.wait(f"{OF}.getOption().series[0].data.length > 90")

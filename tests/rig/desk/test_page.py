@@ -78,7 +78,7 @@ def test_keys_choose_the_panel_but_not_while_something_is_typed(shown: Shown) ->
     selected = "document.querySelector('.q-tab--active').innerText.toLowerCase()"
     page.key("2")
     page.wait(f"{selected} === 'balance'")
-    page.key("4")
+    page.key("3")
     page.wait(f"{selected} === 'measure'")
     page.fill("session.notes", "1")
     assert page.ask(selected) == "measure"
@@ -99,7 +99,7 @@ NO_NUMBERS = {
 def test_bad_input_is_named_at_its_field_and_starts_nothing(shown: Shown, key: str) -> None:
     _, page = shown
     of_camera = key.startswith("camera")
-    page.key("1" if of_camera else "4")
+    page.key("1" if of_camera else "3")
     field = f"document.querySelector('[data-key=\"{key}\"]')"
     page.wait(f"{field}.offsetParent !== null")
     before = page.ask(f"{field}.value")
@@ -162,7 +162,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
 
     folder = desk_output / "of-another"
     folder.mkdir(parents=True)
-    page.key("4")
+    page.key("3")
     noted: list[str] = []
 
     def note(value: str) -> str:
@@ -229,7 +229,7 @@ def test_the_row_of_losses_agrees_with_a_spot_that_is_lost(shown: Shown, desk_ou
     none = Deflections(np.zeros(0, np.int64), empty, empty, empty, empty, DeflectionUnit.PX)
     folder = desk_output / "without-spot"
     folder.mkdir(parents=True)
-    page.key("4")
+    page.key("3")
     losses = "[...document.querySelectorAll('tr')].find(r => r.innerText.startsWith('losses'))?.innerText"
     state = {"phase": "measuring", "temperature_c": 20.0}
 
@@ -287,7 +287,7 @@ def test_everything_that_can_be_pressed_or_filled_has_a_name(shown: Shown) -> No
         "!(e.innerText || e.ariaLabel || e.labels?.[0]?.innerText || e.closest('label')?.innerText)"
         ").map(e => e.outerHTML)"
     )
-    for key in "123456":
+    for key in "12345":
         page.key(key)
         assert page.ask(nameless) == []
 
@@ -315,14 +315,14 @@ def slow(shown: Shown) -> Iterator[Callable[..., None]]:
 def test_the_last_of_some_quick_choices_stands(shown: Shown, slow: Callable[..., None]) -> None:
     """A server that is slow answers the first when the last has been made."""
     _, page = shown
-    page.key("6")
-    page.wait("document.querySelector('.q-tab--active').innerText.toLowerCase() === 'sessions'")
+    page.key("5")
+    page.wait("document.querySelector('.q-tab--active').innerText.toLowerCase() === 'runs'")
     panel = "document.querySelector('[data-panel=\"{}\"]')".format
     lists = "document.querySelector('[aria-label=\"which list\"]')"
     archive, sessions = (f"{lists}.children[{number}]" for number in (1, 0))
-    slow(panel("Align"), panel("Sessions"), archive, sessions)
-    assert page.ask("document.querySelector('.q-tab--active').dataset.panel") == "Sessions"
-    assert page.ask("[...document.querySelectorAll('.q-tab-panel h2')].map(e => e.innerText)") == ["Sessions"]
+    slow(panel("Rig"), panel("Runs"), archive, sessions)
+    assert page.ask("document.querySelector('.q-tab--active').dataset.panel") == "Runs"
+    assert page.ask("[...document.querySelectorAll('.q-tab-panel h2')].map(e => e.innerText)") == ["Runs"]
     assert [page.ask(f"{one}.ariaPressed") for one in (archive, sessions)] == ["false", "true"]
     alarms = "document.querySelector('.alarms .q-item')"
     slow(alarms, alarms)

@@ -27,6 +27,10 @@ def test_a_run_that_begins_at_once_has_neither_rest_nor_release() -> None:
     ]  # fmt: skip
 
 
+def test_the_step_a_run_is_at_is_always_shown() -> None:
+    assert "<li aria-current=step>rest</li>" in strip({"phase": Phase.REST}, "at once")
+
+
 def test_what_has_said_nothing_yet_opens_its_devices() -> None:
     assert "<li aria-current=step>devices</li>" in strip({}, "magnet")
 

@@ -62,13 +62,13 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
         page.click("Keep for runs")
         page.wait_text("camera.exposure_us = 125")
         # preflight gives the camera free and takes it itself
-        page.key("3")
+        page.key("1")
         page.click("Run preflight")
         page.wait_text("checks passed")
         page.wait("/NO-GO|GO/.test(document.body.innerText)")
         # measure; only now, so that the interlock opens in the session however long all that has taken
         config.write_text(config.read_text("utf-8") + OPENS.format(8.0), encoding="utf-8")
-        page.key("4")
+        page.key("3")
         page.fill("session.sample", 'steel "on" K8 – µ')
         page.wait("![...document.querySelectorAll('button')].some(b => b.disabled && b.innerText == 'START')")
         page.click("Start …")
@@ -129,7 +129,7 @@ def test_a_session_by_keyboard_alone(
     desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
 ) -> None:
     with desk_page(browser, desk_configuration(INTERLOCK)) as (_, page):
-        page.type("4")
+        page.type("3")
         page.wait("document.querySelector('[data-key=\"session.notes\"]').offsetParent !== null")
         tab_to(page, "notes")
         page.type("by keys")
@@ -162,7 +162,7 @@ def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm
     measuring = "(a => a.offsetParent && parseFloat(a.innerText) > 50)(document.getElementById('amplitude'))"
     resume = 'document.querySelector(\'[aria-label^="Resume"][aria-label$="that died"]\')'
     with desk_page(browser, config) as (_, page):
-        page.key("4")
+        page.key("3")
         page.click("Start …")
         page.in_dialog()
         page.wait(measuring)
@@ -217,7 +217,7 @@ def test_a_session_on_a_phone(desk_configuration: Callable[[str], Path], browser
             "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=2, mobile=True
         )
         fits = "document.documentElement.scrollWidth <= 391"
-        for panel in ("Balance", "Preflight", "Calibrate", "Sessions", "Align"):
+        for panel in ("Balance", "Calibrate", "Runs", "Rig"):
             page.click(panel)
             page.wait(fits, 10.0)
         page.click("Live picture")
