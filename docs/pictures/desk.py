@@ -90,19 +90,13 @@ def measure(page: Page) -> None:
 
 
 def photograph(page: Page) -> None:
-    """From align to measure, and stop."""
+    """From the live picture to measure, and stop."""
     page.click("Live picture")
     page.wait_text("clean spot")
     page.wait("document.querySelectorAll('[aria-label=\"histogram\"] svg path').length > 30")
     time.sleep(SHARPNESS_S)
     save(page, "align")
     page.click("Stop")
-    page.key("1")
-    page.click("Run preflight")
-    page.click("Plan")
-    page.wait("document.querySelectorAll('.against span').length > 8", 120.0)
-    page.wait("document.querySelectorAll('.light').length > 8")
-    save(page, "preflight")
     page.key("2")
     page.point_at("document.querySelector('[aria-label=\"Measure the balance\"]')")
     page.wait("document.querySelector('svg[aria-label^=\"turn weight\"]') !== null", 120.0)
